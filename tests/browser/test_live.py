@@ -94,7 +94,7 @@ def test_first_click_to_a_wall_that_is_felt_changed_and_stopped(console_page: An
     field = page.get_by_label("damping B").last
     field.fill("0.25")
     field.dispatch_event("change")
-    page.get_by_text("Set 1 waits until the handle is outside the wall").wait_for()
+    page.get_by_text("Parameter set 1 becomes active when the handle is outside the wall").wait_for()
     page.mouse.up()
     box = page.locator("canvas.handle").bounding_box()
     page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 20)
@@ -268,7 +268,7 @@ def test_what_is_consented_to_at_the_terminal_stands_on_the_page(terminal: Any, 
     assert lines[0] == "serial:///dev/no-such-rig for a hit on koul-compliant"
     assert lines[-1].startswith("experiment ")
     os.write(person, b"\n")
-    page.locator("#notice", has_text="is not armed").wait_for()
+    page.locator("#notice", has_text="was not armed").wait_for()
     assert asked.is_hidden()
     console.terminate()
     told = console.stdout.read()

@@ -10,10 +10,10 @@ COMPILING_MS = 300_000
 def test_a_map_fills_in_and_a_click_on_a_cell_opens_that_hit(console_page: Any, tmp_path: Any) -> None:
     page = console_page
     page.get_by_role("button", name="Maps", exact=True).click()
-    page.get_by_label("Schemes, one a line").fill("uniform:20k")
+    page.get_by_label("Schemes, one per line").fill("uniform:20k")
     page.get_by_label("dampings B").fill("0,0.3")
     page.get_by_role("textbox", name="stiffness K").fill("20:100")
-    page.get_by_label("Other settings, one a line").fill(SETTINGS)
+    page.get_by_label("Other settings, one per line").fill(SETTINGS)
     page.get_by_role("button", name="Start the map").click()
     finished = page.get_by_text(re.compile(r"^finished: 4 of 4 columns, \d+ cells$"))
     finished.wait_for(timeout=COMPILING_MS)

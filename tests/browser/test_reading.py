@@ -118,4 +118,4 @@ def test_keys_alone_hit_a_wall_read_it_and_open_its_recording(console_page: Any,
     page.locator("section[aria-label=Recording] .u-wrap").nth(2).wait_for()
     tab_to(page, page.locator(".found").get_by_role("searchbox"))
     page.keyboard.type("no such words")
-    page.get_by_text("none in").wait_for()
+    page.get_by_text("no recordings in").wait_for()

@@ -66,9 +66,9 @@ def test_a_recording_is_found_opened_replayed_drawn_exported_and_kept_in_the_tra
     page.get_by_role("button", name="Move to trash").click()
     page.get_by_role("heading", name="one.parquet is in the trash").wait_for()
     assert sorted(path.name for path in (recordings / "trash").iterdir()) == ["one.parquet", "one.png"]
-    page.get_by_label("those in the trash").check()
+    page.get_by_label("show the trash").check()
     page.get_by_role("button", name="Restore").click()
-    page.get_by_text("none in").wait_for()
+    page.get_by_text("no recordings in").wait_for()
     assert (recordings / "one.parquet").exists()
 
 

@@ -113,4 +113,4 @@ def trouble(error: RigError) -> str:
 def defect(do: str, error: BaseException) -> RigError:
     """Return the error that a page shows for a defect of ours; print its traceback where the console runs."""
     traceback.print_exception(error)
-    return RigError(f"{do}: {error!r}", remedy="report it with what stands where the console runs")
+    return RigError(f"{do}: {error!r}", remedy="report it with the traceback in the console's terminal")

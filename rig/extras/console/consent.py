@@ -15,7 +15,7 @@ from rig.extras.console.requests import Run
 from rig.extras.console.session_requests import BeginSession
 from rig.extras.console.terminal import Terminal
 
-ENDS = "ends when no page operates any more"
+ENDS = "ends when no page operates the rig any more"
 
 
 def to_run(request: Run, experiment: Experiment, digest: str) -> list[str]:
@@ -29,7 +29,7 @@ def to_run(request: Run, experiment: Experiment, digest: str) -> list[str]:
         f"changed: {', '.join(changed) or 'nothing'}",
         f"a {trial.kind} trial of {longest_s:g} s at most",
         f"wall: K {wall.stiffness:g} {stiffness}, B {wall.damping:g} {damping}, law {wall.law}",
-        f"without a page: {'goes on to its end' if request.goes_on else ENDS}",
+        f"without a page: {'continues to its end' if request.goes_on else ENDS}",
         f"experiment {digest}",
     ]
 
@@ -39,17 +39,17 @@ def to_session(request: BeginSession, url: str, digest: str) -> list[str]:
     whose = f"{request.code} with {request.protocol}"
     if request.directory:
         whose = f"{request.directory}, resumed{' at the block' if request.at == 'block' else ''}"
-    although = {
-        "walls that `rig session check` says it refuses": request.arm_anyway,
+    consents = {
+        "arming walls that `rig session check` refuses": request.arm_anyway,
         "a computer or link that loses samples": request.lossy_anyway,
         "another device than before": request.other_device,
         "another protocol than the study's earlier sessions": request.other_protocol,
     }
     return [
         f"{url} for the session of {whose}",
-        f"although: {', '.join(what for what, said in although.items() if said) or 'nothing'}",
+        f"consents to: {', '.join(what for what, given in consents.items() if given) or 'nothing else'}",
         "lasts until its protocol is done, or the operator leaves",
-        "without a page: a hit ends, and the session waits",
+        "without a page: a running hit ends, and the session pauses",
         f"protocol and experiment {digest}",
     ]
 

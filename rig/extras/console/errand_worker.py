@@ -50,7 +50,7 @@ def main() -> None:
         except RigError as error:
             _tell(answers, error.as_mapping())
         except Exception as error:  # a defect of ours: report it to the page, and do the next errand
-            _tell(answers, {"error": f"{asked['errand']}: {error!r}", "remedy": "report it"})
+            _tell(answers, {"error": f"{asked['errand']}: {error!r}", "remedy": "report this defect"})
         else:
             found, data = result if isinstance(result, tuple) else (result, b"")
             _tell(answers, {"result": plain(found), "bytes": len(data)}, data)

@@ -66,7 +66,7 @@ class Errands:
             )
         except OSError as error:
             raise RigError(
-                f"no process for an errand: {error.strerror}", remedy="free some memory"
+                f"cannot start a background process: {error.strerror}", remedy="free some memory"
             ) from error
         self._all.add(process)
         return process
@@ -91,5 +91,6 @@ async def _asked(
         return answer, await process.stdout.readexactly(answer.get("bytes", 0))
     except (OSError, asyncio.IncompleteReadError) as error:
         raise RigError(
-            f"the process for {message['errand']} ended", remedy="its reason stands where the console runs"
+            f"the background process for {message['errand']!r} ended without a result",
+            remedy="see the reason in the console's terminal",
         ) from error

@@ -127,7 +127,7 @@ def _rate_of(info: Mapping[str, Any]) -> float:
     except (AttributeError, TypeError, ValueError):
         rate = math.nan
     if not 0.0 < rate < math.inf:
-        raise RigError("a loop says no rate of itself", remedy="stop it: rig stop")
+        raise RigError("a running loop reports no valid position rate", remedy="stop it: rig stop")
     return rate
 
 

@@ -62,7 +62,8 @@ def hit(content: Mapping[str, Any], talk: Talk) -> Any:
     agreed = content.get("digest")
     if agreed is not None and agreed != digest_of(in_effect(experiment, changes)):
         raise ConfigError(
-            f"the experiment of {content['rig']} is another one than was agreed to", remedy="start it again"
+            f"the experiment of {content['rig']} has changed since the operator agreed to it",
+            remedy="start the run again",
         )
     return _run(experiment, content, talk, changes, str(content.get("url") or SIMULATED))
 
@@ -71,7 +72,10 @@ def play(content: Mapping[str, Any], talk: Talk) -> Any:
     """Run a simulated rig whose hand a person drags, through the file `hand` (`rig.realtime.hand`)."""
     url = str(content.get("url") or SIMULATED)
     if not url.startswith("sim:"):
-        raise ConfigError(f"{url}: no hand is dragged there", remedy="hold its handle, and start a hit")
+        raise ConfigError(
+            f"{url}: dragging needs a simulated rig",
+            remedy="use a sim: URL, or start a hit and move the handle",
+        )
     url += ("&" if "?" in url else "?") + f"hand={content['hand']}"
     changes = {**PLAY, "trial.duration_s": float(content["duration_s"]), **(content.get("changes") or {})}
     return _run(experiment_of(content), content, talk, changes, url)
@@ -108,4 +112,4 @@ def _watch(talk: Talk) -> Callable[[int, int], None]:
 
 def _say(gate: Gate, talk: Talk) -> None:
     if not gate.armable:
-        talk.progress(stage="arming a simulated rig although", why=gate.text)
+        talk.progress(stage="arming a simulated rig that the gate would refuse", why=gate.text)

@@ -92,7 +92,7 @@ class Job:
             if self._interrupted and code in (-signal.SIGINT, 1, 130):  # Python was still importing
                 error: RigError = StoppedError("stopped before anything moved")
             else:
-                error = RigError(f"the process of the {self.name} ended with {code}", remedy=why)
+                error = RigError(f"the process of the {self.name} ended with exit code {code}", remedy=why)
             tell({"say": "failed", **error.as_mapping()})
         return code
 
@@ -116,7 +116,7 @@ class Job:
         while data := await self._process.stderr.read(TAIL_BYTES):
             kept = (kept + data)[-TAIL_BYTES:]
         lines = kept.decode(errors="replace").strip().splitlines()
-        return lines[-1] if lines else "it does not say why"
+        return lines[-1] if lines else "it printed no reason; see the console's terminal"
 
 
 def _message(line: bytes) -> dict[str, Any] | None:
@@ -159,9 +159,11 @@ class Jobs:
         """
         busy = self._starts if self.running is None else self.running.name
         if busy:
-            raise ConfigError(f"a {busy} runs", remedy="stop it first")
+            raise ConfigError(
+                f"a {busy} is running, and only one job can run at a time", remedy="stop it first"
+            )
         if self._closed:
-            raise ConfigError("the console ends", remedy="start it again: rig console")
+            raise ConfigError("the console is shutting down", remedy="start it again: rig console")
         self._starts, stops = name, self._stops
         try:
             process = await asyncio.create_subprocess_exec(
@@ -174,7 +176,9 @@ class Jobs:
                 start_new_session=True,  # Ctrl-C on the terminal is the console's to answer
             )
         except OSError as error:
-            raise RigError(f"no process for a {name}: {error.strerror}", remedy="free some memory") from error
+            raise RigError(
+                f"cannot start a process for a {name}: {error.strerror}", remedy="free some memory"
+            ) from error
         finally:
             self._starts = ""
         job = self.running = Job(name, content, process, goes_on=goes_on, asks=asks)
@@ -209,7 +213,7 @@ class Jobs:
             await job.follow(lambda message: self._tell(job, message))
         except Exception as error:  # a defect of ours: a job whose messages are not read must not move
             traceback.print_exception(error)
-            told = RigError(f"the {job.name} could not be followed: {error!r}", remedy="report it")
+            told = RigError(f"the {job.name} could not be followed: {error!r}", remedy="report this defect")
             self._tell(job, {"say": "failed", **told.as_mapping()})
             await job.close()
         finally:

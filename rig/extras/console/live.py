@@ -96,11 +96,11 @@ class Live(Service):
         followed = self._followed
         recorded = None if followed is None else followed.info.get("recording")
         if followed is None or not recorded:
-            raise ConfigError("no loop that was recorded is looked at", remedy="start a run first")
+            raise ConfigError("the page shows no recorded loop to cut from", remedy="start a run first")
         if not followed.ended:
             raise ConfigError(
-                "a cut is taken from the recording, which is whole when the run has ended",
-                remedy="stop it, or wait",
+                "the run has not ended, and a cut needs the complete recording",
+                remedy="stop the run, or wait for its end",
             )
         path = Path(str(recorded))
         sealed = path.with_suffix(SEALED_SUFFIX)
@@ -116,7 +116,7 @@ class Live(Service):
     def looked_at(self) -> Followed:
         """The loop that is looked at; raises `ConfigError` where none runs."""
         if self._followed is None or self._followed.ended:
-            raise ConfigError("no loop runs", remedy="start a run first")
+            raise ConfigError("no loop is running", remedy="start a run first")
         return self._followed
 
     def look_at_newest(self) -> None:
@@ -129,9 +129,9 @@ class Live(Service):
         """Take over rows and hand them on, sixty times a second."""
         due = 0.0
         while True:
-            with self._surviving("the loop that is looked at"):
+            with self._surviving("reading the followed loop"):
                 self._take_rows()
-            with self._surviving("what a page is shown"):
+            with self._surviving("updating the pages"):
                 self._tell_hand()
                 if (now := time.monotonic()) >= due:
                     due = now + STATE_S
@@ -156,7 +156,7 @@ class Live(Service):
     async def every_search(self) -> None:
         """Look for another loop."""
         while True:
-            with self._surviving("the search for loops"), suppress(OSError):
+            with self._surviving("searching for loops"), suppress(OSError):
                 await self.search()  # out of descriptors, perhaps because of another program: try again
             await asyncio.sleep(SEARCH_S)
 

@@ -186,7 +186,7 @@ def recorded(directory: str, key: str, stiffness: float, output: str) -> dict[st
     path = Path(directory)
     plan, device = _plan(path)
     if isinstance(plan, FrequencyPlan):
-        raise ConfigError("a wall that was excited has no hit", remedy="rig impedance measures a single wall")
+        raise ConfigError("a map in frequency has no hits", remedy="measure a single wall: rig impedance")
     row = next(
         (
             row
@@ -197,10 +197,12 @@ def recorded(directory: str, key: str, stiffness: float, output: str) -> dict[st
         None,
     )
     if row is None:
-        raise ConfigError(f"the map has no hit at K = {stiffness:g} there", remedy="choose one of its cells")
+        raise ConfigError(
+            f"the map has no hit at K = {stiffness:g} in series {key}", remedy="choose a cell of the map"
+        )
     if device:
         if not (path / maps.RECORDINGS / row[RECORDING]).exists():
-            raise RecordingError(f"{row[RECORDING]} is no longer there", remedy="restore it from a copy")
+            raise RecordingError(f"recording {row[RECORDING]} is missing", remedy="restore it from a copy")
         return {"name": row[RECORDING], "map": path.name}
     series = next(one for one in plan.series() if one.key == key)
     return {"name": maps.recorded_hit(plan, series, stiffness, Path(output)).name, "map": ""}

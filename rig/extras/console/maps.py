@@ -168,7 +168,9 @@ class MapService(Service):
         self._shared.must_operate(client)
         job = self._shared.jobs.running
         if job is None or job.name != JOB:
-            raise ConfigError("no map of this console runs", remedy="end another one where it was started")
+            raise ConfigError(
+                "no map started by this console is running", remedy="end other maps where they were started"
+            )
         job.end()
 
     async def _theory(self, client: Client, request: AskTheory) -> object:

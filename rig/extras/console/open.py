@@ -42,7 +42,8 @@ def open_console(
         name, colon, number = host.rpartition(":")
         if not (name and colon and number.isdecimal()):
             raise ConfigError(
-                f"{host!r} is no NAME:PORT", remedy="write it as the browser's address bar has it"
+                f"host {host!r} is not of the form NAME:PORT",
+                remedy="write it as in the browser's address bar, for example localhost:8000",
             )
     settings = ConsoleSettings(
         port=port, hosts=hosts, verified=verified, own=own, output=Path(output).resolve(), announce=announce

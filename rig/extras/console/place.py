@@ -27,4 +27,4 @@ def _entry(directory: Path, name: str, right: Callable[[int], bool], kind: str) 
             return path
     except (OSError, ValueError):  # not there, or no name of a file at all
         pass
-    raise ConfigError(f"{name!r} is no {kind} here", remedy="choose one of the list")
+    raise ConfigError(f"{name!r} is not a {kind} here", remedy="choose one of the list")

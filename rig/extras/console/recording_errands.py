@@ -71,11 +71,11 @@ def _entry(path: Path, changed_ns: int) -> dict[str, Any]:
     try:
         path.name.encode()
         if path.is_symlink():
-            raise ConfigError("it is a link", remedy="put the recording itself here")
+            raise ConfigError("it is a symbolic link", remedy="put the recording itself here")
         return {**told, **_settings(open_facts(path))}
     except UnicodeEncodeError:
         name = path.name.encode("utf-8", "backslashreplace").decode()
-        return {**told, "name": name, "problem": "its name is no text; rename it"}
+        return {**told, "name": name, "problem": "its name is not valid UTF-8; rename it"}
     except RigError as error:
         return {**told, "problem": str(error)}
 
@@ -217,7 +217,7 @@ def picture(path: str, draw: bool) -> tuple[str, bytes]:
     found = _picture(Path(path))
     if found is None:
         if not draw:
-            raise ConfigError("it has no picture", remedy="draw it")
+            raise ConfigError(f"{Path(path).name} has no picture", remedy="draw it")
         found = draw_hit(path)
     return PICTURES[found.suffix], found.read_bytes()
 
@@ -225,7 +225,9 @@ def picture(path: str, draw: bool) -> tuple[str, bytes]:
 def exported(path: str, form: str) -> tuple[str, bytes]:
     """A recording for another program (`rig.recording.export`), or as ``json`` what describes a CSV; and its type."""
     if form not in (*EXPORTERS, "json"):
-        raise ConfigError(f"no export {form!r}", remedy=f"choose of {', '.join(EXPORTERS)}")
+        raise ConfigError(
+            f"{form!r} is not an export format", remedy=f"choose one of {', '.join((*EXPORTERS, 'json'))}"
+        )
     file = io.BytesIO()
     (write_sidecar if form == "json" else EXPORTERS[form])(file, _opened(path))
     return MIME.get(form, "application/octet-stream"), file.getvalue()

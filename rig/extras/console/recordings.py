@@ -118,7 +118,7 @@ class Recordings(Service):
         path = self._file(request.name)
         loops = await asyncio.to_thread(running, done=True)
         if any(loop.info.get("recording") == str(path.resolve()) for loop in loops):
-            raise ConfigError(f"{request.name} is being recorded", remedy="stop that run first")
+            raise ConfigError(f"{request.name} is still being recorded", remedy="stop that run first")
         throw_away(path, self._shared.output / TRASH)
 
     async def _restore(self, client: Client, request: Restore) -> None:
@@ -142,7 +142,9 @@ class Recordings(Service):
                 try:
                     first_s, last_s = float(asked["first"]), float(asked["last"])
                 except (KeyError, ValueError):
-                    raise ConfigError("no stretch of time", remedy="say first and last in s") from None
+                    raise ConfigError(
+                        "the request has no valid `first` and `last`", remedy="give both as times in s"
+                    ) from None
                 changes = {"controller.estimator": asked["estimator"]} if "estimator" in asked else None
                 columns = asked.get("columns", "position").split(",")
                 _, data = await run(
@@ -165,5 +167,5 @@ def _recording_in(directory: Path, name: str) -> Path:
     """What the list would show, readable or not: whatever else lies in the directory is no matter of a page."""
     path = file_in(directory, name)
     if path.suffix not in SUFFIXES:
-        raise ConfigError(f"{name!r} is no recording", remedy="choose one of the list")
+        raise ConfigError(f"{name!r} is not a recording", remedy="choose one of the list")
     return path

@@ -140,7 +140,7 @@ def request_of(text: str | bytes, kinds: Mapping[str, type[Request]]) -> Request
     """
     do = json_of(text).get("do")
     if not isinstance(do, str) or do not in kinds:
-        raise ConfigError(f"no such request: {shown(do)}", remedy=f"send one of {', '.join(kinds)}")
+        raise ConfigError(f"unknown request {shown(do)}", remedy=f"send one of {', '.join(kinds)}")
     kind = kinds[do]
     if kind not in _adapters:
         _adapters[kind] = pydantic.TypeAdapter(kind)
@@ -150,7 +150,7 @@ def request_of(text: str | bytes, kinds: Mapping[str, type[Request]]) -> Request
         first = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in first["loc"])
         given = "" if first["type"] == "missing" else f" = {shown(first['input'])}"
-        remedy = f"send {where or 'a request'} as {kind.__name__} has it"
+        remedy = f"send {where or 'a request'} as defined by {kind.__name__}"
         raise ConfigError(f"{do}: {where}{given}: {first['msg']}", remedy=remedy) from None
     return found
 
@@ -165,7 +165,10 @@ def refuse_reserved(changes: Mapping[str, Any]) -> None:
     """Raise `ConfigError` for a key that no page may change."""
     for key in RESERVED:
         if key in changes:
-            raise ConfigError(f"{key} is not changed from a page", remedy="name a file that says it")
+            raise ConfigError(
+                f"{key} cannot be changed from a page",
+                remedy="set it in an experiment file and open that file",
+            )
 
 
 def json_of(text: str | bytes) -> dict[str, Any]:

@@ -99,7 +99,9 @@ class Runs(Service):
         self._shared.must_operate(client)
         job = self._shared.jobs.running
         if job is None or job.name != PLAY:  # a session moves the same hand from its own desk
-            raise ConfigError("no handle is dragged now", remedy="start “Drag the handle” first")
+            raise ConfigError(
+                "no run with a dragged handle is running", remedy="start “Drag the handle” first"
+            )
         self._hand.move(request.position, request.press)
 
     async def _ask_regions(self, client: Client, request: asked.AskRegions) -> object:

@@ -263,7 +263,8 @@ async def run(settings: ConsoleSettings, terminal: Terminal, ended: asyncio.Even
             listening = stack.enter_context(create_server(("127.0.0.1", settings.port)))
         except OSError as error:
             raise ConfigError(
-                f"port {settings.port}: {error.strerror}", remedy="name another one, or none"
+                f"cannot listen on port {settings.port}: {error.strerror}",
+                remedy="give another port, or omit it for any free one",
             ) from error
         served = serve(
             console.attend,
@@ -298,7 +299,9 @@ async def run(settings: ConsoleSettings, terminal: Terminal, ended: asyncio.Even
             task.cancel()
         for one in done:
             if (failed := one.exception()) is not None:
-                raise defect("the console cannot watch over its runs, and has ended them", failed) from failed
+                raise defect(
+                    "the console could no longer supervise its runs, and has ended them", failed
+                ) from failed
 
 
 def _page() -> dict[str, tuple[str, bytes]]:
@@ -318,11 +321,14 @@ async def _respond(
     """What a request gets; None lets it open a socket."""
     access, headers = console.access, request.headers
     if not access.host_allowed(headers):
-        return _response(HTTPStatus.MISDIRECTED_REQUEST, "this page is served under another name")
+        return _response(
+            HTTPStatus.MISDIRECTED_REQUEST,
+            "this host name is not allowed; open the printed URL, or start rig console --allow-host NAME:PORT",
+        )
     path = request.path.partition("?")[0]
     if path in SOCKETS:
         if not access.origin_allowed(headers):
-            return _response(HTTPStatus.FORBIDDEN, "a socket is for the page of this server")
+            return _response(HTTPStatus.FORBIDDEN, "sockets are only accepted from pages of this server")
         if access.guest(request) is not None:
             let_in(socket)
         return None  # a browser shows its page why a socket was closed, and nothing of why it was not opened
@@ -334,7 +340,7 @@ async def _respond(
         except RigError as error:
             return _response(HTTPStatus.BAD_REQUEST, str(error))
     if found is None:
-        return _response(HTTPStatus.NOT_FOUND, "there is no such page or file")
+        return _response(HTTPStatus.NOT_FOUND, "no such page or file")
     return _response(HTTPStatus.OK, found.body, found.kind)
 
 

@@ -59,7 +59,7 @@ class ServiceContext:
     def must_operate(self, client: Client) -> None:
         """Raise `ConfigError` if another page operates; make `client` the operator if none does."""
         if not self.lease.take(client.name):
-            raise ConfigError("another page operates", remedy="let it release first, or close it")
+            raise ConfigError("another page operates the rig", remedy="close that page first")
 
     async def save_cut(self, path: Path, first_s: float, last_s: float, zero_ns: int | None = None) -> Any:
         """Have a stretch of a recording saved beside the others (`rig.extras.console.recording_errands.save_cut`)."""

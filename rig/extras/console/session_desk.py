@@ -77,7 +77,7 @@ class PageDesk(AskingDesk):
     def _check_there(self) -> None:
         if self._talk.silent_s > self._silence_s:
             raise StoppedError(
-                f"the console was silent for {self._silence_s:g} s while a hit ran; the effort is zero",
+                f"no message from the console for {self._silence_s:g} s during a hit; the effort is zero",
                 remedy=REMEDY,
             )
 
@@ -95,7 +95,9 @@ def session(content: Mapping[str, Any], talk: Talk) -> dict[str, Any]:
     """Run or resume a session: `content` as in `rig.extras.console.sessions`, `digest` of what was agreed to."""
     agreed = content["digest"]
     if agreed is not None and agreed != digest_of(content["protocol"], content["directory"]):
-        raise ConfigError("the protocol is another one than was agreed to", remedy="begin the session again")
+        raise ConfigError(
+            "the protocol has changed since the operator agreed to it", remedy="begin the session again"
+        )
     given = content["person"]
     directory = Path(content["directory"]) if content["directory"] else None
     if directory is not None:

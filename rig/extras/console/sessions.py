@@ -79,7 +79,7 @@ class Sessions(Service):
     async def _begin(self, client: Client, request: BeginSession) -> object:
         self._shared.must_operate(client)
         if not request.directory and not (request.protocol and request.code):
-            raise ConfigError("a session needs a protocol and a participant's code", remedy="give both")
+            raise ConfigError("a new session needs a protocol and a participant's code", remedy="give both")
         person, url, realtime = request.person is not None, request.url, request.realtime
         if request.directory:  # as its log says
             log, _ = await self._shared.errands.run("resumed", directory=request.directory)
@@ -212,7 +212,7 @@ class Sessions(Service):
                     self._tell()
                 await asyncio.sleep(ROUND_S)
         except Exception as error:
-            self._shared.tell_trouble(defect("the session's desk, which is left", error))
+            self._shared.tell_trouble(defect("the session's desk failed, and the session ends", error))
             await job.close()
 
     def _tell(self) -> None:

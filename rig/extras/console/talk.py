@@ -49,7 +49,7 @@ class Talk:
         if time.monotonic() - self._heard > SILENT_S:  # the console hangs: a STOP could not arrive
             self._gone.set()
         if self._gone.is_set() and not self._goes_on:
-            raise StoppedError("the console has gone", remedy="start it again: rig console")
+            raise StoppedError("the connection to the console was lost", remedy="start it again: rig console")
         self.tell("progress", **content)
 
     def ask(self, **content: Any) -> Any:
@@ -57,7 +57,9 @@ class Talk:
         self.tell("asks", **content)
         answer = None if self._gone.is_set() else self._answers.get()
         if answer is None:
-            raise StoppedError("nobody is there to answer", remedy="start the console again: rig console")
+            raise StoppedError(
+                "the console ended before the question was answered", remedy="start it again: rig console"
+            )
         return answer
 
     def hear(self, patience_s: float) -> Any:
@@ -68,7 +70,7 @@ class Talk:
             return None
         if said is None:
             self._answers.put(None)
-            raise StoppedError("the console has gone", remedy="start it again: rig console")
+            raise StoppedError("the connection to the console was lost", remedy="start it again: rig console")
         return said
 
     @property

@@ -34,19 +34,27 @@ class Terminal:
     async def insist(self, url: str, lines: Sequence[str]) -> None:
         """Raise `ConfigError` unless the person at the terminal, shown these lines, lets a real rig be armed."""
         if not self.there:
-            raise _refusal(url, "this console runs in no terminal", "run `rig console` in one beside the rig")
+            raise _refusal(
+                url,
+                "the console does not run in a terminal, where a person must confirm",
+                "run `rig console` in a terminal beside the rig",
+            )
         if self._asked is not None:
             raise _refusal(
-                url, "the terminal asks about something else just now", "let that be answered first"
+                url,
+                "the terminal is waiting for the answer to another question",
+                "answer that question first",
             )
         if sum(len(line) for line in lines) > LONGEST:
             raise _refusal(
                 url,
-                "what is to be armed is too long for a person to read",
-                "name an experiment file that says it",
+                f"the settings to confirm have more than {LONGEST} characters",
+                "put the changes into an experiment file, and open that file",
             )
         if not await self._consents(lines):
-            raise _refusal(url, f"nobody at the terminal typed {WORD}", "type there what it asks for")
+            raise _refusal(
+                url, f"{WORD} was not typed at the console's terminal", f"type {WORD} there when it asks"
+            )
 
     async def _consents(self, lines: Sequence[str]) -> bool:
         loop, terminal = asyncio.get_running_loop(), sys.stdin.fileno()
@@ -57,7 +65,7 @@ class Terminal:
             )  # what was typed before this was shown is no answer to it
         click.echo(
             f"\nrig: a page wants to arm {f'{chr(10)}rig:   '.join(_shown(line) for line in lines)}\n"
-            f"rig: is everybody clear of the handle? type {WORD}, or Enter: ",
+            f"rig: are all hands clear of the handle? type {WORD} to arm, or Enter to refuse: ",
             nl=False,
         )
         loop.add_reader(terminal, self._read)
@@ -71,7 +79,7 @@ class Terminal:
         """Withdraw the open question: a STOP came, or the page that asked for it has gone."""
         if self._asked is not None and not self._asked.done():
             self._asked.set_result("")
-            click.echo("\nrig: the page takes that back; nothing is armed")
+            click.echo("\nrig: the request was withdrawn; nothing is armed")
 
     def _read(self) -> None:
         line = b""
@@ -82,7 +90,7 @@ class Terminal:
 
 
 def _refusal(url: str, why: str, remedy: str) -> ConfigError:
-    return ConfigError(f"{url} is a real rig, and is not armed: {why}", remedy=remedy)
+    return ConfigError(f"{url} is a real rig and was not armed: {why}", remedy=remedy)
 
 
 def _shown(text: str) -> str:

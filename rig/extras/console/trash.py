@@ -28,7 +28,7 @@ def throw_away(recording: Path, trash: Path) -> None:
 def refuse_link(trash: Path) -> None:
     """Raise `ConfigError` where the trash is a link: nothing is moved to elsewhere, or from there."""
     if trash.is_symlink():
-        raise ConfigError(f"{trash} is a link", remedy="put a directory in its place")
+        raise ConfigError(f"{trash} is a symbolic link", remedy="replace it by a directory")
 
 
 def restore(recording: Path, directory: Path) -> None:

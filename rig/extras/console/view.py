@@ -31,15 +31,21 @@ class ViewRequest:
     def __post_init__(self) -> None:
         unknown = [name for name in (*self.columns, *self._trigger_column()) if name not in NAMES]
         if unknown:
-            raise ConfigError(f"no column {unknown[0]!r}", remedy=f"choose of {', '.join(NAMES)}")
+            raise ConfigError(f"unknown column {unknown[0]!r}", remedy=f"choose from {', '.join(NAMES)}")
         if not 1 <= len(self.columns) <= MOST_COLUMNS:
-            raise ConfigError(f"{len(self.columns)} columns", remedy=f"show 1 to {MOST_COLUMNS}")
+            raise ConfigError(
+                f"{len(self.columns)} columns cannot be shown", remedy=f"choose 1 to {MOST_COLUMNS}"
+            )
         if not SHORTEST_S <= self.window_s <= LONGEST_S:
             raise ConfigError(
-                f"a window of {self.window_s:g} s", remedy=f"choose {SHORTEST_S:g} to {LONGEST_S:g} s"
+                f"a window of {self.window_s:g} s is out of range",
+                remedy=f"choose {SHORTEST_S:g} to {LONGEST_S:g} s",
             )
         if self.trigger is not None and not 0.0 <= self.trigger.before <= 1.0:
-            raise ConfigError(f"{self.trigger.before:g} of the window before the trigger", remedy="0 to 1")
+            raise ConfigError(
+                f"trigger.before = {self.trigger.before:g} is out of range",
+                remedy="give the share of the window before the trigger, 0 to 1",
+            )
 
     def _trigger_column(self) -> tuple[str, ...]:
         return () if self.trigger is None or self.trigger.on == CONTACT else (self.trigger.on,)

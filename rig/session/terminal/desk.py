@@ -143,7 +143,7 @@ class ConsoleDesk(AskingDesk):
         limit_s = self._silence_s if self._child.greeted or self._restarts else START_S
         if time.monotonic() - self._child.heard_s > limit_s:
             raise StoppedError(
-                f"the console was silent for {limit_s:g} s while a hit ran; the effort is zero",
+                f"no message from the console for {limit_s:g} s during a hit; the effort is zero",
                 remedy=REMEDY,
             )
 

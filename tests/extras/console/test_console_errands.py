@@ -21,7 +21,7 @@ def test_answers_and_errors_come_back_from_one_process_and_none_is_left(tmp_path
                 await errands.run("export", path="nowhere", form="exe")
             (process,) = errands._all
             os.kill(process.pid, 9)
-            with pytest.raises(RigError, match="the process for recordings ended"):
+            with pytest.raises(RigError, match="the background process for 'recordings' ended"):
                 await errands.run("recordings", **asked)
             assert (errands._idle, errands._all) == ([], set())  # the next one gets another
         finally:

@@ -152,7 +152,7 @@ def test_a_hit_of_a_device_is_the_recording_that_it_left(tmp_path: Path) -> None
     row = {"stiffness": 10.0, "recording": "koul-1.parquet", "kind": "stable"}
     task = replace(PLAN.tasks[0], key=series.key)
     run_here("serial:///dev/rig", lambda task: [row], [task], journal=place / maps.JOURNAL)
-    with pytest.raises(RecordingError, match=r"koul-1\.parquet is no longer there"):
+    with pytest.raises(RecordingError, match=r"recording koul-1\.parquet is missing"):
         map_errands.recorded(str(place), series.key, 10.0, str(tmp_path / "out"))
     (place / maps.RECORDINGS).mkdir()
     (place / maps.RECORDINGS / "koul-1.parquet").touch()
@@ -248,9 +248,9 @@ def test_only_who_operates_starts_and_ends_maps_and_no_page_chooses_a_program(ro
     async def body() -> None:
         common = shared(root / "recordings")
         service = MapService(common)
-        with pytest.raises(ConfigError, match=r"wall\.law is not changed from a page"):
+        with pytest.raises(ConfigError, match=r"wall\.law cannot be changed from a page"):
             await ask(service, Page("operator"), "map-run", changes={"wall.law": "x"})
-        with pytest.raises(ConfigError, match="no map of this console runs"):
+        with pytest.raises(ConfigError, match="no map started by this console"):
             await ask(service, Page("operator"), "map-end")
         for do in ("map-run", "map-end"):
             with pytest.raises(ConfigError, match="another page operates"):

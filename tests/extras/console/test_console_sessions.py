@@ -223,7 +223,7 @@ def test_nothing_of_a_blinded_loop_reaches_a_page(tmp_path: Path) -> None:
         live._tell_state()
         assert (one.followed, one.put_, live._history.rows) == (None, "", 0)
         assert one.newest["state"]["loop"] is None
-        with pytest.raises(ConfigError, match="no loop runs"):
+        with pytest.raises(ConfigError, match="no loop is running"):
             live.looked_at()  # nor is its wall changed
 
 
@@ -241,7 +241,7 @@ def test_a_real_rig_needs_a_word_at_the_terminal(
     monkeypatch.setattr(session_lists, "rehearsed", lambda _: None)
     monkeypatch.setitem(ERRANDS, "session digest", lambda **_: "1234 5678")
     page.jobs.started = {}
-    with pytest.raises(ConfigError, match="ttyACM0 is a real rig, and is not armed") as caught:
+    with pytest.raises(ConfigError, match="ttyACM0 is a real rig and was not armed") as caught:
         page.ask("session", **given)
     assert caught.value.remedy
     assert page.jobs.started == {}

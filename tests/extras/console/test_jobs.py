@@ -99,7 +99,7 @@ def test_of_two_jobs_at_once_one_is_refused(monkeypatch: pytest.MonkeyPatch) -> 
     async def body(here: Here) -> None:
         first = asyncio.create_task(here.jobs.start("hit", {}))
         await here.begun.wait()
-        with pytest.raises(ConfigError, match="a hit runs"):
+        with pytest.raises(ConfigError, match="a hit is running"):
             await here.jobs.start("play", {})
         job = await first
         assert here.jobs.running is job

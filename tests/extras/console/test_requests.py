@@ -41,9 +41,9 @@ def test_a_request_is_what_it_says() -> None:
 @pytest.mark.parametrize(
     ("message", "named"),
     [
-        ({}, "no such request"),
-        ({"do": "shutdown"}, "no such request"),
-        ({"do": ["run"]}, "no such request"),
+        ({}, "unknown request"),
+        ({"do": "shutdown"}, "unknown request"),
+        ({"do": ["run"]}, "unknown request"),
         ({"do": "operate"}, "take"),
         ({"do": "operate", "take": "yes"}, "take"),
         ({"do": "operate", "take": True, "else": 1}, "else"),
@@ -63,7 +63,7 @@ def test_a_wrong_field_is_named_with_its_value_and_what_is_allowed() -> None:
     message = {"do": "run", "job": "format"}
     with pytest.raises(ConfigError, match=r"run: job = \"format\": Input should be 'hit' or 'play'; send"):
         request_of(json.dumps(message), KINDS)
-    with pytest.raises(ConfigError, match=r'no such request: "shutdown"; send one of operate, run'):
+    with pytest.raises(ConfigError, match=r'unknown request "shutdown"; send one of operate, run'):
         request_of('{"do": "shutdown"}', KINDS)
 
 

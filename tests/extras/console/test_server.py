@@ -241,7 +241,7 @@ def test_a_console_that_cannot_watch_over_its_runs_ends_aloud(
             with pytest.raises(ConnectionClosed):
                 await page.until(lambda _: False)
 
-    with pytest.raises(RigError, match="cannot watch over its runs, and has ended them: KeyError"):
+    with pytest.raises(RigError, match="could no longer supervise its runs, and has ended them: KeyError"):
         play(tmp_path, scenario)
 
 
@@ -447,7 +447,7 @@ def test_a_participants_screen_is_told_what_it_shows_and_nothing_else(tmp_path: 
                 ):  # fmt: skip
                     assert "result" in await screen.ask(do, **content)
                 for do in ("operate", "run", "experiment", "recordings", "session", "show", "set"):
-                    assert "no such request" in (await screen.ask(do))["error"]["error"]
+                    assert "unknown request" in (await screen.ask(do))["error"]["error"]
                 for _ in range(20):
                     loop.leave(100)
                     await asyncio.sleep(0.01)
@@ -471,7 +471,7 @@ def test_a_handle_is_dragged_by_nobody_while_something_else_moves_the_hand(tmp_p
     async def scenario(console: Served) -> None:
         async with console.page() as page:
             refused = await page.ask("hand", position=0.1)
-            assert "no handle is dragged" in refused["error"]["error"]
+            assert "no run with a dragged handle" in refused["error"]["error"]
 
     play(tmp_path, scenario)
 
@@ -495,7 +495,7 @@ def test_a_real_rig_is_armed_from_no_page_alone(tmp_path: Path) -> None:
     async def scenario(console: Served) -> None:
         async with console.page() as page:
             refused = await page.ask("run", job="hit", url="serial:///dev/ttyACM0")
-            assert "runs in no terminal" in refused["error"]["error"]
+            assert "does not run in a terminal" in refused["error"]["error"]
             assert "rig console" in refused["error"]["remedy"]
 
     play(tmp_path, scenario)

@@ -363,7 +363,7 @@ def test_space_stops_a_hit_and_so_does_a_console_that_says_nothing(
     leave(operator)
     assert currents == [0.0] * 2
     second = operator.of_kind("trial")[-1]
-    assert "the console was silent for 0.2 s while a hit ran" in check_stopped(operator, second)
+    assert "no message from the console for 0.2 s during a hit" in check_stopped(operator, second)
 
 
 def leave(operator: Operator) -> None:

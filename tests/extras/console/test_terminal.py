@@ -51,7 +51,7 @@ def at_a_terminal(monkeypatch: pytest.MonkeyPatch, body: Callable[[Terminal, int
 
 async def agrees(terminal: Terminal, *lines: str) -> bool:
     told = await asyncio.gather(terminal.insist(REAL, lines), return_exceptions=True)
-    assert told == [None] or "nobody at the terminal typed arm" in str(told[0])
+    assert told == [None] or "arm was not typed at the console's terminal" in str(told[0])
     return told == [None]
 
 
@@ -80,7 +80,7 @@ def test_what_was_typed_before_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> 
         await asyncio.sleep(0.05)
         assert not answer.done()
         with pytest.raises(
-            ConfigError, match="asks about something else just now; let that be answered first"
+            ConfigError, match="is waiting for the answer to another question; answer that question first"
         ):
             await terminal.insist(REAL, ["a third one, meanwhile"])
         os.write(person, b"\n")
@@ -101,7 +101,7 @@ def test_a_terminal_obeys_no_page(
 
     at_a_terminal(monkeypatch, body)
     shown = capsys.readouterr().out
-    assert "serial:///é�[2J��rig: all is well��\nrig:   and more�\nrig: is everybody clear" in shown
+    assert "serial:///é�[2J��rig: all is well��\nrig:   and more�\nrig: are all hands clear" in shown
     assert "xxx" not in shown
 
 
@@ -166,11 +166,11 @@ def test_terminal_and_page_show_what_is_agreed_to_and_nothing_else_is_armed(
         for line in told["lines"]:
             assert line in shown
         text = "\n".join(told["lines"])
-        for part in (REAL, "koul-compliant", "wall.stiffness = 55", " s at most", "goes on to its end"):
+        for part in (REAL, "koul-compliant", "wall.stiffness = 55", " s at most", "continues to its end"):
             assert part in text
         (content,) = started
         assert f"experiment {content['digest']}" in text
-        with pytest.raises(ConfigError, match="another one than was agreed to"):
+        with pytest.raises(ConfigError, match="has changed since the operator agreed to it"):
             hits.hit({**content, "changes": {"wall.stiffness": 56}}, Talk(goes_on=False))
 
     at_a_terminal(monkeypatch, body)
@@ -191,7 +191,7 @@ def test_a_resumed_session_has_the_digest_that_it_began_with(
     assert session_desk.digest_of("", str(log.parent)) == agreed
     text = (tmp_path / "mine.toml").read_text()
     (tmp_path / "mine.toml").write_text(text.replace("seed = ", "seed = 1"))
-    with pytest.raises(ConfigError, match="another one than was agreed to"):
+    with pytest.raises(ConfigError, match="has changed since the operator agreed to it"):
         session_desk.session({**CONTENT, "digest": agreed}, talk)
 
 
@@ -204,7 +204,7 @@ def test_what_a_session_does_although_something_speaks_against_it_is_agreed_to()
     resumed = BeginSession(do="session", directory="sessions/a/P01", at="block", other_device=True)
     lines = consent.to_session(resumed, REAL, "1234 5678")
     assert "sessions/a/P01, resumed at the block" in lines[0]
-    assert lines[1] == "although: another device than before"
+    assert lines[1] == "consents to: another device than before"
 
 
 def test_a_console_ends_though_it_waits_for_a_word(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -137,7 +137,7 @@ def test_a_hit_ends_when_nothing_is_heard_of_who_shows_it(sit: Sit) -> None:
     place.sees("P07")
     place.hang()
     error = watched(place)
-    assert "was silent for 0.3 s" in error.message
+    assert "no message from the console for 0.3 s" in error.message
     assert "resume" in error.remedy
 
 

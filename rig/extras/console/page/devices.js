@@ -7,7 +7,7 @@ export function devicesView(link, facts) {
   const here = make("div", {}, "looking …");
   const found = make("div", { role: "status", ariaLive: "polite" });
   const faults = make("tbody");
-  const url = make("input", { type: "text", value: "sim://", ariaLabel: "Device to examine; empty: this machine alone" });
+  const url = make("input", { type: "text", value: "sim://", ariaLabel: "URL of the device to examine; leave empty for this computer only" });
   const rig = make("select", { ariaLabel: "Rig" }, ...facts.rigs.map((name) => make("option", { value: name, textContent: name })));
   rig.value = facts.rigs.includes("koul-compliant") ? "koul-compliant" : facts.rigs[0];
   const trouble = (error) => link.dispatchEvent(new CustomEvent("trouble", { detail: error }));

@@ -57,7 +57,7 @@ export class Estimator {
     }
     const { minimum, maximum } = setting;
     const say = () => range?.setAttribute("aria-valuetext", `${number.value} ${unit === "1" ? "" : unit}`.trim());
-    const number = make("input", { type: "number", step: "any", min: minimum, max: maximum, value: value ?? "", placeholder: "must be given", ariaLabel: name, onchange: () => {
+    const number = make("input", { type: "number", step: "any", min: minimum, max: maximum, value: value ?? "", placeholder: "required", ariaLabel: name, onchange: () => {
       if (range) range.value = placeOf(setting, number.value);
       say();
       this.#set(name, Number(number.value));

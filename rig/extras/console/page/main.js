@@ -47,7 +47,7 @@ link.addEventListener("consent", ({ detail: { lines } }) => {
   $("consent").hidden = lines === null;
   $("consent").querySelector("ul").replaceChildren(...(lines ?? []).map((textContent) => make("li", { textContent })));
 });
-link.addEventListener("stopped", () => say("stop was said"));
+link.addEventListener("stopped", () => say("STOP was sent"));
 
 function say(text) {
   if ($("state").textContent !== text) $("state").textContent = text;
@@ -57,8 +57,8 @@ link.addEventListener("state", ({ detail }) => {
   const { loop, operates, operated, job, blinded } = detail;
   $("operate").hidden = operates;
   $("operate").disabled = operated;
-  $("operate").textContent = operated ? "Another page operates" : "Operate";
-  if (loop === null) say(blinded ? "a blinded session: its loops are not shown" : job ? `${job}: starting` : "no loop runs");
+  $("operate").textContent = operated ? "Another page operates the rig" : "Operate";
+  if (loop === null) say(blinded ? "blinded session: its loops are hidden" : job ? `${job}: starting` : "no loop is running");
   else if (loop.ended !== null) say(`ended: ${loop.ended}`);
   else {
     const lost = loop.counters.lost + loop.counters.skipped;

@@ -29,7 +29,7 @@ export class Maps {
     link.addEventListener("hello", () => this.map && this.#watch(this.map.name)); // connected again
     link.addEventListener("state", ({ detail }) => this.#state(detail));
     link.addEventListener("job", ({ detail }) => this.#job(detail));
-    link.addEventListener("compiling", ({ detail }) => { this.busy.textContent = detail.busy ? "compiling what this hit needs, once for this version and machine …" : ""; });
+    link.addEventListener("compiling", ({ detail }) => { this.busy.textContent = detail.busy ? "compiling for this hit, once per version and computer …" : ""; });
     this.#fields();
     this.#load();
     setInterval(() => this.element.offsetParent !== null && this.#load(), LIST_MS);
@@ -44,13 +44,13 @@ export class Maps {
       domain: select([["hits", "time"], ["impedances", "frequency"]], () => this.#fields()),
       rig: select(facts.rigs.map((name) => [name, name])),
       hand: select(HANDS),
-      schemes: make("textarea", { rows: 3, placeholder: "own and uniform; or one a line: dual:20k/2k", ariaLabel: "Schemes, one a line" }),
+      schemes: make("textarea", { rows: 3, placeholder: "default: own and uniform; else one per line: dual:20k/2k", ariaLabel: "Schemes, one per line" }),
       damping: text("auto, or 0:3.6:17"),
       stiffness: text(""),
       way: select([["ladder", "ladder"], ["bisection", "bisection"], ["grid", "grid"]]),
       offsets: text("0.1,0.6"),
       repeats: make("input", { type: "number", min: 1, value: 1 }),
-      changes: make("textarea", { rows: 2, placeholder: "key = value, one a line", ariaLabel: "Other settings, one a line" }),
+      changes: make("textarea", { rows: 2, placeholder: "key = value, one per line", ariaLabel: "Other settings, one per line" }),
     };
     this.goesOn = make("input", { type: "checkbox", checked: true });
     this.start = make("button", { type: "button", className: "first", textContent: "Start the map", onclick: () => this.#run() });
@@ -60,9 +60,9 @@ export class Maps {
     this.rows = Object.fromEntries(Object.entries(labels).map(([name, label]) =>
       [name, make("label", { className: "field" }, make("span", { textContent: label }), this.form[name])]));
     return make("div", { className: "side" },
-      make("section", { className: "panel" }, make("h2", { textContent: "Maps, also those that commands make" }), make("div", { className: "list" }, make("table", {}, this.list))),
+      make("section", { className: "panel" }, make("h2", { textContent: "Maps, including those made by commands" }), make("div", { className: "list" }, make("table", {}, this.list))),
       make("section", { className: "panel" }, make("h2", { textContent: "New map of a simulated rig" }), ...Object.values(this.rows),
-        make("label", { className: "quiet", title: "it ends at its end, not when this page closes" }, this.goesOn, " goes on when this page closes"),
+        make("label", { className: "quiet", title: "the map is computed to its end even if this page closes" }, this.goesOn, " continue when this page closes"),
         make("p", {}, this.start), this.busy));
   }
 
@@ -98,8 +98,8 @@ export class Maps {
       this.made = told.map;
       this.#watch(told.map);
     }
-    const said = { compiling: told.busy ? "compiling what this map needs, once for this version and machine …" : "", mapping: "", done: "",
-      failed: `The map ended: ${told.error}${told.remedy ? `; ${told.remedy}` : ""}` };
+    const said = { compiling: told.busy ? "compiling for this map, once per version and computer …" : "", mapping: "", done: "",
+      failed: `The map failed: ${told.error}${told.remedy ? `; ${told.remedy}` : ""}` };
     if (told.say in said) this.busy.textContent = said[told.say];
     if (told.say === "ended") this.#load();
   }
@@ -112,7 +112,7 @@ export class Maps {
     const rows = found.map((map) => make("tr", {},
       make("td", {}, make("button", { type: "button", className: "name", textContent: map.name, disabled: map.problem !== null, ariaPressed: String(map.name === this.map?.name), onclick: () => this.#watch(map.name) })),
       make("td", { textContent: map.problem ?? `${map.state}${map.device ? ", on a device" : ""}` })));
-    this.list.replaceChildren(...(rows.length ? rows : [make("tr", {}, make("td", { textContent: "none yet" }))]));
+    this.list.replaceChildren(...(rows.length ? rows : [make("tr", {}, make("td", { textContent: "no maps yet" }))]));
   }
 
   // One map.
@@ -179,7 +179,7 @@ export class Maps {
       return make("tr", {}, make("th", { scope: "row", textContent: written(damping, 3) }), make("td", { textContent: said }),
         ...curves.map((curve) => make("td", { textContent: written(at(curve, damping), 3) })));
     });
-    this.limits.replaceChildren(make("caption", { textContent: "Stiffest wall up to which all pass" }),
+    this.limits.replaceChildren(make("caption", { textContent: "Largest stiffness up to which all walls pass" }),
       make("thead", {}, make("tr", {}, ...head.map((text) => make("th", { scope: "col", textContent: text })))), make("tbody", {}, ...rows));
   }
 

@@ -24,7 +24,7 @@ export class Plane {
     this.legend = make("ul", { className: "legend" });
     this.criteria = make("select", { onchange: ({ target }) => { this.criterion = target.value; this.draw(); this.onchosen?.(); } });
     this.logarithmic = make("input", { type: "checkbox", onchange: () => this.draw() });
-    this.judged = make("label", {}, "a wall passes when it is ", this.criteria);
+    this.judged = make("label", {}, "a wall passes if it is ", this.criteria);
     this.element = make("div", { className: "map" }, make("div", { className: "bar" }, this.judged, make("label", {}, this.logarithmic, " K logarithmic")),
       this.legend, make("div", { className: "charts" }, this.canvas), this.readout);
     new ResizeObserver(() => this.draw()).observe(this.canvas);
@@ -187,7 +187,7 @@ export class Plane {
     const curves = this.theory.filter((curve) => curve.scheme === this.scheme).map(({ name }, number) => [`${name} (${number ? "dotted" : "dashed"})`, colour("ink")]);
     const cells = this.frequency
       ? [[`passive, |Z| true to ${written(this.range[0], 2)} ${this.map.units.damping}`, fidelityColour(this.range[0], this.range)], [`passive, to ${written(this.range[1], 2)}`, fidelityColour(this.range[1], this.range)],
-        ["not passive", colour("line")], ["thrown out", colour("unstable")]]
+        ["not passive", colour("line")], ["handle thrown out", colour("unstable")]]
       : WORDS.map((word, number) => [word, colour(KINDS[number])]);
     const text = JSON.stringify([cells, curves]);
     if (text === this.drawnKey) return;

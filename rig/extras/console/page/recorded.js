@@ -127,7 +127,7 @@ export class Recorded {
       this.traces = tracesOf(frame);
       this.replayed = replay && tracesOf(replay);
       if (replay) this.readout.textContent = `Through ${replay.estimator} the velocity differs by ${written(replay.velocity_difference, 3)} ${this.units.velocity} rms, `
-        + `the effort by ${written(replay.effort_difference, 3)} ${this.units.effort_sent} rms${replay.exact ? ": equal to the last bit" : ""}; the handle moves as it was recorded.`;
+        + `the effort by ${written(replay.effort_difference, 3)} ${this.units.effort_sent} rms${replay.exact ? ": identical to the last bit" : ""}; the handle's motion is the recorded one.`;
       else this.#read();
       this.#build();
     } catch (error) {

@@ -6,7 +6,7 @@ import { offer } from "./save.js";
 
 const SEARCH_MS = 250;
 const SEEN_AHEAD = "200px"; // of the list: pictures that are about to be scrolled into sight
-const FORMS = [["CSV", "csv"], ["what its columns mean (JSON)", "json"], ["MAT", "mat"], ["Parquet", "parquet"]];
+const FORMS = [["CSV", "csv"], ["description of the CSV columns (JSON)", "json"], ["MAT", "mat"], ["Parquet", "parquet"]];
 
 export class Recordings {
   constructor(link) {
@@ -30,7 +30,7 @@ export class Recordings {
     this.actions = make("div", { className: "bar", hidden: true }, this.draw, this.form, this.away);
     this.element = make("div", {},
       make("div", { className: "found" }, make("section", { className: "panel" }, this.search,
-        make("label", { className: "quiet" }, this.trash, " those in the trash"), this.note,
+        make("label", { className: "quiet" }, this.trash, " show the trash"), this.note,
         make("table", {}, make("thead", {}, make("tr", {}, ...["verdict", "recording", "wall and scheme"].map((textContent) => make("th", { scope: "col", textContent })))), this.rows), this.more)),
       make("section", { className: "scope", ariaLabel: "Recording" }, this.title, this.settings, this.actions, this.recorded.element, this.picture));
     link.addEventListener("job", ({ detail }) => { if (detail.told.say === "ended" && this.element.isConnected) this.#again(); });
@@ -87,7 +87,7 @@ export class Recordings {
       for (const image of rows.flatMap((row) => [...row.querySelectorAll("img")])) this.seen.observe(image);
       this.first = asked.first + recordings.length;
       this.more.hidden = !more;
-      this.note.textContent = this.first ? `${this.first}${more ? " and more" : ""} in ${directory}` : `none in ${directory}`;
+      this.note.textContent = this.first ? `${this.first}${more ? " and more" : ""} in ${directory}` : `no recordings in ${directory}`;
       this.#mark();
     } catch (error) {
       this.#trouble(error);
@@ -200,5 +200,5 @@ function settings(facts) {
   const from = facts.cut ? ` A cut from ${facts.cut.recording}, ${written(facts.cut.first_s)} to ${written(facts.cut.last_s)} s.` : "";
   const lost = facts.lost.length ? ` ${facts.lost.join("; ")}.` : "";
   return [make("span", { className: "verdict", dataset: { kind }, textContent: kind }), facts.reasons.length ? `: ${facts.reasons.join("; ")}. ` : ". ",
-    `${facts.rig}, ${facts.trial}, ${wall(facts)}, ${scheme(facts)}; ${facts.rows} rows in ${written(facts.length_s)} s from ${facts.url}.${from}${facts.complete ? "" : " It breaks off."}${lost}`];
+    `${facts.rig}, ${facts.trial}, ${wall(facts)}, ${scheme(facts)}; ${facts.rows} rows in ${written(facts.length_s)} s from ${facts.url}.${from}${facts.complete ? "" : " It is incomplete."}${lost}`];
 }

@@ -74,7 +74,7 @@ export class Scope {
       choice("edge", [["rising", "rising"], ["falling", "falling"]], "rising", (value) => this.#trigger({ edge: value })),
       choice("before", [["0 %", "0"], ["20 %", "0.2"], ["50 %", "0.5"], ["80 %", "0.8"]], "0.2", (value) => this.#trigger({ before: Number(value) })),
       make("label", {}, make("input", { type: "checkbox", onchange: ({ target }) => this.#trigger({ single: target.checked }) }), " single"),
-      make("button", { type: "button", textContent: "Rearm", title: "wait for the trigger again", onclick: () => this.#ask() }),
+      make("button", { type: "button", textContent: "Rearm", title: "wait for the next trigger", onclick: () => this.#ask() }),
       choice("show also", [["nothing", ""], ...columns], "", (value) => this.#also(value)),
       make("button", { type: "button", textContent: "Effort over penetration", ariaPressed: "false",
         onclick: ({ target }) => this.#planeView(target) }),

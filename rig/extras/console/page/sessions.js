@@ -4,8 +4,8 @@
 import { Answering, nameOf } from "./desk.js";
 import { make, setText } from "./dom.js";
 
-const HANDS = [["by its script", "simulated"], ["dragged with the mouse", "mouse"], ["moved by arrow keys", "keyboard"]];
-const COMPILING = "Compiling what this needs, once for this version and machine …";
+const HANDS = [["moved by a script", "simulated"], ["dragged with the mouse", "mouse"], ["moved by arrow keys", "keyboard"]];
+const COMPILING = "Compiling, once per version and computer …";
 const CONTROLS = "input, select, textarea, [contenteditable]";
 
 export class Sessions {
@@ -38,23 +38,23 @@ export class Sessions {
     this.about = make("p", { className: "quiet" });
     this.protocol.addEventListener("input", () => this.#about());
     this.code = text("", { placeholder: "P01" });
-    this.who = make("select", { onchange: () => this.#who() }, make("option", { value: "person", textContent: "a participant" }), make("option", { value: "simulated", textContent: "nobody: rehearse it" }));
+    this.who = make("select", { onchange: () => this.#who() }, make("option", { value: "person", textContent: "a participant" }), make("option", { value: "simulated", textContent: "a simulated person (rehearsal)" }));
     this.hand = make("select", {}, ...HANDS.map(([label, value]) => make("option", { value, textContent: label })));
     this.url = text("", { placeholder: "the simulated rig" });
     this.row = text("", { placeholder: "by the code's number", inputMode: "numeric" });
     this.thresholds = text("", { placeholder: "dual=430, uniform=150" });
     this.spread = text("", { placeholder: "15", inputMode: "decimal", title: "how gradually verdicts change over stiffness" });
-    this.lapses = text("", { placeholder: "0", inputMode: "decimal", title: "share of verdicts that are turned round" });
-    this.peopleSd = text("", { placeholder: "0", inputMode: "decimal", title: "how people differ: standard deviation of ln K50 over codes" });
+    this.lapses = text("", { placeholder: "0", inputMode: "decimal", title: "share of wrong verdicts, given at random" });
+    this.peopleSd = text("", { placeholder: "0", inputMode: "decimal", title: "differences between simulated people: standard deviation of ln K50" });
     this.study = text("", { placeholder: "by the study's title", title: "directory of all participants" });
     this.at = make("select", {}, make("option", { value: "trial", textContent: "the next trial" }), make("option", { value: "block", textContent: "the block, from its beginning" }));
-    this.otherDevice = check("on another device than before", "as --other-device: the analysis reports it");
+    this.otherDevice = check("on a different device than before", "as --other-device: the analysis reports it");
     this.lsl = check("stream samples and markers", "as --lsl: by Lab Streaming Layer");
     this.realtime = check("in real time");
-    this.again = check("delete the one that is there");
-    this.otherProtocol = check("although earlier sessions had another protocol", "as --other-protocol: the analysis then needs --across");
-    this.armAnyway = check("arm walls that the gate refuses", "as --arm-anyway: consent for the whole session");
-    this.lossyAnyway = check("begin although this computer loses samples", "as --lossy-anyway");
+    this.again = check("replace an existing rehearsal");
+    this.otherProtocol = check("with a different protocol than earlier sessions", "as --other-protocol: the analysis then needs --across");
+    this.armAnyway = check("arm walls that the arming gate refuses", "as --arm-anyway: consent for the whole session");
+    this.lossyAnyway = check("begin even if this computer loses samples", "as --lossy-anyway");
     this.people = make("div", {}, field("handle", this.hand), field("device", this.url), this.armAnyway.element, this.lossyAnyway.element);
     this.rehearsal = make("div", { hidden: true }, field("K50", this.thresholds), field("spread", this.spread), field("lapse rate", this.lapses), field("people's sd", this.peopleSd), this.realtime.element, this.again.element);
     this.start = make("button", { type: "submit", className: "first", textContent: "Begin" });
@@ -62,13 +62,13 @@ export class Sessions {
       field("protocol", this.protocol), this.protocols, this.about, field("code", this.code), field("who", this.who),
       this.people, this.rehearsal, make("details", {}, make("summary", { textContent: "Order, place, streams" }), field("row", this.row), field("study", this.study), this.otherProtocol.element, this.lsl.element), make("p", {}, this.start));
     this.resumable = make("tbody");
-    this.none = make("p", { className: "quiet", textContent: "None in this directory." });
-    this.resumes = make("div", { hidden: true }, field("goes on with", this.at), this.otherDevice.element,
-      make("p", { className: "quiet", textContent: "A session that was left, or cut off, goes on where it was, on the device where it was; consents and the handle are those beside." }));
+    this.none = make("p", { className: "quiet", textContent: "No unfinished session in this directory." });
+    this.resumes = make("div", { hidden: true }, field("continue with", this.at), this.otherDevice.element,
+      make("p", { className: "quiet", textContent: "An interrupted session continues where it stopped, on the same device; consents and the handle's source are taken from the form beside." }));
     this.ended = make("section", { className: "panel", hidden: true, role: "status" });
     const table = make("table", {}, make("thead", {}, make("tr", {}, ...["who", "study", "trials", "left", ""].map((name) => make("th", { textContent: name, scope: "col" })))), this.resumable);
     return [make("section", { className: "panel begin" }, make("h2", { textContent: "Begin a session" }), this.form),
-      make("div", {}, this.ended, make("section", { className: "panel" }, make("h2", { textContent: "Not over yet" }), table, this.none,
+      make("div", {}, this.ended, make("section", { className: "panel" }, make("h2", { textContent: "Unfinished sessions" }), table, this.none,
         this.resumes))];
   }
 
@@ -153,9 +153,9 @@ export class Sessions {
     this.setup.hidden = runs;
     this.desk.hidden = !runs || told.state === undefined;
     this.starting.hidden = !runs || !this.desk.hidden;
-    setText(this.starting, told.compiling ? COMPILING : "The session starts: this computer and the link are measured …");
+    setText(this.starting, told.compiling ? COMPILING : "The session is starting: measuring this computer and the link …");
     this.ended.hidden = !told.end || runs;
-    if (told.end) this.ended.replaceChildren(make("h2", { textContent: told.end.over ? "It is over" : "It was left" }), make("p", { textContent: told.end.stands }), pairs(make("dl", { className: "pairs" }), told.end.pairs));
+    if (told.end) this.ended.replaceChildren(make("h2", { textContent: told.end.over ? "The session is complete" : "The session was interrupted" }), make("p", { textContent: told.end.stands }), pairs(make("dl", { className: "pairs" }), told.end.pairs));
     if (!runs || told.state === undefined) return;
     setText(this.place, told.place);
     setText(this.state, told.state);

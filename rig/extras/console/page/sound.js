@@ -7,7 +7,7 @@ const LOUDEST = 0.15;
 export class Sound {
   constructor(link) {
     this.box = make("input", { type: "checkbox", onchange: () => this.#turn(this.box.checked) });
-    this.element = make("label", { className: "quiet" }, this.box, " hear contact and buzz");
+    this.element = make("label", { className: "quiet" }, this.box, " play contact and buzz as sound");
     link.addEventListener("frame", ({ detail }) => this.#play(detail));
   }
 

@@ -39,7 +39,7 @@ export class Wall {
   #run() {
     return make("section", { className: "panel" }, make("h2", { textContent: "Run" }),
       field("rig", this.rig), field("device", this.url),
-      make("label", { className: "quiet", title: "of an automatic hit: it ends at its end, not when this page closes" }, this.goesOn, " goes on when this page closes"),
+      make("label", { className: "quiet", title: "an automatic hit runs to its end even if this page closes" }, this.goesOn, " continue when this page closes"),
       make("p", {}, this.play, " ", this.hit), this.verdict);
   }
 
@@ -48,7 +48,7 @@ export class Wall {
     return make("section", { className: "panel" }, make("h2", { textContent: "Wall" }),
       this.#slider("wall.stiffness"), make("div", { className: "field" }, make("span"), this.bands), this.#slider("wall.damping"), this.#slider("wall.position"),
       this.legend, this.sets,
-      make("h2", { textContent: "For the next run" }),
+      make("h2", { textContent: "Settings of the next run" }),
       rates("controller.position_rate", "1/T1 (Hz)"), rates("controller.velocity_rate", "1/T2 (Hz)"), this.estimator.element);
   }
 
@@ -177,7 +177,7 @@ export class Wall {
       paint(stable, high, "unstable");
     }
     const stiffness = Number(this.fields["wall.stiffness"].value);
-    const now = stable === null ? "theory says nothing" : stiffness > stable ? "unstable" : passive !== null && stiffness <= passive ? "passive" : "stable, not passive";
+    const now = stable === null ? "no theoretical limit" : stiffness > stable ? "unstable" : passive !== null && stiffness <= passive ? "passive" : "stable, not passive";
     const limits = stable === null ? "" : ` (${passive === null ? "no wall is passive" : `passive up to ${written(passive, 3)}`}, stable up to ${written(stable, 3)} ${this.#unit("wall.stiffness")}, ${hand})`;
     setText(this.legend, `By linear theory with ${this.delay ?? 1} tick${this.delay === 1 || !this.delay ? "" : "s"} of delay${this.delay === undefined ? " (assumed)" : " (measured)"}: ${now}${limits}${note ? `; ${note}` : ""}.`);
     this.bands.ariaLabel = this.legend.textContent;
@@ -212,7 +212,7 @@ export class Wall {
     const loop = state.loop;
     if (!this.running || loop.set > (this.set ?? 0)) this.told = {}; // another's set
     setText(this.sets, !this.running ? "" : loop.set < (this.set ?? 0)
-      ? `Set ${this.set} waits until the handle is outside the wall; set ${loop.set} is active.` : `Parameter set ${loop.set} is active.`);
+      ? `Parameter set ${this.set} becomes active when the handle is outside the wall; set ${loop.set} is active now.` : `Parameter set ${loop.set} is active.`);
   }
 
   #progress(told) {
@@ -221,7 +221,7 @@ export class Wall {
 
   #job({ job, told }) {
     if (!JOBS.includes(job)) return;
-    if (told.say === "compiling" && told.busy) this.verdict.replaceChildren("compiling what this run needs, once for this version and machine …");
+    if (told.say === "compiling" && told.busy) this.verdict.replaceChildren("compiling for this run, once per version and computer …");
     if (told.say === "failed") {
       this.verdict.replaceChildren(make("p", { dataset: { kind: told.kind }, textContent: `The ${job} ended: ${told.error}${told.remedy ? `; ${told.remedy}` : ""}${told.recording ? `. Recorded: ${told.recording}` : ""}` }));
     }
