@@ -76,7 +76,7 @@ def test_the_first_session_of_a_newcomer_ends_in_ten_minutes_with_intervals_that
     assert events[-1].content["reason"] == "complete"
     assert events[-1].at - events[0].at <= 600.0  # in the simulation's time
     found = analyse([tmp_path])
-    assert not any("hardly known" in message for message in found.messages)
+    assert not any("imprecise" in message for message in found.messages)
     slow, dual = (one for one in found.of_participants if one.measure == "rule")
     if slow.condition.startswith("dual"):
         slow, dual = dual, slow

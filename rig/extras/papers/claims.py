@@ -62,7 +62,9 @@ def read_claims(
     texts = _sections(fill_text(template, rulings=rulings, **words))
     paper = texts.pop("paper")
     if extra := set(texts) ^ set(rulings):
-        raise KeyError(f"{template}: a ruling or a text is missing: {', '.join(sorted(extra))}")
+        raise KeyError(
+            f"{template}: each of these claims lacks its ruling or its text: {', '.join(sorted(extra))}"
+        )
     return paper, tuple(_claim(key, ruling, texts[key]) for key, ruling in rulings.items())
 
 

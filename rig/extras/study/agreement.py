@@ -179,9 +179,9 @@ def _problem(counts: Floats, classes: Sequence[str], value: float | None) -> str
         given = np.flatnonzero(counts.sum(axis=axis))
         if len(given) == 1:
             of_chance = "not defined" if value is None else "0 in any case"
-            return f"{who} was always “{classes[given[0]]}”, as chance would be too: κ is {of_chance}"
+            return f"{who} was always “{classes[given[0]]}”, so agreement by chance is complete: κ is {of_chance}"
     if np.trace(counts) == counts.sum():
-        return "there is no confusion, so that the uncertainty of κ = 1 is unknown"
+        return "all verdicts agree, so the uncertainty of κ = 1 cannot be estimated"
     return ""
 
 
@@ -196,11 +196,12 @@ def _jackknife(tables: Floats, weights: Weights) -> tuple[float, float] | str:
     tables = tables[tables.sum(axis=(1, 2)) > 0.0]
     people = len(tables)
     if people < LEAST_PEOPLE:
-        return f"{people} people: an interval over people takes {LEAST_PEOPLE}"
+        who = "person" if people == 1 else "people"
+        return f"verdicts of {people} {who}; an interval over people needs at least {LEAST_PEOPLE}"
     counts = tables.sum(axis=0)
     without = np.array([kappa(counts - one, weights) for one in tables])
     if not np.isfinite(without).all():
-        return "without one of the people κ is not defined"
+        return "κ is not defined when one of the people is left out (jackknife)"
     scatter = float(without.std(ddof=1))
     if not is_resolved(scatter, magnitude=1.0):
         return unresolved_words("the verdicts of the people", scatter, 0.0)

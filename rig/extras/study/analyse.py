@@ -125,20 +125,20 @@ class StudyAnalysis:
         if fast:
             found.append(
                 f"{_plural(fast, 'verdict')} {_was(fast)} given sooner than trial.fastest_verdict_s, "
-                "as by a stuck key or a script: column too_fast of the trials; they count"
+                "as by a stuck key or a script: see column too_fast of the trials; they are counted"
             )
         for state in ("unfinished", "skipped"):
             count = sum(run.state == state for run in left)
             if count:
                 found.append(
-                    f"{_plural(count, 'run')} {_was(count)} {state}: in the table of runs, not in K_max"
+                    f"{_plural(count, 'run')} {_was(count)} {state}: listed in the table of runs, not used for K_max"
                 )
         found += self._of_marked()
         noted = sum(run.note == AMENDED for run in self.runs)
         if noted:
             found.append(
-                f"of {_plural(noted, 'run')} trials were amended after the rule had followed them: no limit by the "
-                "rule, since its walk would have been another; K50 stands"
+                f"trials of {_plural(noted, 'run')} were amended after the search rule had used them: no limit by the "
+                "rule, which would have chosen other walls; their K50 is used"
             )
         vague = sum(
             one.measure != "rule"
@@ -149,14 +149,14 @@ class StudyAnalysis:
         )
         if vague:
             found.append(
-                f"{_plural(vague, 'K50')} {_is(vague)} hardly known from so few verdicts: the interval is wider than "
-                f"{100 * _VAGUE:.0f} % of the range that was searched"
+                f"{_plural(vague, 'K50')} {_is(vague)} imprecise for lack of verdicts: the interval is wider than "
+                f"{100 * _VAGUE:.0f} % of the searched range"
             )
         unresolved = sum(bool(one.problem) and not one.withheld for one in self.paired)
         if unresolved and len(self.study.sessions) >= LEAST_VALUES:
             found.append(
                 f"{_plural(unresolved, 'paired difference')} {_has(unresolved)} no interval and no p: too few people "
-                "have both conditions, or they scatter by no more than rounding to the levels makes"
+                "have both conditions, or their scatter is not larger than the rounding to levels"
             )
         mostly = [
             f"{one.condition} at B = {one.damping:g} ({one.above + one.below} of {one.limits})"
@@ -165,8 +165,8 @@ class StudyAnalysis:
         ]
         if mostly:
             found.append(
-                "most limits lie beyond the levels, so that their mean is a bound and no difference with it is tested: "
-                + ", ".join(mostly)
+                "most limits lie beyond the searched levels, so their mean is only a bound and differences with it are "
+                "not tested: " + ", ".join(mostly)
             )
         return (*self.study.messages, *found)
 
@@ -189,14 +189,15 @@ class StudyAnalysis:
     def _of_marked(self) -> Iterator[str]:
         """Runs that ended by `most`, and limits that their verdicts contradict."""
         taken = (
-            "taken in"
+            "included"
             if self.options.include_marked
-            else "left out of K_max (`include_marked` takes them in)"
+            else "excluded from K_max (`include_marked` includes them)"
         )
         short = [run for run in self.runs if run.state == ENDED_BY_MOST]
         if short:
             names = [f"{run.participant}, run {run.run}: {run.note}" for run in short]
-            yield f"{_plural(len(short), 'run')} {_was(len(short))} ended by most, {taken}: {_listed(names)}"
+            runs = f"{_plural(len(short), 'run')} {_was(len(short))}"
+            yield f"{runs} ended by search.settings.most, {taken}: {_listed(names)}"
         names = [
             f"{run.participant}, run {run.run}: {limit.mark}"
             for run in self.runs

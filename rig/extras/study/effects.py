@@ -109,7 +109,7 @@ def slopes(runs: Sequence[RunRow], trials: Sequence[TrialRow]) -> tuple[Slope, .
             at = np.array([place(run) for run in counted])
             slope = _slope("limit", name, measure, at, limits, cells, roundings)
             if beyond and not counted:
-                slope = replace(slope, problem="most limits lie beyond the levels")
+                slope = replace(slope, problem="most limits lie beyond the searched levels")
             family.append(slope)
         found += _corrected(family)
     kept = [trial for trial in trials if not trial.practice and trial.void not in VOIDED]
@@ -232,11 +232,11 @@ def _over(
     slopes = np.array(list(each.values()))
     count = len(slopes)
     if count == 0:
-        return "it cannot be separated from participants and conditions"
+        return "this effect cannot be separated from participants and conditions"
     if count < LEAST_VALUES:
         return too_few_words(count, "participants with a slope of their own")
     if not np.any(slopes):
-        return "all values are alike within participants and conditions"
+        return "all values are equal within participants and conditions"
     mean, free = float(slopes.mean()), count - (2 if shared else 1)
     rest = slopes - mean
     scatter = math.sqrt(float(rest @ rest) / free)

@@ -38,7 +38,7 @@ LEAST_VALUES = (
 RESAMPLES = 9999
 
 ENOUGH_REPEATS = 10  # for a bootstrap
-MOSTLY_CENSORED = "most limits lie beyond the levels, so that the mean is a bound and nothing is tested"
+MOSTLY_CENSORED = "most limits lie beyond the searched levels, so the mean is only a bound and is not tested"
 
 IntervalOf = Literal["Student", "bootstrap", "run", "verdicts", "none"]
 Bound = Literal["", "least", "most", "unknown"]
@@ -430,7 +430,7 @@ def student(
 def too_few_words(count: int, of: str) -> str:
     """Return the sentence that explains why so few participants or repeats have no interval."""
     noun = of.replace("participants", "participant").replace("repeats", "repeat") if count == 1 else of
-    return f"{count} {noun}, where an interval and a p value need {LEAST_VALUES} or more"
+    return f"{count} {noun}; an interval and a p value need {LEAST_VALUES} or more"
 
 
 def rounding_of(roundings: Sequence[float]) -> float:

@@ -173,7 +173,7 @@ def mixed(values: Sequence[Observed], measure: Measure, conditions: Sequence[str
     contrasts = _contrasts(design, model, beyond, conditions)
     notes = _notes(measure, design.participants, beyond, cells, _sorted(beyond, conditions))
     if not contrasts:
-        notes.append("there are no two conditions to compare at the same damping")
+        notes.append("no two conditions share a damping, so no pair can be compared")
     return Mixed(
         measure=measure,
         notes=(*design.notes, *model.notes, *notes),
@@ -201,18 +201,18 @@ def _problem(kept: Sequence[Observed], cells: Sequence[Cell], *, censored: bool)
     participants = len({one.participant for one in kept})
     problem = ""
     if censored and not cells:
-        problem = "most limits lie beyond the levels"
+        problem = "most limits lie beyond the searched levels"
     elif participants < LEAST_PARTICIPANTS:
         problem = (
-            f"{participants} participant{'' if participants == 1 else 's'} with a limit, where differences between "
-            f"people need {LEAST_PARTICIPANTS} or more"
+            f"{participants} participant{'' if participants == 1 else 's'} with a limit; differences between people "
+            f"need {LEAST_PARTICIPANTS} or more"
         )
     elif len(cells) < 2:
-        problem = "there are no two conditions or dampings to compare"
+        problem = "fewer than two conditions or dampings to compare"
         if censored:
-            problem = f"most limits lie beyond the levels, save those of {_name(cells[0])}"
+            problem = f"most limits lie beyond the searched levels, except those of {_name(cells[0])}"
     elif len({one.limit.value for one in kept}) == 1:
-        problem = "all limits are alike"
+        problem = "all limits are equal"
     elif not _installed():
         problem = "statsmodels is not installed: pip install 'haptic-rig[report]'"
     return problem
@@ -288,7 +288,7 @@ class _Design:
                 design.covariates.append(name)
             else:
                 design.notes.append(
-                    f"{name} cannot be separated from the conditions and participants, and is left out"
+                    f"{name} cannot be separated from the conditions and participants, and is excluded"
                 )
         return design
 
@@ -582,29 +582,27 @@ def _notes(
 ) -> list[str]:
     notes = []
     if measure != "rule":
-        notes.append(
-            "K50 is estimated from all verdicts of a participant under a condition at a damping, one value for each"
-        )
+        notes.append("one K50 per participant, condition and damping, estimated from all verdicts there")
     if participants < FEW_PARTICIPANTS:
         notes.append(
-            f"{participants} participants: the variance between people is hardly known, and p and intervals are rough"
+            f"{participants} participants: the variance between people is imprecise, so p and intervals are approximate"
         )
     if participants < ENOUGH_PARTICIPANTS:
         notes.append(
-            f"likelihood ratios of factors are left out: with fewer than {ENOUGH_PARTICIPANTS} participants they find "
-            "differences too often"
+            f"likelihood ratios of factors are omitted: with fewer than {ENOUGH_PARTICIPANTS} participants they report "
+            "false differences too often"
         )
     for cell in of_all:
         if cell not in cells:
             one = beyond[cell]
             notes.append(
-                f"{one.count} of {one.limits} limits of {_name(cell)} lie beyond the levels, and it is left out"
+                f"{one.count} of {one.limits} limits of {_name(cell)} lie beyond the searched levels: excluded"
             )
     within = sum((beyond[cell] for cell in cells), NONE_BEYOND)
     if within.count:
         notes.append(
-            f"{within.count} of {within.limits} limits lie beyond the levels and enter with the end of them: "
-            "differences are biased, usually towards zero; unequal spread can make a difference out of nothing"
+            f"{within.count} of {within.limits} limits lie beyond the searched levels and are replaced by the nearest "
+            "level: differences are biased, usually towards zero; unequal spread can produce a false difference"
         )
     return notes
 

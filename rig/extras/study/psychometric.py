@@ -201,7 +201,9 @@ def together(
     return replace(
         pooled,
         participants=len(each),
-        mark=f"{marked} of {len(each)} are marked" if (marked := sum(one.mark != "" for one in each)) else "",
+        mark=f"{marked} of {len(each)} participants' values are marked"
+        if (marked := sum(one.mark != "" for one in each))
+        else "",
         threshold=Posterior(mean=float(own.mean()), low=interval.low, high=interval.high),
         above=sum(one.above for one in each),
         below=sum(one.below for one in each),

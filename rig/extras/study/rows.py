@@ -36,24 +36,28 @@ class TrialRow(RecordedTrial):
     ]
     amended: Annotated[bool, Quantity("", "whether the verdict was corrected afterwards")]
     since_begin_s: Annotated[
-        float, Quantity("s", "from the session's begin until the hit was logged, pauses included")
+        float, Quantity("s", "from the start of the session until the hit was logged, pauses included")
     ]
     felt: Annotated[
-        float | None, Quantity("velocity", "rms velocity in the tail, 30 to 500 Hz; empty: not measurable")
+        float | None,
+        Quantity("velocity", "rms velocity ripple in the tail, 30 to 500 Hz; empty: not measurable"),
     ]
-    heard: Annotated[float | None, Quantity("effort", "rms ripple of the effort in the tail, above 30 Hz")]
-    moved: Annotated[float | None, Quantity("position", "peak-to-peak position in the tail, above 30 Hz")]
+    heard: Annotated[float | None, Quantity("effort", "rms effort ripple in the tail, above 30 Hz")]
+    moved: Annotated[
+        float | None, Quantity("position", "peak-to-peak position ripple in the tail, above 30 Hz")
+    ]
     peak_penetration: Annotated[float | None, Quantity("position", "deepest")]
     peak_effort: Annotated[float | None, Quantity("effort", "largest, commanded")]
     impact_velocity: Annotated[float | None, Quantity("velocity", "at first contact")]
-    press: Annotated[float | None, Quantity("effort", "mean effort out of the wall in the tail")]
+    press: Annotated[float | None, Quantity("effort", "mean effort in the tail, positive out of the wall")]
     saturated_fraction: Annotated[float | None, Quantity("1", "share of ticks at the limit of effort")]
     baseline_velocity: Annotated[float | None, Quantity("velocity", "rms in free space before the hit")]
     baseline_effort: Annotated[float | None, Quantity("effort", "rms in free space before the hit")]
     recorded: Annotated[
         str,
         Quantity(
-            "", "recording against its hash in the log: ok, missing, changed, not checked; none: no recording"
+            "",
+            "recording compared with its hash in the log: ok, missing, changed, not checked; none: no recording",
         ),
     ]
 
@@ -70,12 +74,12 @@ class ParticipantRow:
     participant: Annotated[str, Quantity("", "code")]
     row: Annotated[int, Quantity("", "of the order, from 0")]
     began: Annotated[
-        str, Quantity("", "when the session began, ISO 8601 in UTC; of a rehearsal an arbitrary day")
+        str, Quantity("", "start of the session, ISO 8601 in UTC; for a rehearsal an arbitrary day")
     ]
-    ended: Annotated[str, Quantity("", "complete, or the rule that ended it; empty while it is not over")]
-    active_s: Annotated[float, Quantity("s", "time of the session, long pauses aside")]
+    ended: Annotated[str, Quantity("", "complete, or the rule that ended the session; empty if unfinished")]
+    active_s: Annotated[float, Quantity("s", "duration of the session without long pauses")]
     trials: Annotated[int, Quantity("", "recorded hits")]
-    counted: Annotated[int, Quantity("", "of them entered the limits")]
+    counted: Annotated[int, Quantity("", "trials used for limits")]
     caught: CatchTrials
     answers: dict[str, str | int]
 
@@ -87,8 +91,8 @@ class AnswerRow:
     participant: Annotated[str, Quantity("", "code")]
     item: Annotated[str, Quantity("", "name in the protocol")]
     when: Annotated[str, Quantity("", "start, block or end")]
-    block: Annotated[int, Quantity("", "after which it was asked; 0: at the start or the end")]
-    answer: Annotated[str, Quantity("", "as it was given; corrections included")]
+    block: Annotated[int, Quantity("", "block after which it was asked; 0: at the start or the end")]
+    answer: Annotated[str, Quantity("", "the answer given; corrections included")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,22 +141,24 @@ class RunRow:
     damping: Annotated[float, Quantity("damping", "B of the wall")]
     repeat: Annotated[int, Quantity("", "of this condition and damping, from 1")]
     rule: Annotated[str, Quantity("", "search rule")]
-    followed: Annotated[str, Quantity("", "whose verdicts the rule followed: person or automatic")]
+    followed: Annotated[
+        str, Quantity("", "source of the verdicts that the search rule used: person or automatic")
+    ]
     state: Annotated[
         str,
         Quantity(
             "",
-            "complete, unfinished, skipped, or ended by most: before it had its turns; only complete ones enter K_max",
+            "complete, unfinished, skipped, or ended by most (too few turns); only complete runs are used for K_max",
         ),
     ]
     limits: dict[Measure, LimitInterval]
-    trials: Annotated[int, Quantity("", "judged hits that count")]
+    trials: Annotated[int, Quantity("", "number of judged hits that count")]
     invalid: Annotated[int, Quantity("", "invalid hits")]
-    voided: Annotated[int, Quantity("", "hits redone, restarted or left out")]
-    hits: Annotated[int, Quantity("", "verdicts that the rule followed")]
+    voided: Annotated[int, Quantity("", "number of hits redone, restarted or excluded")]
+    hits: Annotated[int, Quantity("", "number of verdicts that the search rule used")]
     caught: CatchTrials
-    middle_trial: Annotated[float, Quantity("", "mean number of its trials: when in the session it was")]
-    note: Annotated[str, Quantity("", "why a limit is missing, or what else must be known of it")] = ""
+    middle_trial: Annotated[float, Quantity("", "mean trial number, the run's position in the session")]
+    note: Annotated[str, Quantity("", "why a limit is missing, or a remark about it")] = ""
 
     @property
     def catches(self) -> int:

@@ -169,7 +169,7 @@ def _with_trials(sessions: list[StudySession]) -> tuple[list[StudySession], list
     empty = [session for session in sessions if not session.state.trials]
     if not empty or len(empty) == len(sessions):
         return sessions, []
-    told = f"left out, without a trial: {listed([str(session.directory) for session in empty])}"
+    told = f"ignored sessions without a trial: {listed([str(session.directory) for session in empty])}"
     return [session for session in sessions if session.state.trials], [told]
 
 
@@ -185,8 +185,8 @@ def find_sessions(paths: Iterable[Path]) -> list[Path]:
                 )
         if not here:
             raise RecordingError(
-                f"there is no session in {path}",
-                remedy=f"name the directory of a study or of a participant, which holds {LOG}",
+                f"no session found in {path}",
+                remedy=f"give the directory of a study or of a participant, which contains {LOG}",
             )
         found |= {one.resolve(): one for one in here}
     return list(found.values())
@@ -200,8 +200,8 @@ def read_session(directory: Path, *, hashes: bool = True) -> StudySession:
         state = SessionState.of(events)
     except (KeyError, TypeError, ValueError) as error:
         raise RecordingError(
-            f"{path}: an event lacks what this version needs ({type(error).__name__}: {error})",
-            remedy="analyse it with the version that wrote it; the log's first event names it",
+            f"{path}: an event of the log lacks data that this version needs ({type(error).__name__}: {error})",
+            remedy="analyse it with the version of haptic-rig that wrote it; the log's first event contains it",
         ) from error
     except RecordingError as error:
         raise RecordingError(f"{path}: {error.message}", remedy=error.remedy) from error
@@ -240,14 +240,14 @@ def _refuse(sessions: Sequence[StudySession]) -> None:
         other = by_code.setdefault(session.code, session)
         if other is not session:
             raise ConfigError(
-                f"participant {session.code} occurs twice: {other.directory} and {session.directory}",
-                remedy="name one of them",
+                f"participant {session.code} has two sessions: {other.directory} and {session.directory}",
+                remedy="give only one of them",
             )
     rehearsed = [session.code for session in sessions if session.state.rehearsal is not None]
     if 0 < len(rehearsed) < len(sessions):
         raise ConfigError(
-            f"{listed(rehearsed)} rehearsed with a simulated person, the others did not",
-            remedy="analyse rehearsals on their own",
+            f"{listed(rehearsed)}: rehearsals with a simulated person cannot be analysed together with people",
+            remedy="analyse rehearsals separately",
         )
 
 
@@ -259,15 +259,15 @@ def _protocol_differences(sessions: Sequence[StudySession], across: Sequence[str
     cells = [one for one in differ if _decides_cells(one)]
     if cells:
         raise ConfigError(
-            f"the sessions do not compare the same: they differ in {'; '.join(one.sentence for one in cells)}",
-            remedy="analyse them as two studies",
+            f"the sessions compare different things: they differ in {'; '.join(one.sentence for one in cells)}",
+            remedy="analyse them as separate studies",
         )
     unstated = [one for one in differ if not one.is_neutral and not is_within(one.key, across)]
     if unstated:
         keys = " ".join(f"`across` {one.key}" for one in unstated)
         raise ConfigError(
-            f"the sessions were not run under one protocol: {'; '.join(one.sentence for one in unstated)}",
-            remedy=f"analyse them as two studies, or state that they may differ: {keys}",
+            f"the protocols of the sessions differ: {'; '.join(one.sentence for one in unstated)}",
+            remedy=f"analyse them as separate studies, or allow these differences: {keys}",
         )
     return differ
 
@@ -283,10 +283,12 @@ def _decides_cells(one: Difference) -> bool:
 
 def _of_differences(differ: Sequence[Difference]) -> list[str]:
     """What a reader must know of protocols that differ."""
-    stated = [f"analysed across a difference in {one.sentence}" for one in differ if not one.is_neutral]
+    stated = [
+        f"analysed together despite a difference in {one.sentence}" for one in differ if not one.is_neutral
+    ]
     neutral = [one.key for one in differ if one.is_neutral]
     if neutral:
-        stated.append(f"sessions differ in what decides no result: {listed(neutral)}")
+        stated.append(f"sessions differ in settings that do not affect results: {listed(neutral)}")
     return stated
 
 
@@ -297,7 +299,7 @@ def _messages(sessions: Sequence[StudySession]) -> list[str]:
     for one, other in combinations(sessions, 2):
         if one.state.row == other.state.row:
             told.append(
-                f"{one.code} and {other.code} had the same row of the order ({one.state.row}): it is not balanced"
+                f"{one.code} and {other.code} have the same row of the order ({one.state.row}): it is not balanced"
             )
     for what, values in _facts(sessions).items():
         if len(set(values.values())) > 1:
@@ -313,7 +315,7 @@ def _of_session(session: StudySession) -> list[str]:
     told = []
     code, state = session.code, session.state
     if state.ended is None:
-        told.append(f"{code}: the session is not over")
+        told.append(f"{code}: the session is not complete")
     elif not session.complete:
         told.append(f"{code}: the session was ended early: {state.ended}")
     for fault in ("missing", "changed"):
@@ -321,11 +323,13 @@ def _of_session(session: StudySession) -> list[str]:
         if trials:
             which = _trials([str(trial) for trial in trials])
             count = "1 recording is" if len(trials) == 1 else f"{len(trials)} recordings are"
-            told.append(f"{code}: {count} {fault} ({which}); verdicts are in the log, and count")
+            told.append(f"{code}: {count} {fault} ({which}); the verdicts in the log are used")
     told += [f"{code}: {text}" for text in _changed_between(session)]
     path, digest = session.directory / PROTOCOL, session.began.get("protocol_sha256")
     if digest and path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() != digest:
-        told.append(f"{code}: {PROTOCOL} is not the file that the session began with; the log's is used")
+        told.append(
+            f"{code}: {PROTOCOL} has changed since the session began; the protocol in the log is used"
+        )
     return told
 
 
@@ -340,7 +344,7 @@ def _changed_between(session: StudySession) -> Iterator[str]:
         return
     simulated = [trial for one, trials in used if one.get("simulated") for trial in trials]
     if simulated and any(one.get("simulated") is False for one, _ in used):
-        yield f"the session mixes a real rig with a simulated one ({_trials(simulated)}): its limits are of neither"
+        yield f"the session mixes a real rig with a simulated one ({_trials(simulated)}): its limits hold for neither"
     elif any(differences(used[0][0], one) for one, _ in used[1:]):
         devices = dict.fromkeys(device_words(one) for one, _ in used)
         yield f"the session took place on more than one device: {' and '.join(devices)}"
@@ -349,7 +353,7 @@ def _changed_between(session: StudySession) -> Iterator[str]:
         before, after = one.get("versions") or {}, other.get("versions") or {}
         changed += [name for name in before if _another(before[name], after.get(name))]
         if changed:
-            yield f"from trial {trials[0]} on it went on with another {' and '.join(changed)}"
+            yield f"from trial {trials[0]} on, {' and '.join(changed)} changed"
 
 
 def _another(one: Any, other: Any) -> bool:

@@ -214,18 +214,26 @@ _CATCHES = (
         "soft_catches",
         int,
         "",
-        "judged catch trials of the softest wall; none where the limit lies below it",
+        "judged catch trials of the softest wall; empty if the limit lies below it",
         lambda row: row.caught.soft,
     ),
-    DataColumn("false_unstable", int, "", "of them not stable", lambda row: row.caught.false_unstable),
+    DataColumn(
+        "false_unstable",
+        int,
+        "",
+        "soft catch trials judged not stable",
+        lambda row: row.caught.false_unstable,
+    ),
     DataColumn(
         "stiff_catches",
         int,
         "",
-        "judged catch trials of the stiffest wall; none where the limit lies above it",
+        "judged catch trials of the stiffest wall; empty if the limit lies above it",
         lambda row: row.caught.stiff,
     ),
-    DataColumn("false_stable", int, "", "of them stable", lambda row: row.caught.false_stable),
+    DataColumn(
+        "false_stable", int, "", "stiff catch trials judged stable", lambda row: row.caught.false_stable
+    ),
 )
 _PARTICIPANTS = (*columns_of(ParticipantRow), *_CATCHES)
 _ANSWERS = columns_of(AnswerRow)
@@ -252,9 +260,9 @@ def _limit(measure: Measure, field: str) -> Callable[[RunRow], Any]:
 def _limit_columns(measure: Measure) -> tuple[DataColumn, ...]:
     name = measure.lower().replace(" ", "_")
     meaning = {
-        "rule": "limit by the rule that asked, from the verdicts that it followed",
-        "K50 person": "stiffness that is stable half of the time by the person's verdicts",
-        "K50 automatic": "stiffness that is stable half of the time by the automatic verdicts",
+        "rule": "limit by the search rule, from the verdicts that it used",
+        "K50 person": "stiffness judged stable in half of the trials, from the person's verdicts",
+        "K50 automatic": "stiffness judged stable in half of the trials, from the automatic verdicts",
     }[measure]
     return (
         DataColumn(f"limit_{name}", float, "stiffness", meaning, _limit(measure, "value")),
@@ -262,24 +270,28 @@ def _limit_columns(measure: Measure) -> tuple[DataColumn, ...]:
             f"limit_{name}_low",
             float,
             "stiffness",
-            "lower end of its interval of 95 %",
+            "lower end of the 95 % interval",
             _limit(measure, "low"),
         ),
         DataColumn(
-            f"limit_{name}_high", float, "stiffness", "upper end; empty: open", _limit(measure, "high")
+            f"limit_{name}_high",
+            float,
+            "stiffness",
+            "upper end of the 95 % interval; empty: open",
+            _limit(measure, "high"),
         ),
         DataColumn(
             f"limit_{name}_beyond",
             str,
             "",
-            "above or below: it lies beyond the levels",
+            "above or below: the limit lies beyond the searched levels",
             _limit(measure, "censored"),
         ),
         DataColumn(
             f"limit_{name}_mark",
             str,
             "",
-            "why the verdicts do not show it, so that it is left out of K_max unless asked for; empty: they do",
+            "why the verdicts do not determine the limit, so that it is excluded from K_max by default; empty: they do",
             _limit(measure, "mark"),
         ),
     )
@@ -293,45 +305,50 @@ _RUNS = (
     *_SEARCH[_SPLIT:],
     *_CATCHES,
 )
-_MEASURE = _own("measure", str, "", "how limits are told: rule, K50 person, K50 automatic")
+_MEASURE = _own("measure", str, "", "how limits are estimated: rule, K50 person, K50 automatic")
 _BEYOND = (
-    _own("limits", int, "", "values behind it: runs by the rule, one for each participant as K50"),
-    _own("above", int, "", "of them lie above the stiffest level"),
-    _own("below", int, "", "of them lie below the softest level"),
-    _own("marked", int, "", "of them are not shown by their verdicts; 0 unless such limits were asked for"),
+    _own("limits", int, "", "number of limits used: one per run (rule) or per participant (K50)"),
+    _own("above", int, "", "number of these limits above the stiffest level"),
+    _own("below", int, "", "number of these limits below the softest level"),
+    _own(
+        "marked",
+        int,
+        "",
+        "number of these limits that their verdicts do not determine; 0 unless such limits are included",
+    ),
 )
 _MEAN = (
     _own("kmax", float, "stiffness", "mean", "mean"),
     _own("kmax_low", float, "stiffness", "lower end of the interval of 95 %", "low"),
     _own("kmax_high", float, "stiffness", "upper end", "high"),
-    _own("deviation", float, "stiffness", "standard deviation of what the mean is of"),
+    _own("deviation", float, "stiffness", "standard deviation of the averaged values"),
 )
 _KMAX = (
     _MEASURE,
     _PARTICIPANT,
     _CONDITION,
     _DAMPING,
-    _own("repeats", int, "", "runs that it is the mean of"),
+    _own("repeats", int, "", "number of averaged runs"),
     *_MEAN,
     _own(
         "interval",
         str,
         "",
-        "what kmax_low and kmax_high are of: Student or bootstrap over repeats; the single run; all verdicts together, "
-        "whose interval is of the stiffness that they tell and, by the rule, need not hold the mean in kmax; none",
+        "source of kmax_low and kmax_high: Student or bootstrap over repeats; the single run; all verdicts together "
+        "(an interval of the stiffness estimated from them, which need not contain the rule's mean in kmax); none",
     ),
     _own(
         "student_low",
         float,
         "stiffness",
-        "lower end of Student's interval over repeats; empty below three, and where they scatter by rounding alone",
+        "lower end of Student's interval over repeats; empty below three repeats, or if only rounding scatters them",
     ),
     _own("student_high", float, "stiffness", "upper end"),
     _own(
         "bootstrap_low",
         float,
         "stiffness",
-        "lower end of the bootstrap's interval, empty below three repeats",
+        "lower end of the bootstrap interval over repeats; empty below three repeats",
     ),
     _own("bootstrap_high", float, "stiffness", "upper end"),
     *_BEYOND,
@@ -340,14 +357,14 @@ _OVER = (
     _MEASURE,
     _CONDITION,
     _DAMPING,
-    _own("participants", int, "", "that it is the mean of"),
-    _own("runs", int, "", "of all of them"),
+    _own("participants", int, "", "number of averaged participants"),
+    _own("runs", int, "", "number of runs of all participants"),
     *_MEAN,
     _own("problem", str, "", "why there is no interval"),
     *_BEYOND,
 )
 _DIFFERENCES = (
-    DataColumn("measure", str, "", "how limits are told", lambda row: row["measure"]),
+    DataColumn("measure", str, "", "how limits are estimated", lambda row: row["measure"]),
     DataColumn(
         "method",
         str,
@@ -356,7 +373,7 @@ _DIFFERENCES = (
         lambda row: row["method"],
     ),
     DataColumn("condition", str, "", "name in the protocol", lambda row: row["condition"]),
-    DataColumn("against", str, "", "condition that is taken from it", lambda row: row["against"]),
+    DataColumn("against", str, "", "condition that is subtracted", lambda row: row["against"]),
     DataColumn(
         "damping",
         float,
@@ -364,152 +381,188 @@ _DIFFERENCES = (
         "B of the wall; empty: mean over all dampings",
         lambda row: row["damping"],
     ),
-    DataColumn("participants", int, "", "who have both", lambda row: row["participants"]),
-    DataColumn("difference", float, "stiffness", "condition less against", lambda row: row["difference"]),
+    DataColumn(
+        "participants",
+        int,
+        "",
+        "number of participants with both conditions",
+        lambda row: row["participants"],
+    ),
+    DataColumn(
+        "difference",
+        float,
+        "stiffness",
+        "limit of condition minus limit of against",
+        lambda row: row["difference"],
+    ),
     DataColumn(
         "difference_low",
         float,
         "stiffness",
-        "lower end of the interval of 95 %; empty where problem says why",
+        "lower end of the 95 % interval; empty if problem gives a reason",
         lambda row: row["low"],
     ),
     DataColumn("difference_high", float, "stiffness", "upper end", lambda row: row["high"]),
-    DataColumn("p", float, "1", "two-sided, that there is none", lambda row: row["p"]),
+    DataColumn("p", float, "1", "two-sided p value of no difference", lambda row: row["p"]),
     DataColumn(
         "p_holm",
         float,
         "1",
-        "corrected (Holm) for all differences by the same measure and method",
+        "p corrected (Holm) for all differences of the same measure and method",
         lambda row: row["holm"],
     ),
     DataColumn(
         "bound",
         str,
         "",
-        "limits beyond the levels leave it open: the difference is at least, or at most, this; unknown: both; empty: "
-        "there are none",
+        "limits beyond the searched levels make the difference a bound: at least, at most, or unknown (both); empty: "
+        "no such limits",
         lambda row: row["bound"],
     ),
     DataColumn("problem", str, "", "why there is no interval and no p", lambda row: row["problem"]),
-    DataColumn("limits", int, "", "behind it", lambda row: row["beyond"].limits),
-    DataColumn("beyond", int, "", "of them lie beyond the levels", lambda row: row["beyond"].count),
+    DataColumn("limits", int, "", "number of limits used", lambda row: row["beyond"].limits),
+    DataColumn(
+        "beyond", int, "", "number of limits beyond the searched levels", lambda row: row["beyond"].count
+    ),
     DataColumn(
         "marked",
         int,
         "",
-        "of them are not shown by their verdicts; 0 unless asked for",
+        "number of limits that their verdicts do not determine; 0 unless such limits are included",
         lambda row: row["beyond"].marked,
     ),
 )
 _AGREEMENT = (
     DataColumn("table", str, "", "two, three or four classes", lambda row: row["name"]),
     DataColumn("condition", str, "", "of the trials; empty: all", lambda row: row["condition"]),
-    DataColumn("weights", str, "", "of confusions in kappa", lambda row: row["weights"]),
+    DataColumn("weights", str, "", "weights of disagreements in kappa", lambda row: row["weights"]),
     DataColumn("person", str, "", "class of the person's verdict", lambda row: row["person"]),
     DataColumn("automatic", str, "", "class of the automatic verdict", lambda row: row["automatic"]),
-    DataColumn("trials", int, "", "judged so by both", lambda row: row["trials"]),
-    DataColumn("kappa", float, "1", "of the whole table", lambda row: row["kappa"]),
+    DataColumn("trials", int, "", "trials with this pair of verdicts", lambda row: row["trials"]),
+    DataColumn("kappa", float, "1", "Cohen's kappa of the whole table", lambda row: row["kappa"]),
     DataColumn(
         "kappa_low",
         float,
         "1",
-        "lower end of its interval of 95 % over people (jackknife)",
+        "lower end of the 95 % interval over people (jackknife)",
         lambda row: row["low"],
     ),
     DataColumn("kappa_high", float, "1", "upper end", lambda row: row["high"]),
     DataColumn("problem", str, "", "why there is no interval", lambda row: row["problem"]),
-    DataColumn("same", float, "1", "share on which both say the same", lambda row: row["share"]),
+    DataColumn(
+        "same", float, "1", "share of trials in which both verdicts are equal", lambda row: row["share"]
+    ),
     DataColumn(
         "positive",
         float,
         "1",
-        "agreement on stable: of the verdicts that are so by one or the other, the share that are by both; two classes",
+        "agreement on stable: share of the stable verdicts given by either that are given by both; two classes",
         lambda row: row["positive"],
     ),
-    DataColumn("negative", float, "1", "agreement on not stable, likewise", lambda row: row["negative"]),
-    DataColumn("people", int, "", "who judged the trials of the whole table", lambda row: row["people"]),
+    DataColumn(
+        "negative", float, "1", "agreement on not stable, defined likewise", lambda row: row["negative"]
+    ),
+    DataColumn(
+        "people",
+        int,
+        "",
+        "number of people who judged the trials of the whole table",
+        lambda row: row["people"],
+    ),
     DataColumn(
         "left_out",
         int,
         "",
-        "judged trials that are not in the whole table, because one of the two gave no verdict",
+        "judged trials missing in the whole table, because one of the two verdicts is missing",
         lambda row: row["left_out"],
     ),
 )
 _FUNCTION = (
     f"a psychometric function; a lapse rate near {PRIOR_LAPSE_RATE:g}, the mean of the prior, is "
-    "not known from the verdicts"
+    "not determined by the verdicts"
 )
 _PSYCHOMETRIC = (
     _own("participant", str, "", "code; empty: all participants together"),
     _CONDITION,
     _DAMPING,
     _own("judge", str, "", "whose verdicts"),
-    _own("participants", int, "", "that it is of"),
-    DataColumn("verdicts", int, "", "that it is of", lambda row: sum(row.verdicts)),
+    _own("participants", int, "", "number of participants"),
+    DataColumn("verdicts", int, "", "number of verdicts", lambda row: sum(row.verdicts)),
     DataColumn(
         "k50",
         float,
         "stiffness",
-        "stable half of the time: median of the posterior, or the end of the levels where it lies beyond; of all "
-        "participants the mean of theirs",
+        "stiffness judged stable in half of the trials: median of the posterior, or the end of the levels if beyond; "
+        "over all participants the mean of theirs",
         lambda row: row.threshold.mean,
     ),
     DataColumn(
         "k50_low",
         float,
         "stiffness",
-        "lower end of the interval of 95 %: of the posterior, for one K50 in all repeats; of all participants "
-        "Student's over three or more of them",
+        "lower end of the 95 % interval: of the posterior, assuming one K50 in all repeats; over all participants "
+        "Student's, for three or more",
         lambda row: row.threshold.low,
     ),
     DataColumn(
-        "k50_high", float, "stiffness", "upper end; empty: open, or none", lambda row: row.threshold.high
+        "k50_high",
+        float,
+        "stiffness",
+        "upper end; empty: open, or no interval",
+        lambda row: row.threshold.high,
     ),
     _own(
         "mark",
         str,
         "",
-        "why the verdicts do not show K50; of all participants, how many of theirs; empty: they do",
+        "why the verdicts do not determine K50; over all participants, in how many; empty: they do",
     ),
     _own("above", int, "", "participants whose K50 lies above the stiffest level"),
     _own("below", int, "", "participants whose K50 lies below the softest level"),
-    DataColumn("spread", float, "stiffness", "how gradually verdicts change", lambda row: row.spread.mean),
     DataColumn(
-        "spread_low", float, "stiffness", "lower end; none of all participants", lambda row: row.spread.low
+        "spread",
+        float,
+        "stiffness",
+        "scale s of the logistic psychometric function",
+        lambda row: row.spread.mean,
+    ),
+    DataColumn(
+        "spread_low", float, "stiffness", "lower end; empty over all participants", lambda row: row.spread.low
     ),
     DataColumn("spread_high", float, "stiffness", "upper end", lambda row: row.spread.high),
-    DataColumn("lapse_rate", float, "1", "share of verdicts turned round", lambda row: row.lapse_rate.mean),
+    DataColumn("lapse_rate", float, "1", "share of inverted verdicts", lambda row: row.lapse_rate.mean),
     DataColumn(
-        "lapse_rate_low", float, "1", "lower end; none of all participants", lambda row: row.lapse_rate.low
+        "lapse_rate_low", float, "1", "lower end; empty over all participants", lambda row: row.lapse_rate.low
     ),
     DataColumn("lapse_rate_high", float, "1", "upper end", lambda row: row.lapse_rate.high),
 )
 _EFFECTS = (
-    _own("of", str, "", "limit (stiffness), response time (natural logarithm), invalid (0 or 1)"),
-    _own("along", str, "", "order (place in the block), block, or trial (number in the session)"),
-    _own("measure", str, "", "of the limit; empty for others"),
-    _own("values", int, "", "that it is estimated from", "count"),
-    _own("participants", int, "", "who have a slope of their own"),
+    _own("of", str, "", "quantity: limit (stiffness), response time (natural logarithm), invalid (0 or 1)"),
+    _own(
+        "along", str, "", "against what: order (place in the block), block, or trial (number in the session)"
+    ),
+    _own("measure", str, "", "measure of the limit; empty for other quantities"),
+    _own("values", int, "", "number of values used", "count"),
+    _own("participants", int, "", "number of participants with a slope of their own"),
     _own(
         "slope",
         float,
         "",
-        "mean of the participants' slopes for each place, block or trial, conditions taken out",
+        "mean of the participants' slopes per place, block or trial, with the effect of conditions removed",
     ),
-    _own("slope_low", float, "", "lower end of Student's interval of 95 % over participants", "low"),
+    _own("slope_low", float, "", "lower end of Student's 95 % interval over participants", "low"),
     _own("slope_high", float, "", "upper end", "high"),
-    _own("p", float, "1", "two-sided, that it is zero; nobody planned these slopes"),
-    _own("p_holm", float, "1", "corrected (Holm) for the slopes of the same quantity", "holm"),
-    _own("problem", str, "", "why there is none"),
+    _own("p", float, "1", "two-sided p value of a zero slope; exploratory, not planned"),
+    _own("p_holm", float, "1", "p corrected (Holm) for the slopes of the same quantity", "holm"),
+    _own("problem", str, "", "why there is no slope or no interval"),
 )
 _BLOCKS = (
     _PARTICIPANT,
     _own("block", int, "", "number, from 1"),
     _own("trials", int, "", "recorded hits"),
     _own("invalid", int, "", "invalid ones"),
-    _own("redone", int, "", "that somebody had repeated"),
-    _own("aborted", int, "", "cut off for safety"),
+    _own("redone", int, "", "trials repeated on request"),
+    _own("aborted", int, "", "trials cut off for safety"),
     _own("unsure", int, "", "verdicts"),
     _own("response_time", float, "s", "median time to a verdict", "response_s"),
 )

@@ -31,7 +31,7 @@ NUMBERS = (
     "saturated_fraction",
 )  # of the automatic verdict, in tables
 
-AMENDED = "the rule would have asked for other walls after these trials, as they were amended since"
+AMENDED = "trials were amended after the search rule had used them; it would have chosen other walls"
 
 Watch = Callable[[int, int], None]
 
@@ -284,8 +284,7 @@ def _of_series(rule: Ascending, heard: Sequence[JudgedProbe]) -> str:
     failed = sum(one.censored == "below" for one in series)
     if failed in (0, len(series)):
         return ""
-    enters = "enters" if failed == 1 else "enter"
-    return f"{failed} of {len(series)} series failed at the softest wall and {enters} with it"
+    return f"{failed} of {len(series)} series failed at the softest wall, which is used as their limit"
 
 
 def _add(found: dict[Measure, LimitInterval], measure: Measure, estimate: Estimate) -> None:

@@ -47,8 +47,8 @@ def is_resolved(deviation: float, rounding: float = 0.0, magnitude: float = 0.0)
 def unresolved_words(what: str, deviation: float, rounding: float) -> str:
     """Return the sentence that explains a missing interval."""
     if rounding == 0.0:
-        return f"{what} are alike, so that their scatter is unknown and gives no interval and no p value"
+        return f"{what} are equal, so their scatter is unknown: no interval and no p value"
     return (
-        f"{what} scatter by {deviation:.3g} (standard deviation), no more than rounding to the levels makes "
-        f"({rounding:.3g}), which gives no interval and no p value"
+        f"{what} have a standard deviation of {deviation:.3g}, not larger than rounding to levels gives "
+        f"({rounding:.3g}): no interval and no p value"
     )

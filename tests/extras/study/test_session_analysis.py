@@ -96,7 +96,7 @@ def test_a_known_difference_lies_within_the_intervals(found: Any) -> None:
 
 
 def test_differences_without_an_interval_are_counted_in_a_message(found: Any) -> None:
-    assert not any("rounding to the levels" in message for message in found.messages)
+    assert not any("rounding to levels" in message for message in found.messages)
     same = [
         replace(
             one, low=math.nan, high=math.nan, p=math.nan, holm=math.nan, problem="the differences are alike"
@@ -104,7 +104,7 @@ def test_differences_without_an_interval_are_counted_in_a_message(found: Any) ->
         for one in found.paired
         if one.measure == "rule"
     ]
-    (message,) = [m for m in replace(found, paired=tuple(same)).messages if "rounding to the levels" in m]
+    (message,) = [m for m in replace(found, paired=tuple(same)).messages if "rounding to levels" in m]
     assert message.startswith("1 paired difference has no interval and no p")
 
 
@@ -303,7 +303,7 @@ def test_a_climb_that_failed_at_once_is_noted_and_bounds_nothing(tmp_path: Path)
 
     found = one_session(tmp_path, mapping, Person(threshold=threshold, spread=1e-3))
     slipped, plain = found.runs
-    assert slipped.note == "1 of 3 series failed at the softest wall and enters with it"
+    assert slipped.note == "1 of 3 series failed at the softest wall, which is used as their limit"
     assert (plain.note, plain.limits["rule"].value) == ("", 400.0)
     limit = slipped.limits["rule"]
     assert (limit.value, limit.censored) == (300.0, "")  # 100, 400 and 400
@@ -330,12 +330,15 @@ def test_a_search_that_ended_by_most_is_marked_and_left_out_unless_asked_for(
         assert "ended by most after 0 of 6 turns" in run.note
         assert "rule" not in run.limits or run.limits["rule"].mark in run.note
     assert found.of_participants == found.paired == ()
-    assert any("6 runs were ended by most, left out of K_max" in message for message in found.messages)
+    assert any(
+        "6 runs were ended by search.settings.most, excluded from K_max" in message
+        for message in found.messages
+    )
     assert found.counts()["of searches that ended by most"] == len(found.trials)
     taken = analyse([tmp_path], AnalysisOptions(include_marked=True))
     assert {one.marked for one in taken.of_participants if one.measure == "rule"} <= {0, 1}
     assert any(one.marked for one in taken.over_participants)
-    assert any("6 runs were ended by most, taken in" in message for message in taken.messages)
+    assert any("6 runs were ended by search.settings.most, included" in message for message in taken.messages)
     write_study_tables(taken, tmp_path / "out")
     runs = pq.read_table(tmp_path / "out" / "runs.parquet").to_pylist()
     assert {row["state"] for row in runs} == {"ended by most"}
@@ -418,7 +421,7 @@ def test_skipped_and_unfinished_runs_stay_in_their_table_and_out_of_the_limits(t
     found = analyse([tmp_path])
     assert [run.state for run in found.runs] == ["skipped", "unfinished"]
     assert found.of_participants == found.over_participants == found.psychometrics == ()
-    assert any("not over" in message for message in found.messages)
+    assert any("not complete" in message for message in found.messages)
     assert any("1 run was skipped" in message for message in found.messages)
     assert found.counts() == {"recorded": 8, "of skipped searches": 3, "of unfinished searches": 5}
     assert all("participants" in model.problem for model in found.mixed)
@@ -463,7 +466,7 @@ def test_walls_that_all_hold_are_limits_beyond_the_levels(
     }
     assert (
         next(model for model in found.mixed if model.measure == "rule").problem
-        == "most limits lie beyond the levels"
+        == "most limits lie beyond the searched levels"
     )
     assert not any(one.bounded for one in found.psychometrics)
     assert {(one.above, one.below, one.threshold.mean) for one in found.psychometrics if one.participant} == {
@@ -479,7 +482,7 @@ def test_walls_that_all_hold_are_limits_beyond_the_levels(
     show(found)
     text = capsys.readouterr().out
     assert "≥ 300" in text
-    assert "No mixed model: most limits lie beyond the levels" in text
+    assert "No mixed model: most limits lie beyond the searched levels" in text
     assert "12 of 12" in " ".join(found.messages)
     assert all(math.isnan(one.p) and one.withheld for one in found.paired)
 
@@ -523,16 +526,18 @@ def test_sessions_of_different_studies_are_refused(tmp_path: Path) -> None:
     begin("P01", protocol())
     begin("P02", protocol(search={"step": 50.0}), row=1)
     with pytest.raises(
-        ConfigError, match=r"not run under one protocol: search\.step \(25.0: P01; 50.0: P02\)"
+        ConfigError, match=r"the protocols of the sessions differ: search\.step \(25.0: P01; 50.0: P02\)"
     ):
         read_study(str(tmp_path))
     begin("P03", protocol(study={"participants": 20, "title": "Another name"}, rest={"every": 9}), row=2)
     begin("P04", protocol(), row=2, versions={**VERSIONS, "haptic-rig": "0.2.0"})
     told = " ".join(read_study([tmp_path / code for code in ("P01", "P03", "P04")]).messages)
-    assert "P03 and P04 had the same row" in told
+    assert "P03 and P04 have the same row" in told
     assert "the version of haptic-rig (0.1.0: P01, P03; 0.2.0: P04)" in told
     begin("P05", protocol(), row=4, rehearsal={"spread": 15.0})
-    with pytest.raises(ConfigError, match="P05 rehearsed with a simulated person, the others did not"):
+    with pytest.raises(
+        ConfigError, match="P05: rehearsals with a simulated person cannot be analysed together with people"
+    ):
         read_study([tmp_path / "P01", tmp_path / "P05"])
     with sitting(tmp_path / "again" / "P01", protocol(), person()) as one:
         one.run(trials=1)
@@ -548,7 +553,7 @@ def test_a_session_without_a_trial_is_left_out_and_named(tmp_path: Path) -> None
         pass
     study = read_study([tmp_path])
     assert [session.code for session in study.sessions] == ["P01"]
-    assert study.messages[0] == f"left out, without a trial: {tmp_path / 'P02'}"
+    assert study.messages[0] == f"ignored sessions without a trial: {tmp_path / 'P02'}"
 
 
 @pytest.mark.usefixtures("quick")
@@ -573,7 +578,7 @@ def test_recordings_that_are_gone_or_changed_are_said(tmp_path: Path) -> None:
 
 
 def test_a_damaged_log_and_an_empty_place_are_refused(tmp_path: Path, study: Path) -> None:
-    with pytest.raises(RecordingError, match="there is no session in"):
+    with pytest.raises(RecordingError, match="no session found in"):
         read_study([tmp_path])
     copy = tmp_path / "P01" / "session.log"
     copy.parent.mkdir()

@@ -67,9 +67,9 @@ def test_a_residual_at_the_resolution_of_the_levels_gives_no_p_and_no_interval(t
     assert inferred(told) == []
     (rule,) = [one for one in told["paired"] if one["measure"] == "rule"]
     assert rule["difference"] == pytest.approx(30.0)
-    assert "no more than rounding to the levels makes" in rule["problem"]
+    assert "not larger than rounding to levels gives" in rule["problem"]
     (model,) = [one for one in told["mixed"] if one["measure"] == "rule"]
-    assert "no more than rounding to the levels makes" in model["problem"]
+    assert "not larger than rounding to levels gives" in model["problem"]
     page = (tmp_path / "analysis" / PAGE).read_text(encoding="utf-8")
     assert "p (Holm) = " not in page
     assert "p (Holm) &lt;" not in page

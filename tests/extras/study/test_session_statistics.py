@@ -204,10 +204,10 @@ def judged(*counts: Any, people: int = 1) -> Any:
         (
             (8, 2, 0, 0),
             0.0,
-            "the person's verdict was always “stable”, as chance would be too: κ is 0 in any case",
+            "the person's verdict was always “stable”, so agreement by chance is complete: κ is 0 in any case",
         ),
         ((8, 0, 2, 0), 0.0, "the automatic verdict was always “stable”"),
-        ((8, 0, 0, 2), 1.0, "there is no confusion, so that the uncertainty of κ = 1"),
+        ((8, 0, 0, 2), 1.0, "all verdicts agree, so the uncertainty of κ = 1"),
         ((5, 0, 0, 0), None, "κ is not defined"),
     ],
 )
@@ -231,9 +231,9 @@ def test_agreement_on_a_rare_class_stands_beside_kappa() -> None:
 def test_an_interval_of_kappa_is_over_people_where_there_are_enough() -> None:
     """The jackknife of a mean of people is Student's interval; fewer people have none, nor do people who are alike."""
     for people, why in (
-        (1, "1 people: an"),
-        (4, "4 people: an interval over people takes 5"),
-        (6, "are alike"),
+        (1, "verdicts of 1 person; an"),
+        (4, "verdicts of 4 people; an interval over people needs at least 5"),
+        (6, "are equal"),
     ):
         two = agreement.agreements(judged(8, 2, 1, 9, people=people))[0]
         assert (two.low, two.high) == (None, None)
@@ -385,7 +385,7 @@ def test_where_most_limits_are_bounds_nothing_is_tested(spread: float) -> None:
     assert all(math.isnan(value) for value in (one.low, one.high, one.p, one.holm))
     assert kmax.paired(each, "ba")[0].bound == "most"
     model = model_of(rows)
-    assert model.problem == "most limits lie beyond the levels, save those of a, B = 0"
+    assert model.problem == "most limits lie beyond the searched levels, except those of a, B = 0"
     assert model.contrasts == ()
     assert all(slope.problem for slope in effects.slopes(rows, []) if slope.measure == "rule")
 
@@ -536,7 +536,7 @@ def test_a_crossover_whose_order_is_taken_out_is_its_two_sample_test() -> None:
 def test_below_eight_people_there_are_no_likelihood_ratios() -> None:
     few, enough = (model_of(runs_of_people(people=people, scatter=25.0)) for people in (7, 8))
     assert few.tests == ()
-    assert any("likelihood ratios of factors are left out" in note for note in few.notes)
+    assert any("likelihood ratios of factors are omitted" in note for note in few.notes)
     assert [test.factor for test in enough.tests] == ["condition"]
     assert not any("likelihood" in note for note in enough.notes)
 
@@ -563,8 +563,8 @@ def test_limits_beyond_the_levels_are_said() -> None:
     rows[3] = replace(rows[3], limits={"rule": limit})
     model = model_of(rows)
     assert (model.beyond.count, model.contrasts[0].beyond.count) == (1, 1)
-    assert any("1 of 48 limits lie beyond the levels" in note for note in model.notes)
-    assert any("unequal spread can make a difference out of nothing" in note for note in model.notes)
+    assert any("1 of 48 limits lie beyond the searched levels" in note for note in model.notes)
+    assert any("unequal spread can produce a false difference" in note for note in model.notes)
     assert not any("smaller than they are" in note for note in model.notes)
 
 
@@ -578,7 +578,7 @@ def test_a_cell_that_is_mostly_beyond_the_levels_is_left_out_and_so_is_the_mean_
     model = model_of(stiff)
     assert [contrast.damping for contrast in model.contrasts] == [0.0, 1.0]
     assert ("b", 3.0) not in dict(model.means)
-    assert "21 of 21 limits of b, B = 3 lie beyond the levels, and it is left out" in model.notes
+    assert "21 of 21 limits of b, B = 3 lie beyond the searched levels: excluded" in model.notes
     withheld = [one.damping for one in kmax.paired(kmax.of_participants(stiff, {}), "ab") if one.withheld]
     assert withheld == [3.0, None]
 
@@ -587,14 +587,14 @@ def test_a_cell_that_is_mostly_beyond_the_levels_is_left_out_and_so_is_the_mean_
     ("rows", "why"),
     [
         ([], "0 participants"),
-        (runs_of_people(people=2), "2 participants with a limit, where"),
+        (runs_of_people(people=2), "2 participants with a limit;"),
         ([run_row(f"P{n}", value=400.0 + n) for n in range(3)], "no two conditions or dampings"),
         (
             [run_row(f"P{n}", "ab"[n > 1], value=400.0 + n) for n in range(3)]
             + [run_row("P2", "a", value=410.0)],
             "4 values are too few for 3 participants",
         ),
-        ([run_row(f"P{n}", name) for n in range(5) for name in "ab"], "all limits are alike"),
+        ([run_row(f"P{n}", name) for n in range(5) for name in "ab"], "all limits are equal"),
     ],
 )
 def test_too_little_is_said_in_a_sentence(rows: Any, why: str) -> None:
@@ -650,7 +650,7 @@ def test_no_method_infers_from_a_scatter_that_rounding_to_the_levels_makes(
         (slope.problem, [slope.low, slope.high, slope.p]),
     ):
         assert (problem == "") == resolved
-        assert resolved or "rounding to the levels" in problem or "alike" in problem
+        assert resolved or "rounding to levels" in problem or "are equal" in problem
         assert all(math.isfinite(value) == resolved for value in values)
 
 
@@ -698,9 +698,9 @@ def test_slopes_are_those_of_least_squares_with_a_mean_for_each_cell_and_their_m
 @pytest.mark.parametrize(
     ("people", "pace", "why"),
     [
-        (1, 0.01, "1 participant with a slope of their own, where an interval and a p value need 3 or more"),
+        (1, 0.01, "1 participant with a slope of their own; an interval and a p value need 3 or more"),
         (3, 0.01, "the slopes of the participants are alike"),
-        (3, 0.0, "all values are alike within participants"),
+        (3, 0.0, "all values are equal within participants"),
     ],
 )
 def test_a_slope_without_an_interval_says_why(people: int, pace: float, why: str) -> None:

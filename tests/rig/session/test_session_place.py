@@ -122,7 +122,7 @@ def test_the_same_device_goes_on_wherever_it_is_plugged_in(tmp_path: Path) -> No
         ({**REAL, "serial_number": "E662"}, "serial number E661) and bench-3 (real, serial number E662)"),
         (
             {**REAL, "versions": {"haptic-rig": "0.2.0"}},
-            "P01: from trial 3 on it went on with another haptic-rig",
+            "P01: from trial 3 on, haptic-rig changed",
         ),
     ],
 )
@@ -131,7 +131,7 @@ def test_an_analysis_says_what_changed_within_a_session(
 ) -> None:
     directory = left(tmp_path, **REAL)
     gone_on(directory, told=True, **facts)
-    messages = [one for one in read_study([directory]).messages if "the session is not over" not in one]
+    messages = [one for one in read_study([directory]).messages if "the session is not complete" not in one]
     messages = [one for one in messages if "protocol.toml" not in one]
     assert words in "".join(messages)
     assert len(messages) == (words != "")

@@ -68,7 +68,7 @@ def test_what_decides_no_result_is_recorded_and_blocks_nothing(
     log = run(tmp_path, "P02", change)
     (key,) = read(log)[0].content["differs"]
     study = read_study([tmp_path / "study"])
-    assert f"sessions differ in what decides no result: {key}" in study.messages
+    assert f"sessions differ in settings that do not affect results: {key}" in study.messages
     (one,) = [one for one in deviations(study) if one.what == "wording or conduct"]
     assert one.detail.startswith(f"{key}: ")
     assert found_by_check(tmp_path)["protocol"].outcome is Outcome.OK
@@ -88,11 +88,13 @@ def test_what_can_decide_a_result_is_named_before_anything_is_written(
     assert (checked.outcome, key in checked.text) == (Outcome.WARNING, True)
     log = run(tmp_path, "P02", (old, new), other_protocol=True)
     assert read(log)[0].content["differs"] == [key]
-    with pytest.raises(ConfigError, match=rf"not run under one protocol: {key} ") as refused:
+    with pytest.raises(ConfigError, match=rf"the protocols of the sessions differ: {key} ") as refused:
         read_study([tmp_path / "study"])
     assert f"`across` {key}" in refused.value.remedy
     study = read_study([tmp_path / "study"], across=(key.partition(".")[0],))
-    assert any(message.startswith(f"analysed across a difference in {key} (") for message in study.messages)
+    assert any(
+        message.startswith(f"analysed together despite a difference in {key} (") for message in study.messages
+    )
     (one,) = [one for one in deviations(study) if one.what == "another protocol"]
     assert (one.participant, one.detail.startswith(f"{key}: ")) == ("P02", True)
 
@@ -180,7 +182,7 @@ def test_sessions_that_compare_other_things_are_two_studies(tmp_path: Path, chan
         for code, table in (("P01", mapping), ("P02", protocol(condition=conditions))):
             with sitting(tmp_path / code, table, person, code=code, row=int(code[1:])) as one:
                 one.run(trials=1)
-    with pytest.raises(ConfigError, match="do not compare the same: they differ in condition"):
+    with pytest.raises(ConfigError, match="compare different things: they differ in condition"):
         read_study([tmp_path], across=("condition",))
 
 

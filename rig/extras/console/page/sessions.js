@@ -44,7 +44,7 @@ export class Sessions {
     this.row = text("", { placeholder: "by the code's number", inputMode: "numeric" });
     this.thresholds = text("", { placeholder: "dual=430, uniform=150" });
     this.spread = text("", { placeholder: "15", inputMode: "decimal", title: "how gradually verdicts change over stiffness" });
-    this.lapses = text("", { placeholder: "0", inputMode: "decimal", title: "share of wrong verdicts, given at random" });
+    this.lapses = text("", { placeholder: "0", inputMode: "decimal", title: "share of inverted verdicts, as by pressing the wrong key" });
     this.peopleSd = text("", { placeholder: "0", inputMode: "decimal", title: "differences between simulated people: standard deviation of ln K50" });
     this.study = text("", { placeholder: "by the study's title", title: "directory of all participants" });
     this.at = make("select", {}, make("option", { value: "trial", textContent: "the next trial" }), make("option", { value: "block", textContent: "the block, from its beginning" }));

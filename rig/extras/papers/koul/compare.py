@@ -320,7 +320,10 @@ def _parts(time_s: Floats, velocity: Floats) -> tuple[tuple[float, float], tuple
         return float(time_s[above[-1]])
 
     if last(LATE[1]) <= last(LATE[0]):
-        raise ConfigError("the impact has no late part", remedy="give the trial more time")
+        raise ConfigError(
+            "the handle is still fast at the end of the impact, which has no slow part to evaluate",
+            remedy="increase trial.duration_s",
+        )
     return (0.0, last(EARLY[1])), (last(LATE[0]), last(LATE[1]))
 
 
