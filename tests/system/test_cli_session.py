@@ -77,7 +77,7 @@ def test_a_rehearsal_takes_nobodys_place(
     assert not (tmp_path / "sessions").exists()
     status, _, err = call(capsys, "run", path, "P01", "--study", "rehearsals/quick")
     assert status == 2
-    assert "holds a rehearsal with a simulated person already" in err
+    assert "already contains a rehearsal with a simulated person" in err
 
 
 def test_show_is_blind_unless_asked(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -101,7 +101,7 @@ def test_show_tells_when(study: Path, capsys: pytest.CaptureFixture[str], tmp_pa
     content = dict(read(study / "all" / "P01" / LOG)[0].content)
     with SessionLog(real / LOG, clock=iter((1.7e9, 1.7e9 + 1, 1.7e9 + 90_000)).__next__) as log:
         log.append("began", **content)
-        log.append("paused", reason="the operator asked for it")
+        log.append("paused", reason="requested by the operator")
         log.append("continued")
     _, out, _ = call(capsys, "show", str(real), "--log")
     dates = [line for line in out.splitlines() if line.startswith("  2023-11-1")]
@@ -126,7 +126,7 @@ def test_a_damaged_last_line_is_shown_told_and_set_aside(
     status, out, err = call(capsys, "resume", str(here), "--drop-damaged-line")
     assert status == 0
     assert f"the damaged line is in {here / LOG}.damaged-1 now" in err
-    assert "a damaged line of its log was set aside: session.log.damaged-1" in err
+    assert "a damaged line of the log was moved to another file: session.log.damaged-1" in err
     assert "session of P01: complete" in out
     (resumed,) = [event for event in read(here / LOG) if event.kind == "resumed"]
     assert resumed.content["damaged"][0]["file"] == "session.log.damaged-1"
@@ -158,7 +158,7 @@ def test_amend_speaks_of_trials(study: Path, capsys: pytest.CaptureFixture[str])
 @pytest.mark.parametrize(
     ("code", "said"),
     [
-        ("P01", "holds a rehearsal with a simulated person already"),
+        ("P01", "already contains a rehearsal with a simulated person"),
         ("Anna Smith", "participant code"),
         ("anna@lab.org", "e-mail"),
         ("../P03", "path"),
@@ -189,7 +189,7 @@ def test_codes_that_are_refused_change_nothing(
         (["--rehearse", "--lapse-rate", "5"], "--lapse-rate 5 is not a share"),
         (["--rehearse", "--lapse-rate", "-0.5"], "is not a share"),
         (["--rehearse", "--lapse-rate", "nan"], "is not a share"),
-        (["--rehearse", "--people-sd", "-1"], "--people-sd -1 is no deviation"),
+        (["--rehearse", "--people-sd", "-1"], "--people-sd -1 is not a standard deviation"),
         (["--rehearse", "--row", "99"], "give --row 0 to 11"),
         (["--lapse-rate", "0.1"], "belong to a rehearsal"),
         (["--spread", "3"], "belong to a rehearsal"),
@@ -209,7 +209,7 @@ def test_a_person_whom_nobody_can_be_is_refused(
 def test_a_finished_session_is_not_resumed(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
     status, _, err = call(capsys, "resume", str(study / "all" / "P01"))
     assert status == 2
-    assert "is over" in err
+    assert "has ended" in err
 
 
 def test_a_person_needs_a_terminal(

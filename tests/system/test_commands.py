@@ -188,7 +188,7 @@ ROWS = (
         ("quick.toml 'Anna Smith' --rehearse", 2, "participant code"),
     ), "rehearsals/quick/P07/*.log"),
     Row("session resume", "tests/system/test_cli_session.py::test_a_damaged_last_line_is_shown_told_and_set_aside",
-        "", "", (("P01", 2, "is over"),)),
+        "", "", (("P01", 2, "has ended"),)),
     Row("session show", "P01",
         "directory code row ended stopped trials counted invalid by_machine aborted outside blocks "
         "blocks_done resume messages invalid_trials events", "complete", (("directory", 9, "directory"),)),

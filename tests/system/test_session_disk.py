@@ -31,7 +31,7 @@ def go_on(protocol: Path, study: Path) -> None:
     try:
         resume_session(study / "P01", rehearsal_desk(PERSON), runner=DeviceRunner())
     except ConfigError as error:
-        if "is over" not in str(error):
+        if "has ended" not in str(error):
             begin(protocol, study)
 
 

@@ -123,12 +123,17 @@ def serve(
     """
     if rate is not None and not rate > 0.0:
         raise ConfigError(
-            f"a rate of {rate} samples a second", remedy="give one above 0, or none for every row"
+            f"a rate of {rate} samples per second is not possible",
+            remedy="give a rate above 0, or omit it to send every row",
         )
     if expected is not None and not expected[1] > 0.0:
-        raise ConfigError(f"a position rate of {expected[1]} Hz", remedy="give one above 0")
+        raise ConfigError(
+            f"a position rate of {expected[1]} Hz is not possible", remedy="give a rate above 0"
+        )
     if pid is not None and not _alive(pid):
-        raise ConfigError(f"there is no process {pid} of yours", remedy="rig stop --list shows what runs")
+        raise ConfigError(
+            f"no running process {pid} of this user", remedy="list running loops with rig stop --list"
+        )
     pylsl = library.load()
     server = _Server(pylsl, rate, name, blind, report or (lambda _: None))
     if expected is not None:

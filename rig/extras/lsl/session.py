@@ -45,8 +45,8 @@ def marker_line(at_ns: int, content: dict[str, Any]) -> bytes:
 def _refuse_if_missing() -> None:
     if sys.platform == "win32":
         raise ConfigError(
-            "markers of LSL need Linux or macOS",
-            remedy="run without `lsl`: recordings have marks and both clocks",
+            "LSL markers need Linux or macOS",
+            remedy="run without `lsl`: recordings contain the marks and both clocks",
         )
     elif find_spec("pylsl") is None:
         raise ConfigError("pylsl is not installed", remedy="pip install 'haptic-rig[lsl]'")
@@ -112,7 +112,7 @@ class LslMarks:
             )
         except OSError as error:
             raise RigError(
-                f"the process for LSL does not start: {error.strerror}", remedy="free some memory"
+                f"the LSL process cannot be started: {error.strerror}", remedy="free some memory"
             ) from error
         assert self._process.stdin is not None
         self._descriptor = self._process.stdin.fileno()
@@ -135,10 +135,11 @@ class LslMarks:
         while sum("stream" in news for news in self._news()) < self._streams:
             if self._process.poll() is not None:
                 raise RigError(
-                    f"LSL does not start: {self._complaint()}", remedy="`rig serve lsl` alone shows more"
+                    f"LSL failed to start: {self._complaint()}",
+                    remedy="run `rig serve lsl` alone to see its messages",
                 )
             if time.monotonic() > deadline:
-                raise RigError(f"LSL has not started in {timeout_s:g} s", remedy="run without `lsl`")
+                raise RigError(f"LSL has not started within {timeout_s:g} s", remedy="run without `lsl`")
             time.sleep(0.02)
 
     def push(self, mark: str, at_ns: int | None = None, **content: Any) -> None:
@@ -149,14 +150,14 @@ class LslMarks:
         at = time.monotonic_ns() if at_ns is None else at_ns
         line = marker_line(at, {"mark": mark, **content})
         if len(line) > LINE_BYTES:
-            self._lose(f"a marker of more than {LINE_BYTES} bytes is not sent to LSL")
+            self._lose(f"a marker longer than {LINE_BYTES} bytes was not sent to LSL")
             return
         try:
             if self._closed:
                 raise BrokenPipeError
             os.write(self._descriptor, line)
         except OSError:
-            self._lose("the process for LSL does not take markers; the session continues without")
+            self._lose("the LSL process no longer accepts markers; the session continues without them")
 
     def _lose(self, why: str) -> None:
         self.lost += 1
@@ -180,7 +181,9 @@ class LslMarks:
             process.wait()
         with self._said, self._complained:
             if process.returncode != 0:
-                _log.warning("the process for LSL ended with %d: %s", process.returncode, self._complaint())
+                _log.warning(
+                    "the LSL process ended with exit code %d: %s", process.returncode, self._complaint()
+                )
             return next((dict(news["served"]) for news in self._news() if "served" in news), None)
 
     def _news(self) -> list[dict[str, Any]]:
@@ -200,7 +203,7 @@ class LslMarks:
     def _complaint(self) -> str:
         self._complained.seek(0)
         lines = self._complained.read().decode(errors="replace").strip().splitlines()
-        return lines[-1] if lines else "it does not say why"
+        return lines[-1] if lines else "it printed no reason"
 
     def __enter__(self) -> LslMarks:
         return self

@@ -46,10 +46,10 @@ _EVENT_COLUMNS: Mapping[str, Mapping[str, Any]] = {
     "verdict": {
         "Description": FACTS["verdict"].meaning,
         "Levels": {
-            "stable": "the wall held still",
-            "buzz": "it could be felt or heard to ring",
-            "unstable": "it threw the hand",
-            "unsure": "the participant could not say",
+            "stable": "the wall stayed still",
+            "buzz": "vibration of the wall could be felt or heard",
+            "unstable": "the wall threw the hand back",
+            "unsure": "the participant could not decide",
         },
     },
     "judged_by": {"Description": FACTS["judged_by"].meaning},
@@ -113,7 +113,9 @@ def export_bids(
     """
     options = options or BidsOptions()
     if options.every < 1:
-        raise ConfigError(f"every {options.every}-th row", remedy="keep every 1st (all), 2nd, 3rd … row")
+        raise ConfigError(
+            f"cannot keep every {options.every}th row", remedy="give 1 (all rows) or a larger whole number"
+        )
     labels = _labels(study)
     trials = [row for row in trials_of(study) if row.recorded != "none"]
     with whole_directory(directory) as draft:
@@ -135,7 +137,7 @@ def label_of(code: str) -> str:
     label = re.sub(r"[^0-9A-Za-z]", "", code)
     if not label:
         raise ConfigError(
-            f"BIDS cannot name a participant {code!r}", remedy="codes there have letters and digits"
+            f"participant code {code!r} is not possible in BIDS", remedy="use a code of letters and digits"
         )
     return label
 
@@ -271,7 +273,7 @@ def _participants(study: Study, labels: Mapping[str, str]) -> tuple[tuple[str, .
         "code": {"Description": "as in the study's own files"},
         "row": {"Description": "row of the order of conditions, from 0"},
         "simulated": {"Description": "1 where a simulated person took part (a rehearsal)"},
-        "trials": {"Description": "trials recorded, of whatever kind"},
+        "trials": {"Description": "number of recorded trials of any kind"},
         "ended": {"Description": "how the session ended"},
     }
     answers: dict[str, dict[str, Any]] = {}
@@ -306,20 +308,20 @@ def _readme(study: Study, options: BidsOptions) -> str:
         "",
         "Hits against virtual walls on a haptic rig with one degree of freedom, in a search for the stiffest "
         "stable wall (Z-width). One run of the task `wallhit` is one trial: the motor brings the handle to its start, "
-        "the wall is switched on, the handle hits it, and somebody judges whether the wall was stable.",
+        "the wall is switched on, the handle hits it, and a person or the program judges whether the wall was stable.",
         "",
-        "What was hit in each run (condition, stiffness, damping), and the verdicts, stand in each participant's "
-        "`_scans.tsv`; when what happened within a run stands in its `_events.tsv`. Positions and efforts are those "
+        "Each participant's `_scans.tsv` contains the wall of each run (condition, stiffness, damping) and the "
+        "verdicts; each run's `_events.tsv` contains the times of events within it. Positions and efforts are those "
         "that the rig's device measured and applied in each tick of its control loop"
-        + (f", of which every {options.every}th is kept, unfiltered." if options.every > 1 else "."),
+        + (f"; only every {options.every}th tick is included, unfiltered." if options.every > 1 else "."),
         "",
-        "Runs that do not count (practice, redone, of a block that was started over) are here as well; the column "
-        "`counts` marks them.",
+        "Runs that do not count (practice, redone, of a restarted block) are included; the column "
+        "`counts` is 0 for them.",
     ]
     if study.rehearsed:
-        lines += ["", "Its participants were simulated: no person moved the handle or judged a wall."]
+        lines += ["", "The participants were simulated: no person moved the handle or judged a wall."]
     if options.shift_dates:
-        lines += ["", "Dates are shifted by whole days, each participant's to begin on 1 January 1925."]
+        lines += ["", "Dates are shifted by whole days so that each participant begins on 1 January 1925."]
     return "\n".join(lines) + "\n"
 
 

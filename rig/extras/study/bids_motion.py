@@ -42,12 +42,12 @@ EVENTS: Mapping[str, str] = {
     "settle": "the handle comes to rest at the start",
     "baseline": "free space before the hit: no effort, and the participant waits for the cue",
     "hit": "from the cue on: the handle may hit the wall",
-    "release": "the law stays active until the handle is released",
-    "contact": "first contact of the hit with the wall, as long as it lasted without a break",
+    "release": "the effort of the wall fades to zero after the hit",
+    "contact": "first contact with the wall, until it was first interrupted",
     "sync": "rising edge at the device's sync input",
     "trial_out": "rising edge of the device's sync output for trials: its tick began then",
     "inside_out": "rising edge of the device's sync output for contact: its tick began then",
-    "verdict": "given after the recording, whose end is its onset; response_time counts from the question",
+    "verdict": "given after the recording, whose end is used as onset; response_time is counted from the question",
 }
 
 
@@ -130,7 +130,7 @@ def sidecar(
     """
     if not len(recording):
         raise RecordingError(
-            f"{recording.path}: a recording without a row", remedy="there is nothing to export of this trial"
+            f"{recording.path}: the recording has no rows", remedy="exclude this trial from the export"
         )
     experiment, identity, versions = (
         recording.experiment,
@@ -220,9 +220,9 @@ def frame(motion: Motion) -> dict[str, Any]:
             "Description": "the channel's frame of reference",
             "Levels": {
                 FRAME: {
-                    "Description": f"{what}, and grows in the direction in which a positive effort drives. How the "
-                    "axis lies against the participant's body is a matter of the set-up and not recorded. The wall "
-                    "begins at Wall.position of the motion file's JSON, towards greater values where Wall.side is 1."
+                    "Description": f"{what}, and grows in the direction of a positive effort. The orientation of the "
+                    "axis relative to the participant's body depends on the set-up and is not recorded. The wall "
+                    "begins at Wall.position of the motion file's JSON and extends to greater values if Wall.side is 1."
                 }
             },
         }

@@ -20,7 +20,7 @@ _FIELDS = {
     "too_fast": "too_fast",
     "sha256": "sha256",
 }
-_COUNTS = Quantity("", "1 when the trial counts; 0 for practice, and for what void names")
+_COUNTS = Quantity("", "1 if the trial counts; 0 for practice and for the reasons in void")
 FACTS: Mapping[str, Quantity] = {
     name: {**quantities(TrialRow), "counts": _COUNTS}[field] for name, field in _FIELDS.items()
 }

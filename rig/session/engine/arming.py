@@ -21,8 +21,8 @@ from rig.session.planning.protocol import BLINDED
 from rig.session.planning.schedule import levels_of
 
 CONSENT = (
-    "a search for the limit asks for walls that do not hold: consent to them once, with `arm_anyway`, and every hit "
-    "is cut off as the guide says; or search softer walls, on a quicker link"
+    "a search for the limit needs unstable walls: consent to them once with `arm_anyway` (every hit is cut off as "
+    "described in the guide), search softer walls, or use a faster link"
 )
 
 
@@ -85,14 +85,16 @@ def refuse_unarmable(walls: Walls, runner: TrialRunner) -> None:
         if not blinded:
             raise
         raise PlanError(
-            "this rig cannot run every wall that the session may ask for",
-            remedy="rig session check says which, for the same device",
+            "this rig cannot run every wall that the session may present",
+            remedy="list these walls with rig session check, for the same device",
         ) from error
     if found and not runner.arm_anyway:
-        said = f"{_number(found)}: {_listed(found, walls.base.rig.motion)}" if not blinded else _number(found)
+        refused_walls = (
+            _number(found) if blinded else f"{_number(found)}: {_listed(found, walls.base.rig.motion)}"
+        )
         raise PlanError(
-            f"the arming gate refuses, on this link as measured, {said}",
-            remedy=f"{CONSENT}; rig session check lists them, for the same device",
+            f"with the measured link the arming gate refuses {refused_walls}",
+            remedy=f"{CONSENT}; list them with rig session check, for the same device",
         )
 
 
@@ -105,10 +107,10 @@ def arming_checks(walls: Walls, runner: TrialRunner) -> Iterator[Check]:
     except ConfigError as error:
         yield Check("arming", Outcome.REFUSED, error.message, error.remedy)
         return
-    text = "on this link as measured nothing speaks against any wall"
+    text = "with the measured link every wall may be armed"
     if found:
         listed = _listed(found, walls.base.rig.motion)
-        text = f"the arming gate refuses, on this link as measured, {_number(found)}: {listed}"
+        text = f"with the measured link the arming gate refuses {_number(found)}: {listed}"
     yield Check("arming", Outcome.WARNING if found else Outcome.OK, text, CONSENT if found else "")
 
 

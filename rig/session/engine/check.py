@@ -282,4 +282,4 @@ def _hidden(protocol: Protocol) -> Iterator[str]:
     if blind in ("both", "participant"):
         yield "participant: condition and wall are not disclosed"
     if blind == "none":
-        yield "nobody"
+        yield "nothing is hidden: operator and participant know condition and wall"

@@ -70,14 +70,15 @@ _PHASES: Mapping[int, str] = {
     Phase.RELEASE: "release",
     Phase.DONE: "release",
 }
-ASKED_FOR = "the operator asked for it"  # why a session pauses, where the machine is not the cause
-MEND = "close other programs, and see `rig doctor`, which names what delays this computer and the link"
+ASKED_FOR = "requested by the operator"  # why a session pauses, where the machine is not the cause
+ASKED_FOR_BEFORE = "the operator asked for it"  # the same in logs written until 2026-11
+MEND = "close other programs; `rig doctor` shows what delays this computer and the link"
 AS_DESCRIBED, NOT_AS_DESCRIBED = (
     "the rig moves as it is described",
     "the rig does not move as it is described",
 )
 WAIT, STAY = "Wait for the signal; do not move yet.", "Stay there."
-SEE_TO_IT = "see that nobody holds the handle; `rig device check` says more"
+SEE_TO_IT = "release the handle; `rig device check` shows the details"
 _ALWAYS: tuple[Action, ...] = ("note", "abort")
 _ASKED = (
     GuardError,
@@ -202,7 +203,7 @@ def _for_the_blinded(state: SessionState, error: Exception) -> RigError | None:
     else:
         text = f"an error before trial {state.newest + 1}"
     shown = (PlanError if isinstance(error, ConfigError) else RigError)(
-        text, remedy="see why with rig session show --log --unblind"
+        text, remedy="show the reason, which is not blinded: rig session show --log --unblind"
     )
     shown.exit_code = error.exit_code if isinstance(error, RigError) else RigError.exit_code
     shown.recording = recording
@@ -461,7 +462,7 @@ class _Engine:
 
     def _decide(self, run: SearchRun, last: RecordedTrial) -> None:
         why = told(last.reasons, blind=self._blind)
-        text = f"{self._state.protocol.trial.attempts} trials in a row were invalid: {why}"
+        text = f"{self._state.protocol.trial.attempts} trials in a row were invalid: {why}; try again, or skip this run"
         self._show("trouble", last)
         reply = self._ask(
             Question(kind="trouble", text=text, actions=("go", "skip", *_ALWAYS), trial=last.trial)
@@ -492,7 +493,11 @@ class _Engine:
     def _pause(self, reason: str) -> None:
         if self._state.paused is None:
             self.record("paused", reason=reason)
-        text = "paused" if reason == ASKED_FOR else f"paused: {reason}; {_mend(reason)}, then continue"
+        text = (
+            "paused"
+            if reason in (ASKED_FOR, ASKED_FOR_BEFORE)
+            else f"paused: {reason}; {_mend(reason)}, then continue"
+        )
         self._show("paused", say="Let go of the handle.")
         self._ask(Question(kind="paused", text=text, actions=("go", *_ALWAYS)))
         self.record("continued")

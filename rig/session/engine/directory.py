@@ -160,10 +160,10 @@ def clear_rehearsal(directory: Path) -> None:
 def _begun(directory: Path, events: Sequence[Event]) -> ConfigError:
     rehearsal = events[0].content.get("rehearsal") is not None
     return ConfigError(
-        f"{directory} holds a {'rehearsal with a simulated person' if rehearsal else 'session'} already "
+        f"{directory} already contains a {'rehearsal with a simulated person' if rehearsal else 'session'} "
         f"({len(events)} events)",
         remedy=f"resume it: {resume_command(directory, events)}; or give another "
-        + ("code, or a place for people: `study`" if rehearsal else "code"),
+        + ("code, or another directory for people with `study`" if rehearsal else "code"),
     )
 
 
@@ -193,15 +193,15 @@ def resume(directory: Path, *, at: str = "trial", clock: SessionClock = WALL) ->
     try:
         if not log.events:
             raise ConfigError(
-                f"the session in {directory} had not begun when it was left",
+                f"the session in {directory} was interrupted before it began",
                 remedy="start it again: rig session run",
             )
         clock.goes_on_from(log.events[-1].at)
         session = Session(directory=directory, log=log, state=SessionState.of(log.events), clock=clock)
         if session.state.ended is not None:
             raise ConfigError(
-                f"the session in {directory} is over: {session.state.ended}",
-                remedy="look at it with rig session show, correct it with rig session amend",
+                f"the session in {directory} has ended ({session.state.ended}) and cannot be resumed",
+                remedy="show it with rig session show, or correct it with rig session amend",
             )
         lost: dict[str, Any] = {"torn": log.torn} if log.torn else {}
         if damaged := _damaged(session):
@@ -221,8 +221,8 @@ def _refuse_no_session(directory: Path) -> None:
     with plain_errors("read", directory):
         if not (directory / LOG).is_file():
             raise ConfigError(
-                f"{directory} is not the directory of a session: it has no {LOG}",
-                remedy="give the participant's directory",
+                f"{directory} is not the directory of a session: it contains no {LOG}",
+                remedy="give the directory of one participant",
             )
 
 
@@ -239,7 +239,7 @@ def event_of_trial(directory: Path, trial: int, value: str) -> int:
     if not events:
         raise ConfigError(
             f"{directory} has no trial {trial}" if kind == "trial" else f"trial {trial} has no verdict",
-            remedy="rig session show --log lists them",
+            remedy="list them with rig session show --log",
         )
     return events[-1].number
 
@@ -264,23 +264,23 @@ def amend(
         if not 0 <= number < len(log.events):
             raise ConfigError(
                 f"{directory} has no event {number}: its log has 0 to {len(log.events) - 1}",
-                remedy="rig session show lists them",
+                remedy="list them with rig session show",
             )
         kind = log.events[number].kind
         if kind not in AMENDABLE:
             raise ConfigError(
                 f"event {number} is {kind!r}, which cannot be corrected",
-                remedy=f"what can be: {', '.join(AMENDABLE)}; anything else belongs into a note",
+                remedy=f"correct one of {', '.join(AMENDABLE)}; write anything else into a note",
             )
         (name,) = AMENDABLE[kind]
         if name == "verdict" and value not in VERDICTS:
             raise ConfigError(f"{value!r} is not a verdict", remedy=f"choose one of {', '.join(VERDICTS)}")
         if not why.strip():
-            raise ConfigError("a correction needs a reason", remedy="say `why`")
+            raise ConfigError("a correction needs a reason", remedy="give it with `why`")
         if name == "void" and value not in OF_TRIAL:
             raise ConfigError(
-                f"event {number} is a trial, of which {value!r} cannot be said",
-                remedy=f"choose one of {', '.join(OF_TRIAL)}; `trial` N corrects its verdict",
+                f"event {number} is a trial, which cannot be corrected to {value!r}",
+                remedy=f"choose one of {', '.join(OF_TRIAL)}; to correct its verdict, give `trial` N",
             )
         kept: str | int | bool = OF_TRIAL.get(value, value) if name == "void" else value
         if kind == "answered":
@@ -344,4 +344,6 @@ def _free(directory: Path, path: Path) -> Path:
         found = directory / (path.name if number == 1 else f"{path.stem}-{number}{path.suffix}")
         if not found.exists():
             return found
-    raise RecordingError(f"{directory} is full of recordings named {path.stem}", remedy="look at them")
+    raise RecordingError(
+        f"{directory} contains too many recordings named {path.stem}", remedy="move some of them away"
+    )

@@ -51,9 +51,9 @@ def _remedy(one: Check, walls: Walls, runner: TrialRunner) -> str:
     """In words of a protocol: a session has no rate of its own, and one device."""
     if one.name == "rig of the device" and any(condition.fit for condition in walls.protocol.condition):
         return (
-            f"{one.remedy}; a board counts one encoder: conditions with another one are a study of their own"
+            f"{one.remedy}; a board has one encoder: run conditions with another encoder as a separate study"
         )
     if one.name not in ("device rate", "link capacity"):
         return one.remedy
-    slower = "give the conditions slower schemes, as template first-steps has them"
+    slower = "give the conditions slower schemes, as in the template first-steps"
     return f"{slower}; or rehearse in virtual time" if runner.simulated else slower

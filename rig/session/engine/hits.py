@@ -341,7 +341,7 @@ def _hit_of(left: Recorded, path: Path, heat: float) -> HitOutcome:
     experiment, recording = left.experiment, left.recording
     verdict, measured = left.judgement.verdict, left.judgement.measured
     trailer, free = recording.trailer or {}, baseline(recording, experiment)
-    ended = str(trailer.get("reason", "the recording breaks off"))
+    ended = str(trailer.get("reason", "the recording is incomplete"))
     fault = (trailer.get("fault") or {}).get("name", "")
     limits, tick_s = experiment.rig.limits, 1.0 / experiment.controller.position_rate
     load = recording.rows["effort_sent"] / limits.nominal_effort

@@ -51,11 +51,11 @@ class DamagedLineError(RecordingError):
         if last:
             super().__init__(
                 f"{where}, the last one: damaged",
-                remedy="rig session show prints the lines before it; rig session resume --drop-damaged-line sets it "
-                "aside and resumes there, or restore the file from a copy",
+                remedy="rig session show prints the lines before it; resume without it with rig session resume "
+                "--drop-damaged-line (it is moved to another file), or restore the file from a copy",
             )
         else:
-            remedy = "restore the file from a copy; what follows was decided on that line"
+            remedy = "restore the file from a copy; later lines depend on the damaged one"
             super().__init__(f"{where}: damaged", remedy=remedy)
         self.events, self.place, self.last = tuple(events), place, last
 
@@ -87,7 +87,7 @@ class SessionLog:
         self.path = path
         self._clock = clock
         self._broken = False  # what is in the file may be more than `events`: nothing may follow it
-        self._file = LineFile(path, remedy="end the session that runs there, or wait for it")
+        self._file = LineFile(path, remedy="end the session that is running there, or wait for its end")
         try:
             self.events, self._last, self._end = _read(path, self._file.lines())
             self.torn = max(0, path.stat().st_size - self._end)
@@ -111,13 +111,13 @@ class SessionLog:
         """
         taken = [name for name in RESERVED if name in content]
         if taken:
-            raise ValueError(f"{', '.join(taken)} of an event is the log's own")
+            raise ValueError(f"{', '.join(taken)}: these keys of an event are reserved for the log")
         event = Event(len(self.events), self._clock(), kind, plain(content))  # as it will be read
         line = self._line_of(event)
         if self._broken:
             raise RecordingError(
-                f"cannot write {self.path}: an earlier write failed, and nothing may follow what it left",
-                remedy="see to the disk; `rig session resume` opens it anew",
+                f"cannot write {self.path}: an earlier write failed and may have left a partial line",
+                remedy="check the disk, then continue with `rig session resume`",
             )
         self._broken = True  # until all below is done, whatever interrupts it
         try:
@@ -154,7 +154,7 @@ def read(path: Path) -> list[Event]:
     """The events of a log, also of one that is being written; raises as `SessionLog`."""
     with plain_errors("read", path):
         if not path.is_file():
-            raise RecordingError(f"there is no session log {path}", remedy="check the path")
+            raise RecordingError(f"session log {path} not found", remedy="check the path")
 
     def lines() -> Iterator[tuple[int, bytes]]:
         place = 0
@@ -174,7 +174,7 @@ def set_damaged_line_aside(path: Path) -> Path | None:
     RecordingError
         The damage is elsewhere, another process has the log open, or the disk refuses.
     """
-    file = LineFile(path, remedy="end the session that runs there, or wait for it")
+    file = LineFile(path, remedy="end the session that is running there, or wait for its end")
     try:
         try:
             _read(path, file.lines())
@@ -214,13 +214,13 @@ def _read(path: Path, lines: Iterator[tuple[int, bytes]]) -> tuple[list[Event], 
         if (found.get("n"), found.get("after")) != (len(events), last):
             raise RecordingError(
                 f"{path}, line {len(events) + 1}: a line before it was removed or changed",
-                remedy="restore the file from a copy; what follows was decided on that line",
+                remedy="restore the file from a copy; later lines depend on it",
             )
         if not events and found.get("log") != VERSION:
             raise RecordingError(
-                f"{path}, line 1: a session log of format version {found.get('log')}, and this version of haptic-rig "
+                f"{path}, line 1: the log has format version {found.get('log')}; this version of haptic-rig "
                 f"reads version {VERSION}",
-                remedy="read it with the haptic-rig that its first line names under versions",
+                remedy="read it with the version of haptic-rig given in its first line under versions",
             )
         content = {name: value for name, value in found.items() if name not in RESERVED}
         events.append(Event(found["n"], found["at"], found["kind"], content))

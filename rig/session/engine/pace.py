@@ -41,17 +41,17 @@ def pace_checks(walls: Walls, runner: TrialRunner) -> Iterator[Check]:
     helps = remedy(found, simulated=runner.simulated)
     if found.hopeless:
         text = f"{found.text}: nearly every trial would be invalid"
-        yield Check("samples", Outcome.REFUSED, text, f"{helps}; or accept that: `lossy_anyway`")
+        yield Check("samples", Outcome.REFUSED, text, f"{helps}; or accept the losses: `lossy_anyway`")
     elif found.lost_share > LOST_SHARE:
         yield Check("samples", Outcome.WARNING, found.text, helps)
     else:
-        yield Check("samples", Outcome.OK, found.text or f"none is lost or late at {found.rate_hz} Hz")
+        yield Check("samples", Outcome.OK, found.text or f"no sample is lost or late at {found.rate_hz} Hz")
 
 
 def remedy(found: Pace, *, simulated: bool) -> str:
     """What helps against losses."""
     slower = "" if found.kept_hz is None else f"run at {found.kept_hz} Hz"
-    ways = [slower, "rehearse" if simulated else "", "close other programs and see `rig doctor`"]
+    ways = [slower, "rehearse" if simulated else "", "close other programs and run `rig doctor`"]
     return ", or ".join(filter(None, ways))
 
 

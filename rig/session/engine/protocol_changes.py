@@ -147,10 +147,10 @@ def protocol_check(walls: Walls, study: Path) -> Iterable[Check]:
         yield Check(
             "protocol",
             Outcome.OK,
-            f"that of the sessions in {study}, but for {keys}: no result depends on it",
+            f"equal to that of the sessions in {study} except {keys}, which do not affect results",
         )
     elif _settings_there(study, ""):
-        yield Check("protocol", Outcome.OK, f"that of the sessions in {study}")
+        yield Check("protocol", Outcome.OK, f"equal to that of the sessions in {study}")
 
 
 class ChangedProtocolError(ConfigError):
@@ -158,14 +158,14 @@ class ChangedProtocolError(ConfigError):
 
 
 def _sentence(found: Sequence[Difference], study: Path) -> str:
-    return f"the protocol is not that of the sessions in {study}: {'; '.join(one.sentence for one in found)}"
+    return f"the protocol differs from that of the sessions in {study}: {'; '.join(one.sentence for one in found)}"
 
 
 def _remedy(found: Sequence[Difference]) -> str:
     across = " ".join(f"`across` {one.key}" for one in found if not one.is_neutral)
     analysed = f"; the analysis then needs {across}" if across else ""
     return (
-        "restore these keys, or begin another study (study.title, or `study` DIR); to continue here all the same say "
+        "restore these keys, or begin another study (study.title, or `study` DIR); to continue here nevertheless, give "
         f"`other_protocol`{analysed}"
     )
 

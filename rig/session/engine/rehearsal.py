@@ -89,7 +89,8 @@ def thresholds_of(given: Iterable[str]) -> dict[str, float]:
             equals = ""
         if not name or not equals:
             raise ConfigError(
-                f"`threshold` {text}: write CONDITION=STIFFNESS", remedy="like `threshold` dual=430"
+                f"`threshold` {text} is not of the form CONDITION=STIFFNESS",
+                remedy="write it like `threshold` dual=430",
             )
     return found
 
@@ -110,7 +111,8 @@ def refuse_nobody(person: Person, protocol: Protocol) -> None:
             raise ConfigError(f"{option}{value:g} is not a stiffness", remedy="give a number above 0")
     if not 0.0 <= person.people_sd < math.inf:
         raise ConfigError(
-            f"`people_sd` {person.people_sd:g} is no deviation", remedy="give a number from 0, such as 0.2"
+            f"`people_sd` {person.people_sd:g} is not a standard deviation",
+            remedy="give 0 or a positive number, such as 0.2",
         )
     for option, share in (("`lapse_rate`", person.lapse_rate), ("unsure", person.unsure)):
         if not 0.0 <= share <= 1.0:

@@ -107,7 +107,7 @@ class SessionResult:
     @property
     def stands(self) -> str:
         """Whether it is over, in a sentence."""
-        why = self.ended or (f"left: {self.stopped}" if self.stopped else "running")
+        why = self.ended or (f"interrupted: {self.stopped}" if self.stopped else "running")
         return f"session of {self.code}: {why}"
 
     @property
@@ -264,9 +264,9 @@ def _refuse_another_device(
     if differences(before, now):
         url = (before.get("place") or {}).get("url")
         raise ConfigError(
-            f"the session of {state.code} took place on {device_words(before)}; this is {device_words(now)}",
-            remedy=f"give that rig's URL{f', `url` {url}' if url else ' (none simulates)'}; to continue here say "
-            "`other_device`, and the analysis reports it",
+            f"the session of {state.code} began on {device_words(before)}, but this device is {device_words(now)}",
+            remedy=f"give the URL of the first device{f', `url` {url}' if url else ' (omit it to simulate)'}; to "
+            "continue here give `other_device`, which the analysis reports",
         )
 
 
@@ -350,12 +350,12 @@ def row_of(code: str) -> int:
     numbers = re.findall(r"[0-9]+", code)
     if not numbers:
         raise ConfigError(
-            f"code {code!r} has no number, so nobody knows the participant's row of the order",
-            remedy="give it: `row` N",
+            f"code {code!r} contains no number, from which the participant's row of the order is computed",
+            remedy="give the row: `row` N",
         )
     if int(numbers[-1]) == 0:
         raise ConfigError(
-            f"code {code!r} has the number 0, and participants are counted from 1",
+            f"code {code!r} has the number 0, but participants are counted from 1",
             remedy="give another code, or the row: `row` N",
         )
     return int(numbers[-1]) - 1
@@ -366,9 +366,9 @@ def _checked_row(row: int, protocol: Protocol) -> int:
     rows = max(protocol.study.participants, rows_of(protocol))
     if not 0 <= row < rows:
         raise ConfigError(
-            f"row {row} of the order: {protocol.study.participants} participants are planned, and rows are counted "
-            "from 0",
-            remedy=f"give `row` 0 to {rows - 1}, or plan more: study.participants",
+            f"row {row} of the order does not exist: {protocol.study.participants} participants are planned, and "
+            "rows are counted from 0",
+            remedy=f"give `row` 0 to {rows - 1}, or raise study.participants",
         )
     return row
 
@@ -382,8 +382,8 @@ def _refuse_a_real_rig(person: Person | None, runner: TrialRunner) -> None:
     """Raise `ConfigError` for a simulated person at a rig that moves."""
     if person is not None and not runner.simulated:
         raise ConfigError(
-            "a rehearsal with a real rig: its simulated person would continue after a STOP",
-            remedy="leave `url` out, or leave `rehearse` out and sit there yourself",
+            "a rehearsal cannot use a real rig: the simulated person would continue after a STOP",
+            remedy="omit `url`, or omit `rehearse` and run the session with a person",
         )
 
 

@@ -190,7 +190,7 @@ class SessionState:
         """
         if not events or events[0].kind != "began":
             raise RecordingError(
-                "the log of a session does not begin with its protocol", remedy="start the session again"
+                "the session's log does not begin with its protocol", remedy="start a new session"
             )
         began = events[0].content
         protocol = protocol_from_mapping(began["protocol"], "the protocol in the session's log")
@@ -337,7 +337,8 @@ class SessionState:
         """The trial of this number; raises `RecordingError` when the log has none."""
         if not 1 <= number <= len(self.trials) or self.trials[number - 1].trial != number:
             raise RecordingError(
-                f"the log speaks of trial {number}, which it does not have", remedy="restore it from a copy"
+                f"the log refers to trial {number}, which it does not contain",
+                remedy="restore the log from a copy",
             )
         return self.trials[number - 1]
 
@@ -433,7 +434,7 @@ class SessionState:
         spoiled = _in_a_row(trial.by_machine for trial in self.trials[self._continued :])
         if spoiled >= self.protocol.stop.machine:
             why = told(self.trials[-1].reasons, blind=True)  # a blinded operator reads the log
-            return DoPause(f"this computer or the link spoiled {spoiled} trials in a row: {why}")
+            return DoPause(f"this computer or the link made {spoiled} trials in a row invalid: {why}")
         last = next((t for t in reversed(self.trials) if t.block == block.number and not t.void), None)
         if last is not None and last.invalid and last.run in [run.number for run in waiting]:
             run = next(run for run in waiting if run.number == last.run)

@@ -15,8 +15,8 @@ from rig.session.planning.trial import RecordedTrial, trial_of
 
 _LINES: dict[str, str] = {
     "judged": "trial {trial}: {verdict}",
-    "redone": "trial {trial} does not count",
-    "skipped": "run {run} is left without a limit",
+    "redone": "trial {trial} is discarded and repeated",
+    "skipped": "run {run} ended without a limit",
     "retried": "run {run} continues after invalid trials",
     "block": "block {block} begins",
     "restarted": "block {block} starts over",
@@ -43,9 +43,7 @@ def line_of_event(event: Event) -> str:
     if event.kind == "opened":
         opened = ["opened"]
         if walls := sum(len(one["stiffness"]) for one in event.content.get("armed_anyway", ())):
-            opened.append(
-                f"the arming gate refuses {walls} walls, and they are armed with the operator's consent"
-            )
+            opened.append(f"{walls} walls that the arming gate refuses are armed with the operator's consent")
         return "; ".join([*opened, *lost_samples(event.content)])
     if event.kind == "amended" and "trial" in event.content:
         value = event.content["value"]
@@ -89,7 +87,7 @@ def _whole(trial: RecordedTrial, motion: Motion) -> str:
     ended = trial.aborted or trial.ended.replace(FINISHED, "")
     said = [
         ", ".join([f"trial {trial.trial}", *kind, trial.condition, wall, *attempt]),
-        ": ".join(["the program says " + trial.automatic, *filter(None, ["; ".join(trial.reasons)])]),
+        ": ".join(["automatic verdict " + trial.automatic, *filter(None, ["; ".join(trial.reasons)])]),
         *([] if trial.invalid else _kept(trial.outside, blind=False)),
         *([f"ended early: {ended.replace('_', ' ')}"] if ended else []),
     ]
@@ -101,7 +99,7 @@ def lost_samples(opened: Mapping[str, Any]) -> list[str]:
     pace = opened.get("pace") or {}
     if not pace.get("said"):
         return []
-    anyway = "; nearly every trial will be invalid, as the operator knows" if pace["hopeless"] else ""
+    anyway = "; nearly every trial will be invalid, which the operator accepted" if pace["hopeless"] else ""
     return [pace["said"] + anyway]
 
 
@@ -109,12 +107,10 @@ def lost(event: Event) -> list[str]:
     """What a log had lost when the session was resumed, as sentences without a full stop."""
     losses = []
     if torn := event.content.get("torn"):
-        losses.append(
-            f"its log ended in the middle of a line, as when a computer dies: {torn} bytes were dropped"
-        )
+        losses.append(f"the last line of the log was incomplete, as after a crash: {torn} bytes were dropped")
     damaged = [one["file"] for one in event.content.get("damaged", ())]
     if damaged:
-        losses.append(f"a damaged line of its log was set aside: {', '.join(damaged)}")
+        losses.append(f"a damaged line of the log was moved to another file: {', '.join(damaged)}")
     return losses
 
 
@@ -136,7 +132,7 @@ def _too_fast(trial: RecordedTrial) -> list[str]:
         return []
     after_ms = 1e3 * trial.response_time_s
     return [
-        f"judged {after_ms:.0f} ms after the question, sooner than trial.fastest_verdict_s: free the key and redo it"
+        f"judged {after_ms:.0f} ms after the question, sooner than trial.fastest_verdict_s: release the key and redo it"
     ]
 
 
@@ -145,10 +141,10 @@ def _kept(outside: Sequence[str], *, blind: bool) -> list[str]:
 
     Not shown before the verdict: that a press was judged reveals that the wall was not unstable.
     """
-    return [f"kept, but {told(outside, blind=blind)}"] if outside else []
+    return [f"counts, but {told(outside, blind=blind)}"] if outside else []
 
 
 def _invalid(trial: int, reasons: Sequence[str], *, blind: bool) -> str:
     return ": ".join(
-        [f"trial {trial}", "invalid, it is repeated", *filter(None, [told(reasons, blind=blind)])]
+        [f"trial {trial}", "invalid, will be repeated", *filter(None, [told(reasons, blind=blind)])]
     )

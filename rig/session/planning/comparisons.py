@@ -42,7 +42,8 @@ def wall_checks(walls: Walls) -> list[Check]:
         Check(one.name, one.outcome, f"all {len(walls)} walls", "")
         if one.outcome is Outcome.OK
         else replace(
-            one, text=f"{number[one.name, one.outcome]} of {len(walls)} walls, the first: {where}: {one.text}"
+            one,
+            text=f"{number[one.name, one.outcome]} of {len(walls)} walls, for example {where}: {one.text}",
         )
         for one, where in worst.values()
     ]
@@ -67,19 +68,17 @@ def level_checks(cells: Sequence[CellPlan], motion: Motion) -> Iterator[Check]:
     for cell in cells:
         limit, levels = cell.expected.limit, cell.levels
         if cell.expected.by_hand and limit.likely > levels[-1]:
-            beyond.append(
-                f"{_cell(cell)}: likely {limit.likely:.3g}, the levels end at {levels[-1]:g} {unit}"
-            )
+            beyond.append(f"{_cell(cell)}: expected {limit.likely:.3g}, highest level {levels[-1]:g} {unit}")
         elif cell.expected.by_hand and limit.likely < levels[0]:
-            where = f"likely {limit.likely:.3g}" if limit.most else "no wall at all"
-            beyond.append(f"{_cell(cell)}: {where}, the levels begin at {levels[0]:g} {unit}")
+            where = f"expected {limit.likely:.3g}" if limit.most else "no stable wall expected"
+            beyond.append(f"{_cell(cell)}: {where}, lowest level {levels[0]:g} {unit}")
     yield Check(
         "expected limits",
         Outcome.WARNING if beyond else Outcome.OK,
-        "beyond the levels, where limits are censored: " + "; ".join(beyond)
+        "some lie beyond the searched levels and would be censored: " + "; ".join(beyond)
         if beyond
-        else "likely among the levels everywhere",
-        "move search.lowest or search.highest",
+        else "all lie within the searched levels",
+        "change search.lowest or search.highest",
     )
     silent = [cell for cell in cells if not cell.expected.by_hand]
     if silent:
@@ -88,14 +87,14 @@ def level_checks(cells: Sequence[CellPlan], motion: Motion) -> Iterator[Check]:
             "linear theory",
             Outcome.WARNING,
             f"gives no limit for {'; '.join(map(_cell, silent))}: {note}",
-            "trials and times are guessed from the levels there; begin with soft walls",
+            "trial numbers and times there are estimates from the levels; begin with soft walls",
         )
     coarse = [cell for cell in cells if _step_at(cell.levels, cell.expected.limit.likely) > COARSE]
     if coarse:
         yield Check(
             "steps",
             Outcome.WARNING,
-            f"more than a quarter of the expected limit apart: {'; '.join(map(_cell, coarse))}",
+            f"levels are more than a quarter of the expected limit apart: {'; '.join(map(_cell, coarse))}",
             "choose a smaller search.step or search.ratio",
         )
 
@@ -110,7 +109,7 @@ def most_checks(cells: Sequence[CellPlan]) -> Iterator[Check]:
         yield Check(
             "search.settings.most",
             Outcome.WARNING,
-            "ends simulated searches before they have their turns, so that their limits are marked and left out: "
+            "ends simulated searches before they have enough turns; their limits are marked and excluded: "
             + each,
             "raise search.settings.most, or lower search.settings.turns",
         )
@@ -131,11 +130,11 @@ def heat_check(protocol: Protocol, heat: Heat, trials: float) -> Check:
     """Whether the motor keeps cool, and how often it has to wait for that."""
     share = protocol.rest.heat
     text = (
-        f"{100 * heat.after_one:.2g} % of the winding's budget for a hit at {heat.load:.2g} of the nominal effort, "
+        f"{100 * heat.after_one:.2g} % of the winding's heat budget per hit at {heat.load:.2g} of the nominal effort, "
         f"{100 * heat.peak:.2g} % at most"
     )
     if heat.after_one > 1.0:
-        remedy = "push less, or shorten trial.duration_s"
+        remedy = "use less effort, or shorten trial.duration_s"
         return Check("motor heat over a session", Outcome.REFUSED, text, remedy)
     if heat.first_pause:
         text += (
@@ -143,7 +142,7 @@ def heat_check(protocol: Protocol, heat: Heat, trials: float) -> Check:
             f"before trial {heat.first_pause}"
         )
         slow = heat.pauses * SLOW > trials
-        remedy = "push less, shorten trial.duration_s, or raise rest.heat"
+        remedy = "use less effort, shorten trial.duration_s, or raise rest.heat"
         return Check("motor heat over a session", Outcome.WARNING if slow else Outcome.OK, text, remedy)
     return Check("motor heat over a session", Outcome.OK, f"{text}; no pause is needed")
 
@@ -158,10 +157,10 @@ def energy_check(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> I
     yield Check(
         "energy cap",
         Outcome.WARNING if free else Outcome.OK,
-        "no limit to what the motor may give to a hand in a hit"
+        "the energy that the motor may give to a hand in a hit is not limited"
         if free
         else f"a hit ends when the motor has given {most:g} J",
-        "set caps.energy, some times what stable practice hits give (watched, in a recording's trailer)",
+        "set caps.energy to a few times the energy of stable practice hits (see watched in a recording's trailer)",
     )
 
 
@@ -176,9 +175,9 @@ def band_checks(trial: Trial, walls: Sequence[Experiment]) -> Iterator[Check]:
         yield Check(
             f"trial.{name}",
             Outcome.OK if band[0] <= min(values) and max(values) <= band[-1] else Outcome.WARNING,
-            f"{words} of the simulated hand {min(values):.3g} to {max(values):.3g} {unit}, asked {band[0]:g} to "
+            f"{words} of the simulated hand {min(values):.3g} to {max(values):.3g} {unit}, required {band[0]:g} to "
             f"{band[-1]:g} {unit}",
-            f"widen it, or change {key} of the simulated hand; a person may do better",
+            f"widen this band, or change {key} of the simulated hand; a person may stay within it",
         )
 
 
@@ -188,14 +187,12 @@ def cap_checks(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Ite
     stiffest = max([x.wall.stiffness for x in experiments] + list(protocol.practice.stiffness))
     most = max(x.rig.limits.effort * x.rig.limits.speed * x.trial.duration_s for x in experiments)
     unit = unit_of("stiffness", experiments[0].rig.motion)
-    remedy = "check its power of ten"
+    remedy = "check the unit and the power of ten"
     if caps.stiffness is not None and caps.stiffness > FAR * stiffest:
         text = f"{caps.stiffness:g} {unit} has no effect: the stiffest wall is {stiffest:g} {unit}"
         yield Check("caps.stiffness", Outcome.WARNING, text, remedy)
     if caps.energy is not None and caps.energy > most:
-        text = (
-            f"{caps.energy:g} J has no effect: with all effort at the highest speed a hit gives {most:.2g} J"
-        )
+        text = f"{caps.energy:g} J has no effect: at full effort and speed a hit gives {most:.2g} J"
         yield Check("caps.energy", Outcome.WARNING, text, remedy)
 
 
@@ -209,14 +206,14 @@ def order_checks(protocol: Protocol, rows: int) -> Iterator[Check]:
         yield Check(
             "order",
             Outcome.OK if whole else Outcome.WARNING,
-            f"{number} participants, and {rows} rows of the Latin square balance {runs} searches",
+            f"{number} participants; a Latin square of {runs} searches is balanced with multiples of {rows}",
             f"plan {' or '.join(map(str, nearest))} participants",
         )
     elif protocol.order.kind == "fixed" and len(protocol.condition) > 1:
         yield Check(
             "order",
             Outcome.WARNING,
-            "the same for everybody: what differs between conditions may be practice or fatigue",
+            "the order is the same for all participants: practice and fatigue cannot be separated from conditions",
             'set order.kind = "latin-square" or "randomised"',
         )
 
@@ -235,8 +232,8 @@ def stop_checks(
         outcome = Outcome.REFUSED if expected.least > limit else Outcome.OK
         if outcome is Outcome.OK and expected.most > limit:
             outcome = Outcome.WARNING
-        text = f"ends a session after {limit:g} {unit}, which is expected to take {_range(expected)}"
-        yield Check(f"stop.{name}", outcome, text, f"raise stop.{name}, or search less")
+        text = f"ends a session after {limit:g} {unit}; expected are {_range(expected)}"
+        yield Check(f"stop.{name}", outcome, text, f"raise stop.{name}, or reduce the number of searches")
 
 
 def rest_checks(protocol: Protocol, trials: ExpectedRange, times: TrialTimes) -> Iterator[Check]:

@@ -54,7 +54,7 @@ def base_experiment(study: Any, folder: Path) -> Experiment | list[Problem]:
     preset, file = study.get("preset"), study.get("experiment")
     if (preset is None) == (file is None):
         given = "" if preset is None else f"{shown(preset)}, and experiment = {shown(file)}"
-        must = "and study.experiment: give one of the two, the rig that this is about"
+        must = "and study.experiment: exactly one of the two must name the rig"
         choice = f"write preset = {shown(DEFAULT_PRESET)}, or the name of an experiment file"
         return [Problem("study.preset", given, must, choice)]
     if preset is not None:
@@ -209,7 +209,7 @@ def _misplaced(protocol: Protocol) -> Iterator[Problem]:
         for key, value in changes.items():
             name = f"{place}.{key}"
             if key in OWNED:
-                yield Problem(name, shown(value), f"belongs to {OWNED[key]}", "say it there")
+                yield Problem(name, shown(value), f"is set by {OWNED[key]}", "set it there")
             elif key not in parameters() and not key.startswith(f"{FREE}."):
                 section, _, leaf = key.rpartition(".")
                 instead = EXPERIMENT.known_instead(section, leaf)
@@ -227,7 +227,7 @@ def _wide_caps(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
                 f"caps.{name}",
                 f"{cap:g} {unit}",
                 f"must be at most rig.limits.{name} of the rig, {limit:g} {unit}",
-                "lower it, or leave it out",
+                "lower it, or omit it",
             )
 
 

@@ -39,7 +39,7 @@ def refuse_full_disk(walls: Walls, row: int, place: Path) -> None:
         raise ConfigError(
             f"{here} has {in_words(free)} left, and a session of about {sum(trials.values()):.0f} trials takes "
             f"{in_words(needed)}",
-            remedy="free some space, or name a place on another disk: `study`",
+            remedy="free some space, or give a directory on another disk with `study`",
         )
 
 

@@ -14,11 +14,11 @@ if TYPE_CHECKING:
 VERDICTS = ("stable", "buzz", "unstable", "unsure")
 STOP, HELP = "space", "?"
 RESERVED = {
-    STOP: "it is STOP",
-    "enter": "it is go in any case",
-    HELP: "it shows the keys",
-    "escape": "it leaves a line that is being typed",
-    "backspace": "it corrects a line that is being typed",
+    STOP: "this key is always STOP",
+    "enter": "this key always means go",
+    HELP: "this key lists the keys",
+    "escape": "this key cancels text entry",
+    "backspace": "this key edits text",
 }
 
 NAMED = frozenset(
@@ -89,13 +89,13 @@ def _checked(meaning: str, written: str, all_keys: Mapping[str, str]) -> str:
         key = STOP
     where = f"[keys] {meaning} = {written!r}"
     if key in RESERVED:
-        raise ConfigError(f"{where}: {RESERVED[key]}", remedy="give another key")
+        raise ConfigError(f"{where}: {RESERVED[key]}", remedy="choose another key")
     if not (len(key) == 1 and key.isprintable()) and key not in NAMED:
         raise ConfigError(
-            f"{where} is not a key",
+            f"{where} is not the name of a key",
             remedy=f"give one character, or one of {', '.join(sorted(NAMED - set(RESERVED)))}",
         )
     twin = next((other for other, its in all_keys.items() if its.lower() == key and other != meaning), None)
     if twin is not None:
-        raise ConfigError(f"{where}: that key is {twin} already", remedy="give each its own key")
+        raise ConfigError(f"{where}: this key already means {twin}", remedy="give each meaning its own key")
     return key

@@ -71,7 +71,8 @@ def protocol_from_mapping(mapping: Mapping[str, Any], source: str) -> Protocol:
     table = tidy(mapping)
     if not isinstance(table, dict):
         raise ConfigError(
-            f"{source}: not a table of sections", remedy="give tables like those of a protocol file"
+            f"{source} is not a protocol: its top level must be a table of sections",
+            remedy="write it like the file from rig session new",
         )
     protocol, problems = _checked(table, None)
     if problems or protocol is None:
@@ -87,24 +88,24 @@ def as_mapping(protocol: Protocol) -> dict[str, Any]:
 def check_code(protocol: Protocol, code: str) -> None:
     """Raise `ConfigError` unless this is a participant's code that the protocol allows, and not a name."""
     pattern = protocol.study.code
-    remedy = f"give the code that the study's list has for this person; it matches {pattern}"
+    remedy = f"give the code assigned to this person in the study's list; it must match {pattern}"
     if "@" in code:
         why = "is an e-mail address, which identifies a person"
     elif any(mark in code for mark in "/\\") or code in (".", "..") or code.startswith("."):
-        why = "has parts of a path in it; it names a directory"
+        why = "contains parts of a path, but it must be usable as a directory name"
     elif any(character.isspace() or not character.isprintable() for character in code):
-        why = "has spaces or control characters in it, like a name"
+        why = "contains spaces or control characters, like a name"
     elif not code or len(code) > LONGEST_CODE:
         why = f"must have 1 to {LONGEST_CODE} characters"
     elif looks_like_a_name(code):
-        why = "looks like a name; a session keeps no names"
+        why = "looks like a name; sessions must not store names"
     elif re.fullmatch(pattern, code) is None:
         why = f"does not match the study's pattern {pattern}"
     elif spells_a_name(code, pattern):
-        why = "looks like a name: letters of its own; a session keeps no names"
+        why = "looks like a name: three or more freely chosen letters in a row; sessions must not store names"
     else:
         return
-    raise ConfigError(f"participant code {code[:60]!r}: it {why}", remedy=remedy)
+    raise ConfigError(f"participant code {code[:60]!r} {why}", remedy=remedy)
 
 
 def json_schema() -> dict[str, Any]:
@@ -163,7 +164,7 @@ def _checked(table: dict[str, Any], motion: Motion | None) -> tuple[Protocol | N
             Problem(
                 "the protocol",
                 "",
-                f"has values that are too large or too small to compute with ({error})",
+                f"has values too large or too small to compute with ({error})",
                 "check units and powers of ten",
             )
         ]

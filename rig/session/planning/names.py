@@ -46,7 +46,7 @@ def distinct_names(codes: Iterable[str], name_of: Callable[[str], str], allowed:
         sharing.setdefault(names[code].casefold(), []).append(code)
     if shared := [", ".join(alike) for alike in sharing.values() if len(alike) > 1]:
         raise ConfigError(
-            f"these codes have one name in the export: {'; '.join(shared)} (capitals make no difference)",
+            f"these codes get the same name in the export, where case does not matter: {'; '.join(shared)}",
             remedy=f"{allowed}; export these participants one by one",
         )
     return names

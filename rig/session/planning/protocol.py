@@ -32,38 +32,46 @@ Band = tuple[float, ...]  # least and most; empty: anything
 class Study:
     """What it is about, on which rig, and who may know what."""
 
-    title: Annotated[str, MinLen(1), Quantity("", "of the study, as a report prints it")]
-    preset: Annotated[str | None, MinLen(1), Quantity("", "built-in rig; or give experiment")] = None
+    title: Annotated[str, MinLen(1), Quantity("", "title of the study, printed in the report")]
+    preset: Annotated[
+        str | None, MinLen(1), Quantity("", "name of a built-in rig; give this or experiment")
+    ] = None
     experiment: Annotated[
-        str | None, MinLen(1), Quantity("", "experiment file, relative to this one; or give preset")
+        str | None, MinLen(1), Quantity("", "experiment file, relative to this file; give this or preset")
     ] = None
     changes: Annotated[
         Mapping[str, Setting], Quantity("", "changes to the experiment in all conditions, by dotted key")
     ] = field(default_factory=dict)
-    seed: Annotated[int, Ge(0), Le(2**53 - 1), Quantity("", "of order, tracks and catch trials")] = 0
-    participants: Annotated[int, Ge(1), Le(10_000), Quantity("", "how many are planned")] = 12
+    seed: Annotated[
+        int, Ge(0), Le(2**53 - 1), Quantity("", "seed of the order, the tracks and the catch trials")
+    ] = 0
+    participants: Annotated[int, Ge(1), Le(10_000), Quantity("", "number of planned participants")] = 12
     code: Annotated[
-        str, MinLen(1), Quantity("", "pattern of a participant's code, a regular expression; never a name")
+        str,
+        MinLen(1),
+        Quantity("", "regular expression that participants' codes must match; must not match names"),
     ] = "P[0-9]{2}"
     blind: Annotated[
         Literal["both", "operator", "participant", "none"],
         Quantity(
             "",
-            "who sees no condition, stiffness or damping; operator and both hide them on the console, participant is a "
-            "promise of the operator",
+            "who must not see condition, stiffness and damping; operator and both hide them on the console, "
+            "participant only records a promise of the operator",
         ),
     ] = "both"
     judge: Annotated[
         Literal["person", "automatic"],
-        Quantity("", "whose verdict the search follows; both are kept"),
+        Quantity("", "whose verdict the search uses; both are recorded"),
     ] = "person"
     criterion: Annotated[
-        Literal["any", "felt", "heard"], Quantity("", "what ends the Z-width in the automatic verdict")
+        Literal["any", "felt", "heard"],
+        Quantity(
+            "",
+            "ripple beyond which the automatic verdict is not stable: any, felt (velocity), heard (effort)",
+        ),
     ] = "any"
 
-    notes: Annotated[
-        str, Quantity("", "what else whoever opens the study should know; kept, and printed nowhere")
-    ] = ""
+    notes: Annotated[str, Quantity("", "remarks about the study; stored, but not printed")] = ""
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
@@ -76,19 +84,22 @@ class Order:
         Literal["fixed", "randomised", "latin-square"],
         Quantity(
             "",
-            "of the runs in a block: as written, drawn anew for each block, or balanced over participants (Williams)",
+            "order of runs in a block: as written, random in each block, or balanced over participants (Williams)",
         ),
     ] = "latin-square"
-    repeats: Annotated[int, Ge(1), Le(1000), Quantity("", "runs of each condition and damping")] = 1
+    repeats: Annotated[int, Ge(1), Le(1000), Quantity("", "number of runs of each condition and damping")] = 1
     blocks: Annotated[
         Literal["repeat", "condition", "one"],
         Quantity(
             "",
-            "what a block holds: one repeat of everything, all repeats of one condition, or the whole session",
+            "contents of a block: one repeat of every run, all repeats of one condition, or the whole session",
         ),
     ] = "repeat"
     interleave: Annotated[
-        bool, Quantity("", "the runs of a block take turns, trial by trial, instead of following each other")
+        bool,
+        Quantity(
+            "", "alternate between the runs of a block trial by trial, instead of one run after the other"
+        ),
     ] = False
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
@@ -98,14 +109,20 @@ class Order:
 class Search:
     """How the stiffest wall is searched: the rule, its levels, and its settings (`rig.session.search`)."""
 
-    lowest: Annotated[float, Gt(0), Quantity("stiffness", "softest wall that is asked for")]
-    highest: Annotated[float, Gt(0), Quantity("stiffness", "stiffest wall that is asked for")]
-    rule: Annotated[RuleName, Quantity("", "who decides which wall comes next")] = "staircase"
-    step: Annotated[float | None, Gt(0), Quantity("stiffness", "between levels; or give ratio")] = None
-    ratio: Annotated[float | None, Gt(1), Le(100), Quantity("1", "between levels; or give step")] = None
+    lowest: Annotated[float, Gt(0), Quantity("stiffness", "softest wall of the search")]
+    highest: Annotated[float, Gt(0), Quantity("stiffness", "stiffest wall of the search")]
+    rule: Annotated[RuleName, Quantity("", "search rule, which chooses the next wall")] = "staircase"
+    step: Annotated[
+        float | None, Gt(0), Quantity("stiffness", "difference between levels; give this or ratio")
+    ] = None
+    ratio: Annotated[
+        float | None, Gt(1), Le(100), Quantity("1", "ratio between levels; give this or step")
+    ] = None
     settings: Annotated[
         Mapping[str, Any],
-        Quantity("", "of the rule: repeats, stable_to_rise, start, steps, turns, most, hits, enough …"),
+        Quantity(
+            "", "settings of the rule: repeats, stable_to_rise, start, steps, turns, most, hits, enough …"
+        ),
     ] = field(default_factory=dict)
     catch_share: Annotated[
         float,
@@ -113,7 +130,7 @@ class Search:
         Le(MOST_SHARE),
         Quantity(
             "1",
-            "of trials that are catch trials, of the softest or the stiffest wall: they count for no limit and "
+            "share of catch trials, with the softest or stiffest wall: they are not used for limits and "
             "show the lapse rate",
         ),
     ] = 0.0
@@ -126,29 +143,34 @@ class Condition:
     """One thing that is compared: a sampling scheme, with whatever else differs, at one or more dampings."""
 
     name: Annotated[
-        str, MinLen(1), Quantity("", "in tables and pictures; nobody who is blinded ever sees it")
+        str, MinLen(1), Quantity("", "name in tables and figures; never shown to blinded persons")
     ]
     scheme: Annotated[
         str | None,
         MinLen(1),
         Quantity(
-            "", "like dual:20k/2k,estimator=kalman (rig.config.schemes); left out: the experiment's own"
+            "",
+            "sampling and estimator, like dual:20k/2k,estimator=kalman (rig.config.schemes); default: the experiment's",
         ),
     ] = None
     damping: Annotated[
-        tuple[float, ...], MinLen(1), Quantity("damping", "B of each run; a search for each")
+        tuple[float, ...],
+        MinLen(1),
+        Quantity("damping", "damping B of the wall; each value gets its own search"),
     ] = (0.0,)
     changes: Annotated[
         Mapping[str, Setting],
-        Quantity("", "what else differs, by dotted key; a part of the machine needs fit"),
+        Quantity("", "other changes to the experiment, by dotted key; changes of the machine need fit"),
     ] = field(default_factory=dict)
-    search: Annotated[Search | None, Quantity("", "instead of the study's [search]")] = None
+    search: Annotated[
+        Search | None, Quantity("", "search settings of this condition, replacing the study's [search]")
+    ] = None
     fit: Annotated[
         str,
         Quantity(
             "",
-            "what somebody must fit to the rig for it, such as a damper: the session asks for that, blinded or not; "
-            "empty: the rig as it is",
+            "part that must be fitted to the rig for this condition, such as a damper: the session asks for it even if "
+            "blinded; empty: no part",
         ),
     ] = ""
 
@@ -163,50 +185,65 @@ class Trial:
         Literal["human", "constant-effort"], Quantity("", "who hits: the participant, or the motor")
     ] = "human"
     baseline_s: Annotated[
-        float, Ge(0), Le(60), Quantity("s", "free space before the cue; 0 for a motor that pushes at once")
+        float,
+        Ge(0),
+        Le(60),
+        Quantity("s", "duration of free space before the cue; 0 for a motor that pushes at once"),
     ] = 0.0
     foreperiod_s: Annotated[
         float,
         Ge(0),
         Le(60),
-        Quantity("s", "most of a random time after that, so that nobody anticipates the cue"),
+        Quantity(
+            "s",
+            "maximum of a random foreperiod after baseline_s, so that participants cannot anticipate the cue",
+        ),
     ] = 0.0
     duration_s: Annotated[
         float | None,
         Gt(0),
         Le(600),
         Quantity(
-            "s", "the hit itself, or with hold_s how long the cue is waited upon; left out: the experiment's"
+            "s",
+            "duration of the hit, or with hold_s the longest wait for contact after the cue; default: the experiment's",
         ),
     ] = None
     hold_s: Annotated[
         float | None,
         Gt(0),
         Le(600),
-        Quantity("s", "from first contact to the end of the hit; left out: duration_s, contact or not"),
+        Quantity(
+            "s",
+            "from first contact to the end of the hit; default: the hit lasts duration_s regardless of contact",
+        ),
     ] = None
     impact_speed: Annotated[
         Band,
-        Quantity("velocity", "least and most at the first contact, as [0.2, 0.4]; left out: any"),
+        Quantity("velocity", "required range of speed at first contact, as [0.2, 0.4]; default: any"),
     ] = ()
     press: Annotated[
         Band,
-        Quantity(
-            "effort", "least and most of the mean effort in the judged tail, as [0.1, 0.3]; left out: any"
-        ),
+        Quantity("effort", "required range of mean effort in the judged tail, as [0.1, 0.3]; default: any"),
     ] = ()
     outside: Annotated[
         Literal["invalid", "keep"],
-        Quantity("", "what a trial outside one of these bands is: invalid and repeated, or kept and marked"),
+        Quantity(
+            "", "treatment of a trial outside one of these ranges: invalid and repeated, or kept and marked"
+        ),
     ] = "invalid"
     ready_s: Annotated[
         float,
         Ge(0),
         Le(600),
-        Quantity("s", "planned: from *ready?* to the start, with what the operator reads out"),
+        Quantity(
+            "s", "planned duration from *ready?* to the start, including the text that the operator reads out"
+        ),
     ] = 3.0
     verdict_s: Annotated[
-        float, Ge(0), Le(600), Quantity("s", "planned: from the end of a hit to the verdict's key")
+        float,
+        Ge(0),
+        Le(600),
+        Quantity("s", "planned duration from the end of a hit to the key of the verdict"),
     ] = 2.0
     fastest_verdict_s: Annotated[
         float,
@@ -214,29 +251,32 @@ class Trial:
         Le(10),
         Quantity(
             "s",
-            "a person's verdict that comes sooner after the question is reported at once and marked too_fast; 0: none",
+            "a person's verdict given sooner after the question is reported and marked too_fast; 0: no verdict is",
         ),
     ] = 0.1
     attempts: Annotated[
-        int, Ge(1), Le(20), Quantity("", "at a trial that is invalid, before somebody is asked what to do")
+        int,
+        Ge(1),
+        Le(20),
+        Quantity("", "number of invalid attempts at a trial before the operator is asked how to continue"),
     ] = 3
     unsure: Annotated[
         int,
         Ge(1),
         Le(20),
-        Quantity("", "unsure verdicts in a row on one wall, before it counts as not stable"),
+        Quantity("", "number of unsure verdicts in a row on one wall after which it counts as not stable"),
     ] = 3
     hand: Annotated[
         Literal["", "right", "left", "dominant"],
-        Quantity("", "with which the handle is held; empty: not said"),
+        Quantity("", "hand that holds the handle; empty: not specified"),
     ] = ""
-    posture: Annotated[str, Quantity("", "how the participant sits and holds, a sentence for the report")] = (
-        ""
-    )
+    posture: Annotated[
+        str, Quantity("", "how the participant sits and holds the handle, a sentence for the report")
+    ] = ""
     masking_noise: Annotated[
-        bool | None, Quantity("", "whether noise masks what is heard of the motor; left out: not said")
+        bool | None, Quantity("", "true if noise masks the sound of the motor; default: not specified")
     ] = None
-    say: Annotated[str, Quantity("", "what the operator reads to the participant before each hit")] = (
+    say: Annotated[str, Quantity("", "text that the operator reads to the participant before each hit")] = (
         "Push into the wall until it stops you, and stay there."
     )
 
@@ -248,9 +288,11 @@ class Practice:
     """Trials before the first block, which count for nothing."""
 
     stiffness: Annotated[
-        tuple[float, ...], Quantity("stiffness", "walls of the practice trials, in this order")
+        tuple[float, ...], Quantity("stiffness", "stiffness of the practice trials, in this order")
     ] = ()
-    condition: Annotated[str | None, Quantity("", "under which; left out: the first")] = None
+    condition: Annotated[str | None, Quantity("", "condition of the practice trials; default: the first")] = (
+        None
+    )
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
@@ -259,10 +301,12 @@ class Practice:
 class Rest:
     """When hand and motor rest."""
 
-    every: Annotated[int, Ge(0), Le(10_000), Quantity("", "trials between two rests; 0: never")] = 0
-    seconds: Annotated[float, Ge(0), Le(3600), Quantity("s", "length of such a rest")] = 60.0
+    every: Annotated[
+        int, Ge(0), Le(10_000), Quantity("", "number of trials between two rests; 0: no rests")
+    ] = 0
+    seconds: Annotated[float, Ge(0), Le(3600), Quantity("s", "duration of such a rest")] = 60.0
     between_blocks_s: Annotated[
-        float, Ge(0), Le(3600), Quantity("s", "rest after each block but the last")
+        float, Ge(0), Le(3600), Quantity("s", "rest after each block except the last")
     ] = 0.0
     heat: Annotated[
         float,
@@ -279,14 +323,16 @@ class Caps:
     """What no trial may exceed, whatever a rule asks for."""
 
     stiffness: Annotated[
-        float | None, Gt(0), Quantity("stiffness", "stiffest wall; left out: no cap but the plan's checks")
+        float | None,
+        Gt(0),
+        Quantity("stiffness", "stiffest allowed wall; default: limited only by the plan's checks"),
     ] = None
     effort: Annotated[float | None, Gt(0), Quantity("effort", "over rig.limits.effort")] = None
     speed: Annotated[float | None, Gt(0), Quantity("velocity", "over rig.limits.speed")] = None
     energy: Annotated[
         float | None,
         Gt(0),
-        Quantity("J", "that the motor may give to the hand in a hit; over rig.limits.energy"),
+        Quantity("J", "energy that the motor may give to the hand in a hit; replaces rig.limits.energy"),
     ] = None
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
@@ -296,16 +342,17 @@ class Caps:
 class Stop:
     """When a session ends early, whatever is left of it."""
 
-    trials: Annotated[int | None, Ge(1), Le(100_000), Quantity("", "after so many trials")] = None
-    minutes: Annotated[float | None, Gt(0), Le(1440), Quantity("min", "after this time, rests included")] = (
-        None
-    )
+    trials: Annotated[int | None, Ge(1), Le(100_000), Quantity("", "end after this number of trials")] = None
+    minutes: Annotated[
+        float | None, Gt(0), Le(1440), Quantity("min", "end after this time, including rests")
+    ] = None
     invalid: Annotated[
         int | None,
         Ge(1),
         Le(1000),
         Quantity(
-            "", "after so many invalid trials in a row, those aside that the computer or the link spoiled"
+            "",
+            "end after this number of invalid trials in a row, not counting those caused by the computer or link",
         ),
     ] = None
     machine: Annotated[
@@ -313,14 +360,14 @@ class Stop:
         Ge(1),
         Le(1000),
         Quantity(
-            "", "trials in a row that gaps or late ticks spoiled, before the session pauses; it does not end"
+            "", "pause (not end) after this number of trials in a row made invalid by gaps or late ticks"
         ),
     ] = 5
     aborts: Annotated[
         int | None,
         Ge(1),
         Le(1000),
-        Quantity("", "after so many hits in a row that had to be cut off for safety"),
+        Quantity("", "end after this number of hits in a row that were cut off for safety"),
     ] = None
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
@@ -330,16 +377,16 @@ class Stop:
 class Item:
     """One question of the questionnaire."""
 
-    name: Annotated[str, MinLen(1), Quantity("", "column of the table; letters, digits, underscores")]
-    text: Annotated[str, MinLen(1), Quantity("", "the question, as it is read out")]
+    name: Annotated[str, MinLen(1), Quantity("", "name of the table's column; letters, digits, underscores")]
+    text: Annotated[str, MinLen(1), Quantity("", "text of the question")]
     when: Annotated[
         Literal["start", "block", "end"],
-        Quantity("", "before the first block, after each block, or at the end"),
+        Quantity("", "asked before the first block, after each block, or at the end"),
     ] = "end"
-    kind: Annotated[Literal["scale", "choice", "text"], Quantity("", "what an answer is")] = "scale"
-    lowest: Annotated[int, Quantity("", "of a scale")] = 1
-    highest: Annotated[int, Quantity("", "of a scale")] = 7
-    choices: Annotated[tuple[str, ...], Quantity("", "of a choice")] = ()
+    kind: Annotated[Literal["scale", "choice", "text"], Quantity("", "kind of answer")] = "scale"
+    lowest: Annotated[int, Quantity("", "lower end of a scale")] = 1
+    highest: Annotated[int, Quantity("", "upper end of a scale")] = 7
+    choices: Annotated[tuple[str, ...], Quantity("", "answers of a choice")] = ()
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
@@ -352,13 +399,13 @@ class Keys:
     buzz: Annotated[str, MinLen(1), Quantity("", "verdict: buzz")] = "2"
     unstable: Annotated[str, MinLen(1), Quantity("", "verdict: unstable")] = "3"
     unsure: Annotated[str, MinLen(1), Quantity("", "verdict: unsure")] = "4"
-    go: Annotated[str, MinLen(1), Quantity("", "continue; enter does so too")] = "g"
-    redo: Annotated[str, MinLen(1), Quantity("", "the last trial does not count and comes again")] = "r"
+    go: Annotated[str, MinLen(1), Quantity("", "continue; the Enter key does the same")] = "g"
+    redo: Annotated[str, MinLen(1), Quantity("", "discard the last trial and repeat it")] = "r"
     pause: Annotated[str, MinLen(1), Quantity("", "pause before the next trial")] = "p"
     note: Annotated[str, MinLen(1), Quantity("", "write a note into the log")] = "n"
-    skip: Annotated[str, MinLen(1), Quantity("", "leave this run without a limit")] = "s"
+    skip: Annotated[str, MinLen(1), Quantity("", "end this run without a limit")] = "s"
     abort: Annotated[str, MinLen(1), Quantity("", "leave the session; it can be resumed")] = "a"
-    bell: Annotated[bool, Quantity("", "ring when the participant may begin")] = True
+    bell: Annotated[bool, Quantity("", "ring the bell when the participant may begin")] = True
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 

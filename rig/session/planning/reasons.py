@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 RIG_LIMIT = "rig limit"
-HIDDEN = "for a reason that a blinded operator is not told"
+HIDDEN = "for a reason that is hidden from a blinded operator"
 AS_IT_IS = ""
 # Beginning of a reason: what a blinded operator reads.
 _TOLD = {
@@ -21,15 +21,15 @@ _TOLD = {
     "a false start": AS_IT_IS,
     "the run ended early: ": AS_IT_IS,
     "the first contact lies in the tail": "the wall was touched too late",
-    "the wall was not touched in the tail": "the handle was outside the wall at the end: ask to stay in it",
-    "the hand left ": "the hand left the wall before the end and did not come back: ask to stay in it",
+    "the wall was not touched in the tail": "the handle was outside the wall at the end: ask to stay inside it",
+    "the hand left ": "the hand left the wall before the end and did not come back: ask to stay inside it",
     "only ": "the trial was too short",
-    "still settling ": "the trial was too short to judge: lengthen it",
+    "still settling ": "the trial was too short to judge: increase trial.duration_s",
     "the device overruled the law ": "the device overruled the law",
     "hit too ": AS_IT_IS,
-    "pressed too lightly: ": "pressed too lightly: ask for more",  # in numbers it would be effort
-    "pressed too hard: ": "pressed too hard: ask for less",
-    "the measured current ": "the motor's current was not the one that was set: delay, motor leads, amplifier, sensor",
+    "pressed too lightly: ": "pressed too lightly: ask to press harder",  # in numbers it would be effort
+    "pressed too hard: ": "pressed too hard: ask to press less",
+    "the measured current ": "the motor's current differs from its set-point: check delay, leads, amplifier, sensor",
     "saturated ": RIG_LIMIT,
     "the slew limit ": RIG_LIMIT,
 }
@@ -42,7 +42,7 @@ _OUTSIDE = {
 
 def outside(name: str, value: float, band: str, unit: str, *, above: bool) -> str:
     """Why a trial lies outside a band of the protocol (`rig.session.planning.bands`)."""
-    return f"{_OUTSIDE[name][above]}: {value:.3g} {unit} ({band} {unit} asked)"
+    return f"{_OUTSIDE[name][above]}: {value:.3g} {unit} (required: {band} {unit})"
 
 
 def told(reasons: Iterable[str], *, blind: bool) -> str:

@@ -92,7 +92,7 @@ def rig_of(protocol: Protocol) -> Iterator[Problem]:
         yield Problem(
             "study.preset",
             "" if study.preset is None else shown(study.preset),
-            "and study.experiment: give one of the two, the rig that this is about",
+            "and study.experiment: exactly one of the two must name the rig",
             "name a preset, or an experiment file",
         )
 
@@ -104,15 +104,18 @@ def codes(protocol: Protocol) -> Iterator[Problem]:
         taken = _names_taken(pattern)
     except (re.error, OverflowError, RecursionError) as error:
         yield Problem(
-            "study.code", shown(pattern), f"is no regular expression: {error}", 'write one like "P[0-9]{2}"'
+            "study.code",
+            shown(pattern),
+            f"is not a regular expression: {error}",
+            'write one like "P[0-9]{2}"',
         )
         return
     if taken:
         yield Problem(
             "study.code",
             shown(pattern),
-            f"takes {' and '.join(map(repr, taken))}, and so the names of people",
-            'ask for a number, like "P[0-9]{2}"',
+            f"matches {' and '.join(map(repr, taken))}, and so could match names of people",
+            'require a number, as in "P[0-9]{2}"',
         )
 
 
@@ -120,15 +123,18 @@ def conditions(protocol: Protocol) -> Iterator[Problem]:
     """There are some, with names and dampings of their own."""
     if not protocol.condition:
         yield Problem(
-            "[[condition]]", "", "is missing: at least one thing to run", "add one, with a name and a scheme"
+            "[[condition]]",
+            "",
+            "is missing: a study needs at least one condition",
+            "add one, with a name and a scheme",
         )
     yield from _names_twice("condition.name", [one.name for one in protocol.condition])
     for number, one in enumerate(protocol.condition, 1):
         key = f"condition {number}.damping"
         if min(one.damping) < 0:
-            yield Problem(key, shown(one.damping), "must have no damping below 0", "take it out")
+            yield Problem(key, shown(one.damping), "must not contain a damping below 0", "remove it")
         for damping in _twice(one.damping):
-            yield Problem(key, shown(one.damping), f"has {damping:g} more than once", "name it once")
+            yield Problem(key, shown(one.damping), f"contains {damping:g} more than once", "write it once")
         if one.scheme is not None:
             yield from _scheme(f"condition {number}.scheme", one.scheme)
 
@@ -142,12 +148,8 @@ def fits(protocol: Protocol) -> Iterator[Problem]:
     for number, one in enumerate(protocol.condition, 1):
         for key, value in one.changes.items():
             if key.startswith(MACHINE) and not one.fit:
-                must = (
-                    f"is a part of the machine, and condition {number}.fit does not say what has to be fitted"
-                )
-                instead = (
-                    'say it, such as fit = "the damper"; what all conditions have belongs to study.changes'
-                )
+                must = f"changes the machine, but condition {number}.fit does not say which part has to be fitted"
+                instead = 'set it, for example fit = "the damper"; changes of all conditions belong to study.changes'
                 yield Problem(f"condition {number}.changes.{key}", shown(value), must, instead)
 
 
@@ -174,7 +176,10 @@ def _levels(key: str, wanted: Search) -> list[Problem]:
         given = "" if wanted.step is None else f"{wanted.step:g}, and ratio = {wanted.ratio:g}"
         return [
             Problem(
-                f"{key}.step", given, f"and {key}.ratio: give one of the two", "say how far apart levels are"
+                f"{key}.step",
+                given,
+                f"and {key}.ratio: exactly one of the two must be given",
+                "give the distance between levels",
             )
         ]
     steps = level_steps(wanted)
@@ -184,7 +189,7 @@ def _levels(key: str, wanted: Search) -> list[Problem]:
             Problem(
                 f"{key}.{name}",
                 f"{getattr(wanted, name):g}",
-                f"makes {steps + 1} levels of {wanted.lowest:g} to {wanted.highest:g}, of 2 to {MOST_LEVELS}",
+                f"makes {steps + 1} levels from {wanted.lowest:g} to {wanted.highest:g}, allowed 2 to {MOST_LEVELS}",
                 f"choose a {'larger' if steps >= MOST_LEVELS else 'smaller'} {name}",
             )
         ]
@@ -198,15 +203,13 @@ def _wrong_setting(key: str, wanted: Search, name: str) -> Problem | None:
     known = list(settings)
     key, value = f"{key}.settings.{name}", wanted.settings[name]
     if name in ("levels", "seed"):
-        instead = "levels come from lowest, highest and step or ratio; seeds from study.seed"
-        return Problem(key, shown(value), f"is no setting of the rule {wanted.rule}", instead)
+        instead = "set levels by lowest, highest and step or ratio, and the seed by study.seed"
+        return Problem(key, shown(value), f"is not a setting of the rule {wanted.rule}", instead)
     if name not in known:
-        instead = did_you_mean(name, known, f"known here: {', '.join(known)}")
-        return Problem(key, shown(value), f"is no setting of the rule {wanted.rule}", instead)
+        instead = did_you_mean(name, known, f"choose one of: {', '.join(known)}")
+        return Problem(key, shown(value), f"is not a setting of the rule {wanted.rule}", instead)
     must, fits, _ = _TYPES[str(settings[name].annotation)]
-    return (
-        None if fits(value) else Problem(key, shown(value), f"must be {must}", "write it so, without quotes")
-    )
+    return None if fits(value) else Problem(key, shown(value), f"must be {must}", "write it without quotes")
 
 
 def _whole(value: Any) -> bool:
@@ -267,7 +270,12 @@ def _refused_settings(key: str, wanted: Search) -> list[Problem]:
         rule(wanted, 0)
     except ConfigError as error:
         return [
-            Problem(f"{key}.settings", "", f"the rule {wanted.rule} refuses: {error.message}", error.remedy)
+            Problem(
+                f"{key}.settings",
+                "",
+                f"are not valid for the rule {wanted.rule}: {error.message}",
+                error.remedy,
+            )
         ]
     return []
 
@@ -280,7 +288,7 @@ def runs(protocol: Protocol) -> Iterator[Problem]:
             "order.repeats",
             f"{protocol.order.repeats}",
             f"makes {cells * protocol.order.repeats} runs with {cells} pairs of condition and damping; "
-            f"most are {MOST_RUNS}",
+            f"allowed are at most {MOST_RUNS}",
             "repeat less",
         )
 
@@ -295,10 +303,15 @@ def stiffness_cap(protocol: Protocol) -> Iterator[Problem]:
             yield Problem(f"{key}.highest", f"{wanted.highest:g}", must, "lower it, or raise the cap")
     walls = protocol.practice.stiffness
     if walls and min(walls) <= 0:
-        yield Problem("practice.stiffness", shown(walls), "must be above 0", "nothing stops the handle at 0")
+        yield Problem(
+            "practice.stiffness",
+            shown(walls),
+            "must be above 0",
+            "a wall of stiffness 0 does not stop the handle",
+        )
     if cap is not None and walls and max(walls) > cap:
         must = f"must be at most caps.stiffness, {cap:g}"
-        yield Problem("practice.stiffness", shown(walls), must, "practise with softer walls")
+        yield Problem("practice.stiffness", shown(walls), must, "use softer walls for practice")
 
 
 def practice(protocol: Protocol) -> Iterator[Problem]:
@@ -306,7 +319,7 @@ def practice(protocol: Protocol) -> Iterator[Problem]:
     names = [one.name for one in protocol.condition]
     wanted = protocol.practice.condition
     if wanted is not None and wanted not in names:
-        instead = did_you_mean(wanted, names, f"there are: {', '.join(map(shown, names))}")
+        instead = did_you_mean(wanted, names, f"choose one of: {', '.join(map(shown, names))}")
         yield Problem("practice.condition", shown(wanted), "is not a condition", instead)
 
 
@@ -315,11 +328,14 @@ def bands(protocol: Protocol) -> Iterator[Problem]:
     for name in BANDS:
         key, band = f"trial.{name}", getattr(protocol.trial, name)
         if band and protocol.trial.kind != "human":
-            must = f'is about a hand, and the motor hits (trial.kind = "{protocol.trial.kind}")'
-            yield Problem(key, shown(band), must, 'leave it out, or set trial.kind = "human"')
+            must = f'applies to a hand, but the motor hits (trial.kind = "{protocol.trial.kind}")'
+            yield Problem(key, shown(band), must, 'omit it, or set trial.kind = "human"')
         elif band and not (len(band) == 2 and 0.0 <= band[0] < band[1]):
             yield Problem(
-                key, shown(band), "must be two numbers from 0 on, the lower first", "write it like [0.1, 0.3]"
+                key,
+                shown(band),
+                "must be two numbers not below 0, the lower first",
+                "write it like [0.1, 0.3]",
             )
 
 
@@ -333,17 +349,17 @@ def items(protocol: Protocol) -> Iterator[Problem]:
             yield Problem(f"{key}.name", shown(item.name), must, 'write one like "felt_tired"')
         if item.kind == "scale" and not 1 <= item.highest - item.lowest <= MOST_STEPS_OF_A_SCALE:
             must = f"must be 1 to {MOST_STEPS_OF_A_SCALE} above lowest, {item.lowest}"
-            yield Problem(f"{key}.highest", f"{item.highest}", must, "choose another scale")
+            yield Problem(f"{key}.highest", f"{item.highest}", must, "choose another end of the scale")
         if item.kind == "choice" and len(set(item.choices)) < max(2, len(item.choices)):
             must = "must be two or more different answers"
             yield Problem(f"{key}.choices", shown(item.choices), must, 'write them like ["yes", "no"]')
         places = {str(place): choice for place, choice in enumerate(item.choices, 1)}
         if item.kind == "choice" and any(places.get(choice, choice) != choice for choice in item.choices):
-            must = "must not read like the number of another answer: they are chosen by number"
+            must = "must not contain the number of another choice: participants answer with these numbers"
             yield Problem(f"{key}.choices", shown(item.choices), must, 'use words, or kind = "scale"')
         if item.kind != "choice" and item.choices:
-            must = f'has no place in a question of kind = "{item.kind}"'
-            yield Problem(f"{key}.choices", shown(item.choices), must, 'say kind = "choice", or leave it out')
+            must = f'is not used by a question of kind = "{item.kind}"'
+            yield Problem(f"{key}.choices", shown(item.choices), must, 'set kind = "choice", or omit it')
 
 
 def console_keys(protocol: Protocol) -> Iterator[Problem]:
@@ -373,7 +389,7 @@ def _names_twice(key: str, names: list[str]) -> Iterator[Problem]:
     """Names that are alike but for capitals, as they were written."""
     for name in _twice(name.casefold() for name in names):
         written = dict.fromkeys(shown(one) for one in names if one.casefold() == name)
-        yield Problem(key, " and ".join(written), "is there more than once", "give each its own name")
+        yield Problem(key, " and ".join(written), "is used more than once", "give each its own name")
 
 
 def _twice(values: Iterable[Any]) -> list[Any]:

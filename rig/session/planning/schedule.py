@@ -61,7 +61,7 @@ def schedule(protocol: Protocol, row: int) -> tuple[Block, ...]:
         The participant's row of the order, from 0: the first participant has 0, the next one 1.
     """
     if row < 0:
-        raise ValueError(f"row {row} is below 0")
+        raise ValueError(f"row = {row} must not be below 0")
     groups = _orders(protocol, row)
     blocks = list(_practice(protocol, row))
     number = 0

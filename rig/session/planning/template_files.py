@@ -27,7 +27,7 @@ def template_text(name: str) -> str:
     """Return the text of a template; raise `ConfigError` for an unknown name."""
     if name not in template_names():
         choice = did_you_mean(name, template_names(), f"choose one of: {', '.join(template_names())}")
-        raise ConfigError(f"there is no template {name!r}", remedy=choice)
+        raise ConfigError(f"unknown template {name!r}", remedy=choice)
     return (files("rig.session") / "templates" / f"{name}.toml").read_text(encoding="utf-8")
 
 
@@ -50,7 +50,8 @@ def write_template(name: str, path: Path) -> Path | None:
     """
     if path.exists():
         raise RecordingError(
-            f"cannot write {path}: it exists", remedy="choose another name; a protocol is never overwritten"
+            f"cannot write {path}: the file exists, and a protocol is never overwritten",
+            remedy="choose another name",
         )
     text = f"#:schema ./{SCHEMA}\n{template_text(name)}"
     with plain_errors("write", path), path.open("x", encoding="utf-8") as file:

@@ -28,20 +28,28 @@ class Presented:
 
     block: Annotated[int, Quantity("", "number from 1; 0 is practice")]
     run: Annotated[
-        int, Quantity("", "search that asked for the wall, numbered over the session from 1; 0 is practice")
+        int,
+        Quantity(
+            "", "number of the run (search) that chose the wall, over the session from 1; 0 is practice"
+        ),
     ]
     trial: Annotated[
-        int, Quantity("", "number over the session, from 1, practice and repeated ones included")
+        int, Quantity("", "number over the session from 1, including practice and repeated trials")
     ]
-    attempt: Annotated[int, Quantity("", "from 1; more after invalid trials")]
-    condition: Annotated[str, Quantity("", "name in the protocol")]
+    attempt: Annotated[int, Quantity("", "attempt at this trial, from 1; higher after invalid ones")]
+    condition: Annotated[str, Quantity("", "condition's name in the protocol")]
     damping: Annotated[float, Quantity("damping", "B of the wall")]
-    repeat: Annotated[int, Quantity("", "of this condition and damping, from 1")]
+    repeat: Annotated[int, Quantity("", "number of the repeat of this condition and damping, from 1")]
     stiffness: Annotated[float, Quantity("stiffness", "K of the wall")]
-    track: Annotated[int, Quantity("", "of the search that asked for the wall, from 0; -1 for a catch trial")]
-    catch: Annotated[bool, Quantity("", "a catch trial, whose verdict is known and which moves no track")]
-    practice: Annotated[bool, Quantity("", "before the first block; counts for nothing")]
-    seed: Annotated[int, Quantity("", "of the simulation")]
+    track: Annotated[
+        int, Quantity("", "track of the search that chose the wall, from 0; -1 for a catch trial")
+    ]
+    catch: Annotated[
+        bool,
+        Quantity("", "true for a catch trial, whose correct verdict is known and which the search ignores"),
+    ]
+    practice: Annotated[bool, Quantity("", "true for practice before the first block, which is not counted")]
+    seed: Annotated[int, Quantity("", "seed of the simulation")]
 
     @property
     def probe(self) -> Probe:
@@ -58,32 +66,34 @@ class Presented:
 class HitOutcome:
     """What a recorded hit came to."""
 
-    recording: Annotated[str, Quantity("", "file, relative to the participant's directory")]
-    sha256: Annotated[str, Quantity("", "of the sealed recording")]
+    recording: Annotated[str, Quantity("", "file of the recording, relative to the participant's directory")]
+    sha256: Annotated[str, Quantity("", "SHA-256 of the sealed recording")]
     rows_sha256: Annotated[
-        str, Quantity("", "of its rows alone, which a simulation with the same seed repeats")
+        str,
+        Quantity("", "digest of the rows alone, which is reproducible in a simulation with the same seed"),
     ]
     ended: Annotated[str, Quantity("", "finished, or why the hit ended early")]
-    aborted: Annotated[str, Quantity("", "what cut the hit off for safety; empty when nothing did")]
+    aborted: Annotated[str, Quantity("", "reason why the hit was cut off for safety; empty if it was not")]
     automatic: Annotated[str, Quantity("", "automatic verdict: stable, limit cycle, unstable, invalid")]
-    reasons: Annotated[tuple[str, ...], Quantity("", "of the automatic verdict")]
+    reasons: Annotated[tuple[str, ...], Quantity("", "reasons of the automatic verdict")]
     outside: Annotated[
         tuple[str, ...],
-        Quantity("", "how impact speed or press lay outside the protocol's bands; empty when inside"),
+        Quantity("", "how impact speed or press lay outside the protocol's ranges; empty if inside"),
     ]
     by_machine: Annotated[
         bool,
         Quantity(
-            "", "whether it is invalid because of gaps or late ticks alone: of the computer, or the link"
+            "", "true if invalid only because of gaps or late ticks, caused by the computer or the link"
         ),
     ]
     passes: Annotated[
         Mapping[str, bool | None],
-        Quantity("", "whether the wall is stable under each criterion; None: invalid"),
+        Quantity("", "true if the wall is stable under each criterion; None: invalid"),
     ]
-    numbers: Annotated[Mapping[str, float | None], Quantity("", "of the automatic verdict")]
+    numbers: Annotated[Mapping[str, float | None], Quantity("", "measured numbers of the automatic verdict")]
     baseline: Annotated[
-        Mapping[str, float] | None, Quantity("", "free space before the hit (rig.experiments.baseline)")
+        Mapping[str, float] | None,
+        Quantity("", "measurements in free space before the hit (rig.experiments.baseline)"),
     ]
     heat: Annotated[float, Quantity("1", "share of the winding's heat budget after the hit")]
 
@@ -93,21 +103,21 @@ class RecordedTrial(Presented, HitOutcome):
     """A recorded trial as it stands in the log, and its verdict."""
 
     verdict: Annotated[
-        str, Quantity("", "stable, buzz, unstable, unsure; corrections included; empty before it")
+        str, Quantity("", "stable, buzz, unstable, unsure; corrections included; empty if not yet judged")
     ] = ""
-    judged_by: Annotated[str, Quantity("", "person, simulated or automatic; empty before the verdict")] = ""
+    judged_by: Annotated[str, Quantity("", "person, simulated or automatic; empty if not yet judged")] = ""
     response_time_s: Annotated[float | None, Quantity("s", "from the question to the verdict")] = None
     too_fast: Annotated[
         bool,
         Quantity(
-            "", "whether a person's verdict came sooner after the question than trial.fastest_verdict_s"
+            "", "true if a person's verdict came sooner after the question than trial.fastest_verdict_s"
         ),
     ] = False
     void: Annotated[
         str,
         Quantity(
             "",
-            "why it does not count: redone, restarted, left out, invalid, not judged; empty when it counts",
+            "why the trial does not count: redone, restarted, left out, invalid, not judged; empty if it counts",
         ),
     ] = ""
 

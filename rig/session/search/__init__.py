@@ -43,12 +43,11 @@ def make(name: str, **settings: Any) -> Rule:
     """
     rule = RULES.get(name)
     if rule is None:
-        raise ConfigError(
-            f"there is no search rule {name!r}", remedy=f"choose one of {', '.join(sorted(RULES))}"
-        )
+        raise ConfigError(f"unknown search rule {name!r}", remedy=f"choose one of {', '.join(sorted(RULES))}")
     try:
         return rule(**settings)
     except TypeError as error:
         raise ConfigError(
-            f"search rule {name}: {error}", remedy="see its settings in the documentation"
+            f"search rule {name}: {error}",
+            remedy="check its settings against the documentation of the search rules",
         ) from error

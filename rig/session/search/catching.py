@@ -102,8 +102,8 @@ class Catching:
     def __post_init__(self) -> None:
         if not 0.0 <= self.share <= MOST_SHARE:
             raise ConfigError(
-                f"a share of {self.share:g} of the trials as catch trials is outside 0 … {MOST_SHARE:g}",
-                remedy="choose a smaller share",
+                f"the share of catch trials, {self.share:g}, is outside 0 … {MOST_SHARE:g}",
+                remedy="choose a share within this range",
             )
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:

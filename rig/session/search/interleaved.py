@@ -79,7 +79,7 @@ class Interleaved:
         short = [f"{one.mark}, track {number}" for number, one in enumerate(single, 1) if one.ended_by_most]
         mark = "; ".join(short)
         if {"above", "below"} <= {one.censored for one in single}:
-            mark = "its tracks ended beyond opposite ends of the levels"
+            mark = "its two tracks ended beyond opposite ends of the levels"
         estimate = Estimate(
             value=value,
             low=low,

@@ -87,8 +87,8 @@ def checked_levels(levels: Iterable[float]) -> tuple[float, ...]:
     rising = all(a < b for a, b in pairwise(values))
     if len(values) < 2 or not rising or not values[0] > 0.0 or not math.isfinite(values[-1]):
         raise ConfigError(
-            f"{len(values)} levels of stiffness that do not rise from above zero",
-            remedy="give two or more, each above the one before",
+            f"the {len(values)} levels of stiffness are not valid",
+            remedy="give two or more levels above 0, in rising order",
         )
     return values
 
@@ -97,7 +97,8 @@ def check_whole(name: str, value: int, least: int, most: int) -> None:
     """Raise `rig.core.errors.ConfigError` unless a setting is a whole number in its range."""
     if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
         raise ConfigError(
-            f"{name} = {value!r} is not a whole number from {least} to {most}", remedy="choose another"
+            f"{name} = {value!r} is not a whole number from {least} to {most}",
+            remedy="choose one in this range",
         )
 
 
@@ -117,11 +118,11 @@ def contradiction(value: float, low: float, high: float, verdicts: Sequence[tupl
         return ""
     near = FLOATING * value  # a mean of equal levels may differ from them by rounding
     if not low - near <= value <= high + near:
-        return "outside of its own interval"
+        return "the estimate lies outside its own interval"
     if not any(stable and level <= value + near for level, stable in verdicts):
-        return "no wall up to it was judged stable"
+        return "no wall up to the limit was judged stable"
     if all(stable or level < value - near for level, stable in verdicts):
-        return "no wall from it on was judged not stable"
+        return "no wall from the limit upwards was judged not stable"
     return ""
 
 

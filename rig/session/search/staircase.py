@@ -77,7 +77,7 @@ class Staircase:
         check_whole("turns", self.turns, 2, 1000)
         check_whole("most", self.most, 1, 100_000)
         if not self.steps:
-            raise ConfigError("the staircase has no steps", remedy="give steps, like [4, 2, 1]")
+            raise ConfigError("the staircase needs at least one step", remedy="give steps, like [4, 2, 1]")
         for step in self.steps:
             check_whole("steps", step, 1, len(levels) - 1)
         if self.start is not None and self.start not in levels:

@@ -67,8 +67,8 @@ class Child:
                 ours.pop_all()
         except (OSError, RuntimeError) as error:  # RuntimeError: no thread
             raise RigError(
-                f"the console does not start: {getattr(error, 'strerror', None) or error}",
-                remedy="free memory, processes or open files, and resume",
+                f"the console cannot be started: {getattr(error, 'strerror', None) or error}",
+                remedy="free memory, processes or open files, then resume the session",
             ) from error
         self.say("setup", **setup)
 

@@ -144,7 +144,7 @@ class Conversation:
         self.notice = ""
         is_new = now_s is None or self.held.arrive(key, now_s)
         if key == STOP and (self.moving or self.entry is None):
-            self.notice = "STOP" if self.moving else "nothing moves"
+            self.notice = "STOP" if self.moving else "STOP: nothing is moving"
             self.help = False
             return [StopPressed()]
         if self.help:
@@ -154,7 +154,7 @@ class Conversation:
         is_text = self.entry is not None and (key != "enter" or self.entry.text)
         if not (is_new or is_text or self.question is None):
             self.notice = (
-                f"{key}: down since before the question; release it for {RELEASED_S:g} s, then press it"
+                f"{key} was held down before the question; release it for {RELEASED_S:g} s, then press it"
             )
             return []
         if self.twice is not None:
@@ -175,7 +175,7 @@ class Conversation:
             self.help = True
             return []
         if not meaning:
-            self.notice = f"{key}: no such key (? shows them)"
+            self.notice = f"{key} has no function (? lists the keys)"
             return []
         action: Action = "judge" if meaning in VERDICTS else cast("Action", meaning)
         if action in self.allowed:
@@ -185,7 +185,7 @@ class Conversation:
             return []
         if action in LATER and self.question is None:
             return self._act(action) if action in TWICE else self._remember(action)
-        self.notice = f"{meaning}: not now"
+        self.notice = f"{meaning} is not possible now"
         return []
 
     def _act(self, action: Action, *, sure: bool = False) -> list[Decision]:
@@ -200,14 +200,14 @@ class Conversation:
 
     def _remember(self, action: Action) -> list[Decision]:
         self.later = action
-        self.notice = f"{action}: when this is over"
+        self.notice = f"{action}: will follow when this is over"
         return []
 
     def _confirm(self, key: str) -> list[Decision]:
         action, self.twice = self.twice, None
         assert action is not None
         if key.lower() != "y" and self.keymap.meaning(key) != action:
-            self.notice = f"{action}: no"
+            self.notice = f"{action}: cancelled"
             return []
         if action in self.allowed:
             return self._answer(Answer(action))

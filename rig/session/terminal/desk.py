@@ -132,7 +132,9 @@ class ConsoleDesk(AskingDesk):
         if child is not self._child:
             return None
         if message["kind"] == "gone":
-            raise StoppedError(str(message.get("why", "the console is gone")), remedy=REMEDY)
+            raise StoppedError(
+                str(message.get("why", "the connection to the console was lost")), remedy=REMEDY
+            )
         return message
 
     def _check_there(self) -> None:
@@ -168,7 +170,8 @@ class ConsoleDesk(AskingDesk):
         self._child.close(last=self._restarts >= RESTARTS)
         if self._restarts >= RESTARTS:
             raise StoppedError(
-                f"the console ended {self._restarts + 1} times" + (f": {why}" if why else ""), remedy=REMEDY
+                f"the console has failed {self._restarts + 1} times" + (f": {why}" if why else ""),
+                remedy=REMEDY,
             )
         self._restarts += 1
         self._child = self._started()
@@ -223,14 +226,16 @@ def _open_terminal(place: Path) -> tuple[int, list[Any]]:
             before = termios.tcgetattr(descriptor)
         except (OSError, termios.error) as error:
             raise ConfigError(
-                f"a session with a person needs a terminal for its operator ({place}: {error.args[-1]})",
-                remedy="run it in a terminal or on a page (`rig console`), or rehearse it: --rehearse",
+                f"a session with a person needs a terminal for the operator ({place}: {error.args[-1]})",
+                remedy="run it in a terminal or in a browser (`rig console`), or rehearse it: --rehearse",
             ) from error
         try:
             ours = os.tcgetpgrp(descriptor) == os.getpgrp()
         except OSError:
             ours = True  # a terminal that controls no session has no foreground process group
         if not ours:
-            raise ConfigError("the session runs in the background, where nobody can answer", remedy="fg")
+            raise ConfigError(
+                "the session is in the background, where it cannot read keys", remedy="bring it back with: fg"
+            )
         opened.pop_all()
     return descriptor, before

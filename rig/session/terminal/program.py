@@ -144,7 +144,7 @@ class _Console:
         except OSError:
             data = b""
         if not data:
-            self._say("gone", why="the terminal is gone")
+            self._say("gone", why="the terminal was closed")
             return False
         self._read_s = time.monotonic()
         self._press(self._keyboard.feed(data))

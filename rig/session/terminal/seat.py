@@ -148,8 +148,8 @@ def keymap_for(keys: Keys, hand: HandKind | None) -> KeyMap:
     for meaning, key in keymap.keys.items() if hand == "keyboard" else ():
         if key in KEYS:
             raise ConfigError(
-                f"[keys] {meaning} = {key!r}: that key moves the hand",
-                remedy="give another key, or leave `hand` keyboard out",
+                f"[keys] {meaning} = {key!r}: this key already moves the simulated hand",
+                remedy="choose another key, or omit `hand` keyboard",
             )
     return keymap
 
@@ -158,5 +158,6 @@ def refuse_a_hand(hand: HandKind | None, runner: TrialRunner) -> None:
     """Raise `ConfigError` for a hand that is to be moved at a rig that is real."""
     if hand is not None and not runner.simulated:
         raise ConfigError(
-            f"`hand` {hand} moves a simulated rig, and this one is real", remedy="leave it out, or `url`"
+            f"`hand` {hand} needs a simulated rig, but `url` names a real one",
+            remedy="omit `hand`, or omit `url`",
         )

@@ -16,21 +16,24 @@ from rig.session.terminal.pointer import CLOSE, HandKind
 HALF, NEAR = 0.4, 0.8  # of the limit: from where an effort is called half, and near the limit
 MEANINGS: dict[str, str] = {
     "go": "continue (also enter)",
-    "redo": "the last trial does not count and comes again",
+    "redo": "discard the last trial and repeat it",
     "pause": "pause before the next trial",
     "note": "write a note into the log",
-    "skip": "leave this run without a limit (asks once)",
-    "abort": "leave the session; it can be resumed (asks once)",
+    "skip": "end this run without a limit (asks for confirmation)",
+    "abort": "leave the session; it can be resumed (asks for confirmation)",
 }
 HANDS: dict[HandKind, list[tuple[str, str]]] = {
     "keyboard": [
-        ("right, left", "a step towards the wall, or back; inside it the hand presses harder with each"),
+        ("right, left", "one step towards the wall, or back; inside the wall each step presses harder"),
         ("up, down", f"{CLOSE} steps at once"),
         ("end, home", "into the wall and full press, or back behind the start"),
     ],
     "mouse": [
-        ("mouse", "to the right: towards the wall; inside it the hand presses harder with the way"),
-        ("button", "held: full press"),
+        (
+            "mouse",
+            "to the right: towards the wall; inside the wall the hand presses harder the further you move",
+        ),
+        ("button", "while held: full press"),
     ],
 }
 ORDER: tuple[Action, ...] = ("go", "redo", "pause", "note", "skip", "abort")
@@ -74,7 +77,7 @@ def facts(view: DeskView) -> list[tuple[str, str]]:
         ("state", view.state),
         ("condition", "hidden" if view.condition is None else view.condition),
         ("wall", wall),
-        ("counts", "no, practice" if view.practice else "yes"),
+        ("counts", "no (practice)" if view.practice else "yes"),
         ("attempt", str(view.attempt)),
         *([("asked", view.asked)] if view.asked else []),
         ("motor heat", f"{100 * view.heat:.0f} % of budget"),
@@ -127,7 +130,7 @@ def question(talk: Conversation, now_s: float) -> str:
         return f"{TWICE[talk.twice]}?"
     asked = talk.question
     if asked is None:
-        return "the rig moves: SPACE stops it" if talk.live else "wait"
+        return "the rig is moving; SPACE stops it" if talk.live else "please wait"
     left = talk.left_s(now_s)
     text = asked.text
     item = asked.item or {}
@@ -182,5 +185,5 @@ def help_pairs(talk: Conversation, *, interrupts: bool = True) -> list[tuple[str
         *((keymap.key_of(action), MEANINGS[action]) for action in ORDER),
         *([("^C", "stop, and leave the session; works also when this console hangs")] if interrupts else []),
         *(HANDS[talk.hand] if talk.hand else []),
-        ("?, enter, escape", "back; any other key does what it says here"),
+        ("?, enter, escape", "close this list; any other key acts as listed"),
     ]

@@ -17,7 +17,7 @@ def test_answers_and_errors_come_back_from_one_process_and_none_is_left(tmp_path
         try:
             asked = {"directory": str(tmp_path), "search": "", "first": 0}
             assert await errands.run("recordings", **asked) == ({"recordings": [], "more": False}, b"")
-            with pytest.raises(RigError, match="no export 'exe'"):
+            with pytest.raises(RigError, match="'exe' is not an export format"):
                 await errands.run("export", path="nowhere", form="exe")
             (process,) = errands._all
             os.kill(process.pid, 9)

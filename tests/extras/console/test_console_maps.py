@@ -176,7 +176,7 @@ def test_a_map_is_named_inside_its_directory_or_not_at_all(root: Path, do: str, 
         link.symlink_to(root / "maps" / NAME)
     if (do, name) == ("map-watch", ""):
         return  # shows none
-    with pytest.raises(ConfigError, match="is no directory here"):
+    with pytest.raises(ConfigError, match="is not a directory here"):
         run(lambda: ask(MapService(shared(root / "recordings")), Page(), do, map=name))
 
 

@@ -206,7 +206,7 @@ def test_a_replay_lies_over_the_same_times_and_says_how_far_it_is_apart(output: 
         ("cut?first=0&last=x", "has no valid `first`"),
         ("cut?first=0&last=1&columns=nothing", "no column 'nothing'"),
         ("cut?first=0&last=1&estimator=nobody", "nobody"),
-        ("export?form=exe", "no export 'exe'"),
+        ("export?form=exe", "'exe' is not an export format"),
     ],
 )
 def test_what_cannot_be_had_is_refused_with_a_remedy(output: Path, what: str, said: str) -> None:
@@ -300,7 +300,7 @@ def test_a_name_is_of_a_file_in_the_directory_or_nothing_happens(output: Path, d
     (output / ".hidden.parquet").write_bytes(b"hidden")
     (output / TRASH).mkdir()
     before = sorted(output.parent.rglob("*"))
-    with pytest.raises(ConfigError, match="is no file here"):
+    with pytest.raises(ConfigError, match="is not a file here"):
         run(lambda: ask(Recordings(shared(output)), Page(), do, name=name))
     assert sorted(output.parent.rglob("*")) == before
 
@@ -315,7 +315,7 @@ def test_a_name_is_of_a_file_in_the_directory_or_nothing_happens(output: Path, d
 def test_a_download_leads_out_of_no_directory(output: Path, path: str) -> None:
     (output.parent / "x.parquet").write_bytes(b"somebody's")
     (output / "link.parquet").symlink_to(output.parent / "x.parquet")
-    with pytest.raises(ConfigError, match=r"is no (file|directory) here"):
+    with pytest.raises(ConfigError, match=r"is not a (file|directory) here"):
         fetch(output, path)
 
 

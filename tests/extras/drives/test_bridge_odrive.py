@@ -117,8 +117,11 @@ def other(**parts: Any) -> RigModel:
 @pytest.mark.parametrize(
     ("model", "says"),
     [
-        (other(amplifier={"effort_per_ampere": 1.0}), "the experiment says 1"),  # amperes for N·m
-        (other(encoder={"ratio": 2.0 * 6.283185307}), "the experiment says 0.1"),  # radians for revolutions
+        (other(amplifier={"effort_per_ampere": 1.0}), "but the experiment has 1"),  # amperes for N·m
+        (
+            other(encoder={"ratio": 2.0 * 6.283185307}),
+            "but the experiment has 0.1",
+        ),  # radians for revolutions
         (
             other(encoder=Encoder(counts_per_revolution=2048, ratio=2.0)),
             "16384 counts per turn, but the experiment has 8192",
@@ -142,7 +145,7 @@ def test_all_that_is_wrong_is_named_at_once_with_what_to_type() -> None:
 def test_another_version_of_firmware_or_of_the_file() -> None:
     assert "firmware 0.5.6" in refusal(drive_with(firmware=(0, 5, 6)), kind=IncompatibleDeviceError)
     said = refusal(drive_with(firmware=(0, 6, 9)), kind=IncompatibleDeviceError)
-    assert "firmware 0.6.9, flat_endpoints.json is of 0.6.11" in said
+    assert "firmware 0.6.9, but flat_endpoints.json is for 0.6.11" in said
     numbers = replace(endpoints(), by_path={})
     with pytest.raises(IncompatibleDeviceError, match=r"has no parameter axis0\.config"):
         found_odrive(drive_with(), bridged_rig(), numbers=numbers)

@@ -214,7 +214,7 @@ def test_a_session_goes_on_when_the_process_that_streams_is_gone(
     assert marks.lost == 3
     assert marks.close() is None
     assert marks.close() is None
-    assert len([record for record in caplog.records if "does not take markers" in record.message]) == 1
+    assert len([record for record in caplog.records if "no longer accepts markers" in record.message]) == 1
 
 
 def test_an_ended_session_leaves_no_process_and_says_what_was_sent(pylsl: Any) -> None:

@@ -275,7 +275,7 @@ def test_what_cannot_be_meant_is_refused(monkeypatch: pytest.MonkeyPatch) -> Non
         serve(rate=0.0)
     with pytest.raises(ConfigError, match="position rate"):
         serve(expected=("rotary", -1.0))
-    with pytest.raises(ConfigError, match="no process"):
+    with pytest.raises(ConfigError, match="no running process"):
         serve(2**22 + 1)
     for error, match in ((ImportError(), "not installed"), (RuntimeError(), "no liblsl")):
 

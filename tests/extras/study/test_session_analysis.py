@@ -541,7 +541,7 @@ def test_sessions_of_different_studies_are_refused(tmp_path: Path) -> None:
         read_study([tmp_path / "P01", tmp_path / "P05"])
     with sitting(tmp_path / "again" / "P01", protocol(), person()) as one:
         one.run(trials=1)
-    with pytest.raises(ConfigError, match="participant P01 occurs twice"):
+    with pytest.raises(ConfigError, match="participant P01 has two sessions"):
         read_study([tmp_path / "P01", tmp_path / "again"])
 
 

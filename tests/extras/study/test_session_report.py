@@ -81,7 +81,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Any:
             one.record("note", text=NASTY, trial=5)
             one.record("redone", trial=one.state.newest)
             one.run(4)
-            one.record("paused", reason="the operator asked for it")
+            one.record("paused", reason="requested by the operator")
             one.now[0] += 90.0
             one.record("continued")
             one.run()
@@ -192,7 +192,7 @@ def test_the_first_page_has_the_results_alone(page: Any, found: Any) -> None:
     assert "#results { break-after: page; }" in page
 
 
-@pytest.mark.parametrize(("people", "why"), [(1, "1 participant, where"), (2, "2 participants, where")])
+@pytest.mark.parametrize(("people", "why"), [(1, "1 participant;"), (2, "2 participants;")])
 def test_below_three_participants_there_is_no_p_no_interval_over_them_and_one_sentence_why(
     people: int, why: str, tmp_path: Path
 ) -> None:

@@ -280,12 +280,12 @@ def test_people_who_all_differ_by_the_same_give_no_interval_and_no_p(apart: floa
     ]
     each = kmax.of_participants(rows, {})
     (one,) = kmax.paired(each, "ab")
-    assert "the differences of the participants are alike" in one.problem
+    assert "the differences of the participants are equal" in one.problem
     assert one.difference == pytest.approx(apart)
     assert all(math.isnan(value) for value in (one.low, one.high, one.p, one.holm))
     assert not kmax.paired(kmax.of_participants(runs_of_people(), {}), "ab")[0].problem
     (alone,) = kmax.paired([row for row in each if row.participant == "P0"], "ab")
-    assert "1 participant, where" in alone.problem
+    assert "1 participant; an" in alone.problem
 
 
 @given(p=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=6))
@@ -588,7 +588,7 @@ def test_a_cell_that_is_mostly_beyond_the_levels_is_left_out_and_so_is_the_mean_
     [
         ([], "0 participants"),
         (runs_of_people(people=2), "2 participants with a limit;"),
-        ([run_row(f"P{n}", value=400.0 + n) for n in range(3)], "no two conditions or dampings"),
+        ([run_row(f"P{n}", value=400.0 + n) for n in range(3)], "fewer than two conditions or dampings"),
         (
             [run_row(f"P{n}", "ab"[n > 1], value=400.0 + n) for n in range(3)]
             + [run_row("P2", "a", value=410.0)],
@@ -699,7 +699,7 @@ def test_slopes_are_those_of_least_squares_with_a_mean_for_each_cell_and_their_m
     ("people", "pace", "why"),
     [
         (1, 0.01, "1 participant with a slope of their own; an interval and a p value need 3 or more"),
-        (3, 0.01, "the slopes of the participants are alike"),
+        (3, 0.01, "the slopes of the participants are equal"),
         (3, 0.0, "all values are equal within participants"),
     ],
 )

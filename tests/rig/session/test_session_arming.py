@@ -239,4 +239,4 @@ def test_the_log_says_what_is_armed_all_the_same(tmp_path: Path) -> None:
     run_session(written(tmp_path), "P01", at(ScriptedDesk()), runner=runner, study=tmp_path)
     opened = next(event for event in read(tmp_path / "P01" / LOG) if event.kind == "opened")
     assert opened.content["armed_anyway"] == armed
-    assert "refuses 2 walls" in line_of_event(opened)
+    assert "2 walls that the arming gate refuses" in line_of_event(opened)

@@ -38,8 +38,8 @@ from rig.session.terminal import words
 from tests.rig.session.session_fakes import FakeRunner, ScriptedDesk, protocol_of, started, study
 
 BOTH = Trial(impact_speed=(0.2, 0.4), press=(0.15, 0.25))
-FAST = "hit too fast: 0.5 rad/s (0.2 to 0.4 rad/s asked)"
-HARD = "pressed too hard: 0.3 N·m (0.15 to 0.25 N·m asked)"
+FAST = "hit too fast: 0.5 rad/s (required: 0.2 to 0.4 rad/s)"
+HARD = "pressed too hard: 0.3 N·m (required: 0.15 to 0.25 N·m)"
 STUDY = """
 [study]
 title = "bands"
@@ -90,7 +90,7 @@ def hit(automatic: str = "stable", **numbers: float | None) -> HitOutcome:
         (hit(impact_velocity=0.5), (FAST,)),
         (hit(impact_velocity=-0.5), (FAST,)),  # a wall on the other side
         (hit(impact_velocity=0.2, press=0.25), ()),  # the ends belong to it
-        (hit(impact_velocity=0.1), ("hit too slowly: 0.1 rad/s (0.2 to 0.4 rad/s asked)",)),
+        (hit(impact_velocity=0.1), ("hit too slowly: 0.1 rad/s (required: 0.2 to 0.4 rad/s)",)),
         (hit(press=0.3), (HARD,)),
         (hit("limit cycle", impact_velocity=0.5, press=0.3), (FAST, HARD)),
         (hit("unstable", press=0.3), ()),  # there the effort is the wall's own
@@ -149,7 +149,7 @@ def session_with(tmp_path: Path, **trial: Any) -> tuple[ScriptedDesk, Any, list[
 def test_a_hit_outside_is_repeated_and_a_blinded_operator_reads_no_effort(tmp_path: Path) -> None:
     desk, result, events = session_with(tmp_path)
     first = next(view for view in desk.views if view.last)
-    assert first.last == f"trial 1: invalid, it is repeated: {FAST}; pressed too hard: ask for less"
+    assert first.last == f"trial 1: invalid, will be repeated: {FAST}; pressed too hard: ask to press less"
     assert (first.trial, first.attempt, first.say[:7]) == (2, 2, "Again. ")
     assert {view.asked for view in desk.views} == {"impact speed 0.2 to 0.4 rad/s, press 0.15 to 0.25 N·m"}
     assert (result.invalid, result.outside, result.trials) == (1, 1, 3)
@@ -167,14 +167,15 @@ def test_a_hit_that_is_kept_is_judged_and_marked_after_its_verdict_alone(tmp_pat
     asked = [view for view in desk.views if view.state == "verdict?"]
     assert asked[0].last == "trial 1: over"
     assert any(
-        view.last == f"trial 1: done, kept, but {FAST}; pressed too hard: ask for less" for view in desk.views
+        view.last == f"trial 1: done, counts, but {FAST}; pressed too hard: ask to press less"
+        for view in desk.views
     )
-    assert not any("ask for less" in line for view in desk.views for line in view.lines)
+    assert not any("ask to press less" in line for view in desk.views for line in view.lines)
     (trial,) = [one for one in events if one.kind == "trial" and one.content["trial"] == 1]
     assert trial.content["automatic"] == "stable"
-    assert f"kept, but {FAST}; {HARD}" in whole_line(trial, "rotary")
+    assert f"counts, but {FAST}; {HARD}" in whole_line(trial, "rotary")
     found = analyse([tmp_path])
-    assert outcome(found.trials[0], blind=False).endswith(f"kept, but {FAST}; {HARD}")
+    assert outcome(found.trials[0], blind=False).endswith(f"counts, but {FAST}; {HARD}")
     (table,) = [one for one in tables(found) if one.name == "trials"]
     (column,) = [one for one in table.columns if one.name == "outside"]
     assert [column.of(row) for row in table.rows] == [f"{FAST}; {HARD}", "", ""]
@@ -231,7 +232,7 @@ def test_the_plan_warns_of_a_band_that_the_simulated_hand_does_not_keep(walls: W
     own = replace(walls.protocol, study=replace(walls.protocol.study, changes=changes))  # said: it stays
     found = {one.name: one for one in check(own, Path()).checks}
     assert found["trial.press"].outcome is Outcome.WARNING
-    assert "asked 0.17 to 0.23 N·m" in found["trial.press"].text
+    assert "required 0.17 to 0.23 N·m" in found["trial.press"].text
     assert found["trial.impact_speed"].outcome is Outcome.WARNING
     assert "operator.reach_s" in found["trial.impact_speed"].remedy
 

@@ -454,12 +454,12 @@ def test_a_person_hears_that_a_hit_was_cut_off_only_after_their_verdict(tmp_path
 
 def test_a_desk_where_nobody_answers_leaves_a_session_that_can_be_resumed(tmp_path: Path) -> None:
     def gone(question: Question) -> Reply | None:
-        raise StoppedError("the console is gone")
+        raise StoppedError("the connection to the console was lost")
 
     session = started(tmp_path / "P01")
     with session, pytest.raises(StoppedError):
         conduct(session, FakeRunner(), ScriptedDesk(gone))
-    assert read(tmp_path / "P01" / LOG)[-1].content["reason"] == "the console is gone"
+    assert read(tmp_path / "P01" / LOG)[-1].content["reason"] == "the connection to the console was lost"
 
 
 def test_a_correction_is_an_event_of_its_own_and_changes_what_follows(tmp_path: Path) -> None:
@@ -512,7 +512,7 @@ def test_a_trial_is_amended_by_its_number(tmp_path: Path) -> None:
     for trial, value, said in ((999, "void", "no trial 999"), (2, "buzz", "trial 2 has no verdict")):
         with pytest.raises(ConfigError, match=said):
             event_of_trial(directory, trial, value)
-    with pytest.raises(ConfigError, match="cannot be said"):
+    with pytest.raises(ConfigError, match="cannot be corrected to"):
         amend(directory, event_of_trial(directory, 1, "void"), "buzz", "wrong key")
 
 
@@ -537,9 +537,9 @@ def test_corrections_that_are_none(tmp_path: Path, number: int, value: str, why:
 def test_a_participant_has_one_session(tmp_path: Path) -> None:
     run_with(started(tmp_path / "P01"), FakeRunner(), ScriptedDesk())
     before = (tmp_path / "P01" / LOG).read_bytes()
-    with pytest.raises(ConfigError, match="holds a session already"):
+    with pytest.raises(ConfigError, match="already contains a session"):
         started(tmp_path / "P01")
-    with pytest.raises(ConfigError, match="is over"):
+    with pytest.raises(ConfigError, match="has ended"):
         resume(tmp_path / "P01")
     assert (tmp_path / "P01" / LOG).read_bytes() == before
 
@@ -617,7 +617,7 @@ def test_a_correction_of_an_answer_is_checked_like_an_answer(tmp_path: Path) -> 
 
 
 def test_a_correction_in_the_wrong_directory_leaves_nothing_there(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="has no session"):
+    with pytest.raises(ConfigError, match="contains no session"):
         amend(tmp_path, 3, "buzz", "x")
     assert list(tmp_path.iterdir()) == []
 
@@ -687,7 +687,7 @@ def test_a_machine_that_spoils_one_trial_after_another_pauses_the_session(tmp_pa
     protocol, desk = protocol_of(stop={"machine": 3}), ScriptedDesk()
     state = run_with(started(tmp_path / "P01", protocol), spoiled(2, 3, 4, 5, 6, 8, 9), desk)
     (asked,) = [question for question in desk.questions if question.kind == "paused"]
-    assert f"spoiled 3 trials in a row: {LOST}; close other programs" in asked.text
+    assert f"made 3 trials in a row invalid: {LOST}; close other programs" in asked.text
     assert asked.actions == ("go", "note", "abort")
     events = read(tmp_path / "P01" / LOG)
     at = next(number for number, event in enumerate(events) if event.kind == "paused")
@@ -717,7 +717,7 @@ def test_a_session_killed_at_such_a_pause_goes_on_like_one_that_was_not(tmp_path
 
 def test_where_nobody_sits_the_session_ends_there_and_is_resumed(tmp_path: Path) -> None:
     session, person = started(tmp_path / "P01", protocol_of(stop={"machine": 3})), Person(thresholds={})
-    with pytest.raises(OverrunError, match="spoiled 3 trials in a row: from contact on") as ended:
+    with pytest.raises(OverrunError, match="made 3 trials in a row invalid: from contact on") as ended:
         rehearsed(session, spoiled(1, 2, 3, 4), person)
     assert ended.value.exit_code == 14
     assert "rig session resume" in ended.value.remedy

@@ -171,13 +171,13 @@ def test_keys_of_a_protocol() -> None:
 @pytest.mark.parametrize(
     ("keys", "says"),
     [
-        (Keys(stable=" "), "it is STOP"),
-        (Keys(stable="space"), "it is STOP"),
-        (Keys(redo="Enter"), "go in any case"),
-        (Keys(note="?"), "shows the keys"),
-        (Keys(buzz="1"), "that key is buzz already"),
-        (Keys(buzz="G"), "that key is go already|that key is buzz already"),
-        (Keys(abort="pedal"), "is not a key"),
+        (Keys(stable=" "), "always STOP"),
+        (Keys(stable="space"), "always STOP"),
+        (Keys(redo="Enter"), "always means go"),
+        (Keys(note="?"), "lists the keys"),
+        (Keys(buzz="1"), "this key already means buzz"),
+        (Keys(buzz="G"), "this key already means go|this key already means buzz"),
+        (Keys(abort="pedal"), "is not the name of a key"),
     ],
 )
 def test_keys_that_cannot_be_meant(keys: Keys, says: str) -> None:
@@ -200,7 +200,7 @@ def test_a_verdict_is_one_key() -> None:
 def test_what_is_pressed_before_the_question_is_no_answer() -> None:
     conversation = told()
     assert conversation.press("1") == []
-    assert "not now" in conversation.notice
+    assert "not possible now" in conversation.notice
     assert conversation.ask(plain(asked("verdict", ("judge", "redo"))), 0.0) == []
     assert conversation.press("g") == []
     assert conversation.press("r") == [Answer("redo")]
@@ -334,7 +334,7 @@ def test_an_unknown_key_on_the_page_of_the_keys_is_named() -> None:
     conversation = told(asked())
     conversation.press("?")
     assert conversation.press("x") == []
-    assert "x: no such key" in conversation.notice
+    assert "x has no function" in conversation.notice
 
 
 @given(st.text(st.sampled_from("1234grpnsa?y "), max_size=20), st.booleans())
@@ -442,7 +442,7 @@ def test_a_blinded_console_shows_neither_effort_nor_wall() -> None:
 
 
 LONG = (
-    "trial 7: invalid, it is repeated: from contact on, 2.1 % of the samples lost (limit 1 %), 7 in a row (limit 2): "
+    "trial 7: invalid, will be repeated: from contact on, 2.1 % of the samples lost (limit 1 %), 7 in a row (limit 2): "
     "the link or this computer was late; the hand left the wall before the end and did not come back: ask to stay in it"
 )
 

@@ -100,7 +100,7 @@ def test_an_escape_does_not_wait_for_the_session_to_be_silent(terminal: Terminal
         desk.show(DeskView(state="hold"))
         terminal.wait("hold")
         terminal.type("\x1b")
-        while "escape: no such key" not in terminal.printed:
+        while "escape has no function" not in terminal.printed:
             assert time.monotonic() < deadline
             desk.show(DeskView(state="hold"))
             pause.wait(0.01)
@@ -158,7 +158,7 @@ def test_a_console_that_dies_again_and_again_ends_the_session(
         for number in (1, 2):
             wait_for_console(terminal, number, "the verdict?")
             os.kill(desk.pid, signal.SIGKILL)
-        with pytest.raises(StoppedError, match="ended 2 times") as caught:
+        with pytest.raises(StoppedError, match="failed 2 times") as caught:
             reply.result(PATIENCE_S)
         assert "resume" in caught.value.remedy
     assert_given_back(terminal)
@@ -177,7 +177,7 @@ def test_closing_on_a_stopped_console_gives_the_terminal_back(
 @pytest.mark.parametrize("place", ["nowhere", "no-terminal"])
 def test_a_session_without_a_terminal_is_refused(place: str, tmp_path: Path) -> None:
     (tmp_path / "no-terminal").write_text("g1g1")
-    with pytest.raises(ConfigError, match="needs a terminal for its operator") as caught:
+    with pytest.raises(ConfigError, match="needs a terminal for the operator") as caught:
         ConsoleDesk(place=tmp_path / place)
     assert "--rehearse" in caught.value.remedy
 
@@ -222,7 +222,7 @@ def test_ctrl_c_reaches_the_session_past_a_stopped_console(terminal: Terminal) -
     with program(terminal) as (started, child):
         terminal.wait("P09", "[1] stable")
         terminal.type("\x1a\x1c\x13")  # ^Z, ^\\ and ^S do nothing but be unknown keys
-        terminal.wait("ctrl+s: no such key")
+        terminal.wait("ctrl+s has no function")
         os.kill(child, signal.SIGSTOP)
         terminal.type("\x03")
         _, err = started.wait()
@@ -273,7 +273,7 @@ def test_a_console_that_does_not_start_leaves_nothing(
         case _:
             monkeypatch.setattr(f"{module}.tempfile.TemporaryFile", refuse)
     before = sorted(os.listdir("/proc/self/fd"))
-    with pytest.raises(RigError, match="does not start: Too many open files") as caught:
+    with pytest.raises(RigError, match="cannot be started: Too many open files") as caught:
         ConsoleDesk(place=Path(terminal.path))
     monkeypatch.undo()
     assert caught.value.remedy
@@ -284,12 +284,12 @@ def test_a_hand_of_a_console_that_is_refused_leaves_no_file(
     terminal: Terminal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*given: Any) -> Any:
-        raise RigError("the console does not start")
+        raise RigError("the console cannot be started")
 
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     monkeypatch.setattr("rig.session.terminal.desk.Child", refuse)
     runner = FakeRunner()
-    with pytest.raises(RigError, match="does not start"):
+    with pytest.raises(RigError, match="cannot be started"):
         at_console(hand="keyboard", place=Path(terminal.path))(protocol_of(), {}, runner)
     assert list(tmp_path.iterdir()) == []
     assert runner.hand is None

@@ -45,7 +45,7 @@ def go_on(directory: Path) -> SessionState:
     try:
         session = resume(directory, clock=Day())
     except ConfigError as error:
-        if "is over" in str(error):
+        if "has ended" in str(error):
             return SessionState.of(read(directory / LOG))
         session = started(directory, short())
     return finish(session)

@@ -93,7 +93,7 @@ def test_a_part_of_the_machine_needs_somebody_who_fits_it_between_blocks() -> No
     with pytest.raises(ConfigError) as caught:
         protocol_of(condition=[{"name": "damped", "changes": DAMPED}])
     assert "condition 1.changes.rig.mechanics.link_damping = 0.02" in str(caught.value)
-    assert "condition 1.fit does not say what has to be fitted" in str(caught.value)
+    assert "condition 1.fit does not say which part has to be fitted" in str(caught.value)
     with pytest.raises(ConfigError, match=r'order.blocks = "repeat": must be "condition"'):
         factorial(blocks="repeat")
 
@@ -115,5 +115,5 @@ def test_a_device_of_another_encoder_is_refused_with_what_to_do() -> None:
     both = protocol_of(condition=[{"name": "fine"}, coarse], order=order)
     with pytest.raises(PlanError, match="built for another rig") as caught:
         refuse_misfit(Walls(both, base), Board())
-    assert "conditions with another one are a study of their own" in caught.value.remedy
+    assert "run conditions with another encoder as a separate study" in caught.value.remedy
     refuse_misfit(Walls(factorial(), base), Board())  # of a damper a board knows nothing

@@ -79,9 +79,9 @@ def test_names_are_made_one_spelling_where_they_enter() -> None:
 
 @pytest.mark.parametrize("twin", ["dual hidden ", f"dual{NBSP}hidden", "dual  hidden"])
 def test_conditions_that_differ_by_a_blank_are_one_name_twice(twin: str) -> None:
-    with pytest.raises(ConfigError, match="is there more than once"):
+    with pytest.raises(ConfigError, match="is used more than once"):
         named("dual hidden", twin)
-    with pytest.raises(ConfigError, match="is there more than once"):
+    with pytest.raises(ConfigError, match="is used more than once"):
         named("Größe", NFD)
 
 

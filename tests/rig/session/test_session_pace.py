@@ -73,7 +73,7 @@ def test_the_rate_that_is_proposed_is_the_highest_that_these_answers_keep() -> N
     assert pace_of(measured(often), 500, LIMITS).lost_share == 0.0
     assert sentence(found, simulated=True) == (
         "this computer or the link loses 2 % of the samples at 1000 Hz, or is late with them, up to 1 ms at a time; "
-        "run at 500 Hz, or rehearse, or close other programs and see `rig doctor`"
+        "run at 500 Hz, or rehearse, or close other programs and run `rig doctor`"
     )
     assert pace_of(measured({1: 0.1, 900: 0.1}), 1000, LIMITS).kept_hz is None
 
@@ -129,6 +129,6 @@ def test_what_was_measured_stands_in_the_log_and_is_told() -> None:
         "of the samples at 1000 Hz, or is late with them, up to 4 ms at a time; run at 125 Hz"
         in line_of_event(opened)
     )
-    assert "nearly every trial will be invalid, as the operator knows" in line_of_event(opened)
+    assert "nearly every trial will be invalid, which the operator accepted" in line_of_event(opened)
     assert resume_command(Path("P01"), [opened]).endswith("--lossy-anyway")
     assert line_of_event(Event(1, 0.0, "opened", {"pace": None})) == "opened"

@@ -43,7 +43,7 @@ def test_a_terminal_has_one_line(monkeypatch: pytest.MonkeyPatch, said: list[str
         for trial in (1, 2, 3, 4):
             seen.looks(ready(trial, 0 if trial == 1 else 2))
         seen.looks(DeskView(state="homing"))
-        seen.on_event(Event(1, 0.0, "paused", {"reason": "the operator asked for it"}))
+        seen.on_event(Event(1, 0.0, "paused", {"reason": "requested by the operator"}))
     start = "True \r\033[K"
     assert said == [
         f"{start}trial 1 of about 104, practice",
@@ -58,10 +58,10 @@ def test_elsewhere_events_are_lines_and_the_time_is_told_once(said: list[str]) -
     with Rehearsed(quiet=False, clock=clock(0.5).__next__) as seen:
         for trial in range(1, 8):
             seen.looks(ready(trial))
-        seen.on_event(Event(1, 0.0, "paused", {"reason": "the operator asked for it"}))
+        seen.on_event(Event(1, 0.0, "paused", {"reason": "requested by the operator"}))
     assert said == [
         "True   trial 4 of about 104, block 2 of 5, about 50 s left",
-        "True   paused: the operator asked for it",
+        "True   paused: requested by the operator",
     ]
 
 
@@ -69,5 +69,5 @@ def test_nothing_is_said_to_a_program(said: list[str]) -> None:
     with Rehearsed(quiet=True) as seen:
         for trial in range(1, 8):
             seen.looks(ready(trial))
-        seen.on_event(Event(1, 0.0, "paused", {"reason": "the operator asked for it"}))
+        seen.on_event(Event(1, 0.0, "paused", {"reason": "requested by the operator"}))
     assert said == []

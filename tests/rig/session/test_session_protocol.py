@@ -180,7 +180,7 @@ def test_a_person_meets_no_more_than_nominal_effort_unless_somebody_answers_for_
         ({"study.participants": 0}, "≥ 1 and ≤ 10000"),
         ({"study.participants": 12.0}, "write a whole number in this range"),
         ({"study.seed": -1}, "study.seed = -1"),
-        ({"study.experiment": "rig.toml"}, "give one of the two"),
+        ({"study.experiment": "rig.toml"}, "exactly one of the two must"),
         (
             {"study.changes": {"wall.side": [1]}},
             "study.changes.wall.side = [1]: must be a finite number, text",
@@ -189,11 +189,11 @@ def test_a_person_meets_no_more_than_nominal_effort_unless_somebody_answers_for_
         ({"condition": {"name": "x"}}, "write [[condition]]"),
         ({"condition.1.nmae": "x"}, "condition 2.nmae: is not a known key; did you mean name?"),
         ({"condition.1.name": ""}, 'condition 2.name = ""'),
-        ({"condition.1.name": "Uniform"}, "is there more than once"),
+        ({"condition.1.name": "Uniform"}, "is used more than once"),
         ({"condition.1.damping": []}, "a list of numbers in N·m·s/rad or N·s/m, at least one"),
         ({"condition.1.damping": 0.5}, "write numbers in brackets"),
         ({"condition.1.damping": [0.0, "x"]}, 'condition 2.damping = [0.0, "x"]'),
-        ({"condition.1.damping": [0.1, -0.1]}, "must have no damping below 0"),
+        ({"condition.1.damping": [0.1, -0.1]}, "must not contain a damping below 0"),
         ({"condition.1.damping": [0.1, 0.1]}, "more than once"),
         ({"condition.0.scheme": "dual:20k"}, "two rates, of position and velocity"),
         ({"condition.0.scheme": "triple:20k"}, "condition 1.scheme"),
@@ -203,56 +203,56 @@ def test_a_person_meets_no_more_than_nominal_effort_unless_somebody_answers_for_
             "must be below condition 2.search.highest, 5",
         ),
         ({"search.lowest": 0}, "search.lowest = 0: must be a number > 0"),
-        ({"search.ratio": 1.1}, "give one of the two"),
+        ({"search.ratio": 1.1}, "exactly one of the two must"),
         ({"search.step": 1e-6}, "choose a larger step"),
         ({"search.step": 1e6}, "choose a smaller step"),
         ({"search.rule": "stairs"}, "did you mean staircase?"),
         ({"search.settings": {"turn": 3}}, "did you mean turns?"),
-        ({"search.settings": {"seed": 3}}, "seeds from study.seed"),
-        ({"search.settings": {"levels": [1, 2]}}, "levels come from lowest, highest"),
+        ({"search.settings": {"seed": 3}}, "the seed by study.seed"),
+        ({"search.settings": {"levels": [1, 2]}}, "set levels by lowest, highest"),
         ({"search.settings": {"turns": 1}}, "turns = 1 is not a whole number from 2 to 1000"),
         ({"search.settings": {"steps": ["a"]}}, 'steps = ["a"]: must be a list of whole numbers'),
         ({"search.settings": {"steps": 3}}, "must be a list of whole numbers"),
         ({"search.settings": {"turns": "3"}}, "must be a whole number"),
         ({"search.settings": {"start": float("inf")}}, "must be a number"),
         ({"search.settings": {"start": 5}}, "start = 5 is not one of the levels"),
-        ({"order.repeats": 1000, "condition.0.damping": list(range(10))}, "most are 10000"),
+        ({"order.repeats": 1000, "condition.0.damping": list(range(10))}, "allowed are at most 10000"),
         ({"order.kind": "latin square"}, "did you mean latin-square?"),
         ({"caps.stiffness": 500}, "search.highest = 600: must be at most caps.stiffness, 500"),
-        ({"caps.stiffness": 600, "practice.stiffness": [700]}, "practise with softer walls"),
+        ({"caps.stiffness": 600, "practice.stiffness": [700]}, "use softer walls for practice"),
         ({"practice.stiffness": [0]}, "must be above 0"),
         ({"practice.condition": "duel"}, "did you mean dual?"),
         (
             {"trial.press": [0.3, 0.1]},
-            "trial.press = [0.3, 0.1]: must be two numbers from 0 on, the lower first",
+            "trial.press = [0.3, 0.1]: must be two numbers not below 0, the lower first",
         ),
         ({"trial.impact_speed": [0.3]}, "must be two numbers"),
         ({"trial.impact_speed": 0.3}, "write numbers in brackets"),
         ({"trial.impact_speed": [-0.1, 0.3]}, "must be two numbers"),
         (
             {"trial.press": [0.1, 0.3], "trial.kind": "constant-effort"},
-            'and the motor hits (trial.kind = "constant-effort"); leave it out',
+            'but the motor hits (trial.kind = "constant-effort"); omit it',
         ),
         ({"trial.outside": "kept"}, "did you mean keep?"),
-        ({"study.code": "[A-Z"}, "is no regular expression"),
-        ({"study.code": ".*"}, "the names of people"),
-        ({"study.code": "[A-Z]{4}"}, "takes 'ANNA'"),
-        ({"study.code": "[A-Z][a-z]+"}, "the names of people"),
-        ({"study.code": "P[0-9]{2}-[a-z]*"}, "the names of people"),
-        ({"study.code": "[A-Z]{3}[0-9]{3}"}, "the names of people"),
-        ({"study.code": "anna[0-9]{2}"}, "the names of people"),
+        ({"study.code": "[A-Z"}, "is not a regular expression"),
+        ({"study.code": ".*"}, "names of people"),
+        ({"study.code": "[A-Z]{4}"}, "matches 'ANNA'"),
+        ({"study.code": "[A-Z][a-z]+"}, "names of people"),
+        ({"study.code": "P[0-9]{2}-[a-z]*"}, "names of people"),
+        ({"study.code": "[A-Z]{3}[0-9]{3}"}, "names of people"),
+        ({"study.code": "anna[0-9]{2}"}, "names of people"),
         ({"question": [{"name": "a b", "text": "?"}]}, "it names a column"),
         ({"question": [{"name": "a", "text": "?", "lowest": 7, "highest": 1}]}, "above lowest, 7"),
         ({"question": [{"name": "a", "text": "?", "kind": "choice"}]}, "two or more different answers"),
-        ({"question": [{"name": "a", "text": "?", "choices": ["x"]}]}, "has no place"),
+        ({"question": [{"name": "a", "text": "?", "choices": ["x"]}]}, "is not used by a question"),
         (
             {"question": [{"name": "a", "text": "?", "kind": "choice", "choices": ["2", "1"]}]},
-            "the number of another answer",
+            "the number of another choice",
         ),
         ({"question": [{"name": "a", "text": "?"}, {"name": "A", "text": "?"}]}, "more than once"),
-        ({"keys.stable": "ab"}, "is not a key"),
-        ({"keys.stable": " "}, "it is STOP"),
-        ({"keys.stable": "2"}, "is buzz already"),
+        ({"keys.stable": "ab"}, "is not the name of a key"),
+        ({"keys.stable": " "}, "always STOP"),
+        ({"keys.stable": "2"}, "already means buzz"),
         ({"sudy": {}}, "did you mean study?"),
         ({"rest": 3}, "rest = 3: must be a table with every, seconds"),
     ],
@@ -285,8 +285,8 @@ def test_everything_is_said_at_once(tmp_path: Path) -> None:
         ({"study.preset": "koul-complaint"}, "did you mean koul-compliant?"),
         ({"study.preset": 3}, "study.preset = 3"),
         ({"study.changes": {"operator.pres": 1.5}}, "is not a key of an experiment; did you mean press?"),
-        ({"study.changes": {"wall.stiffness": 5.0}}, "belongs to [search]"),
-        ({"condition.0.changes": {"trial.kind": "human"}}, "belongs to trial.kind of the protocol"),
+        ({"study.changes": {"wall.stiffness": 5.0}}, "is set by [search]"),
+        ({"condition.0.changes": {"trial.kind": "human"}}, "is set by trial.kind of the protocol"),
         ({"study.changes": {}}, "operator.press"),  # pushes harder than a person's motor may
         ({"condition.0.scheme": "dual:20k/3k"}, 'condition 1, "uniform": cannot be run'),
         ({"condition.0.scheme": "uniform:20k,estimator=kalmann"}, "did you mean kalman?"),
@@ -388,7 +388,7 @@ def test_a_code_of_the_pattern_is_taken(pattern: str, code: str) -> None:
     ],
 )
 def test_what_a_pattern_leaves_free_spells_no_name(pattern: str, code: str) -> None:
-    with pytest.raises(ConfigError, match=r"the names of people|looks like a name"):
+    with pytest.raises(ConfigError, match=r"names of people|looks like a name"):
         check_code(protocol_from_mapping(changed({"study.code": pattern}), "study.toml"), code)
 
 
@@ -493,6 +493,6 @@ def test_a_template_overwrites_nothing_and_has_its_name(tmp_path: Path) -> None:
     assert path.read_text() == TEXT
     with pytest.raises(RecordingError):
         write_template("koul-fig6", tmp_path / "nowhere" / "x.toml")
-    with pytest.raises(ConfigError, match="there is no template 'koul-fig5'") as unknown:
+    with pytest.raises(ConfigError, match="unknown template 'koul-fig5'") as unknown:
         write_template("koul-fig5", tmp_path / "other.toml")
     assert "koul-fig6" in str(unknown.value.remedy)

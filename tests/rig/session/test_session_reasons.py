@@ -104,8 +104,8 @@ def test_the_reason_is_there_before_anybody_is_asked_anything(tmp_path: Path, bl
     first = views_after(desk, 1)[0]
     if blind == "both":
         assert first.last == (
-            "trial 1: invalid, it is repeated: the hand left the wall before the end and did not come back: ask to "
-            "stay in it; rig limit"
+            "trial 1: invalid, will be repeated: the hand left the wall before the end and did not come back: ask to "
+            "stay inside it; rig limit"
         )
         assert first.last in first.lines
     else:
@@ -118,7 +118,7 @@ def test_the_reason_is_there_before_anybody_is_asked_anything(tmp_path: Path, bl
         protocol.trial.say
     }
     (line,) = result.invalid_trials
-    assert line.startswith("trial 1: invalid, it is repeated: the hand left the wall")
+    assert line.startswith("trial 1: invalid, will be repeated: the hand left the wall")
     assert plain(result)["invalid_trials"] == [line]
 
 
@@ -137,7 +137,7 @@ def test_a_log_is_told_in_sentences_and_in_json_with_walls_only_unblinded(
         assert rig(["session", "show", str(tmp_path / "P01"), *options]) == 0
         return capsys.readouterr().out
 
-    blind = "trial 1: invalid, it is repeated: the wall was touched too late; rig limit"
+    blind = "trial 1: invalid, will be repeated: the wall was touched too late; rig limit"
     reported = json.loads(show("--json"))
     assert reported["invalid_trials"] == [blind]
     assert blind in [event["text"] for event in reported["events"]]
@@ -147,11 +147,13 @@ def test_a_log_is_told_in_sentences_and_in_json_with_walls_only_unblinded(
     assert not re.search(r'[{}"\[\]]', told_all)
     wall = r"[a-z]+-hidden, K = \d+ N·m/rad, B = 0\.37 N·m·s/rad"
     assert re.search(
-        rf"trial 1, {wall}; the program says invalid: the first contact lies in the tail; the slew limit bound",
+        rf"trial 1, {wall}; automatic verdict invalid: the first contact lies in the tail; the slew limit bound",
         told_all,
     )
-    assert re.search(rf"trial 2, {wall}, attempt 2; the program says", told_all)
-    assert re.search(r"says unstable: left the wall 3 times in the tail; ended early: energy\n", told_all)
+    assert re.search(rf"trial 2, {wall}, attempt 2; automatic verdict", told_all)
+    assert re.search(
+        r"automatic verdict unstable: left the wall 3 times in the tail; ended early: energy\n", told_all
+    )
     assert "began; fakes, row 0 of the order" in told_all
     assert "opened; koul-rigid (simulated)" in told_all
     assert '"stiffness"' in show("--json", "--unblind")
@@ -206,7 +208,7 @@ def test_no_question_and_no_pause_tells_a_blinded_operator_of_the_wall(tmp_path:
     )
     assert any("ended early: current differs; the motor's current" in text for text in asked)
     assert any(
-        "spoiled 5 trials in a row: from contact on, 0 % of the samples lost" in text for text in asked
+        "made 5 trials in a row invalid: from contact on, 0 % of the samples lost" in text for text in asked
     )
     seen = json.dumps([asked, [plain(view) for view in desk.views], plain(result)])
     assert not re.search(r"4179|calm|saturat|slew|oscillat", seen)
