@@ -8,8 +8,8 @@ once for a run: a plan shows, checks and executes that object.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
+from functools import partial
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from firmware_protocol.parameters import BY_NAME
 from rig.config import device_law
 from rig.config.derive import free_s, motor_push, push_s, rig_model, verdict_thresholds
 from rig.config.homing import home_tolerance
+from rig.config.prepared_run import LawOnDevice, PreparedRun
 from rig.config.sections import Experiment
 from rig.control import cogging, estimators, friction, laws
 from rig.control.law import Law
@@ -213,33 +214,6 @@ def supervise_lifetime_s(experiment: Experiment) -> float:
     return SUPERVISE_LIFETIME_S if configured is None else configured
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PreparedRun:
-    """A run, prepared for one device.
-
-    Attributes
-    ----------
-    experiment
-        In effect.
-    current_quantum_a, reference_count
-        Of the device (A), and its count at position zero.
-    controller
-        The host's law before the first sample: numbers, and rows of the tables that name its kernels. A copy of it is
-        executed.
-    parameters
-        Of the device.
-    own_law
-        A law of the caller's own, in place of the one that the experiment names.
-    """
-
-    experiment: Experiment
-    current_quantum_a: float
-    reference_count: int
-    controller: ControllerState
-    parameters: Mapping[str, Value]
-    own_law: bool
-
-
 def prepared(
     experiment: Experiment,
     *,
@@ -289,6 +263,20 @@ def prepared(
             "reference": int(referenced),
         },
         own_law=law is not None,
+        on_device=_law_on_device(experiment, controller),
+    )
+
+
+def _law_on_device(experiment: Experiment, controller: ControllerState) -> LawOnDevice | None:
+    rates = experiment.controller
+    if rates.loop != "device":
+        return None
+    arithmetic = device_law.arithmetic_of(rates)
+    return LawOnDevice(
+        arithmetic=arithmetic,
+        currents_compared=arithmetic != "drive",
+        live=partial(device_law.live_parameters, controller, arithmetic),
+        rendered=lambda values: asdict(device_law.rendered_wall(values, controller)),
     )
 
 

@@ -9,7 +9,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from firmware_protocol.dictionary import Dictionary
-from rig.config.controller import PreparedRun, effort_quantum, resolution
+from rig.config.controller import effort_quantum, resolution
+from rig.config.prepared_run import PreparedRun
 from rig.core.check import Check, Outcome
 from rig.core.sample import unit_of
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rig import config
 from rig.config import Experiment
-from rig.config.controller import PreparedRun
+from rig.config.prepared_run import PreparedRun
 from rig.control.law import Law
 from rig.core.check import Check, Outcome, refuse, refused
 from rig.core.errors import ConfigError
@@ -20,9 +20,9 @@ from rig.doctor.gate import check_armable
 from rig.doctor.gate_result import Gate
 from rig.experiments.hit import Admitted, HitRequest
 from rig.experiments.plan import device_checks, human_limit_checks, link_checks, plan_of
+from rig.experiments.preparation import prepared_on
 from rig.experiments.pulse import NO_HANDS, pulse
 from rig.experiments.results import make_directory
-from rig.experiments.trial import prepared_on
 from rig.experiments.zero import position_zero
 from rig.recording.files import free_name
 

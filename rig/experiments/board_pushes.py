@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from rig.analysis.identification.quality import IdentificationError
 from rig.config import Experiment
-from rig.config.controller import PreparedRun
+from rig.config.prepared_run import PreparedRun
 from rig.control.motions import ALIKE, NOTHING
 from rig.core.check import refuse
 from rig.core.errors import DeviceFaultError, GuardError
@@ -35,7 +35,8 @@ from rig.devices.framed import FramedDevice
 from rig.experiments.identify_motions import REST_S, push_way, pushes_motion, single_push
 from rig.experiments.motion_run import Pushes, position_now, stalled, whole
 from rig.experiments.plan import device_checks
-from rig.experiments.trial import TrialRequest, end_of, prepared_on, run_trial
+from rig.experiments.preparation import prepared_on
+from rig.experiments.trial import TrialRequest, end_of, run_trial
 from rig.loop.layout import EndReason
 from rig.recording.data import Recording
 from rig.recording.files import free_name

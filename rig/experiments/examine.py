@@ -29,7 +29,7 @@ from rig.doctor.ports import NO_PORTS, Port, ports_here, serial_port
 from rig.doctor.round_trip import LinkMeasurement, measure_link
 from rig.doctor.walls import Supported, supported_walls, wall_items
 from rig.experiments.admission import admission_checks
-from rig.experiments.trial import prepared_on
+from rig.experiments.preparation import prepared_on
 from rig.realtime.scheduling import obtained
 
 if sys.platform == "linux":

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from rig import config, devices
-from rig.config import Experiment, device_law
-from rig.config.controller import PreparedRun
+from rig.config import Experiment
+from rig.config.prepared_run import PreparedRun
 from rig.control.law import Law
 from rig.control.verdict import Verdict
 from rig.core.drawn import Drawn
@@ -160,7 +160,7 @@ class HitResult(Shown, Drawn):
             "velocity_rate": self.experiment.controller.velocity_rate,
             "estimator": self.experiment.controller.estimator,
             "loop": self.experiment.controller.loop,
-            "arithmetic": self._arithmetic(),
+            "arithmetic": self.recording.header["extra"].get("arithmetic"),  # of a law on the device
             "resolution": self.experiment.rig.encoder.resolution,
             "kind": self.experiment.trial.kind,
             "grip": self.experiment.operator.grip if self.experiment.trial.kind == "human" else None,
@@ -174,11 +174,6 @@ class HitResult(Shown, Drawn):
             "gate": self.gate,
             "messages": self.messages,
         }
-
-    def _arithmetic(self) -> str | None:
-        """Of the law on the device; None where the host runs it."""
-        rates = self.experiment.controller
-        return device_law.arithmetic_of(rates) if rates.loop == "device" else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

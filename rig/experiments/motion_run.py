@@ -23,8 +23,9 @@ from rig.core.sample import Phase, RowFlag, unit_of
 from rig.devices.framed import FramedDevice
 from rig.doctor.gate import LIFETIME_SHARE
 from rig.experiments.identify_motions import RATE_STEP, REST_S, IdentificationMotion, coulomb_of, inertia_of
+from rig.experiments.preparation import prepared_on
 from rig.experiments.settings import RigRequest
-from rig.experiments.trial import TrialRequest, end_of, prepared_on, run_trial
+from rig.experiments.trial import TrialRequest, end_of, run_trial
 from rig.loop.layout import EndReason
 from rig.recording.data import Recording
 

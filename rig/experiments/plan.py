@@ -25,6 +25,7 @@ from rig.config import (
 )
 from rig.config.device_limits import check_limits
 from rig.config.homing import holding_effort
+from rig.config.prepared_run import PreparedRun
 from rig.config.schemes import describe_cutoffs
 from rig.config.velocity_reading import highest_reading
 from rig.core.check import Check, Outcome
@@ -82,7 +83,7 @@ def is_linked(url: str | None, *, realtime: bool, round_trip_s: float | None) ->
 
 
 def plan_of(
-    run: controller.PreparedRun,
+    run: PreparedRun,
     *,
     linked: bool = False,
     round_trip_s: float | None = None,
@@ -240,7 +241,7 @@ def _batch_check(x: Experiment, usable: float) -> Check:
     )
 
 
-def device_checks(run: controller.PreparedRun, dictionary: Dictionary) -> list[Check]:
+def device_checks(run: PreparedRun, dictionary: Dictionary) -> list[Check]:
     """Whether a device takes the limits of a run, and has the law, where it is to run one.
 
     Parameters

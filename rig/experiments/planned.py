@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from rig.config import Experiment, controller, device_law
+from rig.config import Experiment, device_law
+from rig.config.prepared_run import PreparedRun
 from rig.core.check import Check, Outcome, refused
 from rig.core.errors import PlanError
 from rig.core.present import Item, Row, reported, written
@@ -39,7 +40,7 @@ class Plan(Shown):
     repeats: int
     steps: tuple[Step, ...]
     checks: tuple[Check, ...]
-    run: controller.PreparedRun | None = field(default=None, repr=False)
+    run: PreparedRun | None = field(default=None, repr=False)
 
     @reported
     def duration_s(self) -> float:

@@ -40,8 +40,9 @@ from rig.devices.framed import FramedDevice
 from rig.experiments.identify_motions import still, way_motion
 from rig.experiments.motion_run import FreeRigRequest, refuse_unverified, run_motion
 from rig.experiments.plan import link_checks
+from rig.experiments.preparation import prepared_on
 from rig.experiments.pulse import at_own_rate, pulse
-from rig.experiments.trial import end_of, prepared_on
+from rig.experiments.trial import end_of
 from rig.loop.layout import EndReason
 from rig.realtime import stop_requests
 from rig.recording.files import free_name, plain_errors

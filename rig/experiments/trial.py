@@ -21,22 +21,18 @@ from numpy.typing import NDArray
 from firmware_protocol.faults import Fault, LimitFlag
 from firmware_protocol.messages import MAJOR, MINOR
 from firmware_protocol.parameter import Value
-from rig.config import Experiment, as_mapping, device_law, rig_model
-from rig.config import controller as controllers
-from rig.config.controller import PreparedRun
-from rig.control.law import Law
+from rig.config import Experiment, as_mapping, rig_model
+from rig.config.prepared_run import LawOnDevice, PreparedRun
 from rig.control.step import ControllerState
 from rig.core.board import current_sensor
 from rig.core.clock_fit import ClockFit, as_exchanges, fit_if_possible
 from rig.core.errors import RigError, StoppedError
 from rig.core.sample import Phase
-from rig.core.this_system import refuse_real_time
 from rig.devices.device import Link
-from rig.devices.framed import Echo, FaultReport, FramedDevice
+from rig.devices.framed import SUPERVISE_EVERY_S, Echo, FaultReport, FramedDevice
 from rig.devices.local import host_beside
 from rig.experiments.endings import IN_DOUBT, error_of
 from rig.experiments.judgement import Judgement
-from rig.experiments.on_the_drive import is_on_the_drive
 from rig.loop import exchange
 from rig.loop.layout import EndReason
 from rig.loop.run import LoopEnd, LoopSettings, LoopThread
@@ -118,34 +114,6 @@ def end_of(error: BaseException) -> TrialEnd | None:
     """Return how the run of this error ended; None if no run began."""
     end: TrialEnd | None = getattr(error, "end", None)
     return end
-
-
-def prepared_on(
-    device: FramedDevice,
-    experiment: Experiment,
-    *,
-    verified: bool = False,
-    reference_count: int = 0,
-    law: Law | None = None,
-) -> PreparedRun:
-    """Prepare a run for an open device; see `rig.config.controller.prepared`.
-
-    A reference count that is the device's own (`rig.experiments.reference`) is marked as referenced. Raises `PlanError`
-    for a law that this computer would have to run in real time, and cannot.
-    """
-    if experiment.controller.loop == "host" and not device.link.clock.virtual:
-        if law is None:
-            refuse_real_time('controller.loop = "host"')
-        else:
-            refuse_real_time("a motion or law that no board has", "do this on a Linux computer")
-    return controllers.prepared(
-        experiment,
-        current_quantum_a=device.dictionary.current_quantum_a,
-        verified=verified,
-        reference_count=reference_count,
-        referenced=device.reference_count == reference_count,
-        law=law,
-    )
 
 
 def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
@@ -269,7 +237,7 @@ def _arm(
     settings = LoopSettings(
         period_ns=round(period_s * 1e9),
         session=device.arm(),
-        lifetime_us=round(controllers.command_lifetime_s(experiment) * 1e6),
+        lifetime_us=int(run.parameters["command_lifetime_us"]),
         lost_after_ns=round(max(LOST_AFTER_S, LOST_AFTER_PERIODS * period_s) * 1e9),
         device_tick_ps=round(device.dictionary.time_unit_ns * 1000),
         current_quantum_a=device.dictionary.current_quantum_a,
@@ -282,8 +250,8 @@ def _arm(
         exchange_every_ns=exchange.EVERY_NS,
         limit_switch=_switch_rule(experiment, leaves=request.leaves_switch),
     )
-    if experiment.controller.loop == "device":
-        settings = _supervising(settings, experiment, run.parameters)
+    if run.on_device is not None:
+        settings = _supervising(settings, run.on_device, run.parameters)
     return thread(
         device.link,
         controller,
@@ -292,14 +260,13 @@ def _arm(
         realtime=realtime,
         heartbeat_s=experiment.host.heartbeat_s,
         nonce=device.nonce,
-        sensor=current_sensor(model) if _compares_currents(device, experiment) else None,
+        sensor=current_sensor(model) if _compares_currents(device, run.on_device) else None,
         encoder_sign=model.encoder.sign,
     )
 
 
-def _compares_currents(device: FramedDevice, experiment: Experiment) -> bool:
-    """Return False where a drive renders the wall: its current changes within a tick, it reports one value."""
-    return device.dictionary.current_measured and not is_on_the_drive(experiment)
+def _compares_currents(device: FramedDevice, law: LawOnDevice | None) -> bool:
+    return device.dictionary.current_measured and (law is None or law.currents_compared)
 
 
 def _switch_rule(experiment: Experiment, *, leaves: bool) -> int:
@@ -311,25 +278,21 @@ def _switch_rule(experiment: Experiment, *, leaves: bool) -> int:
 
 def _loop_of(run: PreparedRun, link: Link) -> Callable[..., LoopThread]:
     """The thread of the loop, for a law here or on the device, with all that it runs compiled."""
-    rates = run.experiment.controller
-    if rates.loop == "host":
+    if run.on_device is None:
         LoopThread.prepare(link, run.controller)
         return LoopThread
     SupervisedThread.prepare(link, run.controller)
-    arithmetic = device_law.arithmetic_of(rates)
-    return partial(SupervisedThread, live=partial(device_law.live_parameters, run.controller, arithmetic))
+    return partial(SupervisedThread, live=run.on_device.live)
 
 
-def _supervising(
-    settings: LoopSettings, experiment: Experiment, parameters: Mapping[str, Value]
-) -> LoopSettings:
+def _supervising(settings: LoopSettings, law: LawOnDevice, parameters: Mapping[str, Value]) -> LoopSettings:
     """Return the settings of a loop that supervises a law on the device, and computes the same rows."""
     return replace(
         settings,
         lifetime_us=int(parameters["supervise_lifetime_us"]),
-        supervise_every_ns=round(device_law.SUPERVISE_EVERY_S * 1e9),
+        supervise_every_ns=round(SUPERVISE_EVERY_S * 1e9),
         batch_samples=int(parameters["batch_samples"]),
-        agreement_quanta=BOUNDS[device_law.arithmetic_of(experiment.controller)],
+        agreement_quanta=BOUNDS[law.arithmetic],
     )
 
 
@@ -445,18 +408,16 @@ def _header(
         seed=request.seed,
         protocol=f"{MAJOR}.{MINOR}",
         initial_state=controller.as_mapping(),
-        extra={**_where_the_law_runs(experiment, controller, echo), **request.extra},
+        extra={**_where_the_law_runs(request.run.on_device, echo), **request.extra},
         host={"scheduling": realtime.report},
     )
 
 
-def _where_the_law_runs(experiment: Experiment, controller: ControllerState, echo: Echo) -> dict[str, Any]:
+def _where_the_law_runs(law: LawOnDevice | None, echo: Echo) -> dict[str, Any]:
     """What the header says of it, with the wall that a device makes of ours; its parameters stand in its identity."""
-    rates = experiment.controller
-    if rates.loop == "host":
+    if law is None:
         return {"loop": "host"}
-    wall = device_law.rendered_wall(echo.values, controller)
-    return {"loop": "device", "arithmetic": device_law.arithmetic_of(rates), "wall": asdict(wall)}
+    return {"loop": "device", "arithmetic": law.arithmetic, "wall": law.rendered(echo.values)}
 
 
 def _trailer(

@@ -27,8 +27,8 @@ from rig.experiments.admission import admission_checks
 from rig.experiments.hit import Recorded
 from rig.experiments.judgement import out_of_time, thrown_out
 from rig.experiments.on_device import Ended, OnDevice, Trials, examined
+from rig.experiments.preparation import prepared_on
 from rig.experiments.searches import Outcomes, StiffnessSearch, drive
-from rig.experiments.trial import prepared_on
 from rig.experiments.zwidth import TRUE, MapPlan, ZWidth, outcomes_of, row_of
 from rig.recording.data import Recording
 

@@ -10,7 +10,7 @@ What the device lacks is refused with `PlanError`: see `rig.config.device_law.es
 
 from __future__ import annotations
 
-from rig.config.device_law.batch import SUPERVISE_EVERY_S, batch_layout, batch_samples, bytes_per_second
+from rig.config.device_law.batch import batch_layout, batch_samples, bytes_per_second
 from rig.config.device_law.parameters import (
     ARITHMETICS,
     Arithmetic,
@@ -23,7 +23,6 @@ from rig.config.device_law.parameters import (
 
 __all__ = [
     "ARITHMETICS",
-    "SUPERVISE_EVERY_S",
     "Arithmetic",
     "arithmetic_of",
     "batch_layout",

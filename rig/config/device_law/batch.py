@@ -12,7 +12,6 @@ from firmware_protocol.packing import encoded_bytes
 from rig.config.device_law.refusal import refusal
 from rig.config.sections import Experiment
 
-SUPERVISE_EVERY_S = 0.005  # between two COMMANDs that keep a law on the device running
 STATE_EVERY_S = 0.005  # between two STATEs of a device that is supervised
 LONGEST_FRAME_S = 0.005  # what a frame may hold back
 MARGIN = 2.0  # a handle may pass more counts in one tick than its mean speed limit says

@@ -30,8 +30,8 @@ from rig.experiments.baseline import baseline
 from rig.experiments.hit import HitRequest, Recorded, hit, left_by
 from rig.experiments.judgement import THREW_OUT, THROWN_OUT
 from rig.experiments.plan import device_checks, link_checks
+from rig.experiments.preparation import prepared_on
 from rig.experiments.pulse import Pulse, pulse
-from rig.experiments.trial import prepared_on
 from rig.experiments.zero import position_zero
 from rig.recording.data import Recording
 from rig.recording.files import free_name, plain_errors, sha256_of

@@ -25,7 +25,7 @@ from rig.experiments.admission import admission_checks, admit
 from rig.experiments.examine import Examination, ExaminationRequest
 from rig.experiments.hit import HitRequest
 from rig.experiments.on_device import OnDevice, Trials
-from rig.experiments.trial import prepared_on
+from rig.experiments.preparation import prepared_on
 from rig.session.engine.hits import DeviceRunner
 from rig.testing import hits as hits_of_tests
 from sim_backend.board.make_device import make_device
