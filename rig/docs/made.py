@@ -37,6 +37,7 @@ from rig.views.site import SOURCES
 
 RIG, PROTOCOL = Path(rig.__file__).parent, Path(firmware_protocol.__file__).parent
 FIRMWARE = PROTOCOL / "firmware"
+EXTRAS = RIG / "extras"
 # Pages whose text stands beside the code that it is about.
 TAKEN = {
     "reference/protocol.md": PROTOCOL / "PROTOCOL.md",
@@ -45,14 +46,12 @@ TAKEN = {
     "how-to/power-on.md": FIRMWARE / "BENCH.md",
     "how-to/hardware.md": FIRMWARE / "HARDWARE.md",
     "how-to/board.md": FIRMWARE / "PORTING.md",
-    "how-to/moteus.md": RIG / "extras" / "drives" / "MOTEUS.md",
-    "how-to/odrive.md": RIG / "extras" / "drives" / "ODRIVE.md",
-    "how-to/other-drives.md": RIG / "extras" / "drives" / "OTHERS.md",
     "how-to/pico.md": FIRMWARE / "boards" / "rp2040" / "PICO.md",
     "how-to/sessions.md": RIG / "session" / "README.md",
     "how-to/first-participant.md": RIG / "session" / "FIRST-PARTICIPANT.md",
     "explanation/single-faults.md": FIRMWARE / "FMEA.md",
     "explanation/design.md": RIG / "DESIGN.md",
+    **{f"how-to/{page.stem.lower()}.md": page for page in sorted(EXTRAS.glob("*/*.md"))},
 }
 _PART = re.compile(r"<!-- from the tables: (\w+) -->")
 _LINK = re.compile(r"(!?)\[([^\]\n]*(?:\n[^\]\n]*)?)\]\(([^)\s]+)\)")
@@ -103,6 +102,8 @@ def _linked(text: str, page: Path, origin: Path, pages: Mapping[Path, Path], pla
                     f"{origin}: the link to {target} is called {words}; call it by what it is about"
                 )
             return f"[{words}]({os.path.relpath(pages[file], page.parent)}{hash_}{anchor})"
+        if not file.exists() and file.is_relative_to(EXTRAS):  # the page of an extra that is not installed
+            return words
         if not file.exists():
             raise ValueError(f"{origin}: the link to {target} leads to no file")
         if image and file.suffix in _PICTURES:
