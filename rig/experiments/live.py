@@ -22,7 +22,8 @@ from rig.core.errors import ConfigError, PlanError, RigError, RunEndedError
 from rig.doctor.gate import check_change
 from rig.experiments.plan import plan_of
 from rig.realtime import running
-from rig.realtime.ring import LOOP_DONE, PARAMETER_SET, Ring
+from rig.realtime.control_words import LOOP_DONE, PARAMETER_SET
+from rig.realtime.ring import Ring
 
 SECTION = "wall"
 CHANGEABLE = ("stiffness", "damping", "position", "pull", "damping_on")

@@ -35,7 +35,7 @@ from rig.loop.supervision import (
     TIME,
     SupervisionBuffers,
 )
-from rig.realtime import codec, ring
+from rig.realtime import codec, control_words
 from rig.realtime.codec import BATCH, HEAD, SAMPLE, STATE
 from rig.realtime.kernel import kernel
 
@@ -73,7 +73,7 @@ def _take_batch(
         known = min(max(v["index"] - first + 1, 0), count)
         if known > 0:
             twice = header[HEAD.sequence] == v["batch_sequence"]
-            add(words, ring.DUPLICATED if twice else ring.REORDERED, known)
+            add(words, control_words.DUPLICATED if twice else control_words.REORDERED, known)
         if known == count:
             return 0
         v["clock_error"] = error
@@ -111,7 +111,7 @@ def _take_state(settings: Any, buffers: Buffers, supervised: SupervisionBuffers,
     if believed == 0:
         return
     if newer <= 0:
-        add(words, ring.DUPLICATED if newer == 0 else ring.REORDERED, 1)
+        add(words, control_words.DUPLICATED if newer == 0 else control_words.REORDERED, 1)
         return
     contiguous = 1
     if v["heard"] != 0:
@@ -151,9 +151,9 @@ def take_frames(settings: Any, buffers: Buffers, supervised: SupervisionBuffers,
         if length == NO_FRAME:
             break
         if length < 0:
-            add(words, ring.BAD_FRAMES, 1)
+            add(words, control_words.BAD_FRAMES, 1)
             continue
-        add(words, ring.FRAMES, 1)
+        add(words, control_words.FRAMES, 1)
         count = codec.decode_batch(raw, length, header, supervised.batch, supervised.decoded)
         ours = header[HEAD.session] == session
         if count > 0 and ours:
@@ -163,6 +163,6 @@ def take_frames(settings: Any, buffers: Buffers, supervised: SupervisionBuffers,
         elif codec.decode_ack(raw, length, header, ack) == 0 and take_answer(buffers, supervised) == 1:
             pass
         elif take_time(settings, buffers, length, words) == 0:
-            add(words, ring.OTHER_FRAMES, 1)
+            add(words, control_words.OTHER_FRAMES, 1)
     forget_noise(buffers, start, end, words)
     return fresh

@@ -19,7 +19,7 @@ from rig.core.sample import RowFlag
 from rig.devices.port import PORT_TYPE, LoopPort
 from rig.loop.contradictions import Contradiction
 from rig.loop.layout import INTS, PROGRESS_TYPE, SETTINGS_TYPE, WORD, EndReason
-from rig.realtime import ring
+from rig.realtime import control_words
 from rig.realtime.atomics import load_word, store_word
 from rig.realtime.codec import STATE
 from rig.realtime.kernel import kernel
@@ -81,10 +81,10 @@ def told_to_end(port: LoopPort, settings: Any, words: int) -> int:
     """Reason to end that came from outside, or 0: the stop word, a request, a supervisor whose heartbeat stopped."""
     requests = settings[0]["stop_requests"]
     if requests != 0 and load_word(requests) != settings[0]["stop_requests_before"]:
-        store_word(words + WORD * ring.STOP, 1)
-    if load_word(words + WORD * ring.STOP) != 0:
+        store_word(words + WORD * control_words.STOP, 1)
+    if load_word(words + WORD * control_words.STOP) != 0:
         return STOPPED
-    alive_until = load_word(words + WORD * ring.HEARTBEAT)
+    alive_until = load_word(words + WORD * control_words.HEARTBEAT)
     if alive_until != 0 and port.now(port.clock_handle) > alive_until:
         return HEARTBEAT
     return 0

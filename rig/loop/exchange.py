@@ -13,7 +13,7 @@ from numba import types
 
 from rig.devices.port import PORT_TYPE, LoopPort
 from rig.loop.layout import BUFFERS_TYPE, SETTINGS_TYPE, WORD, Buffers
-from rig.realtime import codec, ring
+from rig.realtime import codec, control_words
 from rig.realtime.atomics import load_word, store_word
 from rig.realtime.codec import GET_TIME, TIME
 from rig.realtime.kernel import kernel
@@ -60,13 +60,13 @@ def take_time(settings: Any, buffers: Buffers, length: int, words: int) -> int:
     if times[TIME.nonce] != p["nonce"]:
         return 0
     p["asking"] = 0
-    done = load_word(words + WORD * ring.EXCHANGES)
+    done = load_word(words + WORD * control_words.EXCHANGES)
     place = done % len(exchanges)
     exchanges[place, 0] = times[TIME.host_sent]
     exchanges[place, 1] = device_ns(times[TIME.device_received], device_tick_ps)
     exchanges[place, 2] = device_ns(times[TIME.device_sent], device_tick_ps)
     exchanges[place, 3] = p["read_at"]
     for i in range(4):  # for readers of the ring: the other half is left alone meanwhile
-        store_word(words + WORD * (ring.CLOCK + 4 * (done % 2) + i), exchanges[place, i])
-    store_word(words + WORD * ring.EXCHANGES, done + 1)
+        store_word(words + WORD * (control_words.CLOCK + 4 * (done % 2) + i), exchanges[place, i])
+    store_word(words + WORD * control_words.EXCHANGES, done + 1)
     return 1

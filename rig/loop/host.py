@@ -49,7 +49,7 @@ from rig.loop.link_delay import is_delayed
 from rig.loop.parameters import renew_parameters
 from rig.loop.receive import add, drain, newest_state
 from rig.loop.rows import FLAG_GAP, FLAG_LATE, edge_age_ns, flag_timing, lateness, leave_row
-from rig.realtime import ring
+from rig.realtime import control_words
 from rig.realtime.atomics import load_word, store_word
 from rig.realtime.codec import STATE
 from rig.realtime.kernel import kernel
@@ -99,7 +99,7 @@ def _sleep_to_the_grid(port: LoopPort, settings: Any, progress: Any, words: int)
     p["late"] = woke - p["deadline"]
     passed = p["late"] // s["period_ns"]
     p["deadline"] += passed * s["period_ns"]
-    add(words, ring.OVERRUNS, passed)
+    add(words, control_words.OVERRUNS, passed)
 
 
 _NO_SAMPLE = 0
@@ -134,12 +134,12 @@ def _receive(port: LoopPort, settings: Any, buffers: Buffers, words: int) -> int
     if p["contradiction"] != 0:
         return _ENDS * contradicted(buffers.progress)
     if ready < 0:
-        store_word(words + WORD * ring.END_ERRNO, -ready)
+        store_word(words + WORD * control_words.END_ERRNO, -ready)
         return _ENDS * CLOSED
     if p["read_at"] - p["last_fresh"] > s["lost_after_ns"]:
         return _ENDS * SILENT
     if s["host_paced"] != 0:
-        add(words, ring.STALE, 1)
+        add(words, control_words.STALE, 1)
     return _NO_SAMPLE
 
 
@@ -187,9 +187,9 @@ def run(
         edge_age_s = edge_age_ns(buffers.progress, state, settings) * 1e-9
         current = step(controller, state[STATE.count], edge_age_s, elapsed)
         if (
-            load_word(words + WORD * ring.STOP) == ring.ABANDONED
+            load_word(words + WORD * control_words.STOP) == control_words.ABANDONED
         ):  # the law took too long, and the caller no longer waits
-            store_word(words + WORD * ring.END_REASON, STOPPED)
+            store_word(words + WORD * control_words.END_REASON, STOPPED)
             return STOPPED
         computed_ns = port.now(port.clock_handle)
         flag_timing(settings, memory, buffers.progress, elapsed, words)
@@ -204,17 +204,17 @@ def run(
             m["current_sent"] = 0
         taken = send_command(port, settings, buffers, mode, current, sync)
         sent_ns = port.now(port.clock_handle)
-        add(words, ring.COMMANDS if taken == 1 else ring.UNSENT, 1)
+        add(words, control_words.COMMANDS if taken == 1 else control_words.UNSENT, 1)
         leave_row(controller, shared, settings, buffers, tick, elapsed, received_ns, computed_ns, sent_ns)
         tick += 1
-        store_word(words + WORD * ring.TICKS, tick)
-        store_word(words + WORD * ring.PHASE, shown_phase(memory))
+        store_word(words + WORD * control_words.TICKS, tick)
+        store_word(words + WORD * control_words.PHASE, shown_phase(memory))
         if taken >= 0 and reason == 0:
             taken = ask_time(port, settings, buffers)
         if taken < 0:
-            store_word(words + WORD * ring.END_ERRNO, -taken)
+            store_word(words + WORD * control_words.END_ERRNO, -taken)
             reason = CLOSED
     for _ in range(STOP_FRAMES):  # also on a closed link: one that only reads badly still carries them
         send_command(port, settings, buffers, MODE_STOP, 0, NO_SYNC)
-    store_word(words + WORD * ring.END_REASON, reason)
+    store_word(words + WORD * control_words.END_REASON, reason)
     return int(reason)

@@ -14,7 +14,7 @@ from numba import types
 from rig.control.estimators.fdm import count_difference
 from rig.control.step import CONTROL_TYPE, CONTROLLER_TYPE, ControllerArguments
 from rig.loop.layout import BUFFERS_TYPE, FLOATS, SHARED_TYPE, WORD, Buffers, SharedRing
-from rig.realtime import ring
+from rig.realtime import control_words
 from rig.realtime.atomics import store_word
 from rig.realtime.codec import STATE
 from rig.realtime.kernel import kernel
@@ -50,7 +50,7 @@ def begin_set(controller: ControllerArguments, buffers: Buffers, tick: int, word
     p["sets"] += 1
     p["parameter_set"] = p["waiting_set"]
     p["waiting_set"] = 0
-    store_word(words + WORD * ring.PARAMETER_SET, p["parameter_set"])
+    store_word(words + WORD * control_words.PARAMETER_SET, p["parameter_set"])
 
 
 @kernel(types.void(CONTROLLER_TYPE, SHARED_TYPE, BUFFERS_TYPE, types.int64))

@@ -12,7 +12,7 @@ from rig.loop.contradictions import ahead, take_news, time_of
 from rig.loop.exchange import take_time
 from rig.loop.frames import NO_FRAME, keep_rest, next_frame
 from rig.loop.layout import BUFFERS_TYPE, RECEIVE_BYTES, SETTINGS_TYPE, WORD, Buffers
-from rig.realtime import codec, ring
+from rig.realtime import codec, control_words
 from rig.realtime.atomics import load_word, store_word
 from rig.realtime.codec import HEAD, STATE
 from rig.realtime.kernel import kernel
@@ -41,7 +41,7 @@ def forget_noise(buffers: Buffers, start: int, end: int, words: int) -> None:
     """Keep the unfinished frame behind the last whole one for the next reading, unless it is noise."""
     rest = keep_rest(buffers.received, start, end)
     if rest < 0:
-        add(words, ring.BAD_FRAMES, 1)
+        add(words, control_words.BAD_FRAMES, 1)
     buffers.progress[0]["filled"] = max(rest, 0)
 
 
@@ -53,7 +53,7 @@ def _take(settings: Any, buffers: Buffers, words: int) -> int:
     if believed == 0:
         return 0
     if newer <= 0:
-        add(words, ring.DUPLICATED if newer == 0 else ring.REORDERED, 1)
+        add(words, control_words.DUPLICATED if newer == 0 else control_words.REORDERED, 1)
         return 0
     if p["started"] == 0:
         p["sample_index"] = candidate[STATE.sample_index]
@@ -88,13 +88,13 @@ def newest_state(settings: Any, buffers: Buffers, words: int) -> int:
         if length == NO_FRAME:
             break
         if length < 0:
-            add(words, ring.BAD_FRAMES, 1)
+            add(words, control_words.BAD_FRAMES, 1)
             continue
-        add(words, ring.FRAMES, 1)
+        add(words, control_words.FRAMES, 1)
         kind = codec.decode_state(buffers.raw, length, header, buffers.candidate)
         if header[HEAD.session] == settings[0]["session"] and kind == 0:
             passed += _take(settings, buffers, words)
         elif take_time(settings, buffers, length, words) == 0:
-            add(words, ring.OTHER_FRAMES, 1)
+            add(words, control_words.OTHER_FRAMES, 1)
     forget_noise(buffers, start, end, words)
     return passed

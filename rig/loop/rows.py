@@ -22,7 +22,7 @@ from rig.loop.layout import (
     SharedRing,
 )
 from rig.loop.receive import add
-from rig.realtime import ring
+from rig.realtime import control_words
 from rig.realtime.atomics import load_word, store_word
 from rig.realtime.codec import STATE
 from rig.realtime.kernel import kernel
@@ -56,10 +56,10 @@ def lateness(settings: Any, progress: Any, received_ns: int) -> int:
 @kernel(types.int64(types.uintp, types.int64, types.int64))
 def room(words: int, capacity: int, wait_for_room: int) -> int:
     """Slot for the next row, or -1 when the ring is full and must not be waited for."""
-    head = load_word(words + WORD * ring.HEAD)
-    while head - load_word(words + WORD * ring.TAIL) >= capacity:
-        if wait_for_room == 0 or load_word(words + WORD * ring.RECORDER_ERROR) != 0:
-            add(words, ring.DROPPED, 1)
+    head = load_word(words + WORD * control_words.HEAD)
+    while head - load_word(words + WORD * control_words.TAIL) >= capacity:
+        if wait_for_room == 0 or load_word(words + WORD * control_words.RECORDER_ERROR) != 0:
+            add(words, control_words.DROPPED, 1)
             return -1
         sleep_until(monotonic_now(0) + ROOM_POLL_NS)
     return int(head % capacity)
@@ -162,7 +162,7 @@ def leave_row(
     r["sent_at"] = sent_ns
     r["sampled_at"] = 0  # sealing fills these two in, when the clocks can be compared
     r["applied_at"] = 0
-    store_word(words + WORD * ring.HEAD, load_word(words + WORD * ring.HEAD) + 1)
+    store_word(words + WORD * control_words.HEAD, load_word(words + WORD * control_words.HEAD) + 1)
 
 
 @kernel(types.void(SETTINGS_TYPE, MEMORY_TYPE, PROGRESS_TYPE, types.int64, types.uintp))
@@ -170,9 +170,9 @@ def flag_timing(settings: Any, memory: Any, progress: Any, elapsed: int, words: 
     """Flag and count lateness and gaps of this tick; lost samples are counted apart from late ones."""
     if progress[0]["late"] > settings[0]["period_ns"]:
         memory[0]["flags"] |= FLAG_LATE
-        add(words, ring.LATE, 1)
+        add(words, control_words.LATE, 1)
     if elapsed > 1:
         memory[0]["flags"] |= FLAG_GAP
         skipped = progress[0]["fresh"] - 1
-        add(words, ring.SKIPPED, skipped)
-        add(words, ring.LOST, elapsed - 1 - skipped)
+        add(words, control_words.SKIPPED, skipped)
+        add(words, control_words.LOST, elapsed - 1 - skipped)

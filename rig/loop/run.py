@@ -25,8 +25,7 @@ from rig.devices.device import Link
 from rig.loop import host
 from rig.loop.contradictions import Contradiction
 from rig.loop.layout import EXCHANGES_KEPT, SETTINGS, Buffers, EndReason, SharedRing
-from rig.realtime import ring as words
-from rig.realtime import stop_requests
+from rig.realtime import control_words, stop_requests
 from rig.realtime.atomics import read_word
 from rig.realtime.codec import STATE
 from rig.realtime.handlers import take_no_signals
@@ -92,23 +91,23 @@ class LoopEnd:
 
 
 COUNTERS = {
-    "ticks": words.TICKS,
-    "rows_dropped": words.DROPPED,
-    "frames": words.FRAMES,
-    "bad_frames": words.BAD_FRAMES,
-    "other_frames": words.OTHER_FRAMES,
-    "duplicated": words.DUPLICATED,
-    "reordered": words.REORDERED,
-    "lost": words.LOST,
-    "commands": words.COMMANDS,
-    "unsent": words.UNSENT,
-    "late": words.LATE,
-    "skipped": words.SKIPPED,
-    "stale": words.STALE,
-    "overruns": words.OVERRUNS,
-    "exchanges": words.EXCHANGES,
-    "parameter_set": words.PARAMETER_SET,
-    "errno": words.END_ERRNO,
+    "ticks": control_words.TICKS,
+    "rows_dropped": control_words.DROPPED,
+    "frames": control_words.FRAMES,
+    "bad_frames": control_words.BAD_FRAMES,
+    "other_frames": control_words.OTHER_FRAMES,
+    "duplicated": control_words.DUPLICATED,
+    "reordered": control_words.REORDERED,
+    "lost": control_words.LOST,
+    "commands": control_words.COMMANDS,
+    "unsent": control_words.UNSENT,
+    "late": control_words.LATE,
+    "skipped": control_words.SKIPPED,
+    "stale": control_words.STALE,
+    "overruns": control_words.OVERRUNS,
+    "exchanges": control_words.EXCHANGES,
+    "parameter_set": control_words.PARAMETER_SET,
+    "errno": control_words.END_ERRNO,
 }
 
 
@@ -187,7 +186,7 @@ class LoopThread:
 
     def stop(self) -> None:
         """Set the stop word: zero effort within one tick."""
-        self.ring.put(words.STOP, 1)
+        self.ring.put(control_words.STOP, 1)
 
     def wait(self, progress: Callable[[int, int], None] | None = None) -> None:
         """Block until the loop has ended; call `progress(ticks, phase)` a few times a second meanwhile.
@@ -200,14 +199,14 @@ class LoopThread:
             stop_requests.renew()
             if self._is_requested_to_stop():
                 self.stop()  # the loop does so by itself, unless its law never returns
-            if self.ring.get(words.STOP) != 0:
+            if self.ring.get(control_words.STOP) != 0:
                 told_at = time.monotonic() if told_at is None else told_at
                 if time.monotonic() - told_at > JOIN_S:
                     return
             self._live()
             self._attend()
             if progress is not None:
-                progress(self.ring.get(words.TICKS), self.ring.get(words.PHASE))
+                progress(self.ring.get(control_words.TICKS), self.ring.get(control_words.PHASE))
 
     def _is_requested_to_stop(self) -> bool:
         counted_at = self._settings.stop_requests
@@ -216,12 +215,12 @@ class LoopThread:
     def _stopper(self) -> str:
         if self._is_requested_to_stop():
             return f" by {stop_requests.requester()}"
-        process = -self.ring.get(words.STOP)
+        process = -self.ring.get(control_words.STOP)
         return f" by process {process} (`rig stop`, or STOP of a console)" if process > 0 else ""
 
     def _live(self) -> None:
         if self._heartbeat_ns:
-            self.ring.put(words.HEARTBEAT, self._link.clock.now_ns() + self._heartbeat_ns)
+            self.ring.put(control_words.HEARTBEAT, self._link.clock.now_ns() + self._heartbeat_ns)
 
     def _attend(self) -> None:
         """Do the loop's periodic work in Python."""
@@ -234,12 +233,12 @@ class LoopThread:
                 self.stop()
                 self._ended.wait(POLL_S)
         if self._started and not self._ended.is_set():
-            self.ring.put(words.STOP, words.ABANDONED)
+            self.ring.put(control_words.STOP, control_words.ABANDONED)
 
     def end(self) -> LoopEnd:
         """How the loop ended; `EndReason.STUCK` where it did not, though `finish` stopped it."""
         stuck = self._started and not self._ended.is_set()
-        reason = EndReason.STUCK if stuck else EndReason(self.ring.get(words.END_REASON))
+        reason = EndReason.STUCK if stuck else EndReason(self.ring.get(control_words.END_REASON))
         failure = self._error or self._link.failure()
         counters = {name: self.ring.get(word) for name, word in COUNTERS.items()}
         c, m = self._controller.control[0], self._controller.memory[0]
@@ -267,7 +266,7 @@ class LoopThread:
 
     def exchanges(self) -> NDArray[np.int64]:
         """The clock exchanges of the run: rows of four stamps (`rig.core.clock_fit.EXCHANGE`), oldest first."""
-        done = self.ring.get(words.EXCHANGES)
+        done = self.ring.get(control_words.EXCHANGES)
         kept = np.arange(max(0, done - EXCHANGES_KEPT), done) % EXCHANGES_KEPT
         return self._buffers.exchanges[kept]
 
@@ -310,9 +309,9 @@ class LoopThread:
             # caller sends STOP next; this thread only says what happened. Compiled code has no frames to show,
             # and those of this thread would keep it, and what it refers to, until the next garbage collection.
             self._error = error.with_traceback(None)
-            self.ring.put(words.END_REASON, EndReason.LAW_RAISED)
+            self.ring.put(control_words.END_REASON, EndReason.LAW_RAISED)
         finally:
-            self.ring.put(words.LOOP_DONE, 1)
+            self.ring.put(control_words.LOOP_DONE, 1)
             self._ended.set()
 
     def _run(self) -> None:

@@ -78,7 +78,7 @@ from rig.loop.supervision import (
     TIME,
     SupervisionBuffers,
 )
-from rig.realtime import ring
+from rig.realtime import control_words
 from rig.realtime.atomics import load_word, store_word
 from rig.realtime.codec import STATE
 from rig.realtime.kernel import kernel
@@ -108,7 +108,7 @@ def _say(
     time_ns = port.now(port.clock_handle)
     if time_ns >= v["next_command"]:
         taken = send_command(port, settings, buffers, MODE_SUPERVISE, 0, NO_SYNC)
-        add(shared.words, ring.COMMANDS if taken == 1 else ring.UNSENT, 1)
+        add(shared.words, control_words.COMMANDS if taken == 1 else control_words.UNSENT, 1)
         v["next_command"] = time_ns + s["supervise_every_ns"]
         if taken >= 0:
             taken = ask_time(port, settings, buffers)
@@ -219,13 +219,15 @@ def _run_law(
             begin_set(controller, buffers, tick, words)
             v["step"] = IDLE
         current = step(controller, sample[COUNT], 0.0, elapsed)
-        if load_word(words + WORD * ring.STOP) == ring.ABANDONED:  # the caller no longer waits
+        if (
+            load_word(words + WORD * control_words.STOP) == control_words.ABANDONED
+        ):  # the caller no longer waits
             return _ABANDONED
         v["sent"] = current
         v["comparable"] = 1 if v["stop_sequence"] < 0 else 0
         if elapsed > 1:
             m["flags"] |= FLAG_GAP
-            add(words, ring.LOST, elapsed - 1)
+            add(words, control_words.LOST, elapsed - 1)
         compare_measured(buffers, controller.memory, elapsed)
         reason = ended_by_device(state, buffers.progress)
         if reason == 0:
@@ -237,8 +239,8 @@ def _run_law(
             m["current_sent"] = 0
         leave_row(controller, shared, settings, buffers, tick, elapsed, sample[RECEIVED], 0, 0)
         v["ticks"] = tick + 1
-        store_word(words + WORD * ring.TICKS, tick + 1)
-        store_word(words + WORD * ring.PHASE, shown_phase(controller.memory))
+        store_word(words + WORD * control_words.TICKS, tick + 1)
+        store_word(words + WORD * control_words.PHASE, shown_phase(controller.memory))
         if reason != 0:
             return int(reason)
     return _GO_ON
@@ -347,9 +349,9 @@ def run(
                 newest, supervision, settings, controller.memory, buffers.progress, ready
             )
         if reason == CLOSED:
-            store_word(words + WORD * ring.END_ERRNO, -ready)
+            store_word(words + WORD * control_words.END_ERRNO, -ready)
     if reason == _ABANDONED:
-        store_word(words + WORD * ring.END_REASON, STOPPED)
+        store_word(words + WORD * control_words.END_REASON, STOPPED)
         return STOPPED
     v["stop_sequence"] = p["sequence"]
     for _ in range(STOP_FRAMES):  # also on a closed link: one that only reads badly still carries them
@@ -373,5 +375,5 @@ def run(
             _queue_fault(supervised.states, supervised.samples, supervision, buffers.progress)
             resting = v["tail"] < v["head"]
             listening = False
-    store_word(words + WORD * ring.END_REASON, reason)
+    store_word(words + WORD * control_words.END_REASON, reason)
     return int(reason)

@@ -20,8 +20,8 @@ from rig.loop import supervise
 from rig.loop.parameter_update import update_of
 from rig.loop.run import LoopThread, fault_of
 from rig.loop.supervision import SupervisionBuffers
+from rig.realtime import control_words
 from rig.realtime import mailbox as mailboxes
-from rig.realtime import ring as words
 from rig.realtime.codec import STATE
 
 # Quanta by which the device's current may differ from the host's law. A drive that renders the wall has filters of its
@@ -124,7 +124,7 @@ class SupervisedThread(LoopThread):
             why = f"{Status(status).text}; {Status(status).remedy}" if known else f"status {status}"
             said.append(f"the device refused parameter set {int(v['refused_set'])}: {why}")
         if not found.holds:
-            lost = self.ring.get(words.LOST)
+            lost = self.ring.get(control_words.LOST)
             said.append(
                 f"the device's current differed from the host's law by more than {found.bound_quanta} quanta in "
                 f"{found.beyond} of {found.compared} ticks, at most by {found.greatest_quanta}"

@@ -1,6 +1,6 @@
 """Find the memories (`rig.realtime.ring`) of the loops that run on this computer, and request them to stop.
 
-Imports only modules that an interpreter has loaded anyway, because stopping a rig must not wait for an import:
+Imports only modules that an interpreter has loaded anyway, and a few constants, because stopping a rig must not wait:
 `rig.__main__` writes the stop word before it parses the rest of its command line.
 """
 
@@ -12,6 +12,8 @@ import sys
 from collections.abc import Iterator
 from io import FileIO
 
+from rig.realtime.control_words import CONTROL_BYTES, CREATOR, LAYOUT_VERSION, LOOP_DONE, STOP, VERSION
+
 if sys.platform == "linux":
     from rig.realtime import anonymous_memory
 
@@ -20,13 +22,6 @@ else:
     from rig.realtime import named_memory
 
     place = named_memory
-
-LAYOUT_VERSION = 4
-CONTROL_BYTES = 512
-
-# Control words, of which the first three keep their places in all versions; `rig.realtime.ring` has the others.
-VERSION, STOP, LOOP_DONE = 0, 3, 7
-CREATOR = 63
 
 
 class LoopMemory:

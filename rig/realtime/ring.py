@@ -2,16 +2,14 @@
 
 Layout (version 4), every part at a multiple of 64 bytes::
 
-    control words   `WORDS` int64                                 what they say stands below
+    control words   `WORDS` int64                                 `rig.realtime.control_words`
     info            2 × `INFO_BYTES`; one is UTF-8 JSON, the other is free
     mailbox         `MAILBOX_BYTES` for `rig.realtime.mailbox`: parameters on their way to the loop
     rows            `capacity` rows of `rig.core.sample.ROW`
 
-Every word has one writer; all sides load and store words through `rig.realtime.atomics`. Words 0 to 3 and 7 keep their
-places in all versions, so that a run of any version can be stopped. The info describes the experiment that runs,
-on which device, into which recording; who posts parameters writes the info that goes with them into the free half, and
-then changes the word INFO: the length of the JSON in bits 0–19, which half in bit 20, above them how often it was
-changed.
+All sides load and store words through `rig.realtime.atomics`. The info describes the experiment that runs, on which
+device, into which recording; who posts parameters writes the info that goes with them into the free half, and then
+changes the word INFO: the length of the JSON in bits 0–19, which half in bit 20, above them how often it was changed.
 
 The loop writes row ``HEAD % capacity`` and then publishes HEAD + 1; the recorder copies rows up to HEAD and
 publishes TAIL. When the ring is full the loop either drops the row and counts it (real time: the recorder
@@ -37,54 +35,26 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.core.errors import RigError
 from rig.core.sample import ROW
-from rig.realtime import memories
+from rig.realtime.control_words import (
+    CLOCK,
+    CONTROL_BYTES,
+    CREATED,
+    CREATOR,
+    EXCHANGES,
+    HEAD,
+    INFO,
+    LAYOUT_VERSION,
+    ROW_BYTES,
+    VERSION,
+)  # fmt: skip
 from rig.realtime.memories import place
 
 if TYPE_CHECKING:
     from rig.realtime.mailbox import Mailbox
 
-LAYOUT_VERSION = memories.LAYOUT_VERSION
-WORDS = memories.CONTROL_BYTES // 8
+WORDS = CONTROL_BYTES // 8
 INFO_BYTES = 65536
 MAILBOX_BYTES = 2048  # rig.realtime.mailbox needs less, and must not be loaded to find the rows
-
-# STOP of a loop that its owner has given up: link and descriptors may be reused, so it touches no more.
-ABANDONED = 2
-
-# word                 writer       meaning
-VERSION = memories.VERSION  # creator     layout version, stored last
-HEAD = 1  # loop        rows written so far
-TAIL = 2  # recorder    rows drained so far
-STOP = memories.STOP  # any process non-zero: the loop ends within one tick; below zero: minus that process
-DROPPED = 4  # loop        rows lost because the ring was full
-TICKS = 5  # loop        steps of the law so far
-PHASE = 6  # loop        rig.core.sample.Phase now
-LOOP_DONE = memories.LOOP_DONE  # loop        1 when the loop has returned and will write nothing more
-HEARTBEAT = 8  # supervisor  time (ns, loop's clock) until which the loop may run; 0 switches the check off
-RECORDER_ERROR = 9  # recorder    0, or the errno that stopped the recorder
-RECORDED = 10  # recorder    rows that are in the file
-END_REASON = 11  # loop        why the loop ended (rig.loop.layout.EndReason)
-END_ERRNO = 12  # loop        errno behind a broken link, else 0
-INFO = 13  # who posts   length and place of the info
-CREATED = 14  # creator     when the block was made (ns, CLOCK_REALTIME)
-ROW_BYTES = 15  # creator     bytes of a row
-# Counters of the link, written by the loop.
-FRAMES = 16  # frames received whole
-BAD_FRAMES = 17  # frames with a wrong checksum, encoding or length
-OTHER_FRAMES = 18  # frames that were not STATE of this session
-DUPLICATED = 19  # samples received twice
-REORDERED = 20  # samples older than one already seen
-LOST = 21  # samples that never arrived
-COMMANDS = 22  # commands sent
-UNSENT = 23  # commands that the link did not take whole
-LATE = 24  # samples received more than one period after the grid
-SKIPPED = 25  # samples that arrived, but behind a newer one that the law saw instead
-STALE = 26  # ticks of a host-paced loop without a fresh sample
-OVERRUNS = 27  # grid points of a host-paced loop that passed before it woke
-EXCHANGES = 28  # clock exchanges completed
-PARAMETER_SET = 29  # number of the active parameter set
-CLOCK = 30  # loop        stamps of the last two clock exchanges, 8 words (`Ring.clock_exchange`)
-CREATOR = memories.CREATOR  # creator     its process, as it calls itself
 
 _INFO_AT = WORDS * 8
 _MAILBOX_AT = _INFO_AT + 2 * INFO_BYTES

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.realtime.ring import HEAD, Ring
+from rig.realtime.control_words import HEAD
+from rig.realtime.ring import Ring
 
 
 class RowReader:

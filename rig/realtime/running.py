@@ -18,8 +18,9 @@ from typing import Any
 from rig.core.errors import ConfigError, RigError, RunEndedError
 from rig.core.sample import phase_name
 from rig.realtime import memories
-from rig.realtime.memories import LAYOUT_VERSION, LOOP_DONE, STOP, VERSION, place
-from rig.realtime.ring import CREATED, PHASE, TICKS, Ring
+from rig.realtime.control_words import CREATED, LAYOUT_VERSION, LOOP_DONE, PHASE, STOP, TICKS, VERSION
+from rig.realtime.memories import place
+from rig.realtime.ring import Ring
 
 PATIENCE_S = 3.0  # how long a stopped loop may take to say so: it needs a tick
 POLL_S = 0.002

@@ -28,9 +28,10 @@ from rig.core.errors import RecordingError
 from rig.core.sample import ROW
 from rig.realtime.atomics import load_word, store_word
 from rig.realtime.codec import crc32
+from rig.realtime.control_words import DROPPED, HEAD, LOOP_DONE, RECORDED, RECORDER_ERROR, TAIL, TICKS
 from rig.realtime.handlers import take_no_signals
 from rig.realtime.kernel import kernel, prepare
-from rig.realtime.ring import DROPPED, HEAD, LOOP_DONE, RECORDED, RECORDER_ERROR, TAIL, TICKS, Ring
+from rig.realtime.ring import Ring
 from rig.realtime.system import EIO, descriptor_sync, descriptor_write, monotonic_now, sleep_until
 from rig.recording.canonical import lossless
 from rig.recording.capture import BLOCK_ROWS, CRC_BYTES, HEAD_BYTES, ROWS_MAGIC, pack_end, pack_header

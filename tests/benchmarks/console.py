@@ -175,7 +175,7 @@ def concluded(pairs: list[dict[str, Any]]) -> dict[str, Any]:
 
 async def stops(place: Path) -> list[float]:
     """Times from the word of a page to the stop word of a loop that leaves 10,000 rows a second (ms)."""
-    from rig.realtime import ring as words  # noqa: PLC0415
+    from rig.realtime import control_words  # noqa: PLC0415
     from tests.conformance.console import served  # noqa: PLC0415
     from tests.conformance.lsl_loop import HandTurnedLoop  # noqa: PLC0415
 
@@ -189,10 +189,10 @@ async def stops(place: Path) -> list[float]:
                 await asyncio.sleep(0.05)
                 began = time.perf_counter()
                 await hold.send('{"stop":true}')
-                while ring.get(words.STOP) == 0:
+                while ring.get(control_words.STOP) == 0:
                     await asyncio.sleep(0)
                 took.append(1e3 * (time.perf_counter() - began))
-                ring.put(words.LOOP_DONE, 1)
+                ring.put(control_words.LOOP_DONE, 1)
     return took
 
 

@@ -40,7 +40,7 @@ from rig.core.sample import ROW, Phase
 from rig.experiments import maps
 from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, hit
-from rig.realtime import ring as words
+from rig.realtime import control_words
 from rig.realtime.hand import HandMotion, SharedHand
 from rig.realtime.ring import Ring
 
@@ -136,17 +136,17 @@ class Day:
         wall = {"stiffness": 60.0 + self.runs % 7, "damping": 0.2, "position": 0.0, "side": 1}
         experiment = {"rig": preset, "controller": {"position_rate": self._rate_hz}, "wall": wall}
         self.ring = Ring.allocate(1 << 15, info={"url": "sim://", "experiment": experiment}, shared=True)
-        self.ring.put(words.PHASE, int(Phase.TRIAL))
+        self.ring.put(control_words.PHASE, int(Phase.TRIAL))
         self._left, self.runs = 0, self.runs + 1
         return self.ring
 
     def _leave(self, rows: np.ndarray[Any, Any], passed: int) -> None:
         assert self.ring is not None
-        ring, head = self.ring, self.ring.get(words.HEAD)
+        ring, head = self.ring, self.ring.get(control_words.HEAD)
         rows["device_time"] += passed * TABLE * 1_000_000_000 // self._rate_hz
         rows["received_at"] = time.monotonic_ns()
         ring.rows[np.arange(head, head + len(rows)) % ring.capacity] = rows
-        ring.put(words.HEAD, head + len(rows))
+        ring.put(control_words.HEAD, head + len(rows))
         for row in rows[::64]:
             position = float(row["position"])
             self._hand.tell(
@@ -156,7 +156,7 @@ class Day:
     def close(self) -> None:
         """End the run."""
         if self.ring is not None:
-            self.ring.put(words.LOOP_DONE, 1)
+            self.ring.put(control_words.LOOP_DONE, 1)
             self.ring.close()
             self.ring = None
 

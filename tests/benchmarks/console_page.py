@@ -64,15 +64,15 @@ async def turn(day: Any, seconds: float) -> None:
 
 async def stop(page: Any, day: Any) -> float:
     """Press Escape while a loop runs: how long it took to reach the loop (ms)."""
-    from rig.realtime import ring as words  # noqa: PLC0415
+    from rig.realtime import control_words  # noqa: PLC0415
 
     await turn(day, SETTLE_S)
     ring = day.begin()
     await page.evaluate(f"rigConsole.scope.link.ask('look', {{ pid: {os.getpid()} }})")
     await turn(day, SETTLE_S)
-    assert ring.get(words.STOP) == 0
+    assert ring.get(control_words.STOP) == 0
     pressed = asyncio.create_task(page.keyboard.press("Escape"))
-    while ring.get(words.STOP) == 0:
+    while ring.get(control_words.STOP) == 0:
         await asyncio.sleep(0)
     reached_ms = time.time() * 1e3
     await pressed

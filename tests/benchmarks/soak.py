@@ -131,10 +131,10 @@ class Watch:
 
     def look(self, ring: Any, *, last: bool = False) -> None:
         """Take the lateness of the rows since the last look; print a line when a minute is over, or at the end."""
-        from rig.realtime import ring as words  # noqa: PLC0415
+        from rig.realtime import control_words  # noqa: PLC0415
 
-        head = ring.get(words.HEAD)
-        backlog = head - ring.get(words.TAIL)
+        head = ring.get(control_words.HEAD)
+        backlog = head - ring.get(control_words.TAIL)
         self.fullest = max(self.fullest, backlog)
         first = max(self.seen, head - ring.capacity * 9 // 10)  # older ones may be overwritten meanwhile
         self.unseen += first - self.seen
@@ -227,7 +227,7 @@ def behind_a_pty(directory: Path, rate: int) -> Iterator[Any]:
 
 def free_run(options: argparse.Namespace, directory: Path, watch: Watch, disk: Disk | None) -> dict[str, Any]:
     """The loop over a far end of the benchmarks."""
-    from rig.realtime import ring as words  # noqa: PLC0415
+    from rig.realtime import control_words  # noqa: PLC0415
     from rig.realtime.ring import Ring  # noqa: PLC0415
     from rig.recording.recorder import Recorder  # noqa: PLC0415
     from tests.benchmarks.realtime import workbench  # noqa: PLC0415
@@ -255,7 +255,7 @@ def free_run(options: argparse.Namespace, directory: Path, watch: Watch, disk: D
             watch.cpu = time.process_time()
             end = watch.started + options.minutes * MINUTE_S
             stall_at = watch.started + min(MINUTE_S, options.minutes * MINUTE_S) / 2
-            while time.monotonic() < end and not ring.get(words.LOOP_DONE):
+            while time.monotonic() < end and not ring.get(control_words.LOOP_DONE):
                 time.sleep(min(LOOK_S, max(0.0, end - time.monotonic())))
                 if disk is not None and time.monotonic() > stall_at:
                     disk.stall(recorder._descriptor, options.stall)

@@ -13,7 +13,7 @@ from rig.config import presets
 from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, hit
 from rig.loop.run import LoopThread
-from rig.realtime import ring as words
+from rig.realtime import control_words
 
 GOAL_US = 3.0
 EXPERIMENT = config.override(presets.load("koul-compliant"), {"trial.duration_s": 0.5})
@@ -27,7 +27,7 @@ def loops_tick_us(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, url: str) -> 
     def timed(self: LoopThread) -> None:
         started = time.thread_time()
         run(self)
-        found.append(1e6 * (time.thread_time() - started) / self.ring.get(words.TICKS))
+        found.append(1e6 * (time.thread_time() - started) / self.ring.get(control_words.TICKS))
 
     with monkeypatch.context() as patch:
         patch.setattr(LoopThread, "_run", timed)

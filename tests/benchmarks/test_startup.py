@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from rig.cli.compiling import EXPECTED
-from rig.realtime import ring as words
+from rig.realtime import control_words
 from rig.realtime.ring import Ring
 from tests.benchmarks.realtime.workbench import FULL
 
@@ -175,14 +175,14 @@ def test_a_stop_reaches_the_loop_almost_as_soon_as_an_interpreter_starts() -> No
     with Ring.allocate(1, info={}, shared=True) as ring:
         for _ in range(50 if FULL else 15):
             bare.append(best_of(1, [sys.executable, "-c", "pass"]))
-            ring.put(words.STOP, 0)
-            ring.put(words.LOOP_DONE, 0)
+            ring.put(control_words.STOP, 0)
+            ring.put(control_words.LOOP_DONE, 0)
             started = time.perf_counter()
             with subprocess.Popen([program, "stop", str(os.getpid())], stdout=subprocess.DEVNULL) as process:
-                while ring.get(words.STOP) == 0 and process.poll() is None:
+                while ring.get(control_words.STOP) == 0 and process.poll() is None:
                     time.sleep(1e-4)
                 stop.append(time.perf_counter() - started)
-                ring.put(words.LOOP_DONE, 1)
+                ring.put(control_words.LOOP_DONE, 1)
             assert process.returncode == 0
     said, nothing = statistics.median(stop), statistics.median(bare)
     print(

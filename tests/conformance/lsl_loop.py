@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from rig.core.sample import ROW
-from rig.realtime import ring as words
+from rig.realtime import control_words
 from rig.realtime.ring import Ring
 
 OFFSET_NS = 5_000_000_123  # host clock less device clock
@@ -43,21 +43,21 @@ class HandTurnedLoop:
         for name, values in columns.items():
             rows[name] = values
         for row in rows:
-            head = self.ring.get(words.HEAD)
+            head = self.ring.get(control_words.HEAD)
             self.ring.rows[head % self.ring.capacity] = row
-            self.ring.put(words.HEAD, head + 1)
+            self.ring.put(control_words.HEAD, head + 1)
         self.told = np.concatenate((self.told, rows))
 
     def compare_clocks(self, *, late_ns: int = 0) -> None:
         """Do what `rig.loop.exchange` does with an answer that comes `late_ns` later than usual."""
-        done = self.ring.get(words.EXCHANGES)
+        done = self.ring.get(control_words.EXCHANGES)
         device = 1_000_000 * (100 + len(self.told))
         host = device + OFFSET_NS
         for i, stamp in enumerate((host - WAY_NS, device, device, host + WAY_NS + late_ns)):
-            self.ring.put(words.CLOCK + 4 * (done % 2) + i, stamp)
-        self.ring.put(words.EXCHANGES, done + 1)
+            self.ring.put(control_words.CLOCK + 4 * (done % 2) + i, stamp)
+        self.ring.put(control_words.EXCHANGES, done + 1)
 
     def end(self, reason: int = 1) -> None:
         """Say that it has returned."""
-        self.ring.put(words.END_REASON, reason)
-        self.ring.put(words.LOOP_DONE, 1)
+        self.ring.put(control_words.END_REASON, reason)
+        self.ring.put(control_words.LOOP_DONE, 1)

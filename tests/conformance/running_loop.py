@@ -20,7 +20,7 @@ PROGRAM = """
 from rig.core import program; program.begin()
 import json, sys, threading, time
 import numpy as np
-from rig.realtime import ring as words
+from rig.realtime import control_words
 from rig.realtime.mailbox import SET_FLOATS, take
 from rig.realtime.ring import Ring
 
@@ -28,20 +28,20 @@ info, kind = json.loads(sys.argv[1]), sys.argv[2]
 ring = Ring.allocate(16, info=info, shared=True)
 ended = threading.Event()
 threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
-ring.put(words.PHASE, 3)
+ring.put(control_words.PHASE, 3)
 print("ready", flush=True)
 into = np.zeros(SET_FLOATS)
 ticks = 0
-while not ended.is_set() and (kind == "deaf" or ring.get(words.STOP) == 0):
+while not ended.is_set() and (kind == "deaf" or ring.get(control_words.STOP) == 0):
     ticks += 1
-    ring.put(words.TICKS, ticks)
+    ring.put(control_words.TICKS, ticks)
     number = take(ring.mailbox, into.view(np.uint8))
     if number and not info.get("inside"):
         print(json.dumps({"set": number, "values": into[:8].tolist()}), flush=True)
-        ring.put(words.PARAMETER_SET, number)
+        ring.put(control_words.PARAMETER_SET, number)
     time.sleep(0.001)
 if kind != "deaf":
-    ring.put(words.LOOP_DONE, 1)
+    ring.put(control_words.LOOP_DONE, 1)
 print("done", flush=True)
 ended.wait()
 """

@@ -25,7 +25,7 @@ from numba import types
 
 from rig.core.sample import ROW
 from rig.loop.layout import ROWS_TYPE
-from rig.realtime import ring as words
+from rig.realtime import control_words
 from rig.realtime.atomics import load_word, store_word
 from rig.realtime.kernel import kernel
 from rig.realtime.ring import Ring
@@ -118,22 +118,24 @@ def produce(control: Any, rows: Any, period_ns: Any, count: Any, found: Any) -> 
             sleep_until(due)
             now = monotonic_now(0)
         latest = max(latest, now - due)
-        head = load_word(control + 8 * words.HEAD)
-        waiting = head - load_word(control + 8 * words.TAIL)
+        head = load_word(control + 8 * control_words.HEAD)
+        waiting = head - load_word(control + 8 * control_words.TAIL)
         if waiting >= len(rows):
-            store_word(control + 8 * words.DROPPED, load_word(control + 8 * words.DROPPED) + 1)
+            store_word(
+                control + 8 * control_words.DROPPED, load_word(control + 8 * control_words.DROPPED) + 1
+            )
         else:
             row = rows[head % len(rows)]
             row["tick"] = n
             row["count"] = -3 * n
             row["position"] = 0.5 * n
             row["applied_at"] = n + 7
-            store_word(control + 8 * words.HEAD, head + 1)
+            store_word(control + 8 * control_words.HEAD, head + 1)
             fullest = max(fullest, waiting + 1)
-        store_word(control + 8 * words.TICKS, n + 1)
+        store_word(control + 8 * control_words.TICKS, n + 1)
     store_word(found, fullest)
     store_word(found + 8, latest)
-    store_word(control + 8 * words.LOOP_DONE, 1)
+    store_word(control + 8 * control_words.LOOP_DONE, 1)
     return 0
 
 
@@ -205,13 +207,13 @@ def _run(
     # What was dropped at the very end is not between two rows of the disk.
     missing = found["missing"] + count - 1 - found["last"]
     return DiskRun(
-        made=ring.get(words.TICKS),
-        dropped=ring.get(words.DROPPED),
+        made=ring.get(control_words.TICKS),
+        dropped=ring.get(control_words.DROPPED),
         arrived=found["rows"],
         missing=missing,
         bad=found["bad"],
-        recorded=ring.get(words.RECORDED),
-        error=ring.get(words.RECORDER_ERROR),
+        recorded=ring.get(control_words.RECORDED),
+        error=ring.get(control_words.RECORDER_ERROR),
         fullest=int(measured[0]),
         worst_late_s=float(measured[1] * 1e-9),
         longest_hold_s=longest_hold_s,

@@ -20,7 +20,7 @@ from rig.loop.layout import EndReason
 from rig.loop.replay import replay_rows
 from rig.loop.run import LoopSettings
 from rig.loop.supervised import BOUNDS, SupervisedThread
-from rig.realtime import ring
+from rig.realtime import control_words
 from rig.realtime.ring import Ring
 from sim_backend.board.firmware import FirmwareDevice
 from sim_backend.board.firmware_library import FIRMWARE
@@ -97,7 +97,7 @@ class Session:
         self.host.take_back(**self.thread.handover())
         self.host.stop()
         self.host.disarm(clear_fault=True)
-        return self.memory.rows[: self.memory.get(ring.HEAD)]
+        return self.memory.rows[: self.memory.get(control_words.HEAD)]
 
 
 def replayed(session: Session, rows: np.ndarray) -> np.ndarray:

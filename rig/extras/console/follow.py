@@ -13,15 +13,16 @@ from rig.core.errors import RigError
 from rig.core.sample import RowFlag, phase_name
 from rig.extras.console.history import History
 from rig.loop.layout import EndReason
-from rig.realtime import ring as words
-from rig.realtime.memories import LAYOUT_VERSION, STOP
+from rig.realtime import control_words
+from rig.realtime.control_words import LAYOUT_VERSION, STOP
 from rig.realtime.ring import Ring
 from rig.realtime.row_reader import RowReader
 from rig.realtime.running import RunningLoop, running
 
 _COUNTERS = {
-    "dropped": words.DROPPED, "lost": words.LOST, "late": words.LATE, "skipped": words.SKIPPED,
-    "bad_frames": words.BAD_FRAMES, "stale": words.STALE, "overruns": words.OVERRUNS,
+    "dropped": control_words.DROPPED, "lost": control_words.LOST, "late": control_words.LATE,
+    "skipped": control_words.SKIPPED,
+    "bad_frames": control_words.BAD_FRAMES, "stale": control_words.STALE, "overruns": control_words.OVERRUNS,
 }  # fmt: skip
 
 
@@ -52,7 +53,7 @@ class Followed:
 
     def poll(self) -> None:
         """Take over the rows that have come."""
-        done = self._ring.get(words.LOOP_DONE) != 0  # before the rows: what follows is then all
+        done = self._ring.get(control_words.LOOP_DONE) != 0  # before the rows: what follows is then all
         self.history.add(self._reader.new())
         self.ended = done
 
@@ -69,13 +70,13 @@ class Followed:
         ring, newest = self._ring, self.history.raw(self.history.rows - 1, self.history.rows)
         told = {
             "pid": self.pid,
-            "phase": phase_name(ring.get(words.PHASE)),
-            "ticks": ring.get(words.TICKS),
-            "set": ring.get(words.PARAMETER_SET),
+            "phase": phase_name(ring.get(control_words.PHASE)),
+            "ticks": ring.get(control_words.TICKS),
+            "set": ring.get(control_words.PARAMETER_SET),
             "stopping": ring.get(STOP) != 0,
             "counters": {name: ring.get(word) for name, word in _COUNTERS.items()},
             "unseen": self._reader.lost,
-            "ended": _reason(ring.get(words.END_REASON)) if self.ended else None,
+            "ended": _reason(ring.get(control_words.END_REASON)) if self.ended else None,
         }
         if len(newest):
             row = newest[0]
@@ -106,7 +107,7 @@ class Followed:
         self._ring.close()
 
     def _look_at_info(self) -> bool:
-        word = self._ring.get(words.INFO)
+        word = self._ring.get(control_words.INFO)
         if word == self._info_word:
             return False
         self.info, self._info_word = self._ring.info_and_word()

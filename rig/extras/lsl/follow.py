@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from rig.core.sample import ROW, Phase, RowFlag
 from rig.extras.lsl.clock import LiveClock
 from rig.loop.layout import EndReason
-from rig.realtime import ring as words
+from rig.realtime import control_words
 from rig.realtime.ring import Ring
 from rig.realtime.row_reader import RowReader
 
@@ -126,7 +126,7 @@ class Follower:
 
     def poll(self) -> Chunk:
         """What has come since the last call; the last call (`ended`) has the end."""
-        done = self.ring.get(words.LOOP_DONE) != 0  # before the rows: what follows is then all
+        done = self.ring.get(control_words.LOOP_DONE) != 0  # before the rows: what follows is then all
         self._clock.look(self.ring)
         if not self._clock.fitted and not done and time.monotonic() - self._since < HOLD_S:
             return Chunk(np.zeros(0, ROW), np.zeros(0, np.int64))
@@ -198,7 +198,7 @@ class Follower:
         }
 
     def _end(self, time_ns: int) -> Marker:
-        reason = self.ring.get(words.END_REASON)
+        reason = self.ring.get(control_words.END_REASON)
         named = EndReason(reason).name.lower() if reason in set(EndReason) else str(reason)
         place = {name: int(self._before[name][0]) for name in ("tick", "device_time")} if self.rows else {}
         return Marker(

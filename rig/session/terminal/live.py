@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from rig.core.sample import RowFlag, phase_name
 from rig.realtime import running
-from rig.realtime.ring import HEAD, LATE, LOOP_DONE, LOST, PHASE, SKIPPED, Ring
+from rig.realtime.control_words import HEAD, LATE, LOOP_DONE, LOST, PHASE, SKIPPED
+from rig.realtime.ring import Ring
 
 ROWS = 512  # newest rows that are looked at: a small part of what the ring holds, so that the loop does not overtake
 

@@ -39,8 +39,7 @@ from firmware_protocol.packing import encoded_bytes, unpack
 from rig.devices import open_link
 from rig.devices.port import LoopPort
 from rig.loop.host import SHORTEST_WAIT_NS
-from rig.realtime import ring as words
-from rig.realtime import system
+from rig.realtime import control_words, system
 from rig.realtime.clock import MonotonicClock
 from rig.realtime.ring import Ring
 from tests.benchmarks.realtime.workbench import (
@@ -172,7 +171,7 @@ class Contest:
             time.sleep(SECONDS)
         counters = loop.end().counters
         assert counters["bad_frames"] == counters["unsent"] == 0
-        return ring.rows["received_at"][: ring.get(words.HEAD)].copy()
+        return ring.rows["received_at"][: ring.get(control_words.HEAD)].copy()
 
     def c(self) -> np.ndarray:
         """Receipt times (ns) of the client in C."""

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.realtime import ring as words
+from rig.realtime import control_words
 from rig.realtime.ring import Ring
 from tests.benchmarks.realtime.workbench import (
     CPUS,
@@ -58,7 +58,7 @@ def of_the_loop(near: Path, rate: int, spin_ns: int) -> np.ndarray:
     ring = Ring.allocate(round(2 * SECONDS * rate))
     with running_loop(NearLink(near, rate), rate, ring, host_paced=True, spin_ns=spin_ns):
         time.sleep(SECONDS)
-    return ring.rows["lateness"][: ring.get(words.HEAD)].copy()
+    return ring.rows["lateness"][: ring.get(control_words.HEAD)].copy()
 
 
 def of_python(rate: int) -> np.ndarray:

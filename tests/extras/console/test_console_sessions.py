@@ -25,9 +25,10 @@ from rig.extras.console.service import ServiceContext
 from rig.extras.console.session_lists import protocols, resumable
 from rig.extras.console.talk import Talk
 from rig.extras.console.terminal import Terminal
-from rig.realtime import ring as words
+from rig.realtime import control_words
+from rig.realtime.control_words import STOP
 from rig.realtime.hand import SharedHand
-from rig.realtime.ring import STOP, Ring
+from rig.realtime.ring import Ring
 from rig.session.engine.desk import DeskView, Question, Reply
 from rig.session.engine.place import Place
 from rig.session.planning.protocol import Keys
@@ -203,7 +204,7 @@ def test_nothing_of_a_blinded_loop_reaches_a_page(tmp_path: Path) -> None:
     one = Page()
     shared = ServiceContext({cast("Client", one)}, Lease(), Jobs(lambda *_: None), tmp_path)
     with SharedHand.create(tmp_path / "hand") as hand, Ring.allocate(64, info=info, shared=True) as ring:
-        ring.words[words.HEAD] = 10
+        ring.words[control_words.HEAD] = 10
         live = Live(shared, hand, Terminal(), own=False)
         live._pid = os.getpid()
         shared.blinded = True

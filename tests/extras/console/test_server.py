@@ -29,7 +29,7 @@ from rig.extras.console.errands import Errands
 from rig.extras.console.follow import Followed
 from rig.extras.console.lease import Lease
 from rig.extras.console.live import Live
-from rig.realtime import ring as words
+from rig.realtime import control_words
 from tests.conformance.console import Served, served
 from tests.conformance.lsl_loop import INFO, HandTurnedLoop
 from tests.extras.console.console_fakes import Here
@@ -126,7 +126,7 @@ def test_without_the_token_a_socket_is_closed(shown: dict[str, str], tmp_path: P
 
 def test_a_running_loop_is_found_followed_and_told(tmp_path: Path) -> None:
     loop = HandTurnedLoop(4096, shared=True)
-    loop.ring.put(words.PHASE, int(Phase.TRIAL))
+    loop.ring.put(control_words.PHASE, int(Phase.TRIAL))
 
     async def scenario(console: Served) -> None:
         async with console.page() as page:
@@ -162,7 +162,7 @@ def test_a_loop_that_says_nonsense_of_itself_ends_no_console(
                 await searched(2)
             assert page.newest("loop") is None
             await page.ask("stop")
-            assert loop.ring.get(words.STOP) == -os.getpid()
+            assert loop.ring.get(control_words.STOP) == -os.getpid()
 
     loop = HandTurnedLoop(64, shared=True, info={"experiment": experiment})
     with loop.ring:
@@ -205,7 +205,7 @@ def test_a_loop_that_cannot_be_read_costs_its_scope_and_no_server(
             assert polled == 1, "it is not looked at again"
             assert (await page.ask("operate", take=True))["result"] == {"operates": True}
             await page.ask("stop")
-            assert loop.ring.get(words.STOP) == -os.getpid()
+            assert loop.ring.get(control_words.STOP) == -os.getpid()
 
     loop = HandTurnedLoop(64, shared=True)
     with loop.ring:
@@ -256,9 +256,9 @@ def test_stop_reaches_the_loop_by_either_socket(tmp_path: Path) -> None:
                         await hold.send('{"stop":true}')
                     else:
                         await page.ask("stop")
-                    while ring.get(words.STOP) == 0:
+                    while ring.get(control_words.STOP) == 0:
                         await asyncio.sleep(0.001)
-                ring.put(words.LOOP_DONE, 1)
+                ring.put(control_words.LOOP_DONE, 1)
 
     play(tmp_path, scenario)
 
@@ -268,7 +268,7 @@ def test_stop_reaches_loops_that_nobody_looks_at(tmp_path: Path) -> None:
         async with console.hold() as hold:
             with HandTurnedLoop(64, shared=True).ring as ring:
                 await hold.send('{"stop":true}')
-                while ring.get(words.STOP) == 0:
+                while ring.get(control_words.STOP) == 0:
                     await asyncio.sleep(0.001)
 
     play(tmp_path, scenario, own=True)
@@ -426,7 +426,7 @@ def test_a_flood_of_beats_is_cut_off_and_stops_all_the_same(
                     await hold.recv()
             async with console.hold() as hold:
                 await hold.send('{"stop":true}')
-                while ring.get(words.STOP) == 0:
+                while ring.get(control_words.STOP) == 0:
                     await asyncio.sleep(0.001)
 
     play(tmp_path, scenario)
@@ -649,7 +649,7 @@ def test_a_blinded_session_of_another_terminal_shows_nothing_and_is_stopped(tmp_
             assert page.newest("loop") is None
             assert not [frame for frame in page.frames if frame["points"]]
             await page.ask("stop")
-            assert loop.ring.get(words.STOP) == -os.getpid()
+            assert loop.ring.get(control_words.STOP) == -os.getpid()
 
     with loop.ring:
         play(tmp_path, scenario)
@@ -672,7 +672,7 @@ def test_a_console_of_a_test_neither_looks_at_a_loop_of_another_process_nor_stop
             await searched(2)
             assert page.newest("loop") is None
             await page.ask("stop")
-            assert loop.ring.get(words.STOP) == 0
+            assert loop.ring.get(control_words.STOP) == 0
 
     monkeypatch.setattr("tests.conformance.console.processes_of_this_test", list)
     loop = HandTurnedLoop(64, shared=True)

@@ -17,8 +17,7 @@ from rig.config import as_mapping, controller, override
 from rig.config.presets import load
 from rig.core.errors import ConfigError, PlanError, RigError, RunEndedError
 from rig.experiments import live
-from rig.realtime import ring as words
-from rig.realtime import running
+from rig.realtime import control_words, running
 from rig.realtime.mailbox import SET_FLOATS, take
 from rig.realtime.ring import Ring
 from tests.conformance.running_loop import loop_process
@@ -55,7 +54,7 @@ def ring(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:  # type: ignore[no-u
     """A loop's memory in this process, which is the only one that runs."""
     with Ring.allocate(1, info=info_of(), shared=True) as ring:
         path = f"/proc/self/fd/{ring.descriptor}"
-        loop = running.RunningLoop(1, 0.0, 0, "trial", False, False, words.LAYOUT_VERSION, {}, path)
+        loop = running.RunningLoop(1, 0.0, 0, "trial", False, False, control_words.LAYOUT_VERSION, {}, path)
         monkeypatch.setattr(running, "running", lambda: [loop])
         yield ring
 
@@ -183,7 +182,7 @@ def test_a_loop_that_cannot_be_changed_from_outside_is_left_alone(info: dict[str
 
 def test_a_loop_that_has_ended_is_not_changed() -> None:
     ring = Ring.allocate(1, info=info_of())
-    ring.put(words.LOOP_DONE, 1)
+    ring.put(control_words.LOOP_DONE, 1)
     with pytest.raises(RunEndedError, match="has ended"):
         live._post(ring, {"wall.stiffness": 400.0})
 
@@ -193,7 +192,7 @@ def test_the_loop_is_watched_until_it_has_taken_the_change(ring: Ring) -> None:
 
     def commit(number: int) -> None:
         told.append(number)
-        threading.Timer(0.05, lambda: ring.put(words.PARAMETER_SET, number)).start()
+        threading.Timer(0.05, lambda: ring.put(control_words.PARAMETER_SET, number)).start()
 
     done = live.change_wall({"stiffness": 400.0}, patience_s=20, posted=commit)
     assert done.active
@@ -202,7 +201,7 @@ def test_the_loop_is_watched_until_it_has_taken_the_change(ring: Ring) -> None:
 
 def test_a_loop_that_ends_before_it_could_take_the_change_is_said_to_have_done_so(ring: Ring) -> None:
     done = live.change_wall(
-        {"stiffness": 400.0}, patience_s=20, posted=lambda n: ring.put(words.LOOP_DONE, 1)
+        {"stiffness": 400.0}, patience_s=20, posted=lambda n: ring.put(control_words.LOOP_DONE, 1)
     )
     assert (done.active, done.ended) == (False, True)
 

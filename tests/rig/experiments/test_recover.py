@@ -16,7 +16,8 @@ from rig.config.presets import load
 from rig.core.errors import ConfigError
 from rig.core.sample import ROW
 from rig.experiments.recover import CaptureState, Recovered, failed, recover, unsealed
-from rig.realtime.ring import LOOP_DONE, Ring
+from rig.realtime.control_words import LOOP_DONE
+from rig.realtime.ring import Ring
 from rig.recording.capture import write_capture
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording

@@ -36,7 +36,7 @@ from rig.loop.layout import PROGRESS, RECEIVE_BYTES, SETTINGS, Buffers, EndReaso
 from rig.loop.rows import DRIFT_PPM
 from rig.loop.rows import lateness as row_lateness
 from rig.loop.run import LoopSettings, LoopThread
-from rig.realtime import ring, system
+from rig.realtime import control_words, system
 from rig.realtime.atomics import load_word, store_word, write_word
 from rig.realtime.callbacks import callback_plugs
 from rig.realtime.clock import MonotonicClock, VirtualClock
@@ -102,7 +102,7 @@ class Receiver:
     @property
     def counters(self) -> dict[str, int]:
         names = ("FRAMES", "BAD_FRAMES", "OTHER_FRAMES", "DUPLICATED", "REORDERED")
-        return {name.lower(): self.ring.get(getattr(ring, name)) for name in names}
+        return {name.lower(): self.ring.get(getattr(control_words, name)) for name in names}
 
     @property
     def sample_index(self) -> int:
@@ -461,7 +461,7 @@ def test_a_link_that_does_not_take_the_command_is_closed() -> None:
         1,
     )
     assert end.counters["unsent"] == 1
-    assert thread.ring.get(ring.HEAD) == 1, "the tick is recorded all the same"
+    assert thread.ring.get(control_words.HEAD) == 1, "the tick is recorded all the same"
 
 
 def test_a_full_line_is_counted_and_survived() -> None:
@@ -491,7 +491,7 @@ def test_the_last_state_before_the_link_broke_is_still_answered() -> None:
 
 def test_the_stop_word_stops_within_one_period() -> None:
     memory = Ring.allocate(4096)
-    link = Script(*ticks(1, 100), (20 * PERIOD_NS + 1, lambda: memory.put(ring.STOP, 1)))
+    link = Script(*ticks(1, 100), (20 * PERIOD_NS + 1, lambda: memory.put(control_words.STOP, 1)))
     _, end = ran(link, memory=memory)
     assert (end.reason, end.counters["ticks"]) == (EndReason.STOPPED, 20)
     assert link.clock.now_ns() <= 21 * PERIOD_NS + 1
@@ -500,7 +500,7 @@ def test_the_stop_word_stops_within_one_period() -> None:
 
 def test_a_stop_before_the_start_steps_no_law() -> None:
     memory = Ring.allocate(4096)
-    memory.put(ring.STOP, 1)
+    memory.put(control_words.STOP, 1)
     link = Script(*ticks(1, 100))
     _, end = ran(link, memory=memory)
     assert (end.reason, end.counters["ticks"]) == (EndReason.STOPPED, 0)
@@ -509,9 +509,9 @@ def test_a_stop_before_the_start_steps_no_law() -> None:
 
 def test_a_supervisor_that_falls_silent_ends_the_run() -> None:
     memory = Ring.allocate(4096)
-    memory.put(ring.HEARTBEAT, 10 * PERIOD_NS)
+    memory.put(control_words.HEARTBEAT, 10 * PERIOD_NS)
     alive = [
-        (PERIOD_NS * k + 1, lambda k=k: memory.put(ring.HEARTBEAT, PERIOD_NS * (k + 10)))
+        (PERIOD_NS * k + 1, lambda k=k: memory.put(control_words.HEARTBEAT, PERIOD_NS * (k + 10)))
         for k in range(1, 20)
     ]
     link = Script(*ticks(1, 100), *alive)
@@ -575,7 +575,7 @@ def test_an_exception_in_a_law_is_told_and_the_streams_can_be_taken_over() -> No
     thread, end = ran(link, at_rest(Law("raises", "for this test", raises, 2, lambda wall: [])))
     assert end.reason == EndReason.LAW_RAISED
     assert "too deep" in str(end.error)
-    assert thread.ring.get(ring.LOOP_DONE) == 1
+    assert thread.ring.get(control_words.LOOP_DONE) == 1
     streams = thread.handover()
     assert streams["next_command"] == len(link.heard)
     assert streams["state"] == State.RUNNING
@@ -629,7 +629,7 @@ def test_in_real_time_a_full_ring_drops_rows_and_counts_them() -> None:
     link = Script(*ticks(1, 30))
     _, end = ran(link, memory=memory)
     assert (end.counters["ticks"], end.counters["rows_dropped"]) == (29, 21)
-    assert memory.get(ring.HEAD) == 8
+    assert memory.get(control_words.HEAD) == 8
     assert memory.rows["tick"].tolist() == list(range(8))
 
 
@@ -640,14 +640,16 @@ def test_in_virtual_time_the_loop_waits_for_the_recorder() -> None:
     def recorder() -> None:
         tail = 0
         deadline = time.monotonic() + WAIT_S
-        while not memory.get(ring.LOOP_DONE) and time.monotonic() < deadline:
-            head = memory.get(ring.HEAD)
+        while not memory.get(control_words.LOOP_DONE) and time.monotonic() < deadline:
+            head = memory.get(control_words.HEAD)
             assert head - tail <= 8
             seen.extend(memory.rows["tick"][[k % 8 for k in range(tail, head)]].tolist())
             tail = head
-            memory.put(ring.TAIL, tail)
+            memory.put(control_words.TAIL, tail)
             time.sleep(0.001)
-        seen.extend(memory.rows["tick"][[k % 8 for k in range(tail, memory.get(ring.HEAD))]].tolist())
+        seen.extend(
+            memory.rows["tick"][[k % 8 for k in range(tail, memory.get(control_words.HEAD))]].tolist()
+        )
 
     thread = threading.Thread(target=recorder)
     thread.start()
@@ -659,7 +661,7 @@ def test_in_virtual_time_the_loop_waits_for_the_recorder() -> None:
 
 def test_in_virtual_time_a_recorder_that_failed_is_not_waited_for() -> None:
     memory = Ring.allocate(8)
-    memory.put(ring.RECORDER_ERROR, errno.ENOSPC)
+    memory.put(control_words.RECORDER_ERROR, errno.ENOSPC)
     _, end = ran(Script(*ticks(1, 30)), memory=memory, wait_for_room=True)
     assert (end.counters["ticks"], end.counters["rows_dropped"]) == (29, 21)
 
@@ -749,7 +751,7 @@ def test_a_host_paced_loop_in_real_time_keeps_its_grid_and_may_spin_at_the_end_o
     for k in range(1, 40):
         os.write(wire.theirs.fileno(), state_frame(k))
         time.sleep(0.001)
-    until(lambda: memory.get(ring.TICKS) > 0)
+    until(lambda: memory.get(control_words.TICKS) > 0)
     thread.finish()
     end = thread.end()
     assert end.reason == EndReason.STOPPED
@@ -771,14 +773,14 @@ def test_a_signal_stops_the_loop_within_a_tick_though_python_never_runs(wire: An
     thread.start()
     try:
         wire.theirs.send(state_frame(1))
-        until(lambda: memory.get(ring.TICKS) == 1)
-        assert memory.get(ring.STOP) == 0
+        until(lambda: memory.get(control_words.TICKS) == 1)
+        assert memory.get(control_words.STOP) == 0
         requests[0] = 8
-        until(lambda: memory.get(ring.LOOP_DONE) == 1)
+        until(lambda: memory.get(control_words.LOOP_DONE) == 1)
     finally:
         thread.finish()
     assert thread.end().reason == EndReason.STOPPED
-    assert memory.get(ring.STOP) == 1
+    assert memory.get(control_words.STOP) == 1
 
 
 # ---------------------------------------------------------------------- clocks compared
@@ -830,7 +832,7 @@ def test_an_answer_that_comes_too_late_or_twice_is_no_exchange() -> None:
 
 
 def rows_of(thread: Any) -> Any:
-    return thread.ring.rows[: thread.ring.get(ring.TICKS)]
+    return thread.ring.rows[: thread.ring.get(control_words.TICKS)]
 
 
 def new_wall(bundle: Any, *, position: Any, stiffness: Any) -> Any:
@@ -856,7 +858,7 @@ def test_parameters_become_active_between_two_ticks_and_only_in_free_space() -> 
     assert seen["parameter_set"].tolist() == [0] * 19 + [2] * 20
     stiffness = seen["effort_wall"] / -np.where(seen["penetration"] > 0.0, seen["penetration"], np.nan)
     assert np.isnan(stiffness[19:29]).all()
-    assert end.counters["parameter_set"] == memory.get(ring.PARAMETER_SET) == 2
+    assert end.counters["parameter_set"] == memory.get(control_words.PARAMETER_SET) == 2
     (kept,) = thread.parameter_sets()
     assert (kept["number"], kept["tick"], kept["wall_position"]) == (2, 19, 0.0)
     assert kept["parameters"] == hard[1:].tolist()
@@ -957,12 +959,12 @@ def test_the_loop_needs_no_python_while_it_runs(wire: Any) -> None:
     thread.start()
     try:
         wire.theirs.send(state_frame(1))
-        until(lambda: memory.get(ring.TICKS) == 1)
+        until(lambda: memory.get(control_words.TICKS) == 1)
         sys.setswitchinterval(60.0)  # nobody is asked to give the GIL away
         for k in range(2, 60):
             os.write(wire.theirs.fileno(), state_frame(k))
         ctypes.PyDLL(None).usleep(300_000)
-        stepped = memory.get(ring.TICKS), memory.get(ring.SKIPPED)
+        stepped = memory.get(control_words.TICKS), memory.get(control_words.SKIPPED)
     finally:
         sys.setswitchinterval(interval)
         thread.finish()
@@ -990,7 +992,7 @@ def test_a_hang_up_in_real_time_is_a_closed_link(wire: Any) -> None:
     thread = LoopThread(wire, at_rest(), settings(lost_after_ns=60_000_000_000), Ring.allocate(4096))
     thread.start()
     wire.theirs.send(state_frame(1))
-    until(lambda: thread.ring.get(ring.TICKS) == 1)
+    until(lambda: thread.ring.get(control_words.TICKS) == 1)
     wire.theirs.close()
     thread.wait()
     end = thread.end()
@@ -1049,7 +1051,7 @@ def test_a_law_that_never_returns_keeps_nobody_from_ending_the_run(
     try:
         for k in range(1, 9):
             os.write(wire.theirs.fileno(), state_frame(k))
-            until(lambda k=k: memory.get(ring.TICKS) == k or words[0])
+            until(lambda k=k: memory.get(control_words.TICKS) == k or words[0])
         assert words[0] == 1
         thread.stop()
         thread.wait()

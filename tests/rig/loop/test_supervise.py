@@ -29,7 +29,7 @@ from rig.loop.parameter_update import update_of
 from rig.loop.replay import NO_SETS, replay_rows
 from rig.loop.run import LoopSettings, LoopThread
 from rig.loop.supervised import SupervisedThread
-from rig.realtime import ring
+from rig.realtime import control_words
 from rig.realtime.ring import Ring
 from tests.conformance.batch_device import BatchDevice
 from tests.rig.loop.test_loop import PERIOD_NS, SESSION, WAIT_S, Script, state_frame
@@ -64,7 +64,7 @@ def ran(
 
 
 def rows_of(thread: LoopThread) -> np.ndarray:
-    return thread.ring.rows[: thread.ring.get(ring.HEAD)]
+    return thread.ring.rows[: thread.ring.get(control_words.HEAD)]
 
 
 def taps(ticks: int, depth: int = 12, seed: int = 1) -> list[int]:
@@ -309,7 +309,7 @@ def test_a_fault_of_the_device_ends_the_run_with_every_sample_up_to_it(tick: int
 def test_the_stop_word_stops_and_what_was_on_the_way_is_kept() -> None:
     memory = Ring.allocate(8192)
     device = BatchDevice(taps(300))
-    device.at[42] = lambda: memory.put(ring.STOP, 1)
+    device.at[42] = lambda: memory.put(control_words.STOP, 1)
     thread, end = ran(device, memory=memory)
     assert end.reason == EndReason.STOPPED
     stopped = next(at for at, c in device.heard if isinstance(c, m.Command) and c.mode == m.Mode.STOP)
@@ -511,7 +511,7 @@ def test_a_new_wall_becomes_active_on_both_sides_at_the_same_sample() -> None:
     for name in COMPUTED:
         assert again[name].tobytes() == run.rows[name].tobytes(), name
     assert not [text for text in run.thread.messages() if "parameter set" in text]
-    assert run.memory.get(ring.PARAMETER_SET) == 2
+    assert run.memory.get(control_words.PARAMETER_SET) == 2
     assert run.thread.handover()["parameters_crc"] > 0
 
 

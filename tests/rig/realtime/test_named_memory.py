@@ -14,20 +14,21 @@ import pytest
 
 from rig.core.errors import ConfigError, RigError
 from rig.realtime import memories, named_memory, ring, running
-from rig.realtime.ring import STOP, Ring
+from rig.realtime.control_words import STOP
+from rig.realtime.ring import Ring
 from tests.conformance.started import started
 
 WAIT_S = 30.0
 LOOP = """
 import sys, time
-from rig.realtime import memories, named_memory, ring, running
+from rig.realtime import control_words, memories, named_memory, ring, running
 memories.place = ring.place = running.place = named_memory
 named_memory.user_cache = lambda: sys.argv[1]
 block = ring.Ring.allocate(100, info={"url": "serial://COM3"}, shared=True)
 print("there", flush=True)
-while block.peek(ring.STOP) == 0:
+while block.peek(control_words.STOP) == 0:
     time.sleep(0.01)
-block.put(ring.LOOP_DONE, 1)
+block.put(control_words.LOOP_DONE, 1)
 time.sleep(1e3)
 """
 

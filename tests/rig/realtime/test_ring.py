@@ -19,12 +19,13 @@ from numba import types
 
 from rig.core.errors import RigError
 from rig.core.sample import ROW
-from rig.realtime import ring as words
+from rig.realtime import control_words
 from rig.realtime.anonymous_memory import LINK, NAME
 from rig.realtime.atomics import exchange_word, load_word, read_word, store_word, write_word
 from rig.realtime.kernel import kernel, prepare
 from rig.realtime.mailbox import MAILBOX_BYTES
-from rig.realtime.ring import WORDS, Ring
+from rig.realtime.ring import INFO_BYTES, WORDS, Ring
+from rig.realtime.ring import MAILBOX_BYTES as RING_MAILBOX_BYTES
 from rig.realtime.system import monotonic_now, sleep_until
 
 ROWS = types.Array(numba.from_dtype(ROW), 1, "C")
@@ -37,7 +38,7 @@ def produce(control: Any, rows: Any, count: Any) -> Any:
     """A loop's writer: rows in order, waiting for room; returns how often the ring was full."""
     full, deadline = 0, monotonic_now(0) + PATIENCE_NS
     for n in range(count):
-        while n - load_word(control + 8 * words.TAIL) >= len(rows):
+        while n - load_word(control + 8 * control_words.TAIL) >= len(rows):
             full += 1
             if monotonic_now(0) > deadline:
                 return -1
@@ -47,7 +48,7 @@ def produce(control: Any, rows: Any, count: Any) -> Any:
         row["count"] = -3 * n
         row["position"] = 0.5 * n
         row["applied_at"] = n + 7
-        store_word(control + 8 * words.HEAD, n + 1)
+        store_word(control + 8 * control_words.HEAD, n + 1)
     return full
 
 
@@ -56,11 +57,11 @@ def spin_until_stopped(control: Any) -> Any:
     """A loop that does nothing but look at the stop word."""
     deadline = monotonic_now(0) + PATIENCE_NS
     turns = 0
-    while load_word(control + 8 * words.STOP) == 0:
+    while load_word(control + 8 * control_words.STOP) == 0:
         turns += 1
         if turns % 1_000_000 == 0 and monotonic_now(0) > deadline:
             return -1
-    return load_word(control + 8 * words.STOP)
+    return load_word(control + 8 * control_words.STOP)
 
 
 @kernel(types.int64(types.uintp, types.int64, types.int64))
@@ -99,12 +100,18 @@ def mappings_of_rings() -> Any:
 @pytest.mark.parametrize("shared", [False, True])
 def test_a_new_ring_is_empty_and_says_its_layout(shared: bool) -> None:
     with Ring.allocate(10, shared=shared) as ring:
-        assert ring.get(words.VERSION) == words.LAYOUT_VERSION
-        assert ring.get(words.ROW_BYTES) == ROW.itemsize
-        assert abs(ring.get(words.CREATED) - time.time_ns()) < 60e9
+        assert ring.get(control_words.VERSION) == control_words.LAYOUT_VERSION
+        assert ring.get(control_words.ROW_BYTES) == ROW.itemsize
+        assert abs(ring.get(control_words.CREATED) - time.time_ns()) < 60e9
         assert ring.capacity == 10
-        assert ring.get(words.CREATOR) == os.getpid()
-        named = {words.VERSION, words.ROW_BYTES, words.CREATED, words.INFO, words.CREATOR}
+        assert ring.get(control_words.CREATOR) == os.getpid()
+        named = {
+            control_words.VERSION,
+            control_words.ROW_BYTES,
+            control_words.CREATED,
+            control_words.INFO,
+            control_words.CREATOR,
+        }
         assert not any(ring.get(word) for word in range(WORDS) if word not in named)
         assert not ring.rows.view(np.uint8).any()
         assert ring.info == {}
@@ -117,29 +124,29 @@ def test_a_ring_with_other_rows_has_another_version() -> None:
     When this fails, add one to `LAYOUT_VERSION`, or the console takes one column for another, and write both here.
     """
     columns = sha256(repr(ROW.descr).encode()).hexdigest()[:12]
-    assert (words.LAYOUT_VERSION, columns) == (4, "46f16a755a8a")
+    assert (control_words.LAYOUT_VERSION, columns) == (4, "46f16a755a8a")
 
 
 def test_the_ring_is_one_block_so_that_it_can_be_shared_memory() -> None:
     ring = Ring.allocate(4, info={"url": "sim://"})
-    assert ring.buffer.nbytes == WORDS * 8 + 2 * words.INFO_BYTES + words.MAILBOX_BYTES + 4 * ROW.itemsize
-    assert MAILBOX_BYTES <= words.MAILBOX_BYTES
-    ring.put(words.HEAD, 3)
+    assert ring.buffer.nbytes == WORDS * 8 + 2 * INFO_BYTES + RING_MAILBOX_BYTES + 4 * ROW.itemsize
+    assert MAILBOX_BYTES <= RING_MAILBOX_BYTES
+    ring.put(control_words.HEAD, 3)
     ring.rows["tick"][2] = 77
     again = Ring(ring.buffer)
-    assert again.get(words.HEAD) == 3
+    assert again.get(control_words.HEAD) == 3
     assert again.rows["tick"].tolist() == [0, 0, 77, 0]
     assert again.info == {"url": "sim://"}
 
 
 def test_every_control_word_has_a_place_of_its_own() -> None:
-    source = Path(words.__file__).read_text().partition("# word ")[2].partition("\n_INFO_AT")[0]
+    source = Path(control_words.__file__).read_text().partition("# word ")[2]
     places = {
-        (name := line.partition(" = ")[0]): getattr(words, name)
+        (name := line.partition(" = ")[0]): getattr(control_words, name)
         for line in source.splitlines()
         if line[:1].isupper()
     }
-    assert all(getattr(words, name) == place for name, place in places.items())
+    assert all(getattr(control_words, name) == place for name, place in places.items())
     assert len(set(places.values())) == len(places) > 20
     assert all(0 <= place < WORDS for place in places.values())
     assert [places[name] for name in ("VERSION", "HEAD", "TAIL", "STOP")] == [0, 1, 2, 3]  # in all versions
@@ -153,11 +160,11 @@ def test_another_opening_of_shared_memory_sees_the_same_words_rows_and_info() ->
             assert other.info == info
             assert other.capacity == 100
             assert other.rows["tick"][99] == 5
-            other.put(words.STOP, 3)
-            assert ring.get(words.STOP) == 3
+            other.put(control_words.STOP, 3)
+            assert ring.get(control_words.STOP) == 3
         assert other.closed
-        ring.put(words.STOP, 4)
-        assert other.get(words.STOP) == 3  # what it was when that side closed
+        ring.put(control_words.STOP, 4)
+        assert other.get(control_words.STOP) == 3  # what it was when that side closed
 
 
 def test_shared_memory_is_gone_with_its_last_user() -> None:
@@ -183,11 +190,11 @@ def test_a_ring_that_nobody_closed_leaves_nothing_either() -> None:
 @pytest.mark.parametrize("shared", [False, True])
 def test_a_closed_ring_answers_but_reaches_nobody(shared: bool) -> None:
     ring = Ring.allocate(4, info={"a": 1}, shared=shared)
-    ring.put(words.HEAD, 3)
+    ring.put(control_words.HEAD, 3)
     ring.close()
-    assert (ring.get(words.HEAD), ring.capacity, ring.info, ring.closed) == (3, 0, {}, True)
+    assert (ring.get(control_words.HEAD), ring.capacity, ring.info, ring.closed) == (3, 0, {}, True)
     assert len(ring.last_rows(10)) == 0
-    ring.put(words.STOP, 1)
+    ring.put(control_words.STOP, 1)
     with pytest.raises(RigError, match="closed"):
         ring.post([1.0])
 
@@ -226,13 +233,13 @@ def test_other_memory_and_vanished_memory_are_refused_without_harm(tmp_path: Pat
 
 def test_damaged_info_is_no_info() -> None:
     ring = Ring.allocate(1, info={"a": 1})
-    half = ring.get(words.INFO) & 1 << 20
-    place = WORDS * 8 + (words.INFO_BYTES if half else 0)
+    half = ring.get(control_words.INFO) & 1 << 20
+    place = WORDS * 8 + (INFO_BYTES if half else 0)
     for text in (b"{", b"\xff\xfe", b"[1]", b""):
         ring.buffer[place : place + len(text)] = np.frombuffer(text, np.uint8)
-        ring.put(words.INFO, half | len(text))
+        ring.put(control_words.INFO, half | len(text))
         assert ring.info == {}
-    ring.put(words.INFO, -5)
+    ring.put(control_words.INFO, -5)
     assert ring.info == {}
 
 
@@ -289,9 +296,9 @@ def test_a_reader_sees_every_row_whole_and_in_order_while_the_loop_writes() -> N
     thread, full = in_thread(produce, ring.words.ctypes.data, ring.rows, count)
     tail = 0
     while tail < count:
-        head = ring.get(words.HEAD)
+        head = ring.get(control_words.HEAD)
         if head == tail:
-            if not thread.is_alive() and ring.get(words.HEAD) == tail:
+            if not thread.is_alive() and ring.get(control_words.HEAD) == tail:
                 break
             time.sleep(0)
             continue
@@ -303,7 +310,7 @@ def test_a_reader_sees_every_row_whole_and_in_order_while_the_loop_writes() -> N
         assert (seen["position"] == 0.5 * n).all()
         assert (seen["applied_at"] == n + 7).all()
         tail = head
-        ring.put(words.TAIL, tail)
+        ring.put(control_words.TAIL, tail)
     thread.join(JOIN_S)
     assert tail == count
     assert full[0] > 0  # the producer did run against a full ring: the test tested what it says
@@ -315,7 +322,7 @@ def test_a_store_into_the_stop_word_ends_a_loop_that_never_takes_the_gil() -> No
     thread, result = in_thread(spin_until_stopped, ring.words.ctypes.data)
     thread.join(0.02)
     assert thread.is_alive()
-    ring.put(words.STOP, 5)
+    ring.put(control_words.STOP, 5)
     thread.join(JOIN_S)
     assert result == [5]
 
@@ -346,13 +353,13 @@ def test_the_last_rows_come_oldest_first_and_never_more_than_the_ring_holds(
     ring = Ring.allocate(8)
     for n in range(written):
         ring.rows["tick"][n % 8] = n
-    ring.put(words.HEAD, written)
+    ring.put(control_words.HEAD, written)
     assert ring.last_rows(asked)["tick"].tolist() == expected
 
 
 def test_the_last_rows_are_a_copy_that_an_error_may_keep() -> None:
     ring = Ring.allocate(4)
-    ring.put(words.HEAD, 1)
+    ring.put(control_words.HEAD, 1)
     kept = ring.last_rows(1)
     ring.rows["tick"][0] = 9
     assert kept["tick"][0] == 0

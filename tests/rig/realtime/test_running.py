@@ -15,8 +15,7 @@ import pytest
 import rig.cli
 from rig import __main__ as start
 from rig.core.errors import ConfigError, RigError
-from rig.realtime import ring as words
-from rig.realtime import running
+from rig.realtime import control_words, running
 from rig.realtime.memories import LoopMemory
 from rig.realtime.ring import Ring
 from tests.conformance.running_loop import loop_process
@@ -64,7 +63,7 @@ def test_whoever_looks_at_a_loop_is_not_taken_for_it() -> None:
     with loop_process(INFO) as process:
         (loop,) = mine(process.pid)
         with running.opened(loop) as ring:
-            assert ring.get(words.VERSION) == words.LAYOUT_VERSION
+            assert ring.get(control_words.VERSION) == control_words.LAYOUT_VERSION
             assert mine(os.getpid()) == []
             (again,) = mine(process.pid)
             assert again.path != f"/proc/{os.getpid()}/fd/{ring.descriptor}"
@@ -75,22 +74,22 @@ def test_a_loop_of_this_process_is_found_once_though_it_is_mapped_too() -> None:
         (loop,) = mine(os.getpid())
         assert loop.info == INFO
         assert running.ask_to_stop(os.getpid()) == 1
-        assert ring.get(words.STOP) == -os.getpid()
-        ring.put(words.LOOP_DONE, 1)
+        assert ring.get(control_words.STOP) == -os.getpid()
+        ring.put(control_words.LOOP_DONE, 1)
         assert mine(os.getpid()) == []
 
 
 def test_a_loop_of_another_version_is_listed_and_can_be_stopped_but_not_opened() -> None:
     with Ring.allocate(1, info=INFO, shared=True) as ring:
-        ring.put(words.VERSION, 99)
+        ring.put(control_words.VERSION, 99)
         (loop,) = mine(os.getpid())
         assert (loop.version, loop.info, loop.phase) == (99, {}, "unknown")
         with pytest.raises(RigError, match="another version"), running.opened(loop):
             pass
-        ring.put(words.LOOP_DONE, 0)
+        ring.put(control_words.LOOP_DONE, 0)
         (stopped,) = running.stop(os.getpid(), patience_s=0)
         assert not stopped.ended
-        assert ring.get(words.STOP) == -os.getpid()
+        assert ring.get(control_words.STOP) == -os.getpid()
 
 
 def test_the_only_loop_needs_no_name_and_of_several_one_must_be_named(
@@ -132,7 +131,7 @@ print([loop.pid for loop in running.running()])
             f"process {os.getpid()} is not yours to look into; say it as its owner, or: sudo rig stop {os.getpid()}",
             "[]",
         ], done.stderr
-        assert ring.get(words.STOP) == 0
+        assert ring.get(control_words.STOP) == 0
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="needs root, to become somebody else")
@@ -233,17 +232,17 @@ sys.argv[1:] = ["stop", sys.argv[1], "--json"]
 main()
 """
     with Ring.allocate(1, info=INFO, shared=True) as ring:
-        ring.put(words.STOP, 7)
-        ring.put(words.TICKS, 3)
+        ring.put(control_words.STOP, 7)
+        ring.put(control_words.TICKS, 3)
         command = [sys.executable, "-c", program, str(os.getpid())]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
             assert process.stdout is not None
             before = process.stdout.readline()
             assert before == "1\n", "loops asked, and what was loaded by then"
-            ring.put(words.LOOP_DONE, 1)  # while it loads the rest, and before it looks
+            ring.put(control_words.LOOP_DONE, 1)  # while it loads the rest, and before it looks
             (loop,) = json.loads(process.stdout.read())["loops"]
         assert (loop["pid"], loop["ticks"], loop["ended"], process.returncode) == (os.getpid(), 3, True, 0)
-        assert ring.get(words.STOP) == 7, "who stopped it first is who stopped it"
+        assert ring.get(control_words.STOP) == 7, "who stopped it first is who stopped it"
 
 
 @pytest.mark.parametrize(
@@ -252,7 +251,7 @@ main()
 def test_nothing_else_stops_a_loop(words_of_it: list[str]) -> None:
     with Ring.allocate(1, info=INFO, shared=True) as ring:
         assert start.asked_to_stop(words_of_it) is None
-        assert ring.get(words.STOP) == 0
+        assert ring.get(control_words.STOP) == 0
 
 
 def test_a_loop_that_ends_while_it_is_being_stopped_was_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -262,7 +261,7 @@ def test_a_loop_that_ends_while_it_is_being_stopped_was_stopped(monkeypatch: pyt
 
         def at_once(other: LoopMemory) -> None:
             asked(other)
-            ring.put(words.LOOP_DONE, 1)
+            ring.put(control_words.LOOP_DONE, 1)
 
         monkeypatch.setattr(LoopMemory, "ask_to_stop", at_once)
         (stopped,) = running.stop(os.getpid(), patience_s=1)

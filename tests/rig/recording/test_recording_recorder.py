@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from rig.core.errors import LawError, RecordingError
 from rig.core.sample import ROW
 from rig.experiments.recover import recover
-from rig.realtime.ring import DROPPED, HEAD, LOOP_DONE, TAIL, TICKS, Ring
+from rig.realtime.control_words import DROPPED, HEAD, LOOP_DONE, TAIL, TICKS
+from rig.realtime.ring import Ring
 from rig.realtime.running import running
 from rig.realtime.system import descriptor_sync
 from rig.recording.capture import pack_header
@@ -222,7 +223,8 @@ PRODUCER = """
     import numpy as np
     from rig.core.errors import RecordingError
     from rig.recording.recorder import Recorder
-    from rig.realtime.ring import HEAD, TAIL, Ring
+    from rig.realtime.ring import Ring
+    from rig.realtime.control_words import HEAD, TAIL
     from tests.conformance.recording import example_header, example_rows
 
     ring = Ring.allocate(4096)

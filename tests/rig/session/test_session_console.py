@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from rig.core.errors import ConfigError
 from rig.core.present import plain
 from rig.core.sample import ROW, Phase, RowFlag
-from rig.realtime import ring as ring_words
+from rig.realtime import control_words
 from rig.realtime.ring import Ring
 from rig.session.engine.desk import Action, DeskView, Question
 from rig.session.planning.keymap import KeyMap
@@ -494,9 +494,9 @@ def ring_with(rows: int, capacity: int = 8192) -> Ring:
     made["penetration"] = 0.01
     made["flags"][-1:] = RowFlag.SATURATED
     ring.rows[numbers % capacity] = made
-    ring.words[ring_words.HEAD] = rows
-    ring.words[ring_words.PHASE] = Phase.TRIAL
-    ring.words[ring_words.LATE] = 7
+    ring.words[control_words.HEAD] = rows
+    ring.words[control_words.PHASE] = Phase.TRIAL
+    ring.words[control_words.LATE] = 7
     return ring
 
 
@@ -523,11 +523,11 @@ def test_who_looks_at_a_loop_never_reads_what_it_is(monkeypatch: pytest.MonkeyPa
     ring = ring_with(100)
     shared = Ring.allocate(8192, info={"experiment": {"wall": {"stiffness": 30}}}, shared=True)
     shared.rows[:] = ring.rows
-    shared.words[ring_words.HEAD] = 100
+    shared.words[control_words.HEAD] = 100
     monkeypatch.setattr(Ring, "info_and_word", lambda self: pytest.fail("the info was read"))
     live = LiveLoop(os.getpid())
     assert live.look() is not None
-    shared.words[ring_words.LOOP_DONE] = 1
+    shared.words[control_words.LOOP_DONE] = 1
     assert live.look() is None
     live.close()
     shared.close()

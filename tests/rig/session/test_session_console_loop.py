@@ -13,7 +13,8 @@ from typing import Any
 import pytest
 
 from rig.core.present import plain
-from rig.realtime.ring import STOP, Ring
+from rig.realtime.control_words import STOP
+from rig.realtime.ring import Ring
 from rig.session.engine.desk import DeskView, Question
 from rig.session.planning.keymap import KeyMap
 from rig.session.planning.protocol import Keys
