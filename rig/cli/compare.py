@@ -13,9 +13,9 @@ from rig.cli import options, output
 from rig.cli.command import command
 from rig.cli.keyword_options import keyword_options
 from rig.core.present import plain
-from rig.experiments import compare as comparing
-from rig.experiments.compare import entries_of, refuse_unused
-from rig.experiments.plan import stands_for_device
+from rig.experiments.hits import compare as comparing
+from rig.experiments.hits.compare import entries_of, refuse_unused
+from rig.experiments.trials.plan import stands_for_device
 from rig.views.plots.compare import draw_comparison
 
 

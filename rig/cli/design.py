@@ -31,9 +31,9 @@ from rig.experiments.design import (
 )
 from rig.experiments.design.device import places_of
 from rig.experiments.design.linear import STAGE
-from rig.experiments.ranges import hit_plan, search_for
-from rig.experiments.results import write_document
+from rig.experiments.mapping.ranges import hit_plan, search_for
 from rig.experiments.sweep import Progress
+from rig.experiments.trials.results import write_document
 from rig.firmware.tick_budget import BOARD, INTEGERS, named_budget
 from rig.recording.files import whole_file
 from rig.views.plots.design import draw_design

@@ -11,9 +11,9 @@ from rig.cli import map_options, output
 from rig.cli.command import command
 from rig.cli.keyword_options import gathered_options
 from rig.cli.progress import SweepBar
-from rig.experiments import maps
-from rig.experiments.disagreement import DisagreementPlan
-from rig.experiments.map_request import MapRequest
+from rig.experiments.mapping import maps
+from rig.experiments.mapping.disagreement import DisagreementPlan
+from rig.experiments.mapping.map_request import MapRequest
 from rig.views.plots.disagreement import draw_disagreement
 from rig.views.report.disagreement import paragraph
 

@@ -10,7 +10,7 @@ from rig.cli.command import command
 from rig.core.errors import PlanError
 from rig.core.present import plain
 from rig.doctor.ports import rules_for_rigs
-from rig.experiments.examine import ExaminationRequest, examine
+from rig.experiments.hits.examine import ExaminationRequest, examine
 
 
 @command()

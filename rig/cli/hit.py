@@ -19,9 +19,9 @@ from rig.core.errors import RigError
 from rig.core.present import Row, plain
 from rig.devices import load_backend
 from rig.doctor.gate_result import Gate
-from rig.experiments import hit as hits
-from rig.experiments.admission import admit
-from rig.experiments.judgement import unexpected
+from rig.experiments.hits import hit as hits
+from rig.experiments.hits.admission import admit
+from rig.experiments.trials.judgement import unexpected
 
 
 @command()

@@ -33,7 +33,7 @@ def headline(experiment: Experiment) -> str:
 
 
 class ProgressBars:
-    """One bar for each hit, on a terminal only. `watch` is a `rig.experiments.hit.Watch`; `stop` clears the bar."""
+    """One bar for each hit, on a terminal only. `watch` is a `hits.hit.Watch`; `stop` clears the bar."""
 
     def __init__(self, quiet: bool) -> None:
         self._quiet = quiet or not output.on_terminal()

@@ -17,11 +17,11 @@ from rig.core.errors import ConfigError, RecordingError
 from rig.core.present import plain
 from rig.core.sample import unit_of
 from rig.devices import load_backend
-from rig.experiments import identify as identifying
-from rig.experiments.identified_file import format_identification
-from rig.experiments.identify import Identification, IdentifyRequest
-from rig.experiments.planned import Plan
-from rig.experiments.weigh import WeighRequest, weigh
+from rig.experiments.identification import identify as identifying
+from rig.experiments.identification.identified_file import format_identification
+from rig.experiments.identification.identify import Identification, IdentifyRequest
+from rig.experiments.motion.weigh import WeighRequest, weigh
+from rig.experiments.trials.planned import Plan
 from rig.views.plots.identify import draw_identification
 
 

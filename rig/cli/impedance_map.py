@@ -16,13 +16,13 @@ from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.present import Table
 from rig.core.sample import unit_of
-from rig.experiments import maps
-from rig.experiments.impedance import Judging
-from rig.experiments.ranges import frequency_plan, linear_curves
-from rig.experiments.searches import GridSearch, numbers_of
-from rig.experiments.settings import ExcitationSettings
-from rig.experiments.table_one import FrequencyWidth, SchemeRow, Spread, TableOne, table_one
-from rig.experiments.zwidth_frequency import FrequencyMap, FrequencyPlan
+from rig.experiments.mapping import maps
+from rig.experiments.mapping.impedance import Judging
+from rig.experiments.mapping.ranges import frequency_plan, linear_curves
+from rig.experiments.mapping.searches import GridSearch, numbers_of
+from rig.experiments.mapping.table_one import FrequencyWidth, SchemeRow, Spread, TableOne, table_one
+from rig.experiments.mapping.zwidth_frequency import FrequencyMap, FrequencyPlan
+from rig.experiments.trials.settings import ExcitationSettings
 from rig.views.plots.zwidth_frequency import draw_frequency_map
 
 

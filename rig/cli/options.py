@@ -21,7 +21,7 @@ from rig.config.sections import SchemeCutoff
 from rig.core.errors import ConfigError, RecordingError, RigError
 from rig.core.keyword import Keyword, keywords
 from rig.devices.device import DeviceUrl
-from rig.experiments.settings import ExcitationSettings, HitSettings, RigRequest, changes_of
+from rig.experiments.trials.settings import ExcitationSettings, HitSettings, RigRequest, changes_of
 from rig.views.plots.style import FORMATS
 
 F = TypeVar("F", bound=Callable[..., Any])

@@ -12,7 +12,7 @@ from rig.cli.next_step import name_next
 from rig.config import controller
 from rig.core.check import refused
 from rig.core.errors import PlanError
-from rig.experiments.plan import is_linked, plan_of
+from rig.experiments.trials.plan import is_linked, plan_of
 from rig.firmware.tick_budget import BOARD
 
 

@@ -12,8 +12,8 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from rig.cli import options, output, values
 from rig.cli.command import command
-from rig.experiments import recover as recovering
-from rig.experiments.recover import Recovered
+from rig.experiments.trials import recover as recovering
+from rig.experiments.trials.recover import Recovered
 
 
 @command()

@@ -8,7 +8,7 @@ from rig.cli import options
 from rig.cli.command import command
 from rig.cli.output import print_json, show
 from rig.devices import load_backend
-from rig.experiments.reference import ReferenceRequest, find_reference
+from rig.experiments.motion.reference import ReferenceRequest, find_reference
 
 
 @command()

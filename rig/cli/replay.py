@@ -11,7 +11,7 @@ from rig.cli import options, output, values
 from rig.cli.command import command
 from rig.core.present import plain
 from rig.core.sample import unit_of
-from rig.experiments.replay import replay as run
+from rig.experiments.trials.replay import replay as run
 from rig.recording.reader import open_recording
 from rig.views.plots.replay import draw_replay
 

@@ -7,7 +7,7 @@ import click
 from rig.cli import options, output
 from rig.cli.command import command
 from rig.core.errors import RunEndedError
-from rig.experiments import live
+from rig.experiments.trials import live
 
 
 @command("set")

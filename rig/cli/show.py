@@ -14,8 +14,8 @@ from rig.cli.command import RESULT, command, option
 from rig.config import Experiment
 from rig.core.present import Row, plain
 from rig.core.sample import unit_of
-from rig.experiments.judgement import JUDGED, Verdicts, experiment_of, unexpected, verdicts_of
-from rig.experiments.planned import ARITHMETIC_WORDS
+from rig.experiments.trials.judgement import JUDGED, Verdicts, experiment_of, unexpected, verdicts_of
+from rig.experiments.trials.planned import ARITHMETIC_WORDS
 from rig.recording.counts import count_rows, counts_facts, refuse_counts
 from rig.recording.cutting import cut_facts
 from rig.recording.data import Recording

@@ -17,13 +17,13 @@ from rig.cli.zwidth_rig import CONFIRM, CRITERIA, Dialogue, load_device, refuse_
 from rig.core.errors import ConfigError
 from rig.core.present import Table
 from rig.core.sample import unit_of
-from rig.experiments import maps
-from rig.experiments.kmax import KMax
-from rig.experiments.map_request import MapRequest
-from rig.experiments.plan import stands_for_device
-from rig.experiments.ranges import kmax_theory, theory_curves
-from rig.experiments.rendering import RENDERED
-from rig.experiments.zwidth import Boundary, Width, ZWidth
+from rig.experiments.mapping import maps
+from rig.experiments.mapping.kmax import KMax
+from rig.experiments.mapping.map_request import MapRequest
+from rig.experiments.mapping.ranges import kmax_theory, theory_curves
+from rig.experiments.mapping.rendering import RENDERED
+from rig.experiments.mapping.zwidth import Boundary, Width, ZWidth
+from rig.experiments.trials.plan import stands_for_device
 from rig.views.plots.zwidth import draw_kmax, draw_zwidth
 
 

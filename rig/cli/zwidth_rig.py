@@ -13,10 +13,10 @@ from rig.control.verdict import Kind, Measured
 from rig.core.errors import ConfigError, RigError, StoppedError
 from rig.core.sample import unit_of
 from rig.devices import load_backend
-from rig.experiments import maps
-from rig.experiments.on_device import OnDevice
-from rig.experiments.zwidth import MapPlan, ZWidth
-from rig.experiments.zwidth_rig import DeviceMap, Next, work_of
+from rig.experiments.hits.on_device import OnDevice
+from rig.experiments.mapping import maps
+from rig.experiments.mapping.zwidth import MapPlan, ZWidth
+from rig.experiments.mapping.zwidth_rig import DeviceMap, Next, work_of
 
 CONFIRM = ("each", "series", "no")
 CRITERIA = ("felt", "heard", "any")  # rig.control.verdict.CRITERIA, without its imports

@@ -91,8 +91,10 @@ class FramedDevice:
         self._crc: int | None = None  # of the active parameters; None: not ours, or not known
         self._known: dict[str, Value] = {}  # the last values that were seen active
         self.cleared_fault: FaultReport | None = None  # what an earlier run had left latched
-        self.moved_as_described = False  # under the last torque pulse (`rig.experiments.pulse`)
-        self.reference_count: int | None = None  # position zero by its index (`rig.experiments.reference`)
+        self.moved_as_described = False  # under the last torque pulse (`rig.experiments.motion.pulse`)
+        self.reference_count: int | None = (
+            None  # position zero by its index (`rig.experiments.motion.reference`)
+        )
         self._session = 0  # used last
         self._answers = True  # unless the last transaction was given up
         self._said_ns = self._heard_ns = (

@@ -2,8 +2,8 @@
 
 For a board that runs the law itself and needs a message from the host every few milliseconds
 (`controller.supervise_lifetime_s`). No loop of this computer is fast enough here, and none is armed
-(`rig.experiments.preparation.prepared_on`). DTR and RTS are set before the port opens; Windows drops both when it
-closes, which resets many boards.
+(`rig.experiments.trials.preparation.prepared_on`). DTR and RTS are set before the port opens; Windows drops both when
+it closes, which resets many boards.
 """
 
 from __future__ import annotations

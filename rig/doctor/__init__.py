@@ -4,7 +4,8 @@
 * `ports`: what is connected, without opening it
 * `ping`, `round_trip`: the link, measured by the loop's own means
 * `late_loops`, `walls`: linear theory under the measured delay
-* `gate`: whether a wall may be armed there; `rig.experiments.admission` adds what a plan and the device itself refuse
+* `gate`: whether a wall may be armed there; `rig.experiments.hits.admission` adds what a plan and the device itself
+  refuse
 
-All of it, as `rig doctor` prints it, is `rig.experiments.examine`.
+All of it, as `rig doctor` prints it, is `rig.experiments.hits.examine`.
 """

@@ -28,7 +28,7 @@ from rig.realtime.scheduling import Realtime
 from rig.recording.quantiles import Distribution, Quantile, values_needed
 
 ENOUGH = values_needed(0.999)  # exchanges that bound p99.9
-TIMEOUT_S = 0.05  # silence that ends a run of the loop (`rig.experiments.trial`)
+TIMEOUT_S = 0.05  # silence that ends a run of the loop (`rig.experiments.trials.trial`)
 SLICE_S = 0.05  # the compiled function comes back this often, to be stopped
 POLL_S = 0.05
 WARM_UP = 8  # first exchanges, which touch memory and code for the first time and are not counted

@@ -22,21 +22,22 @@ from rig.control.law import Law
 from rig.core import plugins
 from rig.core.errors import ConfigError
 from rig.devices.framed import FramedDevice
-from rig.experiments import compare as comparing
 from rig.experiments import design as designing
-from rig.experiments import hit as one_hit
-from rig.experiments import maps, sweep
-from rig.experiments import plan as planning
-from rig.experiments import replay as replaying
-from rig.experiments.admission import admit
-from rig.experiments.compare import OFFSETS, SchemeComparison, entries_of, refuse_unused
-from rig.experiments.hit import HitRequest, HitResult, Watch
-from rig.experiments.planned import Plan
-from rig.experiments.ranges import hit_plan, schemes_for, search_for
-from rig.experiments.replay import ReplayResult
-from rig.experiments.searches import Way
-from rig.experiments.settings import HitSettings, Settings, WallSettings, changes_of, takes
-from rig.experiments.zwidth import Judged, ZWidth
+from rig.experiments import sweep
+from rig.experiments.hits import compare as comparing
+from rig.experiments.hits import hit as one_hit
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.compare import OFFSETS, SchemeComparison, entries_of, refuse_unused
+from rig.experiments.hits.hit import HitRequest, HitResult, Watch
+from rig.experiments.mapping import maps
+from rig.experiments.mapping.ranges import hit_plan, schemes_for, search_for
+from rig.experiments.mapping.searches import Way
+from rig.experiments.mapping.zwidth import Judged, ZWidth
+from rig.experiments.trials import plan as planning
+from rig.experiments.trials import replay as replaying
+from rig.experiments.trials.planned import Plan
+from rig.experiments.trials.replay import ReplayResult
+from rig.experiments.trials.settings import HitSettings, Settings, WallSettings, changes_of, takes
 from rig.realtime import stop_requests
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording
@@ -282,9 +283,9 @@ def zwidth(
         One curve each, as ``"dual:20k/2k,estimator=kalman"``; the experiment's and the uniform ones of its rates if
         empty.
     dampings, offsets, repeats, judged
-        As in `rig.experiments.ranges.hit_plan`.
+        As in `rig.experiments.mapping.ranges.hit_plan`.
     lowest, highest, search, ratio
-        Range of the stiffness, and the way through it: `rig.experiments.ranges.search_for`.
+        Range of the stiffness, and the way through it: `rig.experiments.mapping.ranges.search_for`.
     law, estimator
         By name, or of your own. Other processes know yours only when a package installs it: see `directory`.
     directory

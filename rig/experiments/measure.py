@@ -13,17 +13,18 @@ from rig import config
 from rig.config.load import DEFAULT_PRESET
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
-from rig.experiments import identify as identifying
-from rig.experiments import impedance as measuring
-from rig.experiments import maps, sweep
-from rig.experiments.excitation_run import Signal
-from rig.experiments.identify import Identification, IdentifyRequest
-from rig.experiments.impedance import ImpedanceResult, Judging, Method, Wall
+from rig.experiments import sweep
+from rig.experiments.hits.on_device import OnDevice
+from rig.experiments.identification import identify as identifying
+from rig.experiments.identification.identify import Identification, IdentifyRequest
 from rig.experiments.lab import ExperimentLike, load
-from rig.experiments.on_device import OnDevice
-from rig.experiments.ranges import frequency_plan
-from rig.experiments.settings import Settings, takes
-from rig.experiments.zwidth_frequency import FrequencyMap
+from rig.experiments.mapping import impedance as measuring
+from rig.experiments.mapping import maps
+from rig.experiments.mapping.impedance import ImpedanceResult, Judging, Method, Wall
+from rig.experiments.mapping.ranges import frequency_plan
+from rig.experiments.mapping.zwidth_frequency import FrequencyMap
+from rig.experiments.trials.excitation_run import Signal
+from rig.experiments.trials.settings import Settings, takes
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording
 

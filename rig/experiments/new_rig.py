@@ -26,7 +26,7 @@ from rig.core.check import refused
 from rig.core.errors import ConfigError, PlanError
 from rig.core.present import Item, Row
 from rig.core.shown import Shown
-from rig.experiments.plan import make_plan, plan_of
+from rig.experiments.trials.plan import make_plan, plan_of
 from rig.firmware.tick_budget import INTEGERS, named_budget
 from rig.recording.files import whole_file
 

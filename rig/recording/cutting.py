@@ -38,8 +38,8 @@ def cut(
     first_s, last_s
         From and up to when, since its first row (s).
     initial_state
-        State of the controller before the first row of the cut, if known (`rig.experiments.cutting`); without it only a
-        cut from the beginning can be replayed.
+        State of the controller before the first row of the cut, if known (`rig.experiments.trials.cutting`); without it
+        only a cut from the beginning can be replayed.
 
     Returns
     -------

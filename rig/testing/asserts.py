@@ -1,6 +1,6 @@
 """Asserts about hits and recordings whose failures say where, when, how much and in which unit.
 
-Each takes what a hit gives (`rig.testing.Hit`, `rig.experiments.hit.HitResult`) or a recording.
+Each takes what a hit gives (`rig.testing.Hit`, `rig.experiments.hits.hit.HitResult`) or a recording.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rig.config import Experiment, experiment_from_mapping
 from rig.core.present import duration, written
 from rig.core.sample import Phase, phase_name
-from rig.experiments.judgement import Judgement, judge
+from rig.experiments.trials.judgement import Judgement, judge
 from rig.recording.data import Recording
 
 NEVER = 0xFFFF  # age of a command that never came (PROTOCOL.md, STATE)

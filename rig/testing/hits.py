@@ -23,9 +23,9 @@ from rig.core.errors import ConfigError, RigError, StoppedError
 from rig.devices.fault_script import Faults
 from rig.devices.framed import FramedDevice
 from rig.devices.simulated import WatchedLink
-from rig.experiments.admission import admit
-from rig.experiments.hit import HitRequest, Recorded, hit, left_by
-from rig.experiments.zero import position_zero
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, Recorded, hit, left_by
+from rig.experiments.trials.zero import position_zero
 from rig.recording.data import Recording
 from rig.testing.experiments import Experiments, Source
 from rig.testing.fault_words import FaultWords

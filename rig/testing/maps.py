@@ -9,10 +9,10 @@ from typing import Any
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import StoppedError
-from rig.experiments import maps, ranges
-from rig.experiments.on_device import OnDevice
-from rig.experiments.zwidth import MapPlan, ZWidth
-from rig.experiments.zwidth_rig import DeviceMap, Next, zwidth_on_rig
+from rig.experiments.hits.on_device import OnDevice
+from rig.experiments.mapping import maps, ranges
+from rig.experiments.mapping.zwidth import MapPlan, ZWidth
+from rig.experiments.mapping.zwidth_rig import DeviceMap, Next, zwidth_on_rig
 from rig.testing.experiments import Experiments, Source
 from rig.testing.hits import Rigs, end_all
 

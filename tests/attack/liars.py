@@ -30,8 +30,8 @@ from rig.core.errors import RigError
 from rig.devices import framed
 from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault
 from rig.devices.framed import FramedDevice
-from rig.experiments.admission import admit
-from rig.experiments.hit import HitRequest, hit
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit
 from sim_backend.board.device import SimulatedDevice
 from sim_backend.board.safety import IDLE_LIFETIME_S
 from sim_backend.ends.link import MemoryLink

@@ -101,9 +101,9 @@ def hit(changes: dict[str, Any], seconds: float, place: Path) -> dict[str, float
     import numpy as np  # noqa: PLC0415
 
     from rig.config import presets  # noqa: PLC0415
-    from rig.experiments.admission import admit  # noqa: PLC0415
-    from rig.experiments.hit import HitRequest  # noqa: PLC0415
-    from rig.experiments.hit import hit as run  # noqa: PLC0415
+    from rig.experiments.hits.admission import admit  # noqa: PLC0415
+    from rig.experiments.hits.hit import HitRequest  # noqa: PLC0415
+    from rig.experiments.hits.hit import hit as run  # noqa: PLC0415
 
     wanted = {"trial.duration_s": seconds, "wall.stiffness": 10.0, "wall.damping": 0.02, **changes}
     request = HitRequest(experiment=presets.load("koul-rigid"), realtime=True, changes=wanted, output=place)

@@ -37,9 +37,9 @@ from scipy.stats import theilslopes
 
 from rig.config import presets
 from rig.core.sample import ROW, Phase
-from rig.experiments import maps
-from rig.experiments.admission import admit
-from rig.experiments.hit import HitRequest, hit
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit
+from rig.experiments.mapping import maps
 from rig.realtime import control_words
 from rig.realtime.hand import HandMotion, SharedHand
 from rig.realtime.ring import Ring

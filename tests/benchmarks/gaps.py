@@ -65,7 +65,7 @@ from rig.control.measure import LOST_BITS
 from rig.control.step import DONE, THROWN_OUT, TRIAL
 from rig.control.verdict import Measured
 from rig.core.sample import Phase
-from rig.experiments.searches import StiffnessSearch, drive, limit_of
+from rig.experiments.mapping.searches import StiffnessSearch, drive, limit_of
 from sim_backend.bare.trial import Trace, run_arguments, run_ticks
 from sim_backend.mechanics.operator import OperatorScript
 from sim_backend.mechanics.plant import DiscretePlant

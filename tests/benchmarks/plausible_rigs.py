@@ -47,9 +47,9 @@ from rig.config import Experiment, load, presets
 from rig.core.check import Check, refused
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import Phase
-from rig.experiments.admission import admit
-from rig.experiments.hit import HitRequest, hit, left_by
-from rig.experiments.plan import make_plan
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit, left_by
+from rig.experiments.trials.plan import make_plan
 
 PLANS = 3
 

@@ -1,4 +1,4 @@
-"""Power and false alarms of the torque pulse (`rig.experiments.pulse`): each fault of a rig, over the presets.
+"""Power and false alarms of the torque pulse (`rig.experiments.motion.pulse`): each fault of a rig, over the presets.
 
     python -m tests.benchmarks.pulses             # the table; a minute or two
     python -m tests.benchmarks.pulses --trials 3  # fewer places of the handle in each case
@@ -31,8 +31,8 @@ from rig.core.errors import RigError
 from rig.core.model import RigModel
 from rig.devices.fault_script import Faults
 from rig.devices.framed import FramedDevice
-from rig.experiments.identify_motions import still
-from rig.experiments.pulse import Pulse, pulse
+from rig.experiments.motion.pulse import Pulse, pulse
+from rig.experiments.trials.identify_motions import still
 from sim_backend.board import device as simulated
 from sim_backend.board.device import SimulatedDevice
 from sim_backend.board.firmware import FirmwareDevice

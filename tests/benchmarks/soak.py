@@ -276,8 +276,8 @@ def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> di
     from rig import config  # noqa: PLC0415
     from rig.config import presets  # noqa: PLC0415
     from rig.core.errors import RigError  # noqa: PLC0415
-    from rig.experiments.admission import admit  # noqa: PLC0415
-    from rig.experiments.hit import HitRequest, hit  # noqa: PLC0415
+    from rig.experiments.hits.admission import admit  # noqa: PLC0415
+    from rig.experiments.hits.hit import HitRequest, hit  # noqa: PLC0415
     from tests.benchmarks.realtime import workbench  # noqa: PLC0415
 
     changes: dict[str, Any] = {

@@ -10,8 +10,8 @@ import pytest
 
 from rig import config
 from rig.config import presets
-from rig.experiments.admission import admit
-from rig.experiments.hit import HitRequest, hit
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit
 from rig.loop.run import LoopThread
 from rig.realtime import control_words
 

@@ -15,10 +15,10 @@ import pytest
 
 from rig import config
 from rig.config import presets
-from rig.experiments.excitation_run import ExcitedRig
-from rig.experiments.impedance import Judging
-from rig.experiments.ranges import frequency_plan
-from rig.experiments.zwidth_frequency import run_column, wall_rows
+from rig.experiments.mapping.impedance import Judging
+from rig.experiments.mapping.ranges import frequency_plan
+from rig.experiments.mapping.zwidth_frequency import run_column, wall_rows
+from rig.experiments.trials.excitation_run import ExcitedRig
 
 GOAL_S = 30.0
 ONCE = config.override(presets.load("chawda-linear"), {"excitation.realisations": 1})

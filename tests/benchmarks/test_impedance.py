@@ -22,7 +22,7 @@ from rig.analysis.impedance.estimate import periodic
 from rig.config import controller, presets
 from rig.config.schemes import Scheme
 from rig.control import laws
-from rig.experiments.excitation_run import ExcitedRig, multisine_of, ramp_s
+from rig.experiments.trials.excitation_run import ExcitedRig, multisine_of, ramp_s
 from sim_backend.bare.excited import ExcitedPlant
 from sim_backend.mechanics.plant import DiscretePlant
 from tests.benchmarks.test_trial import FAST_MUJOCO, OPTIONS, STEPS, cpu_ns, header, in_mujoco

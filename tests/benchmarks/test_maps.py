@@ -15,10 +15,11 @@ import pytest
 from rig import config
 from rig.analysis import theory
 from rig.config import presets
-from rig.experiments import hit_simulator, ranges
-from rig.experiments.maps import zwidth
-from rig.experiments.searches import StiffnessSearch
-from rig.experiments.zwidth import MapPlan, run_series
+from rig.experiments.hits import hit_simulator
+from rig.experiments.mapping import ranges
+from rig.experiments.mapping.maps import zwidth
+from rig.experiments.mapping.searches import StiffnessSearch
+from rig.experiments.mapping.zwidth import MapPlan, run_series
 from sim_backend.bare import hits
 
 HELD = config.override(presets.load("koul-compliant"), {"trial.kind": "human", "operator.grip": "normal"})

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from rig.core.sample import Phase
-from rig.experiments.replay import replay
+from rig.experiments.trials.replay import replay
 from rig.extras.console.lease import LOOK_S, LOST_S
 from rig.extras.console.talk import SILENT_S
 from rig.recording.data import Recording

@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from rig.config import presets
-from rig.experiments.admission import admit
-from rig.experiments.hit import HitRequest, hit
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit
 from tests.browser.test_live import until
 
 WAIT_MS = 300_000

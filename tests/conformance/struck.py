@@ -12,7 +12,7 @@ from rig.control.law import Law
 from rig.core.errors import RigError, StoppedError
 from rig.devices.fault_script import Faults
 from rig.devices.framed import FramedDevice
-from rig.experiments.replay import replay
+from rig.experiments.trials.replay import replay
 from rig.recording.reader import open_recording
 from sim_backend.board.safety import IDLE_LIFETIME_S
 from sim_backend.ends.link import MemoryLink

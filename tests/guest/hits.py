@@ -17,8 +17,8 @@ from rig import config
 from rig.config import Experiment, presets
 from rig.core.errors import DeviceFaultError, GuardError, LinkLostError, RigError
 from rig.devices import open_device
-from rig.experiments.admission import admit
-from rig.experiments.hit import HitRequest, hit
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit
 from rig.recording.reader import open_recording
 from tests.conformance.tolerance import too_busy
 from tests.conformance.trials import trial_on

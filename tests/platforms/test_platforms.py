@@ -19,7 +19,7 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-from rig.experiments.pulse import PUSHES
+from rig.experiments.motion.pulse import PUSHES
 from tests.conformance.started import started
 from tests.conformance.tiers import first_by_default
 from tests.platforms import emulated

@@ -18,7 +18,7 @@ from rig.core.errors import RealtimeError
 from rig.devices import port_facts
 from rig.devices.port_facts import PortFacts
 from rig.doctor import gate, ports, round_trip
-from rig.experiments import examine as examining
+from rig.experiments.hits import examine as examining
 from rig.recording.quantiles import Distribution
 from rig.recording.reader import open_recording
 from tests.conformance.claimed import claim_to_be_real

@@ -20,7 +20,7 @@ if numba.config.DISABLE_JIT:
 
 import rig.cli
 from rig.devices import framed
-from rig.experiments import live
+from rig.experiments.trials import live
 from tests.conformance.commands import commands
 from tests.conformance.guides import ROOT
 from tests.conformance.started import started

@@ -22,7 +22,7 @@ from rig.core.errors import DeviceFaultError, GuardError, RigError
 from rig.core.sample import Phase, RowFlag
 from rig.devices.fault_script import Faults, Happening
 from rig.devices.framed import FramedDevice
-from rig.experiments.judgement import judge
+from rig.experiments.trials.judgement import judge
 from rig.recording.reader import open_recording
 from sim_backend.board.device import SimulatedDevice
 from sim_backend.board.firmware import FirmwareDevice

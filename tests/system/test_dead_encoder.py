@@ -17,10 +17,10 @@ from rig.core.errors import DeviceFaultError, GuardError
 from rig.core.model import RigModel
 from rig.devices.fault_script import Faults, Happening
 from rig.devices.framed import FramedDevice
-from rig.experiments.admission import admit
-from rig.experiments.hit import HitRequest, hit
-from rig.experiments.identify_motions import still
-from rig.experiments.pulse import pulse
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit
+from rig.experiments.motion.pulse import pulse
+from rig.experiments.trials.identify_motions import still
 from sim_backend.board.device import SimulatedDevice
 from sim_backend.board.hardware import Hardware
 from sim_backend.ends.link import MemoryLink

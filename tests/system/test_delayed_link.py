@@ -20,8 +20,8 @@ from rig.control.verdict import Kind as Verdict
 from rig.core.errors import DeviceFaultError, LinkLostError, RigError
 from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault
 from rig.devices.framed import FramedDevice
-from rig.experiments.admission import admit
-from rig.experiments.hit import HitRequest, hit, left_by
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit, left_by
 from rig.recording.reader import open_recording
 from sim_backend.board import device as readable
 from sim_backend.board.device import SimulatedDevice

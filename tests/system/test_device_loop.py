@@ -15,11 +15,12 @@ from rig.config.derive import free_s
 from rig.core.errors import PlanError
 from rig.core.present import plain
 from rig.core.sample import Phase
-from rig.experiments import impedance, live, trial
-from rig.experiments.admission import admit
-from rig.experiments.hit import HitRequest, hit
-from rig.experiments.on_device import OnDevice
-from rig.experiments.replay import replay
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit
+from rig.experiments.hits.on_device import OnDevice
+from rig.experiments.mapping import impedance
+from rig.experiments.trials import live, trial
+from rig.experiments.trials.replay import replay
 from rig.recording.reader import open_recording
 from rig.testing import Hits, assert_stable
 from tests.conformance.firmware import need_compiler

@@ -14,7 +14,7 @@ from rig.core.errors import RigError
 from rig.core.sample import Phase
 from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault, Happening
 from rig.devices.framed import FramedDevice
-from rig.experiments.replay import COMPUTED
+from rig.experiments.trials.replay import COMPUTED
 from rig.loop import exchange
 from rig.loop.layout import EndReason
 from rig.loop.replay import replay_rows

@@ -9,8 +9,8 @@ import pytest
 
 from rig.config import override, presets
 from rig.core.sample import Phase
-from rig.experiments.admission import admit
-from rig.experiments.hit import HitRequest, hit
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit
 from rig.realtime.hand import SharedHand
 from tests.conformance.firmware import need_compiler
 

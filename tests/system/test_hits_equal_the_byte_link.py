@@ -11,7 +11,7 @@ from rig.config import presets
 from rig.control.judging import meter, recorded_signals, true_signals
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
-from rig.experiments.hit_simulator import HitSimulator
+from rig.experiments.hits.hit_simulator import HitSimulator
 from rig.recording.reader import open_recording
 from sim_backend.ends.link import open_link
 from tests.conformance.trials import CURRENTS, trial_on

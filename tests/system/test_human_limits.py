@@ -14,9 +14,9 @@ from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError, PlanError
 from rig.core.oscillation import OSCILLATIONS
 from rig.devices.fault_script import Faults, Happening
-from rig.experiments.admission import admit
-from rig.experiments.hit import HitRequest, hit
-from rig.experiments.plan import make_plan
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit
+from rig.experiments.trials.plan import make_plan
 from sim_backend.board.make_device import make_device
 from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.struck import InMemory, StruckTrial

@@ -10,9 +10,9 @@ import pytest
 from rig.config import presets
 from rig.core.errors import RecordingError
 from rig.core.sample import Phase
-from rig.experiments.admission import admit
-from rig.experiments.hit import HitRequest, hit
-from rig.experiments.lipschitz import lipschitz_of
+from rig.experiments.estimation.lipschitz import lipschitz_of
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit
 
 
 @pytest.fixture(scope="module")

@@ -15,11 +15,11 @@ from pathlib import Path
 
 import pytest
 
-import rig.experiments.hit  # noqa: F401  (compiles the loop before anybody waits for it)
+import rig.experiments.hits.hit  # noqa: F401  (compiles the loop before anybody waits for it)
 from rig.config import experiment_from_mapping
 from rig.core.errors import StoppedError
-from rig.experiments.live import change_wall, parameter_set
-from rig.experiments.recover import CaptureState, recover
+from rig.experiments.trials.live import change_wall, parameter_set
+from rig.experiments.trials.recover import CaptureState, recover
 from rig.realtime.anonymous_memory import LINK
 from rig.realtime.running import RunningLoop, running, stop
 from rig.recording.reader import open_recording

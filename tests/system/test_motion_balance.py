@@ -14,7 +14,7 @@ from rig.control.verdict import Kind
 from rig.core.sample import Phase
 from rig.devices.fault_script import Faults, Happening
 from rig.devices.framed import FramedDevice
-from rig.experiments.judgement import Judgement, judge
+from rig.experiments.trials.judgement import Judgement, judge
 from rig.recording.reader import open_recording
 from sim_backend.board.make_device import make_device
 from sim_backend.ends.link import MemoryLink

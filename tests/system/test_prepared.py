@@ -18,7 +18,7 @@ from pathlib import Path
 from rig import config
 from rig.config import presets
 from rig.devices.framed import FramedDevice
-from rig.experiments.hit import HitRequest, hit
+from rig.experiments.hits.hit import HitRequest, hit
 from rig.realtime.kernel import Kernel
 from rig.loop.run import LoopThread
 

@@ -15,9 +15,9 @@ import pytest
 from rig.config import controller, load, override, presets
 from rig.control import judging
 from rig.core.present import plain
-from rig.experiments import judgement, plan
-from rig.experiments.admission import admit
-from rig.experiments.hit import HitRequest, hit
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit
+from rig.experiments.trials import judgement, plan
 from rig.recording import reader
 from rig.session.engine.directory import LOG
 from rig.session.engine.hits import DeviceRunner

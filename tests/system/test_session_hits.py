@@ -11,7 +11,7 @@ import pytest
 
 from rig.config.presets import load as preset
 from rig.core.present import plain
-from rig.experiments import hit
+from rig.experiments.hits import hit
 from rig.session.engine import hits
 from rig.session.engine.hits import DeviceRunner
 from rig.session.engine.log import SessionLog, read

@@ -10,7 +10,7 @@ import pytest
 
 from rig.config import Experiment
 from rig.devices.fault_script import Direction, FaultKind, FrameFault
-from rig.experiments import hit as one_hit
+from rig.experiments.hits import hit as one_hit
 from rig.extras.study import AnalysisOptions, analyse
 from rig.recording.reader import open_recording
 from rig.session.engine.desk import Desk, Question, Reply

@@ -18,8 +18,8 @@ import pytest
 
 import rig
 from rig.core.errors import StoppedError
-from rig.experiments.admission import admit
-from rig.experiments.hit import HitRequest, hit
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit
 from rig.recording.reader import open_recording
 from tests.conformance.started import started
 from tests.conformance.tiers import first_by_default
@@ -27,7 +27,7 @@ from tests.conformance.tiers import first_by_default
 PROGRAM = """
 import asyncio, os, signal, sys, threading, time
 import rig
-from rig.experiments.hit import HitRequest, hit
+from rig.experiments.hits.hit import HitRequest, hit
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
 sent = threading.Event()

@@ -54,7 +54,8 @@ LEAST_SPLIT = 1.05  # resonance over anti-resonance: below it the two cancel
 LARGEST_RATIO = 0.5  # damping ratio of what is still a mode
 # Share of Coulomb friction over effort (rms) by which removing it may miss the inertia: chosen on 100 simulated runs
 # (ten rigs, ten seeds). On others (54 random rigs, 106 runs; 2026-11-29) the interval held the inertia in 86 of 88 runs
-# of rigid and 12 of 18 of elastic ones; in five of the six no mode was found: `rig.experiments.identify` warns.
+# of rigid and 12 of 18 of elastic ones; in five of the six no mode was found: `rig.experiments.identification.identify`
+# warns.
 FRICTION_BIAS = 0.05
 SHORTER = 0.75  # of the lines: what is tried next where no model explains the whole band
 WHOLE_TICKS = 4  # of delay that are tried beyond those that the first fit suggests: none more

@@ -121,7 +121,7 @@ def live_parameters(controller: ControllerState, arithmetic: Arithmetic, numbers
         Of the device.
     numbers
         A set of the loop's mailbox: position of the wall, then the parameters of its law
-        (`rig.experiments.live.parameter_set`).
+        (`rig.experiments.trials.live.parameter_set`).
 
     Raises
     ------

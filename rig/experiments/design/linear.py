@@ -27,7 +27,7 @@ from rig.config.schemes import Scheme, usual_settings
 from rig.experiments.design import paths
 from rig.experiments.design.listing import Candidate
 from rig.experiments.design.rules import BoundaryMeasures, Measures
-from rig.experiments.rendering import RENDERED, rendered_share
+from rig.experiments.mapping.rendering import RENDERED, rendered_share
 from rig.experiments.sweep import Task
 
 STAGE = "linear theory"

@@ -28,8 +28,8 @@ from rig.core.check import refused
 from rig.core.errors import ConfigError
 from rig.doctor.delay import ticks_late
 from rig.experiments.design import paths
-from rig.experiments.plan import link_checks
-from rig.experiments.planned import check_positive
+from rig.experiments.trials.plan import link_checks
+from rig.experiments.trials.planned import check_positive
 from rig.firmware.tick_budget import BOARD, named_budget
 
 Loop = Literal["host", "device"]

@@ -24,8 +24,8 @@ from rig.core.operators import GRIPS
 from rig.core.present import reported
 from rig.experiments.design.listing import Candidate
 from rig.experiments.design.rounds import Sweeper, WallGrid
-from rig.experiments.ranges import search_for
-from rig.experiments.zwidth import ZWidth
+from rig.experiments.mapping.ranges import search_for
+from rig.experiments.mapping.zwidth import ZWidth
 
 SHARE = 0.2
 SAMPLES = 16
@@ -49,7 +49,7 @@ IDENTIFIED = (
         )
     ),
     "rig.amplifier.lag_s",
-)  # what `rig.experiments.identified_values` puts
+)  # what `rig.experiments.identification.identified_values` puts
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from rig.experiments.design.listing import Candidate, LawPlace
 from rig.experiments.design.margin import Margin
 from rig.experiments.design.rules import Comparison, Measures, Wishes
 from rig.experiments.design.whole import Against
-from rig.experiments.zwidth import Boundary
+from rig.experiments.mapping.zwidth import Boundary
 
 FITTED = "FITTED"  # how a rig's source says that its numbers were fitted on a paper's limits
 

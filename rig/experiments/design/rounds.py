@@ -16,10 +16,10 @@ import numpy as np
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.experiments import sweep
-from rig.experiments.maps import Map, Plan
-from rig.experiments.results import make_directory
-from rig.experiments.searches import StiffnessSearch
-from rig.experiments.zwidth import MapPlan, ZWidth
+from rig.experiments.mapping.maps import Map, Plan
+from rig.experiments.mapping.searches import StiffnessSearch
+from rig.experiments.mapping.zwidth import MapPlan, ZWidth
+from rig.experiments.trials.results import make_directory
 
 M = TypeVar("M", bound=Map)
 Watch = Callable[[str, sweep.Progress], None]
@@ -27,7 +27,7 @@ Watch = Callable[[str, sweep.Progress], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WallGrid:
-    """Walls of a map, and where zero lies in its encoder cell: `rig.experiments.zwidth.MapPlan`."""
+    """Walls of a map, and where zero lies in its encoder cell: `rig.experiments.mapping.zwidth.MapPlan`."""
 
     dampings: tuple[float, ...]
     search: StiffnessSearch

@@ -3,8 +3,8 @@
 A scheme has seven measures (`Measures`). Four are of its walls, by simulated hits under the criterion *any* (stable,
 and neither felt, heard nor moved), judged by what a rig records, means over encoder offsets: the largest K at B = 0,
 the peak of K over B, the largest B at which a wall passes, and the area of the K–B plane below the boundary up to that
-B. A damping that is not rendered (`rig.experiments.rendering`) counts as one at which no wall passes. Three are of its
-velocity path alone (`rig.experiments.design.paths`).
+B. A damping that is not rendered (`rig.experiments.mapping.rendering`) counts as one at which no wall passes. Three are
+of its velocity path alone (`rig.experiments.design.paths`).
 
 **Best** is what has most of what the goal names: the peak (*stiffness*), the range of B (*damping*) or the area
 (*area*). *Quiet* is the least noise among the schemes that have no less area than the experiment's own scheme. What
@@ -43,8 +43,8 @@ import numpy as np
 
 from rig.core.deferred import special
 from rig.core.errors import PlanError
-from rig.experiments.planned import check_positive
-from rig.experiments.searches import Extent
+from rig.experiments.mapping.searches import Extent
+from rig.experiments.trials.planned import check_positive
 
 Goal = Literal["stiffness", "damping", "area", "quiet"]
 GOALS: tuple[Goal, ...] = get_args(Goal)

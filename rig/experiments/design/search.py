@@ -29,10 +29,10 @@ from rig.experiments.design.result import Design, Standing
 from rig.experiments.design.rounds import Sweeper, WallGrid, Watch, columns_to
 from rig.experiments.design.rules import BoundaryMeasures, Comparison, Measures, Wishes
 from rig.experiments.design.whole import Against, PaperSchemes, against_paper
-from rig.experiments.ranges import dampings_for, search_for
-from rig.experiments.rendering import RENDERED
-from rig.experiments.searches import StiffnessSearch, Way
-from rig.experiments.zwidth import ZWidth
+from rig.experiments.mapping.ranges import dampings_for, search_for
+from rig.experiments.mapping.rendering import RENDERED
+from rig.experiments.mapping.searches import StiffnessSearch, Way
+from rig.experiments.mapping.zwidth import ZWidth
 
 OCTAVES = (
     -5,

@@ -35,7 +35,7 @@ from rig.experiments.design import rules
 from rig.experiments.design.listing import Candidate
 from rig.experiments.design.rounds import Sweeper, WallGrid, columns_to
 from rig.experiments.design.rules import OF_A_PAPER, OF_TABLE_ONE, BoundaryMeasures
-from rig.experiments.ranges import (
+from rig.experiments.mapping.ranges import (
     PAPERS_SCHEMES,
     SHARE,
     dampings_for,
@@ -43,10 +43,10 @@ from rig.experiments.ranges import (
     frequency_plan,
     search_for,
 )
-from rig.experiments.rendering import RENDERED
-from rig.experiments.searches import StiffnessSearch
-from rig.experiments.table_one import PAPERS_RIG, SchemeWidths, tuned_numbers
-from rig.experiments.zwidth import ZWidth
+from rig.experiments.mapping.rendering import RENDERED
+from rig.experiments.mapping.searches import StiffnessSearch
+from rig.experiments.mapping.table_one import PAPERS_RIG, SchemeWidths, tuned_numbers
+from rig.experiments.mapping.zwidth import ZWidth
 
 KOUL = ("koul-rigid", "koul-compliant")
 COLUMNS, BEYOND = 12, (2.0, 4.0, 8.0)

@@ -12,7 +12,7 @@ from annotated_types import Ge, Le
 from firmware_protocol.faults import Fault
 from rig.core.present import told
 from rig.doctor.here import here
-from rig.experiments.examine import ExaminationRequest, examine
+from rig.experiments.hits.examine import ExaminationRequest, examine
 from rig.extras.console.client import Client
 from rig.extras.console.hits import experiment_of
 from rig.extras.console.requests import Name, Request

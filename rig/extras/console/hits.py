@@ -14,8 +14,8 @@ from rig.config.controller import for_experiment
 from rig.core.errors import ConfigError
 from rig.core.sample import phase_name
 from rig.doctor.gate_result import Gate
-from rig.experiments import hit as hits
-from rig.experiments.admission import admit
+from rig.experiments.hits import hit as hits
+from rig.experiments.hits.admission import admit
 from rig.extras.console.talk import Talk
 from rig.recording.canonical import canonical_json
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import unit_of
-from rig.experiments.cutting import cut_recording
-from rig.experiments.replay import ReplayResult
-from rig.experiments.replay import replay as replayed
+from rig.experiments.trials.cutting import cut_recording
+from rig.experiments.trials.replay import ReplayResult
+from rig.experiments.trials.replay import replay as replayed
 from rig.extras.console.history import HistoryExcerpt
 from rig.extras.console.view import packed
 from rig.recording.capture import SUFFIX as CAPTURE
@@ -167,7 +167,7 @@ def cut(
 ) -> tuple[None, bytes]:
     """Return some columns over a time span as `rig.extras.console.view.packed`; with `changes`, of a replay with these.
 
-    Errors as `rig.recording.data.Recording.column` and `rig.experiments.replay.replay`.
+    Errors as `rig.recording.data.Recording.column` and `rig.experiments.trials.replay.replay`.
     """
     recording = _opened(path)
     rows, told = recording.rows, dict[str, Any]()
@@ -187,7 +187,7 @@ def cut(
 def save_cut(
     path: str, first_s: float, last_s: float, output: str, zero_ns: int | None = None
 ) -> dict[str, Any]:
-    """Save a stretch as a recording of its own (`rig.experiments.cutting`); its name, and why it has no replay."""
+    """Save a time span as a recording; return its name, and why it has no replay."""
     made = cut_recording(path, first_s, last_s, output=output, zero_ns=zero_ns)
     return {"name": made.path.name, "rows": made.rows, "no_replay": made.no_replay}
 

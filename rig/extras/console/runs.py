@@ -11,7 +11,7 @@ from typing import Any
 
 from rig import config
 from rig.core.errors import ConfigError
-from rig.experiments import live
+from rig.experiments.trials import live
 from rig.extras.console import consent
 from rig.extras.console import requests as asked
 from rig.extras.console.client import Client

@@ -20,7 +20,7 @@ from typing import Any, get_args, get_type_hints
 
 from rig.core.deferred import parquet, pyarrow
 from rig.core.quantity import quantities
-from rig.experiments.results import make_directory, write_document
+from rig.experiments.trials.results import make_directory, write_document
 from rig.extras.study.analyse import StudyAnalysis
 from rig.extras.study.kmax import Paired
 from rig.extras.study.rows import (

@@ -1,7 +1,8 @@
 """What a protocol will come to, and whether it may: listed and checked before a person touches the handle.
 
 Trials and times are expectations with a range (`rig.session.planning.expected`, `rig.session.planning.times`); every
-wall that a rule may ask for is checked like a hit of its own (`rig.experiments.plan`) and held against linear theory.
+wall that a rule may ask for is checked like a hit of its own (`rig.experiments.trials.plan`) and held against linear
+theory.
 """
 
 from __future__ import annotations

@@ -25,14 +25,14 @@ from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
 from rig.doctor.in_effect import in_effect
 from rig.doctor.pace import Pace, measured_pace
-from rig.experiments.admission import admit, vetted
-from rig.experiments.baseline import baseline
-from rig.experiments.hit import HitRequest, Recorded, hit, left_by
-from rig.experiments.judgement import THREW_OUT, THROWN_OUT
-from rig.experiments.plan import device_checks, link_checks
-from rig.experiments.preparation import prepared_on
-from rig.experiments.pulse import Pulse, pulse
-from rig.experiments.zero import position_zero
+from rig.experiments.hits.admission import admit, vetted
+from rig.experiments.hits.baseline import baseline
+from rig.experiments.hits.hit import HitRequest, Recorded, hit, left_by
+from rig.experiments.motion.pulse import Pulse, pulse
+from rig.experiments.trials.judgement import THREW_OUT, THROWN_OUT
+from rig.experiments.trials.plan import device_checks, link_checks
+from rig.experiments.trials.preparation import prepared_on
+from rig.experiments.trials.zero import position_zero
 from rig.recording.data import Recording
 from rig.recording.files import free_name, plain_errors, sha256_of
 from rig.recording.header import host_facts
@@ -74,7 +74,7 @@ class DeviceRunner:
     url
         Of the device; None simulates.
     realtime, verified
-        As in `rig.experiments.hit.HitRequest`.
+        As in `rig.experiments.hits.hit.HitRequest`.
     arm_anyway
         Arm what the gate refuses, in every trial: consent for a whole session, because a search for the limit asks for
         walls that do not hold.
@@ -201,7 +201,7 @@ class DeviceRunner:
             return _fits(x, device)
 
     def pulse(self, experiment: Experiment, changes: Mapping[str, Any], directory: Path, name: str) -> Pulse:
-        """Send the rig a torque pulse, without a hand on the handle; see `rig.experiments.pulse.pulse`."""
+        """Send the rig a torque pulse, without a hand on the handle; see `rig.experiments.motion.pulse.pulse`."""
         device = self._device(experiment, changes)
         assert device is not None  # a real one
         with plain_errors("make", directory):
@@ -237,7 +237,7 @@ class DeviceRunner:
         heat
             Share of the winding's budget before.
         blinded
-            As in `rig.experiments.hit.HitRequest`.
+            As in `rig.experiments.hits.hit.HitRequest`.
 
         Raises
         ------

@@ -13,7 +13,7 @@ from rig.session.planning.trial import HitOutcome
 
 if TYPE_CHECKING:
     from rig.doctor.pace import Pace
-    from rig.experiments.pulse import Pulse
+    from rig.experiments.motion.pulse import Pulse
 
 Watch = Callable[[int, int], None]
 
@@ -91,7 +91,7 @@ class TrialRunner(Protocol):
         ...
 
     def pulse(self, experiment: Experiment, changes: Mapping[str, Any], directory: Path, name: str) -> Pulse:
-        """Send the rig a torque pulse, without a hand on the handle; see `rig.experiments.pulse.pulse`."""
+        """Send the rig a torque pulse, without a hand on the handle; see `rig.experiments.motion.pulse.pulse`."""
         ...
 
     def hit(

@@ -7,7 +7,7 @@ from typing import Any
 
 from rig.control.verdict import Kind
 from rig.core.sample import Motion, unit_of
-from rig.experiments.judgement import FINISHED
+from rig.experiments.trials.judgement import FINISHED
 from rig.session.engine.log import Event
 from rig.session.engine.place import device_words
 from rig.session.planning.reasons import told

@@ -10,7 +10,7 @@ from rig.config import Experiment
 from rig.core.check import Check, Outcome
 from rig.core.errors import RigError
 from rig.core.sample import Motion, unit_of
-from rig.experiments.plan import CUTOFFS, make_plan
+from rig.experiments.trials.plan import CUTOFFS, make_plan
 from rig.session.planning.bands import BANDS
 from rig.session.planning.expected import ExpectedRange
 from rig.session.planning.plan import CellPlan

@@ -1,9 +1,9 @@
 """Why a trial is invalid, in words for a blinded operator: what to do differently, and nothing of the wall.
 
-The log has the reasons as `rig.control.verdict` and `rig.experiments.judgement` wrote them. Saturation of the motor or
-of the slew limit reveals effort, which over the penetration is stiffness: a blinded operator reads of a rig limit. A
-settling time, a calm wall, a number of ticks (the rate) reveal wall or condition too. Reasons that are not listed here
-are hidden.
+The log has the reasons as `rig.control.verdict` and `rig.experiments.trials.judgement` wrote them. Saturation of the
+motor or of the slew limit reveals effort, which over the penetration is stiffness: a blinded operator reads of a rig
+limit. A settling time, a calm wall, a number of ticks (the rate) reveal wall or condition too. Reasons that are not
+listed here are hidden.
 """
 
 from __future__ import annotations

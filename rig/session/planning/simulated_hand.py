@@ -7,7 +7,7 @@ from dataclasses import replace
 from statistics import fmean
 
 from rig.config import Experiment
-from rig.experiments.hit_simulator import HitSimulator
+from rig.experiments.hits.hit_simulator import HitSimulator
 
 QUICKEST_S = 0.05  # chosen: no hand reaches faster
 TOUCH_S = 0.01  # after the contact: nothing more is needed for a speed

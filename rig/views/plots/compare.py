@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from rig.core.sample import unit_of
-from rig.experiments.compare import SchemeComparison, SchemeImpacts
+from rig.experiments.hits.compare import SchemeComparison, SchemeImpacts
 from rig.views.plots import style
 
 COLOURS = (style.TRUE, style.SENT, style.MEASURED, style.OTHER, "#cc79a7", "#56b4e9", "#000000")

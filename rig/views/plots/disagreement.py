@@ -9,8 +9,17 @@ import numpy as np
 
 from rig.analysis.theory import stability_map
 from rig.core.sample import unit_of
-from rig.experiments.ablation import CAUSES, CONTACT, EACH, FRICTION, NONE, OTHERS, QUANTUM, SATURATION
-from rig.experiments.disagreement import Disagreement, edges_of
+from rig.experiments.mapping.ablation import (
+    CAUSES,
+    CONTACT,
+    EACH,
+    FRICTION,
+    NONE,
+    OTHERS,
+    QUANTUM,
+    SATURATION,
+)
+from rig.experiments.mapping.disagreement import Disagreement, edges_of
 from rig.views.plots import style
 
 COLOURS = {

@@ -9,8 +9,8 @@ import numpy as np
 
 from rig.analysis.identification.cogging import CoggingMap
 from rig.core.sample import Motion, unit_of
-from rig.experiments.identify import Identification
-from rig.experiments.motion_run import trial_rows
+from rig.experiments.identification.identify import Identification
+from rig.experiments.motion.motion_run import trial_rows
 from rig.recording.reader import open_recording
 from rig.views.plots import style
 

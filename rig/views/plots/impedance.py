@@ -12,7 +12,7 @@ from rig.analysis.impedance.estimate import Impedance
 from rig.analysis.impedance.ideal import ideal_wall
 from rig.core.errors import RecordingError
 from rig.core.sample import unit_of
-from rig.experiments.impedance import ImpedanceResult
+from rig.experiments.mapping.impedance import ImpedanceResult
 from rig.views.plots import style
 
 Z_SCORE = 2.0  # of the shaded bands

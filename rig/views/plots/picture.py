@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from rig.experiments.hit import HitResult
-from rig.experiments.impedance import ImpedanceResult
-from rig.experiments.ranges import linear_curves, theory_curves
-from rig.experiments.zwidth import ZWidth
-from rig.experiments.zwidth_frequency import FrequencyMap
+from rig.experiments.hits.hit import HitResult
+from rig.experiments.mapping.impedance import ImpedanceResult
+from rig.experiments.mapping.ranges import linear_curves, theory_curves
+from rig.experiments.mapping.zwidth import ZWidth
+from rig.experiments.mapping.zwidth_frequency import FrequencyMap
 from rig.views.plots.hit import hit_figure
 from rig.views.plots.impedance import impedance_figure
 from rig.views.plots.zwidth import zwidth_figure

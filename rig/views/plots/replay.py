@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.core.sample import unit_of
-from rig.experiments.replay import ReplayResult
+from rig.experiments.trials.replay import ReplayResult
 from rig.views.plots import style
 
 

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from rig.core.sample import unit_of
-from rig.experiments.kmax import KMax
-from rig.experiments.rendering import RENDERED
-from rig.experiments.zwidth import Boundary, ZWidth
+from rig.experiments.mapping.kmax import KMax
+from rig.experiments.mapping.rendering import RENDERED
+from rig.experiments.mapping.zwidth import Boundary, ZWidth
 from rig.views.plots import style
 
 TITLES = {"felt": "felt", "heard": "heard", "any": "felt, heard or moved"}

@@ -19,9 +19,9 @@ import numpy as np
 from rig.analysis.impedance.signals import Floats
 from rig.core.deferred import colors
 from rig.core.sample import unit_of
-from rig.experiments.searches import trace_grid
-from rig.experiments.table_one import FrequencyWidth
-from rig.experiments.zwidth_frequency import FrequencyMap
+from rig.experiments.mapping.searches import trace_grid
+from rig.experiments.mapping.table_one import FrequencyWidth
+from rig.experiments.mapping.zwidth_frequency import FrequencyMap
 from rig.views.plots import style
 
 Curves = tuple[
@@ -51,7 +51,7 @@ def draw_frequency_map(
     picture
         File to write, see `rig.views.plots.style.save`.
     theory
-        Curves by number of scheme, as `rig.experiments.ranges.linear_curves` gives them.
+        Curves by number of scheme, as `rig.experiments.mapping.ranges.linear_curves` gives them.
     search
         Whether to draw the path of the boundary search.
     realisation

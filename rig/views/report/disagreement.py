@@ -6,8 +6,8 @@ The sentences stand in ``disagreement.j2``.
 from __future__ import annotations
 
 from rig.core.sample import unit_of
-from rig.experiments.ablation import FINER, FOUR
-from rig.experiments.disagreement import Disagreement
+from rig.experiments.mapping.ablation import FINER, FOUR
+from rig.experiments.mapping.disagreement import Disagreement
 from rig.views.report.template import fill_text
 
 

@@ -215,7 +215,7 @@ class NearLink:
 def running_loop(
     link: Any, rate: int, ring: Ring, *, cpu: int | None = LOOP_CPU, **settings: Any
 ) -> Iterator[LoopThread]:
-    """Run the shipped loop until the context ends, as `rig.experiments.trial` does, scheduled as far as is granted.
+    """Run the shipped loop until the context ends, as `trials.trial` does, scheduled as far as is granted.
 
     It must have run without an error then, and stopped because it was told to.
     """

@@ -15,9 +15,9 @@ import pytest
 from rig import config
 from rig.config import presets
 from rig.core.errors import ConfigError, RecordingError
-from rig.experiments.admission import admit
-from rig.experiments.hit import HitRequest, hit
-from rig.experiments.replay import replay
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit
+from rig.experiments.trials.replay import replay
 from rig.extras.console import recording_errands
 from rig.extras.console.follow import Followed
 from rig.extras.console.live import Live

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 from rig.core.sample import Phase
-from rig.experiments import trial as running_trial
+from rig.experiments.trials import trial as running_trial
 from rig.realtime import running
 from rig.recording.files import sha256_of
 from rig.recording.reader import open_recording

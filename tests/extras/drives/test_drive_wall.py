@@ -21,11 +21,11 @@ from rig.core.errors import PlanError
 from rig.core.sample import Phase
 from rig.devices.framed import FramedDevice
 from rig.doctor.late_loops import LateLoops
-from rig.experiments import on_the_drive
-from rig.experiments.admission import admit
-from rig.experiments.hit import HitRequest, hit
-from rig.experiments.plan import device_checks, plan_of
-from rig.experiments.replay import replay
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit
+from rig.experiments.trials import on_the_drive
+from rig.experiments.trials.plan import device_checks, plan_of
+from rig.experiments.trials.replay import replay
 from rig.extras.drives.faults import DriveFault
 from sim_backend.board.configuration import describe
 from tests.conformance.bridged import Bridged

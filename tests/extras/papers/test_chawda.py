@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from rig import config
 from rig.analysis.impedance.estimate import Impedance
 from rig.analysis.impedance.verdict import RESIDUAL, judge
-from rig.experiments.impedance import measure_impedance
-from rig.experiments.table_one import PAPER
+from rig.experiments.mapping.impedance import measure_impedance
+from rig.experiments.mapping.table_one import PAPER
 from rig.extras.papers.chawda import parts as chawda_parts
 from rig.extras.papers.chawda import reproduction as chawda
 from rig.extras.papers.chawda import rules as chawda_rules

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.analysis import theory
-from rig.experiments.searches import StiffnessSearch
-from rig.experiments.zwidth import MapPlan, ZWidth
+from rig.experiments.mapping.searches import StiffnessSearch
+from rig.experiments.mapping.zwidth import MapPlan, ZWidth
 from rig.extras.papers.koul import ideas as koul_ideas
 from rig.extras.papers.koul import parts as koul_parts
 from rig.extras.papers.koul import reproduction as koul

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from rig.core.present import plain
-from rig.experiments.compare import simulate
+from rig.experiments.hits.compare import simulate
 from rig.extras.papers.koul.compare import (
     FIXED,
     FLOAT,

@@ -16,8 +16,8 @@ from rig.config import controller, device_law, presets
 from rig.control import bilateral, laws
 from rig.control.law import Law
 from rig.core.errors import ConfigError, PlanError
-from rig.experiments.excitation_run import excited_law
-from rig.experiments.live import parameter_set
+from rig.experiments.trials.excitation_run import excited_law
+from rig.experiments.trials.live import parameter_set
 from tests.firmware.law.law_design import structure_of
 
 PRESETS = {name: presets.load(name) for name in presets.names()}

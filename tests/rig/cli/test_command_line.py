@@ -21,7 +21,7 @@ import rig.cli
 import rig.cli.doctor
 from rig.cli import output
 from rig.core.errors import RigError
-from rig.experiments import live
+from rig.experiments.trials import live
 from rig.realtime.source_files import source_files
 from tests.conformance.commands import commands
 

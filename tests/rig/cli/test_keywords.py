@@ -17,11 +17,11 @@ from rig.cli.keyword_options import gathered_options
 from rig.cli.options import CommandSettings
 from rig.config.table import parameters
 from rig.core.keyword import Keyword, keywords
-from rig.experiments.hit import HitRequest
-from rig.experiments.identify import IdentifyRequest
+from rig.experiments.hits.hit import HitRequest
+from rig.experiments.identification.identify import IdentifyRequest
 from rig.experiments.lab import HitOptions
 from rig.experiments.measure import IdentifyOptions
-from rig.experiments.settings import ExcitationSettings
+from rig.experiments.trials.settings import ExcitationSettings
 
 TYPES = {float: "number", int: "whole number", bool: "true or false", str: "text"}
 

@@ -16,7 +16,7 @@ from rig.config.files import flatten
 from rig.control.verdict import Kind
 from rig.core.errors import ConfigError
 from rig.core.model import state_space
-from rig.experiments.hit_simulator import HitSimulator
+from rig.experiments.hits.hit_simulator import HitSimulator
 
 OF_PAPERS = ("chawda-linear", "koul-compliant", "koul-rigid")
 OWNED = ("course-paddle", "hapkit", "moteus-knob", "smartknob", "woodenhaptics")

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from rig.control import estimators
-from rig.experiments.estimators import Variant, score
+from rig.experiments.estimation.estimators import Variant, score
 from tests.conformance import estimator_accuracy as accuracy
 
 MARGIN = 0.05  # what a compiler or another order of sums may change on a chaotic estimator, and no more

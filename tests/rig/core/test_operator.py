@@ -17,7 +17,7 @@ from rig.core.model import Operator, StateSpace, state_space
 from rig.core.operators import GRIPS
 from rig.devices import simulated_model
 from rig.devices.device import DeviceUrl
-from rig.experiments.plan import make_plan, predict_impact
+from rig.experiments.trials.plan import make_plan, predict_impact
 
 KOUL, RIGID, CHAWDA = (presets.load(name) for name in ("koul-compliant", "koul-rigid", "chawda-linear"))
 HUMAN = {"trial.kind": "human", "rig.limits.human": False}  # the motor of an automated trial, for firm hands

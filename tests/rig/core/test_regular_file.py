@@ -13,7 +13,7 @@ import pytest
 from rig.config import presets
 from rig.core import regular_file
 from rig.core.errors import RigError
-from rig.experiments import maps
+from rig.experiments.mapping import maps
 from rig.experiments.sweep.journal import read_on
 from rig.extras.drives.odrive import Endpoints
 from rig.firmware.flash import read_image

@@ -25,8 +25,8 @@ from rig.core.sample import Phase
 from rig.devices import threaded_serial
 from rig.devices.device import DeviceUrl
 from rig.devices.threaded_serial import ThreadedSerialLink, open_link
-from rig.experiments.admission import admit
-from rig.experiments.hit import HitRequest, hit
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit
 from rig.recording.reader import open_recording
 from tests.conformance.device import check_device
 from tests.conformance.firmware import need_compiler

@@ -20,10 +20,10 @@ from rig.config.controller import effort_quantum
 from rig.core.errors import PlanError
 from rig.devices.fault_script import Faults
 from rig.devices.framed import FramedDevice
-from rig.experiments import board_pushes
-from rig.experiments.identify_motions import PUSH_COUNTS, PUSH_S, REST_S, most_push, slow_rate, still
-from rig.experiments.pulse import PUSHES, pulse
-from rig.experiments.replay import replay
+from rig.experiments.motion import board_pushes
+from rig.experiments.motion.pulse import PUSHES, pulse
+from rig.experiments.trials.identify_motions import PUSH_COUNTS, PUSH_S, REST_S, most_push, slow_rate, still
+from rig.experiments.trials.replay import replay
 from rig.recording.reader import open_recording
 from sim_backend.ends.link import MemoryLink
 from tests.benchmarks.pulses import TickByTick

@@ -17,8 +17,8 @@ from rig.control.verdict import Kind
 from rig.core.errors import ConfigError
 from rig.core.sample import HOLD, Phase, phase_name
 from rig.devices.framed import FramedDevice
-from rig.experiments.baseline import baseline
-from rig.experiments.judgement import judge
+from rig.experiments.hits.baseline import baseline
+from rig.experiments.trials.judgement import judge
 from rig.recording.data import Recording
 from rig.recording.marks import marks
 from rig.recording.reader import open_recording

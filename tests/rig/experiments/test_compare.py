@@ -17,9 +17,9 @@ from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, DeviceNotFoundError
 from rig.core.present import plain
-from rig.experiments import compare as comparing
-from rig.experiments.compare import Entry, Start, compare, default_entries, simulate
-from rig.experiments.impact import mean, measure, second_peak
+from rig.experiments.hits import compare as comparing
+from rig.experiments.hits.compare import Entry, Start, compare, default_entries, simulate
+from rig.experiments.hits.impact import mean, measure, second_peak
 from rig.views.plots.compare import draw_comparison
 from sim_backend.bare.trial import run_trial
 from sim_backend.mechanics.plant import DiscretePlant, energy

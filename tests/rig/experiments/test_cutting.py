@@ -20,11 +20,11 @@ from rig.config import presets
 from rig.control.verdict import Kind
 from rig.core.errors import RecordingError
 from rig.core.sample import Phase
-from rig.experiments.admission import admit
-from rig.experiments.cutting import cut_recording
-from rig.experiments.hit import HitRequest, hit
-from rig.experiments.judgement import experiment_of, judge
-from rig.experiments.replay import replay
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit
+from rig.experiments.trials.cutting import cut_recording
+from rig.experiments.trials.judgement import experiment_of, judge
+from rig.experiments.trials.replay import replay
 from rig.recording.cutting import cut, cut_facts, write_cut
 from rig.recording.data import Recording
 from rig.recording.export import export

@@ -18,7 +18,7 @@ from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, NoStableWallError
 from rig.devices.device import LINK_SHARE, STATE_BYTES
-from rig.experiments import maps, sweep
+from rig.experiments import sweep
 from rig.experiments.design import (
     Candidate,
     DesignRequest,
@@ -38,9 +38,10 @@ from rig.experiments.design import (
 from rig.experiments.design import search as searching
 from rig.experiments.design.rules import BoundaryMeasures
 from rig.experiments.design.search import Round
-from rig.experiments.ranges import search_for
-from rig.experiments.rendering import RENDERED, rendered_damping, rendered_share
-from rig.experiments.zwidth import MapPlan
+from rig.experiments.mapping import maps
+from rig.experiments.mapping.ranges import search_for
+from rig.experiments.mapping.rendering import RENDERED, rendered_damping, rendered_share
+from rig.experiments.mapping.zwidth import MapPlan
 from rig.firmware.tick_budget import CALLS
 from tests.conformance.made_links import link
 from tests.conformance.maps import SHORT, short_map

@@ -21,9 +21,9 @@ from rig.core.errors import ConfigError, PlanError
 from rig.doctor.gate import gate
 from rig.doctor.in_effect import in_effect
 from rig.doctor.walls import candidate_rates
-from rig.experiments import excitation_run, live
-from rig.experiments.identify import IdentifyRequest, identify
-from rig.experiments.plan import device_checks, link_checks, make_plan
+from rig.experiments.identification.identify import IdentifyRequest, identify
+from rig.experiments.trials import excitation_run, live
+from rig.experiments.trials.plan import device_checks, link_checks, make_plan
 from tests.conformance.made_links import link
 
 RIGID = presets.load("koul-rigid")

@@ -11,8 +11,9 @@ from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.control.bilateral import clinging_law
 from rig.core.errors import PlanError
-from rig.experiments import maps
-from rig.experiments.ablation import (
+from rig.experiments.hits.hit_simulator import start_of
+from rig.experiments.mapping import maps
+from rig.experiments.mapping.ablation import (
     CONTACT,
     EACH,
     FINER,
@@ -26,10 +27,9 @@ from rig.experiments.ablation import (
     cures,
     without,
 )
-from rig.experiments.disagreement import DisagreementPlan, edges_of
-from rig.experiments.hit_simulator import start_of
-from rig.experiments.searches import StiffnessSearch
-from rig.experiments.zwidth import MapPlan
+from rig.experiments.mapping.disagreement import DisagreementPlan, edges_of
+from rig.experiments.mapping.searches import StiffnessSearch
+from rig.experiments.mapping.zwidth import MapPlan
 from rig.testing import reactions
 from rig.views.report.disagreement import paragraph
 

@@ -20,8 +20,8 @@ from rig.core.errors import ConfigError
 from rig.core.present import plain
 from rig.core.sample import ROW, Phase
 from rig.core.signals import SIGNALS, edge_times, sine
-from rig.experiments.cases import recording_case, signal_case
-from rig.experiments.estimators import (
+from rig.experiments.estimation.cases import recording_case, signal_case
+from rig.experiments.estimation.estimators import (
     Variant,
     compare_estimators,
     default_variants,
@@ -30,7 +30,7 @@ from rig.experiments.estimators import (
     rest_noise,
     score,
 )
-from rig.experiments.tuning import OBJECTIVES, WITHIN, SettingRange, shown_range, tune_estimator
+from rig.experiments.estimation.tuning import OBJECTIVES, WITHIN, SettingRange, shown_range, tune_estimator
 from rig.recording.data import Recording
 from tests.conformance.tiers import first_by_default
 

@@ -23,13 +23,13 @@ from rig.core.errors import ConfigError, PlanError
 from rig.core.model import Cogging
 from rig.core.sample import ROW, Phase
 from rig.devices.framed import FramedDevice
-from rig.experiments import identify as identifying
-from rig.experiments import identify_motions as motions
-from rig.experiments import motion_run
-from rig.experiments.identified_file import format_identification
-from rig.experiments.identified_values import identified_values
-from rig.experiments.identify import IdentifyRequest
-from rig.experiments.motion_run import LONGEST_FILLED, MOST_LOST_SHARE, TimingError, trial_rows, whole
+from rig.experiments.identification import identify as identifying
+from rig.experiments.identification.identified_file import format_identification
+from rig.experiments.identification.identified_values import identified_values
+from rig.experiments.identification.identify import IdentifyRequest
+from rig.experiments.motion import motion_run
+from rig.experiments.motion.motion_run import LONGEST_FILLED, MOST_LOST_SHARE, TimingError, trial_rows, whole
+from rig.experiments.trials import identify_motions as motions
 from rig.recording.reader import open_recording
 from sim_backend.bare.trial import run_trial
 from sim_backend.board import device as simulated

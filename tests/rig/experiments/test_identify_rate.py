@@ -13,8 +13,8 @@ from rig.config.controller import command_lifetime_s, rate_of_lifetime
 from rig.core.errors import PlanError
 from rig.doctor.ping import EXCHANGE
 from rig.doctor.round_trip import LinkMeasurement
-from rig.experiments.identify_rate import at_rate, choose_rate
-from rig.experiments.motion_run import SLOWEST_HZ, TimingError, advice, repeat_if_late
+from rig.experiments.identification.identify_rate import at_rate, choose_rate
+from rig.experiments.motion.motion_run import SLOWEST_HZ, TimingError, advice, repeat_if_late
 from rig.recording.quantiles import Distribution
 
 RIG = presets.load("koul-rigid")

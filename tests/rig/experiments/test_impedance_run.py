@@ -21,8 +21,10 @@ from rig.control import bilateral
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, GuardError, PlanError, RecordingError
 from rig.core.present import plain
-from rig.experiments import impedance as measuring
-from rig.experiments.excitation_run import (
+from rig.experiments.hits.on_device import OnDevice
+from rig.experiments.mapping import impedance as measuring
+from rig.experiments.mapping.impedance import Judging, measure_impedance, measure_on_device, write_results
+from rig.experiments.trials.excitation_run import (
     ExcitedRig,
     excited_law,
     late_ticks,
@@ -31,11 +33,9 @@ from rig.experiments.excitation_run import (
     record_of,
     seen_at_ticks,
 )
-from rig.experiments.impedance import Judging, measure_impedance, measure_on_device, write_results
-from rig.experiments.judgement import experiment_of
-from rig.experiments.on_device import OnDevice
-from rig.experiments.plan import make_plan
-from rig.experiments.replay import replay
+from rig.experiments.trials.judgement import experiment_of
+from rig.experiments.trials.plan import make_plan
+from rig.experiments.trials.replay import replay
 from rig.recording.reader import open_recording
 
 CHAWDA = presets.load("chawda-linear")

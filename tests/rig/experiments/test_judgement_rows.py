@@ -12,9 +12,9 @@ from rig.config import override, presets, verdict_thresholds
 from rig.control.verdict import Kind
 from rig.core.present import Row, plain
 from rig.core.sample import unit_of
-from rig.experiments.admission import admit
-from rig.experiments.hit import HitRequest, HitResult, hit
-from rig.experiments.judgement import Verdicts, judge, out_of_time, verdicts_of
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, HitResult, hit
+from rig.experiments.trials.judgement import Verdicts, judge, out_of_time, verdicts_of
 
 
 @pytest.fixture(scope="module")

@@ -14,10 +14,10 @@ import rig
 from rig import config
 from rig.core import plugins
 from rig.core.errors import ConfigError, PlanError, RecordingError
-from rig.experiments.admission import admit
-from rig.experiments.hit import HitRequest
-from rig.experiments.hit import hit as run
-from rig.experiments.plan import delay_checks
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest
+from rig.experiments.hits.hit import hit as run
+from rig.experiments.trials.plan import delay_checks
 
 SHORT: dict[str, Any] = {"duration_s": 0.25, "changes": {"verdict.tail_s": 0.1}}
 

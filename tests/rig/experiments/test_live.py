@@ -16,7 +16,7 @@ import rig.cli
 from rig.config import as_mapping, controller, override
 from rig.config.presets import load
 from rig.core.errors import ConfigError, PlanError, RigError, RunEndedError
-from rig.experiments import live
+from rig.experiments.trials import live
 from rig.realtime import control_words, running
 from rig.realtime.mailbox import SET_FLOATS, take
 from rig.realtime.ring import Ring

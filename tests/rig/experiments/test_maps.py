@@ -13,7 +13,7 @@ import pytest
 from rig import config
 from rig.config import load
 from rig.core.errors import RecordingError
-from rig.experiments import maps
+from rig.experiments.mapping import maps
 from rig.experiments.sweep import executors
 from rig.experiments.sweep.journal import read_on
 from rig.recording.reader import open_recording

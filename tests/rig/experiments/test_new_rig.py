@@ -19,7 +19,7 @@ from rig.config.load import as_mapping
 from rig.control.verdict import Kind
 from rig.core.errors import ConfigError, PlanError, RecordingError
 from rig.core.sample import Phase
-from rig.experiments.plan import make_plan, plan_of
+from rig.experiments.trials.plan import make_plan, plan_of
 
 LEVER: dict[str, Any] = {
     "mechanism": "lever", "torque_constant": 0.0385, "rotor_inertia": 1.1e-5, "nominal_current": 2.5,

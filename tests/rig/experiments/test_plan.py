@@ -21,7 +21,7 @@ from rig.core.errors import ConfigError, PlanError
 from rig.core.present import plain
 from rig.devices.device import LINK_SHARE, STATE_BYTES
 from rig.doctor.late_loops import LateLoops
-from rig.experiments.plan import delay_checks, link_checks, make_plan, predict_impact
+from rig.experiments.trials.plan import delay_checks, link_checks, make_plan, predict_impact
 from sim_backend.bare import trial as bare
 from sim_backend.mechanics.plant import DiscretePlant
 

@@ -9,7 +9,7 @@ from rig.config import Experiment, controller, override, presets
 from rig.config.load import experiment_from_mapping, with_realtime
 from rig.core.check import Check, Outcome
 from rig.experiments.design.paths import fits_a_tick
-from rig.experiments.plan import make_plan, plan_of
+from rig.experiments.trials.plan import make_plan, plan_of
 from tests.benchmarks.plausible_rigs import named_changes, outcome, reaches
 from tests.conformance.tiers import first_by_default
 from tests.rig.config.test_homing import PHD

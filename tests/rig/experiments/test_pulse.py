@@ -22,13 +22,13 @@ from rig.config import presets
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, DeviceFaultError, PlanError, RigError
 from rig.devices.framed import FramedDevice
-from rig.experiments.admission import admit
-from rig.experiments.hit import HitRequest, hit
-from rig.experiments.identify_motions import coulomb_of, inertia_of, most_push, push_growth, push_way
-from rig.experiments.motion_run import FreeRigRequest
-from rig.experiments.on_device import OnDevice, Trials
-from rig.experiments.plan import make_plan
-from rig.experiments.pulse import NO_HANDS, PUSHES, Pulse, check_rig_moves, energy_of, judged, pulse
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit
+from rig.experiments.hits.on_device import OnDevice, Trials
+from rig.experiments.motion.motion_run import FreeRigRequest
+from rig.experiments.motion.pulse import NO_HANDS, PUSHES, Pulse, check_rig_moves, energy_of, judged, pulse
+from rig.experiments.trials.identify_motions import coulomb_of, inertia_of, most_push, push_growth, push_way
+from rig.experiments.trials.plan import make_plan
 from rig.recording.reader import open_recording
 from sim_backend.board.firmware import FirmwareDevice
 from sim_backend.board.hardware import World

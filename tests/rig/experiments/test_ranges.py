@@ -12,9 +12,9 @@ from rig.config import presets, push_at_rest
 from rig.config.schemes import Scheme
 from rig.core.check import Outcome
 from rig.core.errors import PlanError
-from rig.experiments import ranges
-from rig.experiments.identify import IdentifyRequest, plan_of
-from rig.experiments.plan import make_plan
+from rig.experiments.identification.identify import IdentifyRequest, plan_of
+from rig.experiments.mapping import ranges
+from rig.experiments.trials.plan import make_plan
 
 PUSHED = presets.load("koul-compliant")
 HELD = config.override(PUSHED, {"trial.kind": "human"})

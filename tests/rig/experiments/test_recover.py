@@ -15,7 +15,7 @@ from rig.config import as_mapping
 from rig.config.presets import load
 from rig.core.errors import ConfigError
 from rig.core.sample import ROW
-from rig.experiments.recover import CaptureState, Recovered, failed, recover, unsealed
+from rig.experiments.trials.recover import CaptureState, Recovered, failed, recover, unsealed
 from rig.realtime.control_words import LOOP_DONE
 from rig.realtime.ring import Ring
 from rig.recording.capture import write_capture

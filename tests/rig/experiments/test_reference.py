@@ -16,11 +16,11 @@ from rig.cli import run
 from rig.config import Experiment, presets
 from rig.core.errors import ConfigError, DeviceFaultError, DeviceRefusedError, GuardError, RigError
 from rig.devices.framed import FramedDevice
-from rig.experiments.admission import admit
-from rig.experiments.hit import HitRequest, hit
-from rig.experiments.identify_motions import still
-from rig.experiments.reference import FoundReference, reference
-from rig.experiments.zero import position_zero
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit
+from rig.experiments.motion.reference import FoundReference, reference
+from rig.experiments.trials.identify_motions import still
+from rig.experiments.trials.zero import position_zero
 from rig.recording.reader import open_recording
 from sim_backend.board.hardware import Hardware
 from sim_backend.mechanics.plant import COULOMB

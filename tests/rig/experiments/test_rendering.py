@@ -13,8 +13,8 @@ from rig import config
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.control.estimators import names
-from rig.experiments.rendering import RENDERED, rendered_damping, rendered_share
-from rig.experiments.zwidth import Boundary, Width, ZWidth
+from rig.experiments.mapping.rendering import RENDERED, rendered_damping, rendered_share
+from rig.experiments.mapping.zwidth import Boundary, Width, ZWidth
 from tests.conformance.maps import short_map
 
 COARSE = {"rig.encoder.ratio": 1.0, "rig.limits.effort": 0.6, "wall.stiffness": 20.0}

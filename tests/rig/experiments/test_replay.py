@@ -20,7 +20,7 @@ from rig.core.present import plain
 from rig.core.sample import Phase, RowFlag
 from rig.devices.fault_script import DeviceFault, Direction, FaultKind, Faults, FrameFault, Happening
 from rig.devices.framed import FramedDevice
-from rig.experiments.replay import COMPUTED, replay
+from rig.experiments.trials.replay import COMPUTED, replay
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
 from rig.realtime.ring import Ring

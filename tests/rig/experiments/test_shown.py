@@ -16,8 +16,8 @@ from rig.control.estimators import kalman
 from rig.core import deferred
 from rig.core.errors import ConfigError, RecordingError, RigError
 from rig.core.shown import LINES, WIDTH
-from rig.experiments.ranges import frequency_plan
-from rig.experiments.zwidth_frequency import FrequencyMap
+from rig.experiments.mapping.ranges import frequency_plan
+from rig.experiments.mapping.zwidth_frequency import FrequencyMap
 
 
 def soft(penetration: float, p: rig.Parameters) -> float:

@@ -36,11 +36,11 @@ from rig.core.errors import (
 from rig.core.sample import ROW, Phase
 from rig.devices.fault_script import DeviceFault, Direction, FaultKind, Faults, FrameFault, Happening
 from rig.devices.framed import FaultReport, FramedDevice
-from rig.experiments import trial as trials
-from rig.experiments.admission import admit
-from rig.experiments.endings import ENDINGS, error_of
-from rig.experiments.hit import HitRequest, hit
-from rig.experiments.judgement import experiment_of, judge
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit
+from rig.experiments.trials import trial as trials
+from rig.experiments.trials.endings import ENDINGS, error_of
+from rig.experiments.trials.judgement import experiment_of, judge
 from rig.loop.contradictions import Contradiction
 from rig.loop.layout import EndReason
 from rig.loop.run import COUNTERS, LoopEnd, LoopThread

@@ -14,7 +14,7 @@ from rig.cli import run
 from rig.config import presets
 from rig.core.errors import ConfigError, PlanError
 from rig.devices.framed import FramedDevice
-from rig.experiments.weigh import STANDARD_GRAVITY, Weighing, WeighRequest, weigh
+from rig.experiments.motion.weigh import STANDARD_GRAVITY, Weighing, WeighRequest, weigh
 from rig.recording.reader import open_recording
 
 RIGID = config.override(

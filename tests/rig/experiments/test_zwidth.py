@@ -11,11 +11,11 @@ from rig.analysis import theory
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.core.errors import PlanError
-from rig.experiments import zwidth as maps
-from rig.experiments.hit_simulator import HitSimulator
-from rig.experiments.maps import zwidth
-from rig.experiments.searches import StiffnessSearch
-from rig.experiments.zwidth import MapPlan, ZWidth
+from rig.experiments.hits.hit_simulator import HitSimulator
+from rig.experiments.mapping import zwidth as maps
+from rig.experiments.mapping.maps import zwidth
+from rig.experiments.mapping.searches import StiffnessSearch
+from rig.experiments.mapping.zwidth import MapPlan, ZWidth
 
 SHORT = {"trial.duration_s": 0.4, "verdict.tail_s": 0.1, "homing.settle_s": 0.02}
 DUAL, UNIFORM = Scheme.parse("dual:20k/2k"), Scheme.parse("uniform:20k")

@@ -22,7 +22,7 @@ from rig.control.step import new_memory
 from rig.core.errors import ConfigError, PlanError
 from rig.core.present import plain
 from rig.core.sample import Phase, RowFlag
-from rig.experiments.replay import COMPUTED
+from rig.experiments.trials.replay import COMPUTED
 from rig.loop import supervise
 from rig.loop.layout import EndReason
 from rig.loop.parameter_update import update_of

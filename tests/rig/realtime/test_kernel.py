@@ -292,7 +292,7 @@ def copied(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("firmware_protocol/messages.py", "    lifetime_us: ", "    lifetime: ", True),  # a field of COMMAND
         ("rig/control/step.py", "def step(", "def step_(", True),
         ("rig/cli/hit.py", "def ", "def x_", False),
-        ("rig/experiments/hit.py", '"""', '"""Edited. ', False),
+        ("rig/experiments/hits/hit.py", '"""', '"""Edited. ', False),
         ("rig/session/engine/conduct.py", "def ", "def x_", False),
     ],
 )

@@ -12,9 +12,9 @@ import pytest
 import rig
 import rig.cli
 from rig.core.errors import ConfigError, RecordingError
-from rig.experiments.cases import recording_case
-from rig.experiments.estimators import Variant, estimates, score
-from rig.experiments.tuning import tune_estimator
+from rig.experiments.estimation.cases import recording_case
+from rig.experiments.estimation.estimators import Variant, estimates, score
+from rig.experiments.estimation.tuning import tune_estimator
 from rig.recording.counts import WORST_DEVIATION, counts_facts, read_counts
 
 RATE, DELTA, N = 1000, 1e-4, 3000

@@ -13,7 +13,7 @@ import pytest
 
 import rig
 from rig.core.errors import RecordingError
-from rig.experiments.judgement import JUDGED, experiment_of, judge
+from rig.experiments.trials.judgement import JUDGED, experiment_of, judge
 from rig.recording.capture import write_capture
 from rig.recording.data import Recording
 from rig.recording.parquet import write_parquet

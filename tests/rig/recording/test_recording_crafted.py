@@ -15,8 +15,8 @@ import rig.cli
 from rig import config
 from rig.config import presets
 from rig.core.errors import RecordingError
-from rig.experiments.admission import admit
-from rig.experiments.hit import HitRequest, hit
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit
 from rig.recording import parquet
 from rig.recording.canonical import canonical_json
 from rig.recording.capture import END_MAGIC, ROWS_MAGIC, pack_block, pack_header

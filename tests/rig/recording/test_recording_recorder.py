@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from rig.core.errors import LawError, RecordingError
 from rig.core.sample import ROW
-from rig.experiments.recover import recover
+from rig.experiments.trials.recover import recover
 from rig.realtime.control_words import DROPPED, HEAD, LOOP_DONE, TAIL, TICKS
 from rig.realtime.ring import Ring
 from rig.realtime.running import running

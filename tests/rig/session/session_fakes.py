@@ -15,7 +15,7 @@ from rig.config.presets import load as preset
 from rig.core.check import Check, Outcome
 from rig.core.errors import RigError
 from rig.doctor.pace import Pace
-from rig.experiments.pulse import Pulse
+from rig.experiments.motion.pulse import Pulse
 from rig.recording.files import whole_file
 from rig.session.engine.conduct import conduct
 from rig.session.engine.desk import Desk, DeskView, Question, Reply

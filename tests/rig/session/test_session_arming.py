@@ -17,7 +17,7 @@ from rig.core.check import Outcome
 from rig.core.errors import ConfigError, PlanError
 from rig.doctor import gate as gates
 from rig.doctor.gate import gate, refused_among
-from rig.experiments.hit import HitRequest
+from rig.experiments.hits.hit import HitRequest
 from rig.session.engine import hits
 from rig.session.engine.arming import arming_checks, refuse_unarmable, walls_of
 from rig.session.engine.check import check

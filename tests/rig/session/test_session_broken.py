@@ -11,7 +11,7 @@ import pytest
 
 from rig import config
 from rig.core.errors import ConfigError, LawError, LinkLostError, PlanError, RigError, StoppedError
-from rig.experiments.trial import TrialEnd
+from rig.experiments.trials.trial import TrialEnd
 from rig.loop.layout import EndReason
 from rig.session.engine import hits
 from rig.session.engine.clock import WallClock

@@ -20,7 +20,7 @@ from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError
 from rig.core.present import plain
 from rig.doctor.pace import Pace
-from rig.experiments.plan import predict_impact
+from rig.experiments.trials.plan import predict_impact
 from rig.session.engine.check import check
 from rig.session.engine.device_checks import device_checks
 from rig.session.engine.directory import LOG

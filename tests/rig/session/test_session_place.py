@@ -11,7 +11,7 @@ import pytest
 from rig.config import Experiment
 from rig.config.presets import load as preset
 from rig.core.errors import ConfigError, StoppedError
-from rig.experiments.pulse import NO_HANDS
+from rig.experiments.motion.pulse import NO_HANDS
 from rig.extras.study import read_study
 from rig.session.engine import run as sessions
 from rig.session.engine.conduct import conduct

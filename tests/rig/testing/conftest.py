@@ -17,8 +17,8 @@ import rig.testing.every_frame
 import rig.testing.golden
 import rig.testing.maps
 import rig.testing.served  # noqa: F401
-from rig.experiments.admission import admit
-from rig.experiments.hit import HitRequest, hit
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit
 from rig.testing import Experiments
 
 

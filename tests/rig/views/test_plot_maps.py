@@ -11,10 +11,10 @@ import pytest
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.control.verdict import CRITERIA
-from rig.experiments.disagreement import DisagreementPlan
-from rig.experiments.kmax import KMax, kmax_plan
-from rig.experiments.searches import StiffnessLimit, StiffnessSearch
-from rig.experiments.zwidth import Boundary, MapPlan, ZWidth
+from rig.experiments.mapping.disagreement import DisagreementPlan
+from rig.experiments.mapping.kmax import KMax, kmax_plan
+from rig.experiments.mapping.searches import StiffnessLimit, StiffnessSearch
+from rig.experiments.mapping.zwidth import Boundary, MapPlan, ZWidth
 from rig.views.plots import style
 from rig.views.plots.disagreement import disagreement_figure
 from rig.views.plots.zwidth import kmax_figure, zwidth_figure

@@ -17,7 +17,7 @@ from rig import config
 from rig.config import presets
 from rig.core.sample import Phase, RowFlag
 from rig.devices.framed import FramedDevice
-from rig.experiments.replay import replay
+from rig.experiments.trials.replay import replay
 from rig.recording.reader import open_recording
 from rig.views.plots import style
 from rig.views.plots.hit import BEFORE_CONTACT_S, draw_hit, hit_figure

@@ -19,11 +19,11 @@ from rig.analysis.theory.loop import linear_loop
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.control.estimators.lipschitz import identify_lipschitz
-from rig.experiments.compare import Start, simulate
-from rig.experiments.excitation_run import ExcitedRig
-from rig.experiments.lipschitz import AFTER_CONTACT_S, BEFORE_CONTACT_S
-from rig.experiments.ranges import passive_limit
-from rig.experiments.searches import StiffnessSearch
+from rig.experiments.estimation.lipschitz import AFTER_CONTACT_S, BEFORE_CONTACT_S
+from rig.experiments.hits.compare import Start, simulate
+from rig.experiments.mapping.ranges import passive_limit
+from rig.experiments.mapping.searches import StiffnessSearch
+from rig.experiments.trials.excitation_run import ExcitedRig
 from rig.extras.papers.chawda.readings import read
 from rig.extras.papers.chawda.rigs import FIGURE_3_RATE, FILTERED_SCHEME, Reading, pushed_rig
 

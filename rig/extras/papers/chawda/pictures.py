@@ -10,7 +10,7 @@ import numpy as np
 
 from rig.analysis.impedance.ideal import ideal_wall
 from rig.core.deferred import colors
-from rig.experiments.searches import connected
+from rig.experiments.mapping.searches import connected
 from rig.extras.papers.chawda import derived, rigs
 from rig.extras.papers.chawda.results import Chawda, spread
 from rig.views.plots import style

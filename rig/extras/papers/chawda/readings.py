@@ -20,10 +20,10 @@ from rig.analysis.impedance.ideal import ideal_wall
 from rig.analysis.impedance.signals import Floats
 from rig.config import Experiment
 from rig.config.schemes import Scheme
-from rig.experiments.excitation_run import ExcitedRig, RealisationRun, Signal
-from rig.experiments.searches import connected
+from rig.experiments.mapping.searches import connected
+from rig.experiments.mapping.table_one import FrequencyWidth, Spread
 from rig.experiments.sweep import Task
-from rig.experiments.table_one import FrequencyWidth, Spread
+from rig.experiments.trials.excitation_run import ExcitedRig, RealisationRun, Signal
 from rig.extras.papers.chawda.rigs import COHERENCE, RESIDUAL, Reading
 from rig.extras.papers.parts import Part
 

@@ -20,12 +20,12 @@ from rig import config
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.control.estimators import levant_regions
-from rig.experiments import excitation_run
-from rig.experiments.impedance import measure_impedance
-from rig.experiments.lipschitz import AFTER_CONTACT_S, BEFORE_CONTACT_S
-from rig.experiments.ranges import search_for
-from rig.experiments.searches import StiffnessSearch
-from rig.experiments.zwidth import MapPlan, ZWidth
+from rig.experiments.estimation.lipschitz import AFTER_CONTACT_S, BEFORE_CONTACT_S
+from rig.experiments.mapping.impedance import measure_impedance
+from rig.experiments.mapping.ranges import search_for
+from rig.experiments.mapping.searches import StiffnessSearch
+from rig.experiments.mapping.zwidth import MapPlan, ZWidth
+from rig.experiments.trials import excitation_run
 from rig.extras.papers.chawda import derived, rigs, rules
 from rig.extras.papers.chawda import parts as chawda_parts
 from rig.extras.papers.chawda.claims import rulings

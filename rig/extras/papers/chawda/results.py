@@ -12,10 +12,10 @@ from rig import config
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.core.present import plain
-from rig.experiments.impedance import ImpedanceResult
-from rig.experiments.searches import GridSearch, trace_grid
-from rig.experiments.table_one import FrequencyWidth, Spread
-from rig.experiments.zwidth import ZWidth
+from rig.experiments.mapping.impedance import ImpedanceResult
+from rig.experiments.mapping.searches import GridSearch, trace_grid
+from rig.experiments.mapping.table_one import FrequencyWidth, Spread
+from rig.experiments.mapping.zwidth import ZWidth
 from rig.extras.papers.chawda import rigs
 from rig.extras.papers.chawda.readings import Readings
 from rig.realtime.source_files import code_version

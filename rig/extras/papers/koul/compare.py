@@ -24,9 +24,9 @@ from rig.config.schemes import Scheme
 from rig.control.estimators.estimator import Floats
 from rig.core.errors import ConfigError
 from rig.core.present import plain, reported
-from rig.experiments.cases import Case
-from rig.experiments.compare import OFFSETS, Entry, SchemeComparison, Start, compare, simulate
-from rig.experiments.estimators import Variant, delay, estimates
+from rig.experiments.estimation.cases import Case
+from rig.experiments.estimation.estimators import Variant, delay, estimates
+from rig.experiments.hits.compare import OFFSETS, Entry, SchemeComparison, Start, compare, simulate
 
 START = Start(position=-2e-3, velocity=1.5, external_effort=0.06)
 WALL = {"wall.stiffness": 40.0, "wall.damping": 0.2}
@@ -142,7 +142,7 @@ def koul_figure_7(
     position_rates
         Of the panels (Hz).
     offsets
-        See `rig.experiments.compare.compare`.
+        See `rig.experiments.hits.compare.compare`.
     """
     return tuple(
         Panel(

@@ -23,11 +23,11 @@ from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.core.operators import GRIPS
 from rig.core.present import plain
-from rig.experiments.compare import simulate
-from rig.experiments.hit_simulator import HitSimulator
-from rig.experiments.searches import Outcomes, StiffnessSearch, drive, limit_of
+from rig.experiments.hits.compare import simulate
+from rig.experiments.hits.hit_simulator import HitSimulator
+from rig.experiments.mapping.searches import Outcomes, StiffnessSearch, drive, limit_of
+from rig.experiments.mapping.zwidth import TRUE, MapPlan, run_series
 from rig.experiments.sweep import Task
-from rig.experiments.zwidth import TRUE, MapPlan, run_series
 from rig.extras.papers.koul import compare as compare_koul
 from rig.extras.papers.parts import Part
 
@@ -39,7 +39,7 @@ _KEPT = ("stiffness", f"kind{TRUE}", *(f"passes_{criterion}{TRUE}" for criterion
 
 
 def series(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """A series as `rig.experiments.zwidth.run_series` has it, without the numbers that no section shows."""
+    """A series as `rig.experiments.mapping.zwidth.run_series` has it, without the numbers that no section shows."""
     return [{name: row[name] for name in _KEPT} for row in run_series(payload)]
 
 

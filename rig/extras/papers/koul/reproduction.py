@@ -18,10 +18,10 @@ from rig import config
 from rig.analysis import theory
 from rig.config import Experiment, presets
 from rig.config.schemes import Scheme
-from rig.experiments.kmax import KMax, kmax_plan
-from rig.experiments.ranges import highest_stiffness, search_for
-from rig.experiments.searches import StiffnessSearch, Way
-from rig.experiments.zwidth import MapPlan, ZWidth
+from rig.experiments.mapping.kmax import KMax, kmax_plan
+from rig.experiments.mapping.ranges import highest_stiffness, search_for
+from rig.experiments.mapping.searches import StiffnessSearch, Way
+from rig.experiments.mapping.zwidth import MapPlan, ZWidth
 from rig.extras.papers.koul import compare as compare_koul
 from rig.extras.papers.koul import ideas as koul_ideas
 from rig.extras.papers.koul import parts as koul_parts

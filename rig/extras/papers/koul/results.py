@@ -10,8 +10,8 @@ import numpy as np
 
 from rig import config
 from rig.config import presets
-from rig.experiments.kmax import KMax
-from rig.experiments.zwidth import Width, ZWidth
+from rig.experiments.mapping.kmax import KMax
+from rig.experiments.mapping.zwidth import Width, ZWidth
 from rig.extras.papers.koul import rigs, rules
 from rig.extras.papers.koul.compare import Panel, Profiles
 from rig.extras.papers.koul.ideas import (

@@ -9,7 +9,7 @@ from typing import Any
 from rig import config
 from rig.config import Experiment, presets
 from rig.config.schemes import Scheme
-from rig.experiments.compare import OFFSETS
+from rig.experiments.hits.compare import OFFSETS
 
 COMPLIANT, RIGID = "koul-compliant", "koul-rigid"
 PRESETS = (COMPLIANT, RIGID)

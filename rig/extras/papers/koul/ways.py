@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from rig.experiments.searches import Passes, limit_of
-from rig.experiments.zwidth import TRUE, ZWidth
+from rig.experiments.mapping.searches import Passes, limit_of
+from rig.experiments.mapping.zwidth import TRUE, ZWidth
 
 
 @dataclass(frozen=True, slots=True)

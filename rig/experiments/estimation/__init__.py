@@ -1,0 +1,1 @@
+"""Velocity estimators over one signal: compared, tuned, exported."""

@@ -1,0 +1,302 @@
+"""What an estimator is judged on: counts, one for each velocity sample, and the velocity that they come from.
+
+A case is a reference signal (`rig.core.signals`) as an ideal encoder sees it, or a recording with the simulation's
+truth, or one of a real rig with a reference that looks into the future.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.config.controller import resolution as signed
+from rig.control.estimators.arrays import inputs, own_inputs, quantise
+from rig.control.estimators.estimator import Floats, Ints
+from rig.control.estimators.own_counts import real_numbers
+from rig.core.deferred import signal
+from rig.core.errors import ConfigError
+from rig.core.present import reported
+from rig.core.sample import Motion, Phase
+from rig.core.signals import Signal, edge_times
+from rig.experiments.trials.judgement import experiment_of
+from rig.recording.counts import counts_facts
+from rig.recording.data import Recording
+
+EARLIEST_S, LATEST_S, DELAY_STEP_S = -5e-3, 50e-3, 2.5e-4  # where a delay is looked for
+DELAY_SAMPLES = 8192  # that many samples tell it
+REFERENCE_HZ = 200.0  # cut-off of the zero-phase reference of a real recording
+REFERENCE_END_S = 5.0 / REFERENCE_HZ
+FEWEST_SAMPLES = 16  # that the filter of the reference takes
+
+
+@dataclass(frozen=True)
+class Case:
+    """Counts, one for each velocity sample, and the velocity that they come from.
+
+    Attributes
+    ----------
+    name
+        Of the signal or recording.
+    motion
+        Decides the units.
+    dt
+        Velocity period (s).
+    resolution
+        Travel for one count (rad or m), signed.
+    time_s
+        When each sample was taken (s), shape (n,).
+    counts, edge_time, elapsed
+        As `rig.control.estimators.estimate` takes them, shape (n,).
+    judged
+        Which samples count for the score, shape (n,).
+    truth
+        True velocity as a function of time (s).
+    reference
+        Where the truth comes from, in words.
+    """
+
+    name: str
+    motion: Motion
+    dt: float
+    resolution: float
+    time_s: Floats = field(repr=False)
+    counts: Ints = field(repr=False)
+    edge_time: Floats = field(repr=False)
+    elapsed: Ints = field(repr=False)
+    judged: NDArray[np.bool_] = field(repr=False)
+    truth: Callable[[Floats], Floats] = field(repr=False)
+    reference: str
+
+    @reported
+    def rate_hz(self) -> float:
+        """Velocity samples per second."""
+        return round(1.0 / self.dt, 6)
+
+    @cached_property
+    def judged_time_s(self) -> Floats:
+        """Times of the judged samples (s)."""
+        return self.time_s[self.judged]
+
+    @cached_property
+    def true_velocity(self) -> Floats:
+        """True velocity at the judged samples."""
+        return self.truth(self.judged_time_s)
+
+    @reported
+    def speed_rms(self) -> float:
+        """Root mean square of the true velocity over the judged samples."""
+        return float(np.sqrt(np.mean(np.square(self.true_velocity))))
+
+    @cached_property
+    def arrays(self) -> tuple[Ints, Floats, Ints]:
+        """Counts, edge ages and elapsed periods, checked."""
+        return inputs(self.counts, self.dt, self.edge_time, self.elapsed)
+
+    @cached_property
+    def delayed_truths(self) -> tuple[slice, Floats, Floats, Floats]:
+        """Which judged samples tell the delay, the delays to try (s), the truth at each, a row, and its square."""
+        chosen = slice(None, None, max(1, len(self.judged_time_s) // DELAY_SAMPLES))
+        delays = np.arange(EARLIEST_S, LATEST_S + DELAY_STEP_S, DELAY_STEP_S)
+        time_s = self.judged_time_s[chosen]
+        truths = np.array([self.truth(time_s - each) for each in delays])  # at once: ten times the memory
+        return chosen, delays, truths, np.sum(np.square(truths), axis=1)
+
+
+def signal_case(signal: Signal, rate_hz: float, resolution: float, *, offset: float = 0.5) -> Case:
+    """Return a reference signal as an ideal encoder sees it, sampled from time 0 on, with true edge times.
+
+    Parameters
+    ----------
+    signal
+        Of `rig.core.signals`.
+    rate_hz
+        Velocity samples per second.
+    resolution
+        Travel for one count (m).
+    offset
+        Where position zero lies in its cell (count).
+    """
+    dt = 1.0 / rate_hz
+    time_s = dt * np.arange(round(signal.end_s * rate_hz), dtype=np.float64)
+    return Case(
+        name=signal.name,
+        motion="linear",
+        dt=dt,
+        resolution=resolution,
+        time_s=time_s,
+        counts=quantise(signal(time_s).position, resolution, offset=offset),
+        edge_time=edge_times(signal, time_s, resolution, offset=offset),
+        elapsed=np.ones(len(time_s), np.int64),
+        judged=time_s >= signal.start_s,
+        truth=lambda t: signal(t).velocity,
+        reference="closed form",
+    )
+
+
+def counts_case(
+    counts: ArrayLike,
+    dt: float,
+    *,
+    resolution: float,
+    velocity: ArrayLike,
+    edge_time: ArrayLike | None = None,
+    elapsed: ArrayLike | None = None,
+    width: int | None = None,
+    settle_s: float = 0.0,
+    motion: Motion = "rotary",
+    name: str = "counts",
+) -> Case:
+    """Return counts of your own with the velocity behind them, to compare and tune estimators on.
+
+    Parameters
+    ----------
+    counts, dt, resolution, edge_time, elapsed, width
+        As `estimate` takes them: encoder counts of shape (n,), one for each velocity period of `dt` (s), and the travel
+        for one count (rad or m).
+    velocity
+        True velocity at each sample (rad/s or m/s), shape (n,): of a simulation, or of a better sensor. Between samples
+        it is taken to be a line.
+    settle_s
+        From the first sample on, so long is not judged: estimators settle (s).
+    motion
+        ``"rotary"`` (rad) or ``"linear"`` (m): units in tables.
+    name
+        For tables.
+
+    Raises
+    ------
+    ConfigError
+        As `estimate`; velocities of another length, or not finite; nothing left to judge.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> time_s = np.arange(2000) / 1000
+    >>> counts = np.floor(np.sin(time_s) / 1e-3)
+    >>> case = counts_case(counts, 1e-3, resolution=1e-3, velocity=np.cos(time_s))
+    >>> round(case.speed_rms, 2)
+    0.64
+    """
+    held, age_s, steps = own_inputs(
+        counts, dt, resolution=resolution, edge_time=edge_time, elapsed=elapsed, width=width
+    )
+    time_s = dt * (np.cumsum(steps) - steps[:1].sum())
+    true = real_numbers(velocity, "velocity", "rad/s or m/s")
+    if true.shape != held.shape or not np.isfinite(true).all():
+        raise ConfigError(
+            f"{len(held)} counts, but velocities of shape {true.shape}, {int(np.isfinite(true).sum())} of them finite",
+            remedy="give one finite number each",
+        )
+    judged = time_s >= settle_s
+    if not judged.any():
+        raise ConfigError(
+            f"{len(held)} samples last {len(held) * dt:g} s, and {settle_s:g} s are left to settle",
+            remedy="give more samples, or a shorter settle_s",
+        )
+    return Case(
+        name=name,
+        motion=motion,
+        dt=dt,
+        resolution=resolution,
+        time_s=time_s,
+        counts=held,
+        edge_time=time_s - age_s,
+        elapsed=steps,
+        judged=judged,
+        truth=lambda t: np.interp(t, time_s, true),
+        reference="given velocity",
+    )
+
+
+def recording_case(recording: Recording, rate_hz: float | None = None, *, name: str = "recording") -> Case:
+    """Return a recording's counts, with the simulation's truth, or else with a zero-phase reference.
+
+    Parameters
+    ----------
+    recording
+        Of any rig; the trial is judged, what precedes it lets the estimators settle.
+    rate_hz
+        Velocity samples per second, a whole fraction of the recording's position rate; the recording's own if None.
+    name
+        For tables.
+
+    Raises
+    ------
+    ConfigError
+        A rate that does not divide the position rate, or a recording without samples.
+
+    Notes
+    -----
+    A real rig knows no true velocity. Its reference is the derivative of the recorded position through a Butterworth
+    filter of order 4 at `REFERENCE_HZ`, run forwards and backwards: no delay, but nothing above that frequency either,
+    so that errors against it are comparable, not absolute.
+    """
+    resolution: float
+    position_rate: float
+    motion: Motion
+    if (facts := counts_facts(recording)) is not None:
+        resolution, position_rate = facts["resolution"], facts["rate_hz"]
+        rate, motion = rate_hz or position_rate, recording.header["motion"]
+    else:
+        experiment = experiment_of(recording)
+        resolution, position_rate = signed(experiment), experiment.controller.position_rate
+        rate, motion = rate_hz or experiment.controller.velocity_rate, experiment.rig.motion
+    divider = round(position_rate / rate)
+    if divider < 1 or abs(divider * rate - position_rate) > 1e-6 * position_rate:
+        raise ConfigError(
+            f"{rate:g} Hz is not a whole fraction of the recording's {position_rate:g} Hz",
+            remedy=f"choose {position_rate / max(1, divider):g} Hz",
+        )
+    if len(recording) < FEWEST_SAMPLES:
+        raise ConfigError(
+            f"the recording has {len(recording)} samples, and {FEWEST_SAMPLES} are needed",
+            remedy="choose another one",
+        )
+    index = recording.column("sample_index") - recording.column("sample_index")[0]
+    period = index // divider
+    first = np.flatnonzero(np.diff(period, prepend=-1) > 0)  # the samples that enter a new velocity period
+    elapsed = np.diff(period[first], prepend=period[first[0]] - 1)
+    dt, time_s = divider / position_rate, index / position_rate
+    truth, reference = _truth(recording, time_s, resolution)
+    trial = recording.column("phase") == Phase.TRIAL
+    judged = trial if trial.any() else np.ones_like(trial)
+    if not recording.has_truth:  # the ends of a filter that runs both ways are guesses
+        judged = judged & (time_s >= time_s[0] + REFERENCE_END_S) & (time_s <= time_s[-1] - REFERENCE_END_S)
+    if not judged.any():
+        raise ConfigError(
+            f"the recording has {time_s[-1]:.3g} s, and the ends of {REFERENCE_END_S:g} s are not judged",
+            remedy="choose a longer one",
+        )
+    return Case(
+        name=name,
+        motion=motion,
+        dt=dt,
+        resolution=resolution,
+        time_s=time_s[first],
+        counts=recording.column("count")[first],
+        edge_time=dt * (period[first] - period[first[0]]) - 1e-9 * recording.column("edge_age")[first],
+        elapsed=elapsed,
+        judged=judged[first],
+        truth=truth,
+        reference=reference,
+    )
+
+
+def _truth(recording: Recording, time_s: Floats, resolution: float) -> tuple[Callable[[Floats], Floats], str]:
+    """Velocity as a function of time, and where it comes from."""
+    if recording.has_truth:
+        true = recording.column("velocity_true")
+        known = np.isfinite(true)
+        return lambda t: np.interp(t, time_s[known], true[known]), "the simulation's truth"
+    tick_s = np.min(np.diff(time_s))
+    grid = np.arange(time_s[0], time_s[-1] + 0.5 * tick_s, tick_s)
+    position = np.interp(grid, time_s, resolution * np.unwrap(recording.column("count"), period=2**32))
+    cutoff_hz = min(REFERENCE_HZ, 0.2 / tick_s)
+    smooth = np.gradient(
+        signal.sosfiltfilt(signal.butter(4, cutoff_hz, fs=1.0 / tick_s, output="sos"), position), tick_s
+    )
+    return lambda t: np.interp(t, grid, smooth), f"zero-phase Butterworth of order 4 at {cutoff_hz:g} Hz"

@@ -1,0 +1,271 @@
+"""Velocity estimators side by side, on motions whose velocity is known: how wrong, how late, how noisy at rest.
+
+A *case* is a row of counts with the velocity behind it (`rig.experiments.estimation.cases`), a *variant* an estimator
+with its settings. `compare` scores every variant on every case.
+
+Raw error alone ranks the least delayed estimator first whatever its noise; a corrected error alone ranks the slowest
+filter first. Hence three numbers: raw rms error, delay (by which the truth must be shifted for the least rms error),
+and the rms error that is left then.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+
+from rig.control import estimators
+from rig.control.estimators.arrays import inputs, run
+from rig.control.estimators.estimator import Estimator, Floats
+from rig.core.drawn import Drawn
+from rig.core.errors import ConfigError
+from rig.core.present import Item, Row
+from rig.core.sample import unit_of
+from rig.core.shown import Shown
+from rig.experiments.estimation.cases import DELAY_STEP_S, Case
+
+APPROACH_S, REST_S, LISTENED_S = 0.2, 1.0, 0.5  # of the rest that noise is measured in
+APPROACH_PERIOD_COUNTS = 0.1 * math.pi  # speed before the rest (counts in a period): no whole number
+SILENCE_COUNTS = 1e-6  # velocity (counts in a period) up to which an estimate counts as zero
+TIMED_SAMPLES = 50_000
+TIMED_RUNS = 9
+
+
+@dataclass(frozen=True)
+class Variant:
+    """An estimator with settings; those left out take their default."""
+
+    estimator: str
+    settings: Mapping[str, float | str] = field(default_factory=dict)
+
+    @classmethod
+    def parse(cls, text: str) -> Variant:
+        """Read ``kalman`` or ``kalman:gain=steady,q=2e4``; raises `ConfigError`."""
+        name, _, rest = text.partition(":")
+        settings: dict[str, float | str] = {}
+        for part in filter(None, rest.split(",")):
+            key, equals, value = part.partition("=")
+            if not equals:
+                raise ConfigError(
+                    f"{text}: {part!r} has no value", remedy="write NAME:setting=value,setting=value"
+                )
+            try:
+                settings[key.strip()] = float(value)
+            except ValueError:
+                settings[key.strip()] = value.strip()
+        return cls(name, settings)
+
+    @property
+    def label(self) -> str:
+        """Name and settings, for tables and legends."""
+        said = (f"{k}={v:g}" if isinstance(v, int | float) else f"{k}={v}" for k, v in self.settings.items())
+        return " ".join((self.estimator, *said))
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """How one variant did on one case. Velocities in rad/s or m/s; NaN where a number does not apply.
+
+    Attributes
+    ----------
+    rms
+        Raw error, rms.
+    delay_s
+        Shift of the truth that leaves the least error: below zero for an estimate ahead of time; NaN when it is not
+        identifiable (see `delay`).
+    rms_without_delay
+        The error that is left then.
+    rest_rms, toggling_rms
+        Velocity read at rest after a motion: with the count at rest, and with the count falling at random on one of
+        two neighbours at each sample.
+    ns_per_sample
+        Cost of one update through the plug type, on this machine; NaN if not timed.
+    refused
+        Why the estimator cannot be realised at this rate; everything else is NaN then.
+    """
+
+    case: str
+    rate_hz: float
+    resolution: float
+    estimator: str
+    settings: Mapping[str, float | str]
+    rms: float = math.nan
+    delay_s: float = math.nan
+    rms_without_delay: float = math.nan
+    rest_rms: float = math.nan
+    toggling_rms: float = math.nan
+    ns_per_sample: float = math.nan
+    refused: str | None = None
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class EstimatorComparison(Shown, Drawn):
+    """Every variant on every case: `scores` case by case, in the order of the variants."""
+
+    cases: tuple[Case, ...]
+    variants: tuple[Variant, ...]
+    scores: tuple[Score, ...]
+
+    def brief(self) -> list[Item]:
+        """Raw error and delay of each."""
+        rows: list[Item] = []
+        number = len(self.variants)
+        for case, first in zip(self.cases, range(0, len(self.scores), number), strict=True):
+            unit = unit_of("velocity", case.motion)
+            rows += [f"{case.name} at {case.rate_hz:g} Hz, {case.speed_rms:.3g} {unit} rms"]
+            for variant, score in zip(self.variants, self.scores[first : first + number], strict=True):
+                late = "" if math.isnan(score.delay_s) else f"{1e3 * score.delay_s:.3g} ms late"
+                rows += [Row(variant.label, score.refused or score.rms, "" if score.refused else unit, late)]
+        return rows
+
+
+def default_variants(names: Iterable[str] | None = None) -> tuple[Variant, ...]:
+    """Return the named estimators (if None, all that are not broken) with their default settings."""
+    if names is None:
+        names = (name for name in estimators.names() if not estimators.broken(name))
+    return tuple(Variant(name) for name in names)
+
+
+def compare_estimators(
+    cases: Case | Sequence[Case], variants: Sequence[str | Variant] = (), *, timed: bool = False
+) -> EstimatorComparison:
+    """Score velocity estimators on motions whose velocity is known (`rig estimators compare`).
+
+    Parameters
+    ----------
+    cases
+        Counts with the velocity behind them: `counts_case` of arrays, `recording_case` of a recording.
+    variants
+        Estimators with their settings, as ``"kalman:gain=steady"``; all with their defaults if empty.
+    timed
+        Also measure what one update costs on this machine (ns).
+
+    Returns
+    -------
+    EstimatorComparison
+        A `Score` for each variant on each case: raw rms error, delay, error without that delay, and noise at rest
+        (rad/s or m/s, s).
+
+    Raises
+    ------
+    ConfigError
+        An unknown estimator. Settings that cannot be realised at the rate of a case are in its `Score.refused`.
+    """
+    cases = (cases,) if isinstance(cases, Case) else tuple(cases)
+    chosen = tuple(Variant.parse(one) if isinstance(one, str) else one for one in variants)
+    chosen = chosen or default_variants()
+    for variant in chosen:
+        estimators.get(variant.estimator)
+    scores = tuple(score(case, variant, timed=timed) for case in cases for variant in chosen)
+    return EstimatorComparison(cases, chosen, scores)
+
+
+def score(case: Case, variant: Variant, *, timed: bool = False) -> Score:
+    """Score one variant on one case."""
+    named = (case.name, case.rate_hz, abs(case.resolution), variant.estimator, variant.settings)
+    try:
+        velocity = estimates(case, variant)
+    except ConfigError as error:
+        return Score(*named, refused=str(error))
+    rms, delay_s, rms_without_delay = errors(case, velocity)
+    return Score(
+        *named,
+        rms,
+        delay_s,
+        rms_without_delay,
+        *rest_noise(variant, case.dt, case.resolution),
+        cost_ns(case, variant) if timed else math.nan,
+    )
+
+
+def estimates(case: Case, variant: Variant) -> Floats:
+    """Velocity that a variant gives at each sample of a case, shape (n,); raises `ConfigError` as `prepare` does."""
+    prepared = estimators.get(variant.estimator).prepare(variant.settings, case.resolution, case.dt)
+    return run(prepared, *case.arrays)[0]
+
+
+def errors(case: Case, velocity: Floats) -> tuple[float, float, float]:
+    """Raw rms error of velocities of shape (n,), delay (s), and rms error without that delay."""
+    raw, delay_s = raw_error(case, velocity), delay(case, velocity)
+    if math.isnan(delay_s):
+        return raw, delay_s, raw
+    return raw, delay_s, _rms(velocity[case.judged] - case.truth(case.judged_time_s - delay_s))
+
+
+def raw_error(case: Case, velocity: Floats) -> float:
+    """Raw rms error of velocities of shape (n,)."""
+    return _rms(velocity[case.judged] - case.true_velocity)
+
+
+def delay(case: Case, velocity: Floats) -> float:
+    """Return the shift of the truth (s) that leaves the least squared error; NaN when it is not identifiable.
+
+    Searched on the grid of `rig.experiments.estimation.cases`, and between its points on the parabola through the best
+    one and its neighbours: the error is smooth over many steps of the grid, which leaves microseconds. The shift is not
+    identifiable when the true velocity is constant, when the best shift is an end of the grid, or when the estimate is
+    so noisy that the standard error of the shift exceeds one step.
+    """
+    if np.ptp(case.true_velocity) <= 1e-9 * case.speed_rms:
+        return math.nan
+    chosen, delays, truths, powers = case.delayed_truths
+    estimate = velocity[case.judged][chosen]
+    squares = powers - 2.0 * (truths @ estimate) + np.sum(np.square(estimate))
+    best = int(np.argmin(squares))
+    if not 0 < best < len(delays) - 1:
+        return math.nan
+    before, least, after = squares[best - 1 : best + 2]
+    bend = before - 2.0 * least + after
+    if bend <= 2.0 * least / len(estimate):  # least squares: variance of the shift = 2·step²·least / (n·bend)
+        return math.nan
+    return float(delays[best] + 0.5 * DELAY_STEP_S * (before - after) / bend)
+
+
+def rest_noise(variant: Variant, dt: float, resolution: float) -> tuple[float, float]:
+    """Rms of the velocity read at rest, after a steady approach: with a resting count, and with a toggling one.
+
+    The toggling count falls on either of two neighbours with equal chance at each sample: a handle at rest on the
+    boundary of a cell.
+    """
+    return _rest_noise(estimators.get(variant.estimator), tuple(variant.settings.items()), dt, resolution)
+
+
+@lru_cache(maxsize=256)  # the same whatever motion a variant is scored on
+def _rest_noise(
+    estimator: Estimator, settings: tuple[tuple[str, float | str], ...], dt: float, resolution: float
+) -> tuple[float, float]:
+    approach, rest = round(APPROACH_S / dt), round(REST_S / dt)
+    path = APPROACH_PERIOD_COUNTS * np.minimum(np.arange(approach + rest), approach)
+    counts = np.floor(path).astype(np.int64)
+    toggle = np.where(
+        np.arange(len(counts)) > approach, np.random.default_rng(1).integers(0, 2, len(counts)), 0
+    )
+    listened = slice(-round(LISTENED_S / dt), None)
+    found: list[float] = []
+    for each in (counts, counts + toggle):
+        prepared = estimator.prepare(dict(settings), resolution, dt)
+        found.append(_rms(run(prepared, *inputs(each, dt))[0][listened]))
+    silence = SILENCE_COUNTS * abs(resolution) / dt  # the tail of a filter that decays
+    resting, toggling = (0.0 if rms < silence else rms for rms in found)
+    return resting, toggling
+
+
+def cost_ns(case: Case, variant: Variant) -> float:
+    """Shortest time of an update (ns) in a compiled loop through the plug type, over the case to and fro."""
+    times = math.ceil(TIMED_SAMPLES / len(case.counts))
+    counts = np.concatenate([case.counts if i % 2 == 0 else case.counts[::-1] for i in range(times)])
+    arrays = inputs(counts, case.dt)
+    best = math.inf
+    for _ in range(TIMED_RUNS):
+        prepared = estimators.get(variant.estimator).prepare(variant.settings, case.resolution, case.dt)
+        started = time.perf_counter_ns()
+        run(prepared, *arrays)
+        best = min(best, (time.perf_counter_ns() - started) / len(counts))
+    return best
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else math.nan

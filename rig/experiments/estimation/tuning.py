@@ -1,0 +1,377 @@
+"""The settings of an estimator that suit one motion best, by a named objective, and how much they matter.
+
+Objectives, all over the judged samples of a case (`rig.experiments.estimation.cases.Case`):
+
+- ``rms``: raw error. What a damped wall acts on; the objective to start with.
+- ``delay-corrected-rms``: error that is left when delay is forgiven. For analysis off line: it always asks for the
+  slowest filter that keeps the shape.
+- ``rms+delay``: corrected error as a share of the rms speed, plus delay as a share of `DELAY_SCALE_S`: 1 ms weighs as
+  much as an error of a tenth of the speed.
+
+An optimum belongs to its motion, rate and resolution. The range in which the objective stays within a tenth of it says
+how far it may be carried elsewhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.control import estimators
+from rig.control.estimators.estimator import Estimator, Floats, Setting
+from rig.core.deferred import optimize, stats
+from rig.core.errors import ConfigError
+from rig.core.present import Item, Row
+from rig.core.shown import Shown
+from rig.experiments.estimation.cases import Case
+from rig.experiments.estimation.estimators import Score, Variant, errors, estimates, raw_error, score
+
+DELAY_SCALE_S = 0.01
+NEGLIGIBLE = 0.005  # a setting whose optimum is better by less than this share stays where it was
+WITHIN = 0.1  # share by which the objective may worsen in the range that is reported
+DECADES = 3.0  # searched on either side of the start, within the setting's own range
+SCANNED_LOG2 = 5  # points of the first scan: 2^(this + number of settings)
+MOST_EVALUATIONS = 200  # of the descent that follows, for each setting
+LADDER = 100  # steps by which a range is walked
+DIGITS = 4  # significant ones that a tuned value keeps
+
+Settings = Mapping[str, float | str]
+
+
+def _corrected(case: Case, velocity: Floats) -> float:
+    return errors(case, velocity)[2]
+
+
+def _both(case: Case, velocity: Floats) -> float:
+    _, delay_s, left = errors(case, velocity)
+    late = 0.0 if math.isnan(delay_s) else abs(delay_s)
+    return left / case.speed_rms + late / DELAY_SCALE_S
+
+
+OBJECTIVES: dict[str, Callable[[Case, Floats], float]] = {
+    "rms": raw_error,
+    "delay-corrected-rms": _corrected,
+    "rms+delay": _both,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class SettingRange:
+    """Where a tuned setting may lie, the others held, before the objective is a tenth worse.
+
+    `open_below` and `open_above` say that the search ended there, not the range.
+    """
+
+    setting: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    open_below: bool
+    open_above: bool
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Tuning(Shown):
+    """The best settings found for one case, and how much they matter.
+
+    `settings` are those that were given and those that had to move; all others are at their default.
+    `objective_start` and `objective_best` are in the units of the objective; `before` and `after` score the settings
+    that the search started from and those that it found.
+    """
+
+    estimator: str
+    case: str
+    reference: str
+    objective: str
+    settings: Settings
+    objective_start: float
+    objective_best: float
+    ranges: tuple[SettingRange, ...]
+    before: Score
+    after: Score
+    evaluations: int
+
+    def brief(self) -> list[Item]:
+        """The settings and how far each may be off."""
+        rows = [Row(one.setting, one.value, note=f"within 10 %: {shown_range(one)}") for one in self.ranges]
+        changed = f"{self.objective} {self.objective_start:.4g} before, {self.objective_best:.4g} now"
+        return [f"{self.estimator} tuned on {self.case}: {changed}", *rows]
+
+    def toml(self) -> str:
+        """Fragment of an experiment's file: estimator and settings, with what they were tuned for."""
+        said = {each.setting: f"  # within 10 %: {shown_range(each)}" for each in self.ranges}
+        lines = [
+            f"# Tuned for {self.objective} on {self.case} ({self.reference}) at {self.after.rate_hz:g} Hz,",
+            f"# {self.after.resolution:g} a count: {self.objective_start:.4g} before, {self.objective_best:.4g} now.",
+            "[controller]",
+            f'estimator = "{self.estimator}"',
+            "",
+            "[controller.parameters]",
+        ]
+        for name, value in self.settings.items():
+            text = f'"{value}"' if isinstance(value, str) else f"{value!r}"
+            lines.append(f"{name} = {text}{said.get(name, '')}")
+        return "\n".join(lines) + "\n"
+
+
+def tune_estimator(
+    estimator: str,
+    case: Case,
+    *,
+    objective: str = "rms",
+    settings: Settings | None = None,
+    free: Sequence[str] | None = None,
+) -> Tuning:
+    """Find the settings of an estimator that make an objective least on a case (`rig estimators tune`).
+
+    Parameters
+    ----------
+    estimator
+        Its name.
+    case
+        Counts with the velocity behind them: `counts_case` of arrays, `recording_case` of a recording.
+    objective
+        ``"rms"``: raw error. ``"delay-corrected-rms"``: residual after correction of the delay. ``"rms+delay"``: the
+        latter as a share of the speed, and 10 ms of delay weigh as much as the speed.
+    settings
+        Where the search starts; settings not given start at their default. Choices keep the value given here.
+    free
+        Numbers to tune. None: all whose change is allowed and changes the estimate, but not those that start at zero,
+        which says "not given".
+
+    Returns
+    -------
+    Tuning
+        A scan over the range by a Sobol sequence, then Nelder and Mead from its best point, repeatable to the bit. A
+        setting that makes no difference stays at its start.
+
+    Raises
+    ------
+    ConfigError
+        An unknown estimator, objective or setting; nothing to tune; start settings that cannot be realised.
+    """
+    if objective not in OBJECTIVES:
+        raise ConfigError(
+            f"there is no objective {objective!r}", remedy=f"choose one of: {', '.join(OBJECTIVES)}"
+        )
+    search = _TuningWalk(estimators.get(estimator), case, OBJECTIVES[objective], dict(settings or {}))
+    search.open(free)
+    best = search.plain(search.descend())
+    return Tuning(
+        estimator=estimator,
+        case=case.name,
+        reference=case.reference,
+        objective=objective,
+        settings=search.settings_at(best),
+        objective_start=search.value(search.start),
+        objective_best=search.value(search.settings_at(best)),
+        ranges=tuple(search.range_of(i, best) for i in range(len(search.axes))),
+        before=score(case, Variant(estimator, search.start)),
+        after=score(case, Variant(estimator, search.settings_at(best))),
+        evaluations=len(search.known),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Axis:
+    """One free setting on a scale from 0 to 1: logarithmic where the range allows, in whole numbers if it must."""
+
+    setting: Setting
+    low: float
+    high: float
+    whole: bool
+
+    @classmethod
+    def around(cls, setting: Setting, start: float, whole: bool) -> _Axis:
+        if setting.minimum <= 0.0 or start <= 0.0:
+            return cls(setting, setting.minimum, setting.maximum, whole)
+        reach = 10.0**DECADES
+        return cls(setting, max(setting.minimum, start / reach), min(setting.maximum, start * reach), whole)
+
+    def value(self, place: float) -> float:
+        place = min(max(place, 0.0), 1.0)
+        if self.low > 0.0:
+            value = self.low * (self.high / self.low) ** place
+        else:
+            value = self.low + place * (self.high - self.low)
+        rounded = round(value) if self.whole else float(f"{value:.{DIGITS}g}")
+        return float(min(max(rounded, self.low), self.high))
+
+    def place(self, value: float) -> float:
+        if self.high <= self.low:
+            return 0.0
+        if self.low > 0.0:
+            return math.log(value / self.low) / math.log(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
+
+
+class _TuningWalk:
+    """The objective as a function of settings, the axes that are free, and the walk along them."""
+
+    def __init__(
+        self,
+        estimator: Estimator,
+        case: Case,
+        objective: Callable[[Case, Floats], float],
+        given: dict[str, float | str],
+    ) -> None:
+        self.estimator, self.case, self.objective = estimator, case, objective
+        self.known: dict[tuple[tuple[str, float | str], ...], float] = {}
+        self.axes: list[_Axis] = []
+        self.start = given
+        self.reference = estimates(
+            case, Variant(estimator.name, self.start)
+        )  # raises what is wrong with them
+
+    def value(self, settings: Settings) -> float:
+        """Objective at these settings; infinite where they cannot be realised."""
+        key = tuple(settings.items())
+        if key not in self.known:
+            self.known[key] = self._evaluate(settings)
+        return self.known[key]
+
+    def _evaluate(self, settings: Settings) -> float:
+        try:
+            velocity = estimates(self.case, Variant(self.estimator.name, settings))
+        except ConfigError:
+            return math.inf
+        found = self.objective(self.case, velocity)
+        return found if math.isfinite(found) else math.inf
+
+    def open(self, free: Sequence[str] | None) -> None:
+        """Make the axes of the named settings, or of all that do something."""
+        numbers = {s.name: s for s in self.estimator.settings if isinstance(s, Setting)}
+        for name in free or ():
+            if name not in numbers:
+                raise ConfigError(
+                    f"estimator {self.estimator.name} has no number {name!r} to tune",
+                    remedy=f"its numbers: {', '.join(numbers) or 'none'}",
+                )
+        for name in free or numbers:
+            if free is None and not self.begin(numbers[name]):
+                continue
+            axis = self._axis(numbers[name])
+            if axis is not None:
+                self.axes.append(axis)
+        if not self.axes:
+            raise ConfigError(
+                f"estimator {self.estimator.name} has nothing to tune here",
+                remedy="choose another estimator, or other choices of this one",
+            )
+
+    def begin(self, setting: Setting) -> float:
+        """Return where the search starts: as given, or the default."""
+        return float(self.start.get(setting.name, setting.default or setting.minimum))
+
+    def _axis(self, setting: Setting) -> _Axis | None:
+        """Axis of a setting; None when no other value is allowed or none changes the estimate."""
+        start = self.begin(setting)
+        for whole in (False, True):
+            axis = _Axis.around(setting, start, whole)
+            for place in (
+                0.37,
+                0.23,
+                0.51,
+                0.77,
+                0.09,
+                0.93,
+            ):  # most settings are realisable in a part of their range
+                other = {**self.start, setting.name: axis.value(place)}
+                try:
+                    velocity = estimates(self.case, Variant(self.estimator.name, other))
+                except ConfigError:
+                    continue
+                if not np.array_equal(velocity, self.reference):
+                    return axis
+        return None
+
+    def settings_at(self, places: Floats) -> dict[str, float | str]:
+        """Return the settings at a point of the unit cube."""
+        found = dict(self.start)
+        for axis, place in zip(self.axes, places, strict=True):
+            value = axis.value(float(place))
+            if axis.setting.name in self.start or value != self.begin(axis.setting):
+                found[axis.setting.name] = value
+        return found
+
+    def descend(self) -> Floats:
+        """Best point of the unit cube."""
+        d = len(self.axes)
+        start = np.array([axis.place(self.begin(axis.setting)) for axis in self.axes])
+        points = [start, *stats.qmc.Sobol(d, scramble=False).random_base2(SCANNED_LOG2 + d)]
+        values = [self.value(self.settings_at(point)) for point in points]
+        best = np.array(points[int(np.argmin(values))])
+        spread = 2.0 ** -(1.0 + SCANNED_LOG2 / d)
+        corners = best + spread * np.eye(d) * np.where(best > 0.5, -1.0, 1.0)
+        found = optimize.minimize(
+            lambda point: self.value(self.settings_at(point)),
+            best,
+            method="Nelder-Mead",
+            bounds=[(0.0, 1.0)] * d,
+            options={
+                "initial_simplex": np.vstack([best, corners]),
+                "xatol": 1e-4,
+                "fatol": 1e-6 * min(values),
+                "maxfev": MOST_EVALUATIONS * d,
+            },
+        )
+        return np.asarray(found.x if found.fun <= min(values) else best, dtype=np.float64)
+
+    def plain(self, best: Floats) -> Floats:
+        """Put back to its start whatever setting makes no difference there."""
+        limit = (1.0 + NEGLIGIBLE) * self.value(self.settings_at(best))
+        for i, axis in enumerate(self.axes):
+            start = axis.place(self.begin(axis.setting))
+            if self._along(i, best, start) <= limit:
+                best = np.array(best)
+                best[i] = start
+        return best
+
+    def range_of(self, i: int, best: Floats) -> SettingRange:
+        """Walk from the optimum both ways along one axis until the objective is a tenth worse."""
+        axis, limit = self.axes[i], (1.0 + WITHIN) * self.value(self.settings_at(best))
+        ends, opened = [], []
+        for direction in (-1.0, 1.0):
+            inside, outside = float(best[i]), None
+            for k in range(1, LADDER + 1):
+                place = float(best[i]) + direction * k / LADDER
+                if not -1.0 / LADDER < place < 1.0 + 1.0 / LADDER:
+                    break
+                if self._along(i, best, place) > limit:
+                    outside = place
+                    break
+                inside = place
+            for _ in range(0 if outside is None else 8):
+                middle = 0.5 * (inside + float(outside or 0.0))
+                if self._along(i, best, middle) > limit:
+                    outside = middle
+                else:
+                    inside = middle
+            ends.append(axis.value(inside))
+            opened.append(outside is None)
+        return SettingRange(
+            axis.setting.name,
+            axis.setting.unit,
+            axis.value(float(best[i])),
+            ends[0],
+            ends[1],
+            opened[0],
+            opened[1],
+        )
+
+    def _along(self, i: int, best: Floats, place: float) -> float:
+        point = np.array(best)
+        point[i] = place
+        return self.value(self.settings_at(point))
+
+
+def shown_range(found: SettingRange) -> str:
+    """Say a range in words."""
+    low, high, unit = f"{found.low:.4g}", f"{found.high:.4g}", "" if found.unit == "1" else f" {found.unit}"
+    if found.open_below and found.open_above:
+        return f"anything from {low} to {high}{unit}"
+    return f"{low}{' or less' if found.open_below else ''} to {high}{' or more' if found.open_above else ''}{unit}"

@@ -1,0 +1,1 @@
+"""Hits on a rig, recorded or simulated: admitted, run, judged, compared."""

@@ -1,0 +1,141 @@
+"""Whether a wall may run at its rate, with its loop, on a device: one answer for `rig doctor`, gate and `rig hit`.
+
+Every caller of `rig.experiments.hits.hit.hit` passes `admit`, behind which nothing but a trial stands between a wall
+and a motor: checks of the run and the device, the arming gate of the measured link, and before a person the torque
+pulse.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rig import config
+from rig.config import Experiment
+from rig.config.prepared_run import PreparedRun
+from rig.control.law import Law
+from rig.core.check import Check, Outcome, refuse, refused
+from rig.core.errors import ConfigError
+from rig.core.same_rig import check_rig
+from rig.devices.framed import FramedDevice
+from rig.doctor.gate import check_armable
+from rig.doctor.gate_result import Gate
+from rig.experiments.hits.hit import Admitted, HitRequest
+from rig.experiments.motion.pulse import NO_HANDS, pulse
+from rig.experiments.trials.plan import device_checks, human_limit_checks, link_checks, plan_of
+from rig.experiments.trials.preparation import prepared_on
+from rig.experiments.trials.results import make_directory
+from rig.experiments.trials.zero import position_zero
+from rig.recording.files import free_name
+
+
+def admit(request: HitRequest, device: FramedDevice, experiment: Experiment) -> Admitted:
+    """Prepare the run of an experiment in effect on an open device, or refuse it.
+
+    Before a person is armed, a real rig whose motion was not seen is sent a torque pulse; nothing else moves.
+
+    Raises
+    ------
+    PlanError
+        Something that must not run on this device or behind this link: nothing has moved.
+    ConfigError
+        A real rig whose polarity is not verified.
+    RigError
+        A link that cannot be measured; or what ended the torque pulse, or what it showed: the effort is zero.
+    """
+    run = vetted(request, device, experiment)
+    gate = _gate(request, device, run.experiment)
+    warnings = tuple(
+        one.sentence for one in human_limit_checks(run.experiment) if one.outcome is not Outcome.OK
+    )
+    _check_it_moves(request, device, run)
+    return Admitted(run=run, gate=gate, warnings=warnings)
+
+
+def vetted(request: HitRequest, device: FramedDevice, experiment: Experiment) -> PreparedRun:
+    """The run of an experiment in effect on an open device. The link is not measured, and nothing moves.
+
+    Raises
+    ------
+    PlanError
+        Something that must not run, or a device that was built for another rig.
+    ConfigError
+        A real rig whose polarity is not verified.
+    """
+    config.check_plugins(experiment, experiment.rig.name)
+    refuse([check_rig(config.rig_model(experiment), device.dictionary)])
+    law = request.law
+    if law is not None and not isinstance(law, Law):
+        law = law(device.dictionary.current_quantum_a)
+    run = prepared_on(
+        device,
+        experiment,
+        verified=request.verified or device.dictionary.simulated,
+        reference_count=_reference_count(request, device, experiment),
+        law=law,
+    )
+    refuse(admission_checks(run, device))
+    _check_verified(request, device)
+    return run
+
+
+def admission_checks(run: PreparedRun, device: FramedDevice) -> list[Check]:
+    """Return what decides whether a run may start on an open device, before its link is measured.
+
+    The wall behind the measured link is judged by `rig.doctor.gate.gate`, which `rig doctor` and `rig hit` both
+    call with these checks done.
+    """
+    x, dictionary = run.experiment, device.dictionary
+    return [
+        check_rig(config.rig_model(x), dictionary),
+        *plan_of(run).checks,
+        *device_checks(run, dictionary),
+        *link_checks(x, dictionary.position_rate_maximum, device.link.bytes_per_second),
+        *refused(human_limit_checks(x, real=not dictionary.simulated)),
+    ]
+
+
+def _gate(request: HitRequest, device: FramedDevice, experiment: Experiment) -> Gate | None:
+    """Refuse what the link makes dangerous; None in virtual time, which has no delay."""
+    if device.link.clock.virtual:
+        return None
+    found = check_armable(device, experiment, anyway=request.arm_anyway, progress=request.measuring)
+    if found is not None and request.judged_link is not None:
+        request.judged_link(found)
+    return found
+
+
+def _reference_count(request: HitRequest, device: FramedDevice, experiment: Experiment) -> int:
+    simulated = device.dictionary.simulated
+    if not simulated and not request.verified:  # then nothing moves
+        return 0
+    if simulated or request.reference_count is None:
+        return position_zero(device, experiment)
+    return request.reference_count
+
+
+def _check_it_moves(request: HitRequest, device: FramedDevice, run: PreparedRun) -> None:
+    """Require a real rig to have moved as described, with its handle free, before it is armed for a person."""
+    experiment = run.experiment
+    if experiment.trial.kind != "human" or device.dictionary.simulated or device.moved_as_described:
+        return
+    output = Path(request.output)
+    make_directory(output)
+    if request.hands_off is not None:
+        request.hands_off(NO_HANDS)
+    pulse(
+        device,
+        experiment,
+        recording=free_name(output, f"{experiment.rig.name}-pulse"),
+        verified=request.verified,
+        reference_count=run.reference_count,
+    ).insist()
+
+
+def _check_verified(request: HitRequest, device: FramedDevice) -> None:
+    if device.dictionary.simulated or request.verified:
+        return
+    raise ConfigError(
+        f"the polarity of motor and encoder of {device.dictionary.device} is not verified",
+        remedy="check them with the power stage limited (push the handle: position must rise; a positive effort must "
+        "move it the same way), put the handle at position zero, and say `verified`: the count there becomes zero",
+    )

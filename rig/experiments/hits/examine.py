@@ -1,0 +1,235 @@
+"""Everything that `rig doctor` examines: machine, ports, and the link to a device, as one function."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any
+
+from annotated_types import Ge, Le
+
+from rig import config, devices
+from rig.config import Experiment
+from rig.core import answers
+from rig.core.answers import question
+from rig.core.check import Check, Outcome, refused
+from rig.core.errors import RealtimeError, RigError
+from rig.core.keyword import Keyword
+from rig.core.present import Item, Row, reported
+from rig.core.sample import unit_of
+from rig.devices.device_facts import DeviceFacts
+from rig.devices.framed import FramedDevice
+from rig.devices.local import host_beside, opened
+from rig.doctor.gate import gate
+from rig.doctor.gate_result import Gate
+from rig.doctor.in_effect import in_effect
+from rig.doctor.ports import NO_PORTS, Port, ports_here, serial_port
+from rig.doctor.round_trip import LinkMeasurement, measure_link
+from rig.doctor.walls import Supported, supported_walls, wall_items
+from rig.experiments.hits.admission import admission_checks
+from rig.experiments.trials.preparation import prepared_on
+from rig.realtime.scheduling import obtained
+
+if sys.platform == "linux":
+    from rig.doctor.machine import machine_checks
+else:
+    from rig.doctor.elsewhere import machine_checks
+
+SECONDS = 4.0  # of measuring: bounds p99.9 from some 750 questions a second on
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Examination:
+    """What was found.
+
+    Attributes
+    ----------
+    checks
+        Of the machine, its ports, and the scheduling that was requested.
+    ports
+        That are connected.
+    admission
+        What `rig hit` asks of the experiment on this device before it measures the link.
+    device, link, walls, gate
+        Of the device that was examined; None or empty without one, or as far as it got.
+    experiment
+        As it would run there.
+    error
+        Why the device could not be examined to the end.
+    """
+
+    checks: tuple[Check, ...]
+    ports: tuple[Port, ...]
+    admission: tuple[Check, ...] = ()
+    device: DeviceFacts | None = None
+    experiment: Experiment | None = field(default=None, repr=False)
+    link: LinkMeasurement | None = None
+    walls: tuple[Supported, ...] = ()
+    gate: Gate | None = None
+    error: RigError | None = field(default=None, repr=False)
+
+    @reported
+    def armable(self) -> bool | None:
+        """Whether `rig hit` would arm the experiment's wall (a simulated link forbids nothing); None: not measured."""
+        if refused(self.admission):
+            return False
+        return None if self.gate is None else self.gate.armable or self.gate.simulated
+
+    @property
+    def remedy(self) -> str:
+        """What to do where the wall may not be armed, all of it."""
+        remedies = [one.remedy for one in refused(self.admission)]
+        return "; ".join(dict.fromkeys(filter(None, [*remedies, self.gate.remedy if self.gate else ""])))
+
+    def items(self) -> list[Item]:
+        """Return it for people."""
+        found: list[Item] = ["machine", *self.checks]
+        if self.ports:
+            found += ["ports", *(Row(port.url, port.description) for port in self.ports)]
+        if self.device is not None:
+            found += ["device", *self.device.rows()]
+        if self.link is not None:
+            found += ["link", *self.link.rows()]
+        x = self.experiment
+        if x is not None and self.walls:
+            found += wall_items(x, self.walls)
+        if x is not None and self.gate is not None:
+            stiffness, damping = (unit_of(name, x.rig.motion) for name in ("stiffness", "damping"))
+            on_the_device = x.controller.loop == "device"
+            wall = f"K = {x.wall.stiffness:g} {stiffness}, B = {x.wall.damping:g} {damping}"
+            verdict, *reasons = self.gate.items()
+            if refused(self.admission):
+                verdict = Check("arming", Outcome.REFUSED, "this wall must not be armed")
+            where = f"at {self.gate.rate_hz:g} Hz, the law on the {'device' if on_the_device else 'host'}"
+            found += [f"arming {x.rig.name} with {wall} {where}", verdict, *self.admission, *reasons]
+        return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExaminationRequest:
+    """What to examine.
+
+    Attributes
+    ----------
+    experiment
+        Validated experiment, before `changes`: its wall is the one to arm, its rig and estimator make the table.
+    changes
+        Keys that the user set by hand.
+    """
+
+    experiment: Experiment
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    url: Annotated[
+        str | None,
+        Keyword(
+            "serial:///dev/ttyACM0, usb://1209:0001, sim://. [machine and ports only]",
+            group="Device",
+            values="url",
+        ),
+    ] = None
+    realtime: Annotated[
+        bool, Keyword("Examine a simulated rig, as a process behind a port.", group="Device")
+    ] = False
+    seconds: Annotated[float, Ge(0.1), Le(600.0), Keyword("How long to measure.")] = SECONDS
+
+
+def examine(question: ExaminationRequest, on_progress: Progress = lambda what, share: None) -> Examination:
+    """Examine the machine and its ports, and, with a device, measure its link and compute the walls that it supports.
+
+    Parameters
+    ----------
+    question
+        What to examine.
+    on_progress
+        Called with what is being done and the share of it that is done, 0 … 1.
+
+    Raises
+    ------
+    ConfigError
+        Changes that are not allowed. All other errors, a missing device included, are in the result.
+    """
+    host = config.override(question.experiment, question.changes).host
+    on_progress("examining the machine", 0.0)
+    ports, problems = ports_here()
+    seen = Examination(checks=(*machine_checks(host), *problems), ports=tuple(ports))
+    if question.url is None and not question.realtime:
+        return seen
+    try:
+        with _opened(question) as device:
+            return _with_device(question, device, seen, on_progress)
+    except RigError as error:
+        return replace(seen, error=error)
+
+
+@contextmanager
+def _opened(question: ExaminationRequest) -> Iterator[FramedDevice]:
+    """Open the device; a simulated one in real time becomes a process of its own."""
+    loop = question.changes.get("controller.loop", question.experiment.controller.loop)
+    url = devices.url_for(question.url or "sim://", loop)
+    simulated = url.startswith("sim:")
+    bridged = not simulated and devices.is_made_for_a_rig(url)
+    changed = config.with_realtime if bridged or (simulated and question.realtime) else config.override
+    experiment = changed(question.experiment, question.changes)
+    model = config.rig_model(experiment) if simulated or bridged else None
+    seed, realtime = experiment.trial.seed, experiment.host.realtime
+    with opened(url, model, in_real_time=question.realtime, seed=seed, realtime=realtime) as device:
+        yield device
+
+
+def _with_device(
+    asked: ExaminationRequest, device: FramedDevice, seen: Examination, on_progress: Progress
+) -> Examination:
+    on_progress("identifying the device", 0.0)
+    facts, link_url = DeviceFacts.of(device), device.link.url
+    experiment = in_effect(asked.experiment, device, asked.changes)
+    admission = tuple(admission_checks(prepared_on(device, experiment), device))
+    seen = replace(seen, device=facts, experiment=experiment, admission=admission)
+    if link_url.scheme != "sim":  # a rig answers, whatever a listing of ports finds
+        seen = replace(seen, checks=tuple(check for check in seen.checks if check.name != NO_PORTS))
+    if link_url.scheme == "serial" and all(port.url != facts.url for port in seen.ports):
+        port, about = serial_port(link_url.place)
+        seen = replace(seen, ports=(*seen.ports, port), checks=(*seen.checks, *about.problems()))
+    scheduling: tuple[Check, ...] = ()
+
+    def shown(share: float) -> None:
+        on_progress("measuring the link", share)
+
+    try:
+        try:
+            link = _measured(device, experiment, asked.seconds, shown)
+        except RealtimeError as error:
+            scheduling = (_not_scheduled(error),)
+            seen = replace(seen, checks=(*seen.checks, *scheduling))
+            plain = replace(experiment, host=replace(experiment.host, realtime="off"))
+            link = _measured(device, plain, asked.seconds, shown)
+    except RigError as lost:
+        return replace(seen, error=lost)
+    rows = supported_walls(
+        experiment,
+        link,
+        device.dictionary.position_rate_maximum,
+        lambda share: on_progress("computing walls", share),
+    )
+    found = gate(experiment, link)
+    return replace(
+        seen, link=link, walls=tuple(rows), gate=replace(found, checks=(*found.checks, *scheduling))
+    )
+
+
+def _measured(
+    device: FramedDevice, experiment: Experiment, seconds: float, progress: Callable[[float], None]
+) -> LinkMeasurement:
+    virtual = device.link.clock.virtual
+    # Virtual time passes between questions only.
+    rate = experiment.controller.position_rate if virtual else None
+    with obtained(host_beside(experiment.host, device.link), virtual=virtual) as realtime:
+        return measure_link(device, seconds, rate, realtime=realtime, progress=progress)
+
+
+@question("real-time scheduling", 'host.realtime = "enforce" demands it: no run begins without')
+def _not_scheduled(error: RealtimeError) -> Check:
+    return answers.refused(error.message, error.remedy)

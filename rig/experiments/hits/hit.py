@@ -1,0 +1,309 @@
+"""The main job: an automated wall hit with a constant effort, on a rig or on its simulation, recorded and judged.
+
+Whether a device may be armed is decided before, by what the caller must pass: `rig.experiments.hits.admission.admit`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+from rig import config, devices
+from rig.config import Experiment
+from rig.config.prepared_run import PreparedRun
+from rig.control.law import Law
+from rig.control.verdict import Verdict
+from rig.core.drawn import Drawn
+from rig.core.keyword import Keyword
+from rig.core.model import RigModel
+from rig.core.present import Item, Row, plain
+from rig.core.shown import Shown
+from rig.devices.framed import FramedDevice
+from rig.devices.local import opened
+from rig.doctor.gate_result import Gate
+from rig.doctor.in_effect import in_effect
+from rig.experiments.trials.judgement import Judgement, judge
+from rig.experiments.trials.settings import RigRequest
+from rig.experiments.trials.trial import TrialEnd, TrialRequest, end_of, run_trial
+from rig.realtime import stop_requests
+from rig.recording.data import Recording
+from rig.recording.files import plain_errors, reserved_name
+from rig.recording.reader import open_recording
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HitRequest(RigRequest):
+    """What to hit, where, and how; a real device always runs in real time.
+
+    Attributes
+    ----------
+    name
+        Of the recording, without its suffix, where the caller has names of its own; else rig, time and repeat.
+    law
+        A law of the caller's own instead of the named one, or what makes one for the device's current quantum (A).
+    device
+        Open device to use instead of `url`; it stays open.
+    reference_count
+        Count at position zero of a real rig. None: see `rig.experiments.trials.zero.position_zero`.
+    arm_anyway
+        See `rig.doctor.gate`; the override is reported and recorded.
+    measuring
+        Called while the link is measured before arming, with the share that is done.
+    judged_link
+        Called before arming with the assessment of the measured link.
+    hands_off
+        Called before a torque pulse with the instruction to the operator: a real rig is pushed before it is armed for a
+        person.
+    blinded
+        A person must not know the wall: a program that displays the running loop must not show anything of it.
+    """
+
+    realtime: Annotated[
+        bool,
+        Keyword("In real time; a simulated rig then runs as a process of its own.", group="Device"),
+    ] = False
+    arm_anyway: Annotated[
+        bool,
+        Keyword(
+            "Arm a real rig although its link, as measured, makes this wall dangerous; `rig doctor` says why.",
+            group="Device",
+        ),
+    ] = False
+    name: str | None = None
+    law: Law | Callable[[float], Law] | None = None
+    device: FramedDevice | None = None
+    reference_count: int | None = None
+    measuring: Callable[[float], None] | None = None
+    judged_link: Callable[[Gate], None] | None = None
+    hands_off: Callable[[str], None] | None = None
+    blinded: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """What a hit leaves: the experiment in effect, its recording as it was read back, and what that says."""
+
+    experiment: Experiment
+    recording: Recording
+    judgement: Judgement
+
+    @property
+    def path(self) -> Path:
+        """The file of the recording."""
+        assert self.recording.path is not None
+        return self.recording.path
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class HitResult(Shown, Drawn):
+    """One hit: its verdict, its recording, and the file of that."""
+
+    recorded: Recorded
+    counters: dict[str, int]
+    cleared_fault: str | None  # what an earlier run had left latched on the device
+    gate: Gate | None = None  # assessment of arming on this link; None in virtual time
+    messages: tuple[
+        str, ...
+    ] = ()  # limits for people that do not hold; what was not granted; each with its remedy
+
+    @property
+    def recording(self) -> Recording:
+        """What was recorded, as it was read back from its file."""
+        return self.recorded.recording
+
+    @property
+    def path(self) -> Path:
+        """The file of the recording."""
+        return self.recorded.path
+
+    @property
+    def experiment(self) -> Experiment:
+        """The one in effect."""
+        return self.recorded.experiment
+
+    @property
+    def verdict(self) -> Verdict:
+        """What was recorded says."""
+        return self.recorded.judgement.verdict
+
+    @property
+    def verdict_true(self) -> Verdict | None:
+        """What the truth says, in simulation."""
+        return self.recorded.judgement.verdict_true
+
+    def brief(self) -> list[Item]:
+        """Wall, verdict with its reasons, and the three ripples that it goes by."""
+        rows = self.recorded.judgement.rows(self.experiment)
+        said = [row for row in rows if row.label in {"verdict", ""}]
+        told = [row for row in rows if row.label.startswith(("peak", "felt", "heard", "moved"))]
+        return [self.experiment.headline(), *said[:3], *told, Row("recording", str(self.path))]
+
+    def detailed(self) -> list[Item]:
+        """Everything that the verdict goes by."""
+        rows = self.recorded.judgement.rows(self.experiment)
+        return [self.experiment.headline(), *rows, Row("recording", str(self.path))]
+
+    def as_mapping(self) -> dict[str, Any]:
+        """What JSON says of a hit: the wall and the scheme, not the whole experiment (the recording has it)."""
+        return {
+            "recording": self.path,
+            "rig": self.experiment.rig.name,
+            "motion": self.experiment.rig.motion,
+            "stiffness": self.experiment.wall.stiffness,
+            "damping": self.experiment.wall.damping,
+            "position_rate": self.experiment.controller.position_rate,
+            "velocity_rate": self.experiment.controller.velocity_rate,
+            "estimator": self.experiment.controller.estimator,
+            "loop": self.experiment.controller.loop,
+            "arithmetic": self.recording.header["extra"].get("arithmetic"),  # of a law on the device
+            "resolution": self.experiment.rig.encoder.resolution,
+            "kind": self.experiment.trial.kind,
+            "grip": self.experiment.operator.grip if self.experiment.trial.kind == "human" else None,
+            "effort": config.motor_push(self.experiment),
+            "start": self.experiment.trial.start,
+            "seed": self.experiment.trial.seed,
+            **plain(self.recorded.judgement),
+            "thresholds": config.verdict_thresholds(self.experiment),
+            "counters": self.counters,
+            "cleared_fault": self.cleared_fault,
+            "gate": self.gate,
+            "messages": self.messages,
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Admitted:
+    """A run that may start on an open device.
+
+    Attributes
+    ----------
+    run
+        Prepared for the device.
+    gate
+        Assessment of arming on its link; None in virtual time, which has no delay.
+    warnings
+        Limits for people that do not hold, each with its remedy.
+    """
+
+    run: PreparedRun
+    gate: Gate | None
+    warnings: tuple[str, ...]
+
+
+Admit = Callable[[HitRequest, FramedDevice, Experiment], Admitted]
+Watch = Callable[[int, Experiment], Callable[[int, int], None] | None]
+
+
+def hit(request: HitRequest, admit: Admit, watch: Watch | None = None) -> Iterator[HitResult]:
+    """Run the hits of a request, one after another, and yield each result as it comes.
+
+    Parameters
+    ----------
+    request
+        What to do.
+    admit
+        Given the request, the open device and the experiment in effect there, prepares the run, or raises what forbids
+        it: `rig.experiments.hits.admission.admit`.
+    watch
+        Called before each repeat with its number and the experiment in effect; may return a function that
+        is called with (ticks, phase) while the trial runs.
+
+    Raises
+    ------
+    PlanError
+        Something that must not run: nothing has moved.
+    RigError
+        Whatever ended a trial early (see `rig.experiments.trials.trial.run_trial`); the effort is zero.
+    """
+    with stop_requests.listening() as series, _opened(request) as (device, effective):
+        with series:
+            admitted = admit(request, device, effective)
+        gate, warnings, experiment = admitted.gate, admitted.warnings, admitted.run.experiment
+        output = Path(request.output)
+        with plain_errors("make", output):
+            output.mkdir(parents=True, exist_ok=True)
+        stem = f"{experiment.rig.name}-{datetime.now():%Y%m%d-%H%M%S}"
+        for repeat in range(experiment.trial.repeats):
+            with reserved_name(output, request.name or f"{stem}-{repeat + 1}") as recording:
+                trial = TrialRequest(
+                    run=admitted.run,
+                    recording=recording,
+                    seed=experiment.trial.seed,
+                    progress=watch(repeat, experiment) if watch else None,
+                    blinded=request.blinded,
+                    judge=partial(judge, experiment=experiment),
+                    extra={
+                        "repeat": repeat + 1,
+                        **({} if gate is None else {"gate": plain(gate)}),
+                        **({"warnings": list(warnings)} if warnings else {}),
+                    },
+                )
+                with series:  # not while the caller has the result
+                    result = _one(device, trial, admitted)
+            yield result
+
+
+def left_by(error: Exception) -> Recorded | None:
+    """What a hit left that ended with this error; None where nothing moved."""
+    end = end_of(error)
+    return None if end is None else _recorded(end)
+
+
+def _recorded(end: TrialEnd) -> Recorded:
+    if end.sealed is not None and end.judgement is not None:
+        return Recorded(end.experiment, end.sealed, end.judgement)
+    recording = open_recording(end.recording)  # sealing failed, and something else before
+    return Recorded(end.experiment, recording, judge(recording, end.experiment))
+
+
+def _one(device: FramedDevice, trial: TrialRequest, admitted: Admitted) -> HitResult:
+    end = run_trial(device, trial)
+    fault, device.cleared_fault = device.cleared_fault, None
+    return HitResult(
+        recorded=_recorded(end),
+        counters=end.counters,
+        cleared_fault=None if fault is None else fault.text,
+        gate=admitted.gate,
+        messages=(*admitted.warnings, *device.link.messages, *end.messages),
+    )
+
+
+@contextmanager
+def _opened(request: HitRequest) -> Iterator[tuple[FramedDevice, Experiment]]:
+    """Open the device of a request; with it the experiment in effect there.
+
+    A simulated one in real time becomes a process of its own.
+    """
+    experiment = request.experiment
+    if request.device is not None:
+        yield request.device, in_effect(experiment, request.device, request.changes)
+        return
+    url = devices.url_for(
+        request.url or "sim://", request.changes.get(config.LOOP, experiment.controller.loop)
+    )
+    simulated = url.startswith("sim:")
+    if simulated:  # what simulates it needs to know it
+        experiment = (config.with_realtime if request.realtime else config.override)(
+            experiment, request.changes
+        )
+    with opened(
+        url,
+        config.rig_model(experiment) if simulated else _rig_behind(url, request),
+        in_real_time=request.realtime,
+        seed=request.experiment.trial.seed,
+        realtime=experiment.host.realtime if simulated else "try",
+    ) as device:
+        as_simulated = simulated and device.link.clock.virtual
+        yield device, experiment if as_simulated else in_effect(experiment, device, request.changes)
+
+
+def _rig_behind(url: str, request: HitRequest) -> RigModel | None:
+    """The rig that a bridge must know; a board knows its own."""
+    if not devices.is_made_for_a_rig(url):
+        return None
+    return config.rig_model(config.with_realtime(request.experiment, request.changes))

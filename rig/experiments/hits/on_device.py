@@ -1,0 +1,154 @@
+"""A device that runs one recorded trial after another, for measurements that take many.
+
+A real device stays open all along, so that position zero stays where it was when the measurement began; a simulated one
+is a fresh one for each trial. A trial is an ordinary hit (`rig.experiments.hits.hit`), with its checks and its
+recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rig import config, devices
+from rig.config import Experiment
+from rig.control.law import Law
+from rig.core.errors import DeviceFaultError, GuardError
+from rig.devices.framed import FramedDevice
+from rig.devices.local import opened
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, Recorded, hit, left_by
+from rig.experiments.trials.zero import position_zero
+from rig.realtime import stop_requests
+from rig.realtime.stop_requests import RunSeries
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OnDevice:
+    """Which device, and how.
+
+    Attributes
+    ----------
+    url, realtime, verified, arm_anyway, hands_off
+        As in `rig.experiments.hits.hit.HitRequest`; a real handle is at position zero when the measurement begins.
+    recordings
+        Directory of the recordings.
+    device, reference_count
+        A real one that is open already, and its position zero; it stays open.
+    """
+
+    url: str
+    recordings: str | Path = "recordings"
+    realtime: bool = False
+    verified: bool = False
+    arm_anyway: bool = False
+    hands_off: Callable[[str], None] | None = None
+    device: FramedDevice | None = None
+    reference_count: int = 0
+
+    @property
+    def simulated(self) -> bool:
+        """Whether it is made anew for each trial."""
+        return self.url.startswith("sim:")
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """A trial that the guard or the device ended early: its error, and what it left."""
+
+    error: GuardError | DeviceFaultError
+    recorded: Recorded
+
+
+@dataclass(frozen=True, slots=True)
+class Trials:
+    """Trials on a device that stays open; without `device` (None) each opens a new one. One stop ends them all."""
+
+    where: OnDevice
+    device: FramedDevice | None
+    reference_count: int | None
+    series: RunSeries = field(default_factory=RunSeries)
+
+    def run(
+        self,
+        experiment: Experiment,
+        changes: Mapping[str, Any],
+        law: Law | Callable[[float], Law] | None = None,
+    ) -> Recorded | Ended:
+        """Run one trial; `changes` win over what the experiment has for real time. Errors as `hits.hit.hit`.
+
+        One that the guard or the device ended with a recording is returned as `Ended`.
+        """
+        request = HitRequest(
+            experiment=experiment,
+            url=self.where.url,
+            realtime=self.where.realtime,
+            device=self.device,
+            reference_count=self.reference_count,
+            changes={**_asked_for(experiment), **changes},
+            verified=self.where.verified,
+            output=self.where.recordings,
+            arm_anyway=self.where.arm_anyway,
+            hands_off=self.where.hands_off,
+            law=law,
+        )
+        try:
+            with self.series:
+                (result,) = hit(request, admit)
+        except (GuardError, DeviceFaultError) as error:
+            left = left_by(error)
+            if left is None:
+                raise
+            return Ended(error, left)
+        return result.recorded
+
+
+@contextmanager
+def kept_open(where: OnDevice, experiment: Experiment) -> Iterator[Trials]:
+    """Keep a real device open, with its position zero in an experiment, from trial to trial."""
+    with stop_requests.listening() as series:
+        if where.simulated:
+            yield Trials(where, None, None, series)
+            return
+        if where.device is not None:
+            yield Trials(where, where.device, where.reference_count, series)
+            return
+        with devices.open_device(where.url, config.rig_model(experiment)) as device:
+            zero = position_zero(device, experiment) if where.verified else 0
+            yield Trials(where, device, zero, series)
+
+
+@contextmanager
+def examined(where: OnDevice, experiment: Experiment) -> Iterator[tuple[FramedDevice, Trials]]:
+    """As `kept_open`, with the device of an experiment to look at before anything moves, a simulated one included."""
+    if where.device is not None:
+        with stop_requests.listening() as series:
+            yield where.device, Trials(where, where.device, where.reference_count, series)
+        return
+    with (
+        stop_requests.listening() as series,
+        opened(
+            devices.url_for(where.url, experiment.controller.loop),
+            config.rig_model(experiment),
+            in_real_time=where.realtime,
+            seed=experiment.trial.seed,
+            realtime=experiment.host.realtime,
+        ) as device,
+    ):
+        zero = position_zero(device, experiment) if where.verified and not where.simulated else 0
+        yield device, Trials(where, None if where.simulated else device, zero, series)
+
+
+def _asked_for(experiment: Experiment) -> dict[str, Any]:
+    """Rates and wall, which a measurement varies."""
+    controller, wall = experiment.controller, experiment.wall
+    return {
+        "controller.position_rate": controller.position_rate,
+        "controller.velocity_rate": controller.velocity_rate,
+        "wall.stiffness": wall.stiffness,
+        "wall.damping": wall.damping,
+        "trial.repeats": 1,
+    }

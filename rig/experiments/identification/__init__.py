@@ -1,0 +1,1 @@
+"""Identification of a rig from motions: inertia, friction, ripple."""

@@ -1,0 +1,65 @@
+"""The experiment file that an identification leaves: complete, identified keys with their source."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rig import config
+from rig.config.table import parameters
+from rig.experiments.identification.identify import Identification
+
+
+def format_identification(found: Identification) -> str:
+    """Return the text of a TOML file that `rig.config.load_experiment` reads as `found.experiment`."""
+    x = found.experiment
+    where = "its simulation" if found.simulated else "the rig itself"
+    lines = [
+        f"# {x.rig.name}, identified on {where}.",
+        "# Keys marked [identified] carry their 95 % interval and the recordings behind them; it holds scatter,",
+        "# not bias. All others are as they were described.",
+        "",
+    ]
+    lines += [f"# {warning}" for warning in found.warnings]
+    _section(config.as_mapping(x), "", found, lines)
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _section(table: Mapping[str, Any], path: str, found: Identification, lines: list[str]) -> None:
+    """Write a table: its own keys first, then its sections."""
+    leaves = {key: value for key, value in table.items() if not isinstance(value, dict)}
+    if path and (leaves or not table):
+        lines.append(f"[{path}]")
+    for key, value in leaves.items():
+        lines.append(_line(key, value, f"{path}.{key}" if path else key, found))
+    if path and (leaves or not table):
+        lines.append("")
+    for key, value in table.items():
+        if isinstance(value, dict):
+            _section(value, f"{path}.{_key(key)}" if path else _key(key), found, lines)
+
+
+def _line(key: str, value: Any, dotted: str, found: Identification) -> str:
+    written = f"{_key(key)} = {_toml(value)}"
+    if dotted in found.sources:
+        return f"{written:<44} # [identified] {found.sources[dotted]}"
+    known = parameters().get(dotted)
+    if known is None:
+        return written
+    unit = known.unit_for(found.experiment.rig.motion)
+    return (
+        f"{written:<44} # {' '.join(word for word in (f'[{unit}]' if unit else '', known.meaning) if word)}"
+    )
+
+
+def _key(key: str) -> str:
+    return key if key.replace("_", "").replace("-", "").isalnum() else f'"{key}"'
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+        return f'"{escaped}"'
+    return repr(value)

@@ -1,0 +1,628 @@
+"""Identify a rig: small pushes, slow strokes, excitation, each a recorded trial; then `rig.analysis.identification`.
+
+The order is one of trust. Pushes need no sign to be known: they end by themselves after a few counts. Strokes need the
+sign, and show the friction that the excitation has to exceed. The same code runs on the simulated rig behind its byte
+link and on a real one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from annotated_types import Ge
+from numpy.typing import NDArray
+
+from rig import config, devices
+from rig.analysis.identification.cogging import CoggingMap, fit_cogging, pairs_of
+from rig.analysis.identification.dynamics import Dynamics, fit_dynamics
+from rig.analysis.identification.quality import (
+    DOUBTFUL_DRIFT,
+    MOST_DRIFT,
+    IdentificationError,
+    period_change,
+)
+from rig.analysis.identification.ripple import Ripple, fit_ripple
+from rig.analysis.identification.signs import SignCheck, stiction_warning
+from rig.analysis.identification.sliding import Sliding, Stroke, fit_sliding
+from rig.analysis.impedance.signals import ExcitedRun
+from rig.config import Experiment
+from rig.control.excitation import Multisine
+from rig.core.check import refuse
+from rig.core.drawn import Drawn
+from rig.core.errors import ConfigError, PlanError, RigError
+from rig.core.keyword import Keyword
+from rig.core.model import Cogging
+from rig.core.present import Item, Row, reported
+from rig.core.same_rig import check_rig
+from rig.core.sample import RowFlag, unit_of
+from rig.core.shown import Shown
+from rig.devices.device import DeviceUrl
+from rig.devices.framed import FramedDevice
+from rig.doctor.pace import SECONDS
+from rig.experiments.identification.identified_values import identified_values
+from rig.experiments.identification.identify_rate import RATES, at_rate, choose_rate, halves, measure_for
+from rig.experiments.motion.motion_run import (
+    ATTEMPTS,
+    LONGEST_FILLED,
+    FreeRigRequest,
+    TimingError,
+    position_now,
+    refuse_unverified,
+    repeat_if_late,
+    run_motion,
+    signs_of,
+    spoiled_by_timing,
+)
+from rig.experiments.motion.weigh import STANDARD_GRAVITY, Ask, hung, refuse_load, with_mass
+from rig.experiments.trials.excitation_run import late_ticks
+from rig.experiments.trials.identify_motions import (
+    PERIODS,
+    PUSHES,
+    IdentificationMotion,
+    cogging_motion,
+    cogging_period,
+    cogging_sweeps,
+    excitation,
+    excitation_motion,
+    excited_s,
+    identification_plan,
+    inertia_of,
+    loaded_plan,
+    most_push,
+    pushes_motion,
+    settle_periods,
+    still,
+    strokes_motion,
+    strokes_of,
+)
+from rig.experiments.trials.plan import link_checks
+from rig.experiments.trials.planned import Plan
+from rig.experiments.trials.zero import position_zero
+from rig.realtime import stop_requests
+from rig.recording.files import free_name, plain_errors
+
+MOST_ORDER = 200  # of cogging, in `rig identify`: a sweep is the slower, the finer the waves are
+
+Tell = Callable[[str], None]
+Floats = NDArray[np.float64]
+Swept = tuple[Floats, Floats, Floats, list[Stroke]]  # time, effort, position
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IdentifyRequest(FreeRigRequest):
+    """What to identify, and how: the experiment's rig is the first guess.
+
+    Attributes
+    ----------
+    rate_hz
+        Of the loop while it moves, and of nothing else: what is identified keeps the rates of the experiment. None:
+        those, or in real time the device's own.
+    mass_kg, arm_m
+        Hung on the rig for the same sweeps once more (kg, m), which tell ripple; None: no mass, the radius of the
+        handle.
+    """
+
+    realisations: Annotated[int, Keyword("How many times the rig is excited, each with other phases.")] = 6
+    period_s: Annotated[float, Keyword("Period of the excitation (s).", names=("--period",))] = 0.5
+    seed: Annotated[int, Ge(0), Keyword("Of the phases of the excitation. [0]", group="Experiment")] = 0
+    cogging: Annotated[
+        int | None,
+        Keyword(
+            "Also map cogging, up to this harmonic of the motor's turn, by slow sweeps over the window.",
+            metavar="ORDER",
+        ),
+    ] = None
+    rate_hz: int | None = None
+    mass_kg: float | None = None
+    arm_m: float | None = None
+    output: Annotated[
+        str | Path, Keyword("Directory of recordings and picture.", "", ("--recordings",), "Result", "path")
+    ] = "recordings"
+
+    def __post_init__(self) -> None:
+        if self.mass_kg is not None and self.cogging is None:
+            raise ConfigError(
+                "a mass tells ripple in sweeps for cogging", remedy="give the highest harmonic, too"
+            )
+        for name, value in (("mass", self.mass_kg), ("arm", self.arm_m)):
+            if value is not None and not (0.0 < value < math.inf):
+                raise ConfigError(f"the {name} is {value:g}", remedy="give one above zero, in kg or m")
+        if self.realisations < 2:
+            raise ConfigError(
+                f"{self.realisations} realisation is too few for an interval",
+                remedy="use 2 or more; 6 are usual",
+            )
+        if self.cogging is not None and not 1 <= self.cogging <= MOST_ORDER:
+            raise ConfigError(
+                f"cogging up to harmonic {self.cogging} is out of range",
+                remedy=f"choose 1 to {MOST_ORDER}: the least common multiple of slots and poles, or twice that",
+            )
+        if not 0.1 <= self.period_s <= 10.0:
+            raise ConfigError(
+                f"the period of the excitation is {self.period_s:g} s", remedy="choose 0.1 to 10 s"
+            )
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Identification(Shown, Drawn):
+    """What came of it: the fits, the recordings behind them, and the experiment with the identified values.
+
+    Attributes
+    ----------
+    before, experiment
+        The experiment as it was described, and with the identified values.
+    signs, sliding, dynamics
+        The three fits; see `rig.analysis.identification`.
+    cogging
+        A fourth one, if it was asked for.
+    ripple
+        A fifth one, if a mass was hung on the rig.
+    recordings
+        ``"signs"``, ``"sliding"``, ``"dynamics"``, ``"cogging"`` and ``"ripple"`` → the files.
+    sources
+        Identified key → its value and interval in words, and where it comes from.
+    warnings
+        What a person should look at.
+    simulated
+        Whether the device was.
+    """
+
+    before: Experiment = field(repr=False)
+    experiment: Experiment = field(repr=False)
+    signs: SignCheck
+    sliding: Sliding
+    dynamics: Dynamics
+    cogging: CoggingMap | None
+    ripple: Ripple | None
+    recordings: Mapping[str, tuple[Path, ...]]
+    sources: Mapping[str, str]
+    warnings: tuple[str, ...]
+    simulated: bool
+
+    @reported
+    def rig(self) -> str:
+        """Name of the rig."""
+        return self.experiment.rig.name
+
+    @reported
+    def motion(self) -> str:
+        """Its kind of motion, which decides the units."""
+        return self.experiment.rig.motion
+
+    def brief(self) -> list[Item]:
+        """Friction, damping, inertia, delay, each with its 95 % interval; warnings."""
+        x, sliding, dynamics = self.experiment, self.sliding, self.dynamics
+        values = {
+            "Coulomb friction": sliding.coulomb.text(_unit(x, "effort")),
+            "viscous damping": sliding.damping.text(_unit(x, "damping")),
+            "inertia": dynamics.inertia.text(_unit(x, "inertia")),
+            "delay": dynamics.delay_s.scaled(1e3).text("ms"),
+        }
+        rows = [Row(name, text) for name, text in values.items()]
+        return [f"{self.rig}, identified", *rows, *(f"warning: {one}" for one in self.warnings)]
+
+
+@stop_requests.together()
+def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None = None) -> Identification:
+    """Run the motions and fit.
+
+    Parameters
+    ----------
+    request
+        What to do.
+    tell
+        Called with one line that says what happens next.
+    ask
+        Has a person hang the mass on a real rig, and returns when it is done.
+
+    Raises
+    ------
+    PlanError
+        Something that must not run: nothing has moved.
+    IdentificationError
+        Wrong signs, or data that say nothing: the message says why.
+    RigError
+        Whatever ended a trial early (see `rig.experiments.trials.trial.run_trial`); the effort is zero.
+    """
+    say = tell or (lambda text: None)
+    free = without_end_mass(request)
+    url = request.url or "sim://"
+    if request.mass_kg is not None and ask is None and not url.startswith("sim:"):
+        raise ConfigError("nobody is asked to hang the mass on the rig", remedy="give a function that asks")
+    with ExitStack() as stack:
+        device = stack.enter_context(devices.open_device(url, config.rig_model(still(free))))
+        refuse_unverified(device, verified=request.verified)
+        if device.dictionary.simulated:
+            free = without_end_mass(request, served=not url.startswith("sim:"))
+        output = Path(request.output)
+        spoiled: RigError | None = None  # by timing, at a higher rate
+        for base in _at_rates(free, request, device, say):
+            plan = plan_of(base, request)
+            if spoiled is not None and not plan.ok:
+                raise spoiled
+            try:
+                refuse(plan.checks)
+            except PlanError as error:
+                if not device.link.clock.virtual and _stated_rate(request) is None:
+                    carried = f"computer and link carry {base.controller.position_rate} Hz now"
+                    error.remedy = f"{carried}: free the computer of other work; {error.remedy}"
+                raise
+            refuse(link_checks(base, device.dictionary.position_rate_maximum, device.link.bytes_per_second))
+            with plain_errors("make", output):
+                output.mkdir(parents=True, exist_ok=True)
+            session = _Session(device, base, request)
+            try:
+                signs, sliding, dynamics = session.free_motions(base, say)
+                break
+            except RigError as error:
+                if not halves(base.controller.position_rate) or not session.may_go_slower(error):
+                    raise
+                spoiled = error
+                say(f"at {base.controller.position_rate} Hz: {error.message}")
+        cogging = ripple = None
+        if request.cogging is not None:
+            damping = sliding.damping.value + base.rig.amplifier.back_emf
+            cogging = session.cogging(dynamics.inertia.value, damping)
+            if request.mass_kg is not None:
+                arm = _arm(base, request)
+                say(f"ripple: the sweeps again, with {request.mass_kg:g} kg at {arm:g} m")
+                loaded = with_mass(base, request.mass_kg, arm)
+                session.device = hung(
+                    stack, device, loaded, url, ask or say, mass_kg=request.mass_kg, arm=arm
+                )
+                heavy = dynamics.inertia.value + request.mass_kg * arm**2
+                ripple = session.ripple(loaded, request.cogging, dynamics.inertia.value, heavy, damping)
+        simulated = device.dictionary.simulated
+    found = _identified(
+        request, base, signs, sliding, dynamics, cogging, ripple, session.recordings, simulated=simulated
+    )
+    return replace(found, warnings=(*found.warnings, *_doubts(base, found, session.drift, session.repeated)))
+
+
+def _doubts(x: Experiment, found: Identification, drift: float, repeated: int) -> Iterator[str]:
+    """Say what of a result may be wrong by more than its interval, or is not known at all."""
+    dynamics, damping = found.dynamics, found.sliding.damping
+    if repeated:
+        yield f"{repeated} motions were measured again: lost or late samples had spoiled them"
+    if drift > DOUBTFUL_DRIFT:
+        yield (
+            f"the motion at the median line changed by {100 * drift:.0f} % from one period to the next, where "
+            f"{100 * DOUBTFUL_DRIFT:.0f} % are usual at most: see that nothing touches the handle, and identify again"
+        )
+    if damping.ci95 > damping.value:
+        value = damping.text(_unit(x, "damping"))
+        yield f"the viscous damping, {value}, cannot be distinguished from zero: friction and counts hide it"
+    elastic = dynamics.mode_above_hz is not None or x.rig.mechanics.structure == "two-mass"
+    if dynamics.mode is None and elastic:
+        yield (
+            f"the first mode lies above the band or is hidden in it (up to {dynamics.band.high_hz:.4g} Hz): inertia "
+            "and delay may be wrong by more than their intervals; a finer encoder or more effort widens the band"
+        )
+
+
+def without_end_mass(request: IdentifyRequest, *, served: bool = False) -> Experiment:
+    """The experiment with its changes as it moves: its handle free, its law on this computer, at the rate asked for.
+
+    A board has none of these motions. A rig that a ``sim://name`` simulates, or another process behind a port
+    (`served`), keeps its end mass, which is then subtracted.
+    """
+    experiment = config.override(request.experiment, request.changes)
+    url = request.url or "sim://"
+    named = url.startswith("sim://") and bool(DeviceUrl.parse(url).place)
+    bare = {} if named or served else {"rig.mechanics.end_mass": 0.0}
+    free = config.override(experiment, {**bare, "controller.loop": "host"}, "identification")
+    return free if request.rate_hz is None else at_rate(free, request.rate_hz, "identification")
+
+
+def plan_of(free: Experiment, request: IdentifyRequest) -> Plan:
+    """What a request will do on a rig (`without_end_mass`)."""
+    plan = identification_plan(
+        free,
+        realisations=request.realisations,
+        period_s=request.period_s,
+        seed=request.seed,
+        cogging=request.cogging,
+    )
+    if request.cogging is None or request.mass_kg is None:
+        return plan
+    arm = _arm(free, request)
+    weight = request.mass_kg * STANDARD_GRAVITY * arm
+    refuse_load(free, weight)
+    return loaded_plan(plan, with_mass(free, request.mass_kg, arm), request.cogging, weight)
+
+
+def _arm(x: Experiment, request: IdentifyRequest) -> float:
+    return x.rig.mechanics.handle_radius if request.arm_m is None else request.arm_m
+
+
+# ---------------------------------------------------------------------- running them
+
+
+class _Session:
+    """Trials on an open device, and what was recorded."""
+
+    def __init__(self, device: FramedDevice, x: Experiment, request: IdentifyRequest) -> None:
+        self.device, self._request = device, request
+        self._stem = f"identify-{datetime.now():%Y%m%d-%H%M%S}"
+        self._reference = position_zero(device, x)
+        self._swept: Swept  # for cogging, with nothing on the rig
+        self._swept_in: tuple[float, int]  # period and highest harmonic
+        self._cogging = Cogging()  # as measured: what comes after knows it as an effort of the motor's
+        self.recordings: dict[str, tuple[Path, ...]] = {}
+        self.repeated = 0  # motions that late or lost samples had spoiled
+        self.drift = 0.0  # largest change of an excited motion from period to period
+
+    def free_motions(self, x: Experiment, say: Tell) -> tuple[SignCheck, Sliding, Dynamics]:
+        """Pushes, sweeps if cogging is looked for, strokes, excitation."""
+        request = self._request
+        say(f"signs: {PUSHES} small pushes, at most {most_push(x):.3g} {_unit(x, 'effort')}")
+        signs = self.signs(x)
+        _check_signs(signs)
+        if request.cogging is not None:
+            say(f"cogging: slow sweeps for {cogging_sweeps(x, request.cogging)[1][-1].end_s:.3g} s")
+            self.sweep(x, request.cogging)
+        say("friction: strokes at constant speeds")
+        sliding = self.sliding(x)
+        say(f"dynamics: excited {request.realisations} times for {excited_s(request.period_s):.3g} s")
+        return signs, sliding, self.dynamics(x, signs, sliding)
+
+    def may_go_slower(self, error: RigError) -> bool:
+        """Return True if timing spoiled a motion at a rate that the user did not state."""
+        virtual = self.device.link.clock.virtual
+        return spoiled_by_timing(error) and not virtual and _stated_rate(self._request) is None
+
+    def signs(self, x: Experiment) -> SignCheck:
+        at = position_now(self.device, x, self._reference)
+        rows, rate = self._run(pushes_motion(x, at), "signs")
+        return signs_of(x, rows, rate)
+
+    def sliding(self, x: Experiment) -> Sliding:
+        rows, rate = self._run(self._evened(strokes_motion(x)), "sliding")
+        return fit_sliding(
+            np.arange(len(rows)) / rate,
+            self._effort(rows),
+            rows["position"],
+            strokes_of(x)[1],
+            resolution=x.rig.encoder.resolution,
+            back_emf=x.rig.amplifier.back_emf,
+        )
+
+    def dynamics(self, x: Experiment, signs: SignCheck, sliding: Sliding) -> Dynamics:
+        request = self._request
+        inertia = min(inertia_of(x), signs.inertia) if math.isfinite(signs.inertia) else inertia_of(x)
+        runs, lates = [], []
+        for number in range(request.realisations):
+            multisine = excitation(x, request.seed, request.period_s, inertia, number)
+            run, late = self._excited(x, multisine, inertia, number)
+            runs.append(run)
+            lates.append(late)
+        found = fit_dynamics(
+            runs,
+            resolution=x.rig.encoder.resolution,
+            inertia=inertia,
+            sliding=sliding,
+            damping=sliding.damping,
+            back_emf=x.rig.amplifier.back_emf,
+        )
+        self.drift = max(period_change(run, found.band.chosen) for run in runs)
+        return found.later(round(float(np.median(lates))), 1.0 / x.controller.position_rate)
+
+    def _excited(
+        self, x: Experiment, multisine: Multisine, inertia: float, number: int
+    ) -> tuple[ExcitedRun, int]:
+        """Run one realisation, and again when a command that came late has pushed the handle out of its period."""
+        motion = self._evened(excitation_motion(x, multisine, inertia))
+        for attempt in range(1 if self.device.link.clock.virtual else ATTEMPTS):
+            if attempt:
+                self.repeated += 1
+                self.recordings["dynamics"] = self.recordings["dynamics"][:-1]
+            rows, rate = self._run(motion, "dynamics", number)
+            _check_undisturbed(rows)
+            effort, late = acting_effort(rows)
+            run = excited_run_of(rows, rate, multisine, effort + self._cogging.effort(rows["position"]))
+            if period_change(run) <= MOST_DRIFT or not (rows["flags"] & (RowFlag.GAP | RowFlag.LATE)).any():
+                break
+        return run, late
+
+    def sweep(self, x: Experiment, most_order: int) -> None:
+        """Sweep for cogging; from here on it is known, with the inertia that is described."""
+        self._swept, self._swept_in = self._sweeps(x, most_order, "cogging"), (cogging_period(x), most_order)
+        self._cogging = self.cogging(inertia_of(x), config.rig_model(x).damping).cogging
+
+    def cogging(self, inertia: float, damping: float) -> CoggingMap:
+        """The map by the sweeps, as what else resists the motion becomes better known: inertia, and all damping."""
+        period, most_order = self._swept_in
+        return fit_cogging(
+            *self._swept, period=period, most_order=most_order, inertia=inertia, damping=damping
+        )
+
+    def ripple(
+        self, loaded: Experiment, most_order: int, inertia: float, heavy: float, damping: float
+    ) -> Ripple:
+        """What the same sweeps say with a mass on the rig, whose inertia with it is `heavy`."""
+        period = cogging_period(loaded)
+        free, hanging = (
+            pairs_of(*swept, wave=period / most_order, inertia=moving, damping=damping)
+            for swept, moving in (
+                (self._swept, inertia),
+                (self._sweeps(loaded, most_order, "ripple", loaded=True), heavy),
+            )
+        )
+        return fit_ripple(free, hanging, period=period, most_order=most_order)
+
+    def _sweeps(self, x: Experiment, most_order: int, name: str, *, loaded: bool = False) -> Swept:
+        rows, rate = self._run(cogging_motion(x, most_order, loaded=loaded), name)
+        sweeps = cogging_sweeps(x, most_order, loaded=loaded)[1]
+        return np.arange(len(rows)) / rate, rows["effort_sent"], rows["position"], sweeps
+
+    def _evened(self, motion: IdentificationMotion) -> IdentificationMotion:
+        """The motion with the cogging compensated that is known: else a handle may fall from detent to detent."""
+        x = motion.experiment
+        if not self._cogging.orders:
+            return motion
+        taken = replace(x.controller, cogging_compensation=True, cogging_limit=1.0)
+        evened = replace(x, rig=replace(x.rig, cogging=self._cogging), controller=taken)
+        return IdentificationMotion(config.override(evened, {}, "identification"), motion.law)
+
+    def _effort(self, rows: NDArray[np.void]) -> NDArray[np.float64]:
+        """Effort of the motor, cogging included as far as it is known."""
+        return np.asarray(rows["effort_sent"] + self._cogging.effort(rows["position"]))
+
+    def _run(
+        self, motion: IdentificationMotion, name: str, number: int = 0
+    ) -> tuple[NDArray[np.void], float]:
+        """Run one trial; return its rows and their rate (Hz)."""
+        x, request = motion.experiment, self._request
+
+        def run() -> tuple[NDArray[np.void], Path]:
+            return run_motion(
+                self.device,
+                motion,
+                free_name(Path(request.output), f"{x.rig.name}-{self._stem}-{name}-{number + 1}"),
+                verified=request.verified,
+                reference_count=self._reference,
+                extra={"identification": name, "number": number + 1, "seed": request.seed},
+            )
+
+        (rows, recording), repeated = repeat_if_late(self.device, run, x.controller.position_rate)
+        self.repeated += repeated
+        self.recordings[name] = (*self.recordings.get(name, ()), recording)
+        return rows, float(x.controller.position_rate)
+
+
+def excited_run_of(
+    rows: NDArray[np.void], rate: float, multisine: Multisine, effort: NDArray[np.float64]
+) -> ExcitedRun:
+    """The whole periods of one realisation, the settling ones cut.
+
+    The effort of a row is held from its sample to the next; whatever comes later is a delay to be identified. Where the
+    last samples are lost, the periods end with those before.
+    """
+    n = round(rate * multisine.period_s)
+    end = (settle_periods(multisine.period_s) + PERIODS) * n
+    lost = max(0, end - len(rows))
+    if lost > LONGEST_FILLED:
+        raise TimingError(f"the last {lost} samples of the excitation are missing", remedy="measure it again")
+    kept = slice(end - PERIODS * n - lost, end - lost)
+    return ExcitedRun(
+        rate_hz=rate,
+        period_samples=n,
+        periods=PERIODS,
+        excitation=np.roll(np.tile(multisine.period(rate), PERIODS), lost),
+        effort=effort[kept],
+        position=rows["position"][kept],
+        lines_hz=multisine.lines_hz,
+        effort_hold_s=1.0 / rate,
+    )
+
+
+def acting_effort(rows: NDArray[np.void]) -> tuple[NDArray[np.float64], int]:
+    """Return the effort that acted from each sample to the next, by the device, and by how many ticks it is late.
+
+    The command that answers a sample acts from it on where nothing is late, and the next sample reports it. A link
+    whose delay varies would otherwise blur the fit. The lateness is that of most ticks.
+    """
+    late = late_ticks(rows["current_sent"], rows["current_applied"])
+    applied = np.append(rows["effort_applied"][1:], rows["effort_sent"][-1 - late])
+    return applied, late
+
+
+def _check_undisturbed(rows: NDArray[np.void]) -> None:
+    bound = (rows["flags"] & (RowFlag.SATURATED | RowFlag.SLEW_BOUND)) != 0
+    if bound.any():
+        raise IdentificationError(
+            f"the guard changed the effort in {int(bound.sum())} of {len(rows)} ticks of the excitation",
+            remedy="raise rig.limits.slew or rig.limits.effort",
+        )
+
+
+# ---------------------------------------------------------------------- checks before, results after
+
+
+def _at_rates(
+    free: Experiment, request: IdentifyRequest, device: FramedDevice, say: Tell
+) -> Iterator[Experiment]:
+    """The rig at the rate that the user stated or the measured link carries, then at its halves. Nothing moves."""
+    refuse([check_rig(config.rig_model(still(free)), device.dictionary)])
+    if device.link.clock.virtual:
+        yield free
+        return
+    stated, dictionary = _stated_rate(request), device.dictionary
+    most = min(dictionary.position_rate_default, dictionary.position_rate_maximum)
+    say(f"link: measured for {SECONDS:g} s")
+    measurement = measure_for(device, free, most if stated is None else free.controller.position_rate)
+    choice = choose_rate(
+        free, measurement, most_hz=most, stated_hz=None if stated is None else free.controller.position_rate
+    )
+    if stated is not None:
+        yield free
+        return
+    rate = choice.rate_hz
+    say(f"rate: {rate} Hz, by the measured link (silent for {1e3 * choice.silence_s:.3g} ms at most)")
+    for slower in (rate, *halves(rate)):
+        yield at_rate(free, slower, "real time")
+
+
+def _stated_rate(request: IdentifyRequest) -> Any:
+    """Return the rate that the user set by hand, None if the user set none."""
+    return request.rate_hz or next((request.changes[key] for key in RATES if key in request.changes), None)
+
+
+def _check_signs(signs: SignCheck) -> None:
+    if signs.sign != 1:
+        raise IdentificationError(
+            "; ".join(signs.warnings) or "the pushes say nothing",
+            remedy="turn rig.encoder.sign, or swap two wires; then identify again",
+        )
+    if not signs.ok:
+        raise IdentificationError(
+            "; ".join(signs.warnings) or "the pushes tell no inertia",
+            remedy="correct rig.amplifier.effort_per_ampere, rig.encoder or rig.mechanics; then identify again",
+        )
+
+
+def _identified(
+    request: IdentifyRequest,
+    base: Experiment,
+    signs: SignCheck,
+    sliding: Sliding,
+    dynamics: Dynamics,
+    cogging: CoggingMap | None,
+    ripple: Ripple | None,
+    recordings: Mapping[str, tuple[Path, ...]],
+    *,
+    simulated: bool,
+) -> Identification:
+    before = config.override(request.experiment, request.changes)
+    on_board = before.controller.loop == "device"
+    values = identified_values(base, sliding, dynamics, cogging, ripple, on_board=on_board)
+    named = {key: f"{text}; {_files(recordings[kind])}" for key, (text, kind) in values.sources.items()}
+    sticking = stiction_warning(0.5 * (signs.breakaway_up + signs.breakaway_down), sliding.coulomb.value)
+    return Identification(
+        before=before,
+        experiment=config.override(before, values.values, "identification"),
+        signs=signs,
+        sliding=sliding,
+        dynamics=dynamics,
+        cogging=cogging,
+        ripple=ripple,
+        recordings=dict(recordings),
+        sources=named,
+        warnings=(*signs.warnings, *([sticking] if sticking else [])),
+        simulated=simulated,
+    )
+
+
+def _files(paths: tuple[Path, ...]) -> str:
+    return str(paths[0]) if len(paths) == 1 else f"{paths[0]} … {paths[-1].name}"
+
+
+def _unit(x: Experiment, quantity: str) -> str:
+    return unit_of(quantity, x.rig.motion)

@@ -1,0 +1,1 @@
+"""Maps of walls: Z-width, impedance, and where theory and hits differ."""

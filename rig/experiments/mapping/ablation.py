@@ -1,0 +1,144 @@
+"""Why a wall's verdict is another than linear theory's: which non-linearity must be taken out until both agree.
+
+The same wall is hit on the same rig without
+
+* **friction**: no Coulomb friction on either side;
+* **quantum**: `FINER` times as many counts of the encoder;
+* **saturation**: effort limits of motor and guard at what the wire carries (32767 quanta), no slew limit;
+* **contact**: a wall that does not let go. It is not there until it is touched, so that the hit arrives alike, and from
+  then on it is a spring and a damper on both sides.
+
+**The rule.** Of every wall that differs, all sets of one of these are taken out, and if no set makes theory and hits
+agree all sets of two, of three, of four. The sets of the first size that has some are the wall's `cures`.
+
+* One cure of one: that is the cause.
+* Several cures of one: an interaction, each of these is needed (`EACH`). Without any one of them there is no
+  disagreement.
+* Cures of two or more only: none is needed by itself, for others do the same (`OTHERS`).
+* No cure: `NONE`. The cause is then a difference between hit and theory other than these four: an end of the travel,
+  the hand's own motion, thresholds, the quantum of the current.
+
+An invalid hit does not count as agreement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations
+from typing import Any
+
+from rig import config
+from rig.analysis.theory.lifted import Lifted
+from rig.analysis.theory.loop import linear_loop
+from rig.config import Experiment, controller
+from rig.control.bilateral import clinging_law
+from rig.experiments.hits.hit_simulator import HitSimulator
+from rig.experiments.mapping.searches import StiffnessSearch
+
+FRICTION, QUANTUM, SATURATION, CONTACT = FOUR = ("friction", "quantum", "saturation", "contact")
+EACH, OTHERS, NONE = "each of several", "any of several", "none of the four"
+CAUSES = (*FOUR, EACH, OTHERS, NONE)
+FINER = 256  # counts for one: below a thousandth of the thresholds on every preset
+UNBOUND = 1e9  # stands for a slew limit that never binds, in units of the given one
+
+Cure = tuple[str, ...]
+Holds = bool | None  # None: the hit does not show it
+
+
+def cures(agrees: Callable[[Cure], bool]) -> tuple[Cure, ...]:
+    """Sets of the smallest size that make theory and hits agree when they are taken out; none if no set does."""
+    for size in range(1, len(FOUR) + 1):
+        found = tuple(taken for taken in combinations(FOUR, size) if agrees(taken))
+        if found:
+            return found
+    return ()
+
+
+def cause_of(found: Sequence[Cure]) -> str:
+    """Which of `CAUSES` these cures stand for."""
+    if not found:
+        return NONE
+    if len(found[0]) > 1:
+        return OTHERS
+    return found[0][0] if len(found) == 1 else EACH
+
+
+def without(experiment: Experiment, taken: Iterable[str]) -> Experiment:
+    """The experiment on a rig without these of the four; `CONTACT` is a law's affair (`HitSimulator`)."""
+    rig, homing = experiment.rig, experiment.homing
+    for one in taken:
+        if one == FRICTION:
+            rig = replace(rig, mechanics=replace(rig.mechanics, motor_coulomb=0.0, link_coulomb=0.0))
+        elif one == QUANTUM:
+            encoder = rig.encoder
+            finer = (
+                replace(encoder, quantum=encoder.resolution / FINER)
+                if encoder.counts_per_revolution is None
+                else replace(encoder, counts_per_revolution=encoder.counts_per_revolution * FINER)
+            )
+            rig = replace(rig, encoder=finer)
+            homing = replace(homing, tolerance_counts=homing.tolerance_counts * FINER)
+        elif one == SATURATION:
+            most = controller.I16_MAXIMUM * rig.amplifier.effort_quantum
+            lifted = replace(rig.amplifier, effort_limit=max(most, rig.amplifier.effort_limit))
+            free = replace(rig.limits, effort=max(most, rig.limits.effort), slew=rig.limits.slew * UNBOUND)
+            rig = replace(rig, amplifier=lifted, limits=free)
+    return replace(experiment, rig=rig, homing=homing)
+
+
+class _Column:
+    """The walls of one damping under one scheme, on the rig and on rigs without some of the four."""
+
+    def __init__(self, experiments: Sequence[Experiment], judged: str) -> None:
+        self._experiments, self._judged = experiments, judged
+        self._rigs: dict[tuple[Cure, int], HitSimulator] = {}
+        self.hits = self.ticks = 0
+
+    def passes(self, stiffness: float, number: int, taken: Cure = ()) -> Holds:
+        """Whether a wall passes at one offset and repeat."""
+        experiment = self._experiments[number]
+        if (taken, number) not in self._rigs:
+            law = clinging_law() if CONTACT in taken else None
+            self._rigs[taken, number] = HitSimulator(without(experiment, taken), law=law)
+        hit = self._rigs[taken, number].hit(stiffness, experiment.wall.damping)
+        self.hits += 1
+        self.ticks += hit.ticks
+        return (hit.true if self._judged == "true" else hit.recorded).passes("any")
+
+    def holds(self, stiffness: float, taken: Cure = ()) -> Holds:
+        """Whether it passes at all of them; the first that does not decides."""
+        unknown = False
+        for number in range(len(self._experiments)):
+            passes = self.passes(stiffness, number, taken)
+            if passes is False:
+                return False
+            unknown |= passes is None
+        return None if unknown else True
+
+
+def hit_column(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """One task of the sweep, JSON in and out: all walls of a scheme at a damping, the softest first."""
+    experiments = [config.restore_experiment(one) for one in payload["experiments"]]
+    column, first = _Column(experiments, payload["judged"]), experiments[0]
+    rungs = StiffnessSearch(**payload["search"]).rungs
+    radii = Lifted.of(linear_loop(first)).radius(rungs, first.wall.damping)
+    rows: list[dict[str, Any]] = []
+    for stiffness, radius in zip(rungs, radii.tolist(), strict=True):
+        hits, ticks = column.hits, column.ticks
+        linear, holds = radius < 1.0, column.holds(stiffness)
+        found: tuple[Cure, ...] | None = None
+        if holds is (not linear):
+            found = cures(lambda taken, k=stiffness, says=linear: column.holds(k, taken) is says)  # type: ignore[misc]
+        rows.append(
+            {
+                "stiffness": stiffness,
+                "radius": radius,
+                "holds": holds,
+                "cures": found,
+                "holds_without": column.passes(stiffness, 0, FOUR),
+                "hits": column.hits - hits,
+                "ticks": column.ticks - ticks,
+            }
+        )
+    return rows

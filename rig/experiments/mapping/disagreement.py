@@ -1,0 +1,367 @@
+"""Where linear theory and hits disagree about walls, and why: the walls of a map, and their shares of its plane.
+
+Theory (`rig.analysis.theory`) calls a wall stable when the spectral radius of the linear loop is below one. Hits call
+it stable when at every offset and repeat of the map it is neither unstable, felt, heard nor moved. A wall *differs*
+when one calls it stable and the other does not; `rig.experiments.mapping.ablation` finds out why. A wall whose hits
+show nothing is left out and counted.
+
+Shares are areas of the K–B plane with both axes linear: each wall stands for the cell about it, half-way to its
+neighbours (in K by ratio), within the map's range. Walls are all rungs of the map's search at all its dampings, beyond
+the first failure too. As a check of the method every wall is also hit without all four: what then still differs is no
+non-linearity of the rig.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import config
+from rig.analysis.theory.loop import linear_loop
+from rig.config import Experiment
+from rig.core.drawn import Drawn
+from rig.core.errors import PlanError
+from rig.core.present import Item, Row, Table, plain, reported
+from rig.core.sample import unit_of
+from rig.core.shown import Shown
+from rig.experiments import sweep
+from rig.experiments.mapping.ablation import CAUSES, Cure, Holds, cause_of, hit_column
+from rig.experiments.mapping.searches import check_values
+from rig.experiments.mapping.zwidth import MapPlan, Series
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)  # without slots: `tasks` is cached
+class DisagreementPlan:
+    """All walls of a map, hit, and those that differ from theory hit again."""
+
+    map: MapPlan
+
+    unit: ClassVar[str] = "ticks"
+
+    @property
+    def experiment(self) -> Experiment:
+        """That of the map."""
+        return self.map.experiment
+
+    def _check(self) -> None:
+        wall = self.experiment.wall
+        for key, value, linear in (
+            ("law", wall.law, "spring-damper"),
+            ("damping_on", wall.damping_on, "both"),
+        ):
+            if value != linear:
+                raise PlanError(
+                    f"wall.{key} = {value!r}: linear theory has nothing to say about it",
+                    remedy=f"compare a wall with wall.{key} = {linear!r}",
+                )
+        check_values("dampings", self.map.dampings, "damping", rising=True)
+        for scheme in self.map.schemes:
+            linear_loop(self.experiment, scheme)
+
+    @cached_property
+    def tasks(self) -> list[sweep.Task]:
+        """One for each scheme and damping.
+
+        Raises `PlanError` for a wall of which linear theory says nothing, `NotLinearError` for a scheme of that kind.
+        """
+        self._check()
+        columns: dict[tuple[int, float], list[Series]] = {}
+        for one in self.map.series():
+            columns.setdefault((one.scheme, one.damping), []).append(one)
+        applied = [scheme.applied(self.experiment) for scheme in self.map.schemes]
+        return [
+            sweep.Task(
+                f"{scheme}/{damping!r}",
+                hit_column,
+                {
+                    "experiments": [
+                        config.as_mapping(self.map.experiment_of(one, applied[scheme])) for one in series
+                    ],
+                    "search": asdict(self.map.search),
+                    "judged": self.map.judged,
+                },
+                weight=float(self.map.schemes[scheme].position_rate),
+            )
+            for (scheme, damping), series in columns.items()
+        ]
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values of the map."""
+        return self.map.as_mapping()
+
+    def found(self, results: Sequence[Any]) -> Disagreement:
+        """What the results of all tasks say."""
+        plan = self.map
+        columns = [(scheme, damping) for scheme in range(len(plan.schemes)) for damping in plan.dampings]
+        across = dict(zip(plan.dampings, np.diff(edges_of(plan.dampings)).tolist(), strict=True))
+        along = np.diff(edges_of(plan.search.rungs, by_ratio=True)).tolist()
+        return Disagreement(
+            plan,
+            tuple(
+                ComparedWall.of(row, scheme, damping, across[damping] * height)
+                for (scheme, damping), rows in zip(columns, results, strict=True)
+                for row, height in zip(rows, along, strict=True)
+            ),
+            hits=sum(row["hits"] for rows in results for row in rows),
+        )
+
+
+def edges_of(values: Sequence[float], *, by_ratio: bool = False) -> Floats:
+    """Ends of the cells about rising values, half-way to their neighbours, in K by ratio; a single one has length 1."""
+    if len(values) == 1:
+        return values[0] + np.array([-0.5, 0.5])
+    at = np.asarray(values)
+    between = np.sqrt(at[1:] * at[:-1]) if by_ratio else 0.5 * (at[1:] + at[:-1])
+    return np.concatenate([at[:1], between, at[-1:]])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ComparedWall:
+    """One wall: what theory says, what hits say, and why they differ if they do.
+
+    Attributes
+    ----------
+    scheme, damping, stiffness
+        Index of the scheme, B and K.
+    area
+        Of its cell in the plane.
+    radius
+        Spectral radius of the linear loop.
+    holds
+        Whether it is stable by its hits; None where these do not show it.
+    holds_without
+        The same on the rig without all four.
+    cures
+        Smallest sets that make both agree; empty where they do, or where no set does.
+    cause
+        One of `rig.experiments.mapping.ablation.CAUSES`; empty where theory and hits agree or the hits show nothing.
+    """
+
+    scheme: int
+    damping: float
+    stiffness: float
+    area: float
+    radius: float
+    holds: Holds
+    holds_without: Holds
+    cures: tuple[Cure, ...]
+    cause: str
+
+    @classmethod
+    def of(cls, row: Mapping[str, Any], scheme: int, damping: float, area: float) -> ComparedWall:
+        """The wall of a row of `rig.experiments.mapping.ablation.hit_column`."""
+        found = None if row["cures"] is None else tuple(tuple(cure) for cure in row["cures"])
+        return cls(
+            scheme=scheme,
+            damping=damping,
+            stiffness=row["stiffness"],
+            area=area,
+            radius=row["radius"],
+            holds=row["holds"],
+            holds_without=row["holds_without"],
+            cures=found or (),
+            cause="" if found is None else cause_of(found),
+        )
+
+    @property
+    def linear(self) -> bool:
+        """Whether theory calls it stable."""
+        return self.radius < 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CauseShare:
+    """What differs of some area: its share of that, and the share of each cause in it, the largest first; 0 to 1."""
+
+    share: float
+    causes: dict[str, float]
+
+    @classmethod
+    def of(cls, whole: Sequence[ComparedWall]) -> CauseShare:
+        """The part of these walls that differs."""
+        differing = [wall for wall in whole if wall.cause]
+        return cls(share=_share(differing, whole), causes=_by(differing, lambda wall: wall.cause))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shares:
+    """How far theory goes for one scheme: shares of areas, 0 to 1.
+
+    Attributes
+    ----------
+    differ
+        What differs of the plane.
+    fails
+        What differs of the walls that theory calls stable: those that fail.
+    beyond
+        What differs of the walls that hold: those that theory calls unstable.
+    sets
+        Of what differs, by the cures where there are several: what interacts.
+    differ_without
+        Of the plane: what differs on the rig without all four.
+    stable, holding
+        Of the plane: what theory calls stable, and what holds.
+    """
+
+    scheme: str
+    label: str
+    differ: CauseShare
+    fails: CauseShare
+    beyond: CauseShare
+    sets: dict[str, float]
+    differ_without: float
+    stable: float
+    holding: float
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Disagreement(Shown, Drawn):
+    """Where theory and hits differ, wall by wall.
+
+    Attributes
+    ----------
+    plan
+        The map whose walls were hit.
+    walls
+        By scheme, damping and stiffness, in this order.
+    hits
+        How many there were, those on rigs without something included.
+    """
+
+    table_name: ClassVar[str] = "walls.parquet"
+
+    plan: MapPlan
+    walls: tuple[ComparedWall, ...]
+    hits: int
+
+    def of_scheme(self, number: int) -> list[ComparedWall]:
+        """Walls of one scheme."""
+        return [wall for wall in self.walls if wall.scheme == number]
+
+    def shares(self, number: int) -> Shares:
+        """Summarise one scheme."""
+        scheme = self.plan.schemes[number]
+        known = [wall for wall in self.of_scheme(number) if wall.holds is not None]
+        differing = [wall for wall in known if wall.cause]
+        stable, holding = [w for w in known if w.linear], [w for w in known if w.holds]
+        return Shares(
+            scheme=scheme.text,
+            label=scheme.label(self.plan.experiment),
+            differ=CauseShare.of(known),
+            fails=CauseShare.of(stable),
+            beyond=CauseShare.of(holding),
+            sets=_by([w for w in differing if len(w.cures) > 1], _sets, of=differing),
+            differ_without=_share([w for w in known if w.holds_without is (not w.linear)], known),
+            stable=_share(stable, known),
+            holding=_share(holding, known),
+        )
+
+    @reported
+    def schemes(self) -> tuple[Shares, ...]:
+        """The shares of each scheme."""
+        return tuple(self.shares(number) for number in range(len(self.plan.schemes)))
+
+    @reported
+    def unknown(self) -> int:
+        """How many walls were left out, because their hits show nothing."""
+        return sum(wall.holds is None for wall in self.walls)
+
+    def brief(self) -> list[Item]:
+        """How much differs under each scheme, and what for."""
+        rows = [
+            Row(
+                shares.label, f"{_percent(shares.differ.share)} of the plane: {_spoken(shares.differ.causes)}"
+            )
+            for shares in self.schemes
+        ]
+        rig = self.plan.experiment.rig.name
+        return [
+            f"where linear theory and {self.hits} hits differ on {rig}, in {len(self.walls)} walls",
+            *rows,
+        ]
+
+    def detailed(self) -> list[Item]:
+        """Both ways to differ, in a table."""
+        head = ("scheme", "what differs", "share", *CAUSES)
+        rows = [
+            ["" if number else shares.label, what, _percent(part.share), *_cells(part)]
+            for shares in self.schemes
+            for number, (what, part) in enumerate(
+                (
+                    ("of the plane", shares.differ),
+                    ("stable in theory, fails", shares.fails),
+                    ("holds, not in theory", shares.beyond),
+                )
+            )
+        ]
+        return [self.brief()[0], Table(head, rows, words=2)]
+
+    def table(self) -> Iterator[dict[str, Any]]:
+        """Every wall as a flat row."""
+        for wall in self.walls:
+            row = asdict(wall) | {"scheme": self.plan.schemes[wall.scheme].text}
+            yield row | {"linear": wall.linear, "cures": _sets(wall)}
+
+    def units(self) -> dict[str, str]:
+        """Unit of each column of the table that has one."""
+        motion = self.plan.experiment.rig.motion
+        return {name: unit_of(name, motion) for name in ("stiffness", "damping")}
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON, without the single walls."""
+        plan = self.plan
+        return {
+            "rig": plan.experiment.rig.name,
+            "schemes": plain(self.schemes),
+            "walls": len(self.walls),
+            "unknown": self.unknown,
+            "hits": self.hits,
+            "dampings": list(plan.dampings),
+            "search": asdict(plan.search),
+            "offsets": list(plan.offsets),
+            "repeats": plan.repeats,
+            "judged": plan.judged,
+            "experiment": config.as_mapping(plan.experiment),
+        }
+
+
+def _share(part: Iterable[ComparedWall], whole: Iterable[ComparedWall]) -> float:
+    area = sum(wall.area for wall in whole)
+    return sum(wall.area for wall in part) / area if area else 0.0
+
+
+def _by(
+    walls: Sequence[ComparedWall],
+    name: Callable[[ComparedWall], str],
+    of: Sequence[ComparedWall] | None = None,
+) -> dict[str, float]:
+    """Shares of what walls are called, the largest first."""
+    areas: dict[str, float] = {}
+    for wall in walls:
+        areas[name(wall)] = areas.get(name(wall), 0.0) + wall.area
+    whole = sum(wall.area for wall in (walls if of is None else of))
+    return {what: areas[what] / whole for what in sorted(areas, key=lambda what: -areas[what])}
+
+
+def _sets(wall: ComparedWall) -> str:
+    return "; ".join("+".join(cure) for cure in wall.cures)
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.1f} %"
+
+
+def _cells(part: CauseShare) -> list[str]:
+    return [_percent(part.causes[cause]) if cause in part.causes else "" for cause in CAUSES]
+
+
+def _spoken(causes: Mapping[str, float]) -> str:
+    said = ", ".join(f"{cause} {_percent(share)}" for cause, share in causes.items())
+    return f": {said}" if said else ""

@@ -1,0 +1,285 @@
+"""How well describing functions predict the limit cycle of the encoder's quantum: beside the same walls, simulated.
+
+**The walls**: under each scheme B at `DAMPINGS` of its B_max, and K at `STIFFNESSES` of K_max there, both of the linear
+theory; the handle is free. Each is a wall on both sides against a push that rests `DEPTH` counts deep, half-way
+between two counts: that buzzes most. The handle is let go `AWAY` counts deeper, moves for `SETTLE_S`, and is measured
+for `MEASURED_S`: with the rig's friction and without, its effort limited by the wire alone.
+
+**What is measured**: amplitude, √2 times the rms of the encoder's side about its mean; frequency, half of the count's
+changes in a second; and the share of the variance that lies within `BAND` of that frequency. All three are defined for
+a cycle whose phase wanders, as toggling between two ticks makes it; a line fitted over the whole time finds little of
+such a cycle. A wall *rests* where no count changes any more. **The errors** are predicted over measured, less one, over
+the walls where both have a cycle; where only one of both has one is counted apart. Where less than `PURE` of the
+variance lies in the band the motion is no sinusoid, and its errors are given apart. So are, once more, those of the
+walls whose predicted cycle is `alone` (`rig.analysis.theory.describing`), which is known before any simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.analysis import theory
+from rig.analysis.theory import LimitCycle
+from rig.config import Experiment
+from rig.config.schemes import Scheme
+from rig.control.verdict import percent
+from rig.core.errors import PlanError
+from rig.core.present import Item, Row, Table, reported, written
+from rig.core.shown import Shown
+from rig.experiments.hits.compare import Start, simulate
+from rig.experiments.mapping.ablation import FRICTION, SATURATION, without
+
+DAMPINGS, STIFFNESSES = (0.0, 0.25, 0.5, 0.75), (0.25, 0.5, 0.75)
+DEPTH, AWAY, OFFSET = 3.5, 3.0, 0.5  # counts
+SETTLE_S, MEASURED_S = 8.0, 2.0
+BAND, PURE = 0.25, 0.9
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cycle:
+    """A measured motion: amplitude (count), frequency, and its share of the variance; all 0 at rest."""
+
+    amplitude: float
+    frequency_hz: float
+    share: float
+
+    @classmethod
+    def of(cls, motion: Floats, counts: Ints, rate_hz: float) -> Cycle:
+        """That of a motion (count) and the counts that it was read as."""
+        frequency = 0.5 * np.count_nonzero(np.diff(counts)) * rate_hz / len(counts)
+        if frequency == 0.0:
+            return cls(amplitude=0.0, frequency_hz=0.0, share=0.0)
+        power = np.abs(np.fft.rfft(motion - motion.mean())) ** 2
+        hz = np.fft.rfftfreq(len(motion), 1.0 / rate_hz)
+        near = np.abs(hz - frequency) <= BAND * frequency
+        return cls(
+            amplitude=float(np.sqrt(2.0) * motion.std()),
+            frequency_hz=float(frequency),
+            share=float(power[near].sum() / power.sum()),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeldWall:
+    """One wall held at rest: predicted and simulated."""
+
+    scheme: str
+    damping: float
+    stiffness: float
+    friction: bool
+    predicted: LimitCycle
+    simulated: Cycle
+
+    @reported
+    def amplitude_error(self) -> float | None:
+        """Predicted over simulated amplitude, less one; None unless both have a cycle."""
+        return self.predicted.amplitude / self.simulated.amplitude - 1.0 if self._both else None
+
+    @reported
+    def frequency_error(self) -> float | None:
+        """Likewise of the frequency."""
+        return self.predicted.frequency_hz / self.simulated.frequency_hz - 1.0 if self._both else None
+
+    @property
+    def _both(self) -> bool:
+        return self.predicted.found and self.simulated.amplitude > 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Errors:
+    """Relative errors over some walls: how many walls, median of the magnitudes, and the largest."""
+
+    walls: int
+    amplitude: tuple[float, float]
+    frequency: tuple[float, float]
+
+    @classmethod
+    def of(cls, walls: Sequence[HeldWall]) -> Errors:
+        """Errors of walls that have both cycles."""
+
+        def spread(errors: list[float]) -> tuple[float, float]:
+            sizes = np.abs(errors)
+            return (
+                (float(np.median(sizes)), float(sizes.max())) if len(sizes) else (float("nan"), float("nan"))
+            )
+
+        return cls(
+            walls=len(walls),
+            amplitude=spread([wall.amplitude_error or 0.0 for wall in walls]),
+            frequency=spread([wall.frequency_error or 0.0 for wall in walls]),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tally:
+    """How the prediction did, with the rig's friction or without.
+
+    Attributes
+    ----------
+    sinusoids, others
+        Errors where the motion is a sinusoid and where it is not.
+    alone
+        Errors where the loop without friction balances at a single frequency.
+    both_rest
+        Walls that rest: no cycle is predicted, or friction may hold the handle instead.
+    only_predicted, only_simulated
+        Walls where one of both has a cycle, and friction cannot hold the handle.
+    """
+
+    friction: bool
+    sinusoids: Errors
+    others: Errors
+    alone: Errors
+    both_rest: int
+    only_predicted: int
+    only_simulated: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class LimitCycles(Shown):
+    """Every wall, without friction and with it."""
+
+    rig: str
+    walls: tuple[HeldWall, ...]
+
+    @reported
+    def tallies(self) -> tuple[Tally, ...]:
+        """Without friction, then with it."""
+        return tuple(self.tally(friction) for friction in (False, True))
+
+    def tally(self, friction: bool) -> Tally:
+        """Count one half of the walls."""
+        walls = [wall for wall in self.walls if wall.friction is friction]
+        both = [wall for wall in walls if wall.amplitude_error is not None]
+        moving = [wall.simulated.amplitude > 0.0 for wall in walls]
+        found = [wall.predicted.found for wall in walls]
+        may_rest = [wall.predicted.may_rest or not wall.predicted.found for wall in walls]
+        return Tally(
+            friction=friction,
+            sinusoids=Errors.of([wall for wall in both if wall.simulated.share >= PURE]),
+            others=Errors.of([wall for wall in both if wall.simulated.share < PURE]),
+            alone=Errors.of([wall for wall in both if wall.predicted.alone]),
+            both_rest=sum(r and not m for m, r in zip(moving, may_rest, strict=True)),
+            only_predicted=sum(not r and not m for m, r in zip(moving, may_rest, strict=True)),
+            only_simulated=sum(m and not f for m, f in zip(moving, found, strict=True)),
+        )
+
+    def brief(self) -> list[Item]:
+        """The errors."""
+        return [
+            f"limit cycles of the quantum on {self.rig}, predicted and simulated",
+            *map(_row, self.tallies),
+        ]
+
+    def detailed(self) -> list[Item]:
+        """The errors, and every wall."""
+        head = ("scheme", "B", "K", "friction", "counts", "Hz", "simulated: counts", "Hz", "in its band")
+        rows = [
+            (
+                wall.scheme,
+                *(written(value, 3) for value in (wall.damping, wall.stiffness)),
+                "yes" if wall.friction else "no",
+                *(written(value, 3) for value in (wall.predicted.amplitude, wall.predicted.frequency_hz)),
+                *(written(value, 3) for value in (wall.simulated.amplitude, wall.simulated.frequency_hz)),
+                f"{100.0 * wall.simulated.share:.0f} %",
+            )
+            for wall in self.walls
+        ]
+        return [*self.brief(), Table(head, rows)]
+
+
+def _row(tally: Tally) -> Row:
+    def said(errors: Errors, what: str) -> str:
+        (a, worst_a), (f, worst_f) = errors.amplitude, errors.frequency
+        return (
+            f"{errors.walls} {what}: amplitude {percent(a)} off (at most {percent(worst_a)}), "
+            f"frequency {percent(f)} (at most {percent(worst_f)})"
+        )
+
+    parts = [said(tally.sinusoids, "sinusoids")] if tally.sinusoids.walls else []
+    parts += [said(tally.others, "that are no sinusoid")] if tally.others.walls else []
+    parts += [said(tally.alone, "of these whose cycle is alone")] if tally.alone.walls else []
+    parts += [f"{tally.both_rest} rest, as friction can hold them"] if tally.both_rest else []
+    parts += [f"{tally.only_predicted} rest against the prediction"] if tally.only_predicted else []
+    parts += [f"{tally.only_simulated} cycle without a prediction"] if tally.only_simulated else []
+    return Row("with friction" if tally.friction else "without friction", "; ".join(parts))
+
+
+def limit_cycles(
+    experiment: Experiment,
+    schemes: Sequence[Scheme] = (),
+    walls: Sequence[tuple[float, float]] | None = None,
+) -> LimitCycles:
+    """Predict and simulate walls (K, B), those of this module if None.
+
+    `schemes` are the experiment's and the uniform ones of its rates if empty.
+
+    Raises
+    ------
+    ConfigError, NotLinearError
+        A scheme that cannot be, or is not linear.
+    PlanError
+        A wall without stiffness, which rests nowhere.
+    """
+    for stiffness, damping in walls or ():
+        if not (stiffness > 0.0 and damping >= 0.0):
+            raise PlanError(
+                f"a wall of K = {stiffness:g} and B = {damping:g}",
+                remedy="choose a stiffness above zero and a damping of at least zero",
+            )
+    bare = replace(experiment, trial=replace(experiment.trial, kind="constant-effort"))
+    chosen = tuple(schemes) or theory.default_schemes(bare)
+    held: list[HeldWall] = []
+    for scheme in chosen:
+        loop = theory.linear_loop(bare, scheme)
+        held += [
+            _held(scheme.applied(bare), scheme.label(bare), loop, k, b, friction)
+            for k, b in (_walls(loop) if walls is None else walls)
+            for friction in (False, True)
+        ]
+    return LimitCycles(rig=experiment.rig.name, walls=tuple(held))
+
+
+def _walls(loop: theory.LinearLoop) -> list[tuple[float, float]]:
+    """The walls of this module under a scheme."""
+    lifted = theory.Lifted.of(loop)
+    dampings = [share * theory.b_max(lifted).damping for share in DAMPINGS]
+    limits = theory.k_max_curve(lifted, None, dampings)
+    return [(share * limit.stiffness, limit.damping) for limit in limits for share in STIFFNESSES]
+
+
+def _held(
+    experiment: Experiment,
+    label: str,
+    loop: theory.LinearLoop,
+    stiffness: float,
+    damping: float,
+    friction: bool,
+) -> HeldWall:
+    return HeldWall(
+        scheme=label,
+        damping=damping,
+        stiffness=stiffness,
+        friction=friction,
+        predicted=theory.limit_cycle(loop, None, stiffness, damping, duty=DEPTH % 1.0, friction=friction),
+        simulated=simulated(experiment, stiffness, damping, friction=friction),
+    )
+
+
+def simulated(experiment: Experiment, stiffness: float, damping: float, *, friction: bool) -> Cycle:
+    """What a handle does at a wall, `SETTLE_S` after it was let go."""
+    bare = without(experiment, (SATURATION,) if friction else (SATURATION, FRICTION))
+    side, count = bare.wall.side, bare.rig.encoder.resolution
+    wall = replace(experiment.wall, stiffness=stiffness, damping=damping, law="bilateral", position=0.0)
+    trial = replace(experiment.trial, duration_s=SETTLE_S + MEASURED_S)
+    start = Start(position=side * (DEPTH + AWAY) * count, external_effort=side * DEPTH * count * stiffness)
+    _, plant, trace = simulate(replace(bare, wall=wall, trial=trial), start, OFFSET)
+    last, rate = round(MEASURED_S * experiment.controller.position_rate), experiment.controller.position_rate
+    return Cycle.of(trace.states[-last:, plant.sensed_position] / count, trace.counts[-last:], float(rate))

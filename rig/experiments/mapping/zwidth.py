@@ -1,0 +1,468 @@
+"""Z-width in the time domain: for which walls (K, B) a rig stays stable, scheme by scheme, by hitting them.
+
+A map is a set of independent *series*: one scheme, one damping, one encoder offset, one repeat, and a search through
+the stiffnesses (`rig.experiments.mapping.searches`). A series is decided by its description alone, so a map is the same
+to the last bit on one core, on many, or on a cluster, and a stopped one resumes where it was.
+
+A wall fails under a criterion when its hit is unstable, or when what the criterion names (felt, heard, any) exceeds its
+threshold; every map holds all three. The recorded signals decide, as for a single hit, unless a simulation's truth is
+asked for; the table has the numbers of both. Range and area count only dampings that are rendered
+(`rig.experiments.mapping.rendering`).
+
+Source: Koul et al. 2013, section III (K raised until unstable, five repeats averaged) and Fig. 6.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache, cached_property
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from rig import config
+from rig.config import Experiment
+from rig.config.schemes import Scheme, describe_cutoffs
+from rig.control.measure import NUMBERS, UNITS
+from rig.control.verdict import CRITERIA, INVALID, Measured, Objection, objections
+from rig.core.drawn import Drawn
+from rig.core.errors import PlanError
+from rig.core.present import Item, Row, Table, plain, written
+from rig.core.sample import unit_of
+from rig.core.shown import Shown
+from rig.experiments import sweep
+from rig.experiments.hits.hit_simulator import HitSimulator
+from rig.experiments.mapping.rendering import RENDERED, rendered_share
+from rig.experiments.mapping.searches import (
+    Extent,
+    Outcomes,
+    StiffnessLimit,
+    StiffnessSearch,
+    check_values,
+    drive,
+    limit_of,
+)
+from rig.experiments.trials.plan import stands_for_device
+
+Judged = Literal["true", "recorded"]
+OFFSETS = (0.1, 0.6)  # default encoder offsets of a map, as shares of a count
+TRUE = "_true"  # how columns of the simulation's truth end, as in recordings
+_BEFORE = "guard tripped before the wall"  # what the numbers of a hit do not show
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """One search through the stiffnesses: index of its scheme, damping, encoder offset, index of the repeat."""
+
+    scheme: int
+    damping: float
+    offset: float
+    repeat: int
+
+    @property
+    def key(self) -> str:
+        """Its name in a journal."""
+        return f"{self.scheme}/{self.damping!r}/{self.offset!r}/{self.repeat}"
+
+
+@dataclass(frozen=True, kw_only=True)  # without slots: `tasks` is cached
+class MapPlan:
+    """What to map.
+
+    Attributes
+    ----------
+    experiment
+        Rig, trial and thresholds; its controller and its wall's K and B are what the map varies.
+    schemes
+        One curve each.
+    dampings
+        B of each column of walls (N·m·s/rad or N·s/m).
+    search
+        Stiffnesses and the way through them.
+    offsets
+        Where position zero lies in its encoder cell (count): one count decides whether a stiff wall buzzes.
+    repeats
+        Series of each damping and offset; they differ in where exactly the handle starts, and in a hand's tremor.
+    judged
+        Whose signals decide: what a rig records, as for a single hit, or the simulation's truth.
+    criteria
+        Whose limits are searched for: each takes hits of its own.
+    """
+
+    experiment: Experiment
+    schemes: tuple[Scheme, ...]
+    dampings: tuple[float, ...]
+    search: StiffnessSearch
+    offsets: tuple[float, ...] = OFFSETS
+    repeats: int = 1
+    judged: Judged = "recorded"
+    criteria: tuple[str, ...] = CRITERIA
+
+    unit: ClassVar[str] = "ticks"
+
+    def __post_init__(self) -> None:
+        """Raise `PlanError` for a map without series, or with the same one twice."""
+        check_values("schemes", [scheme.text for scheme in self.schemes], "scheme")
+        check_values("dampings", self.dampings, "damping")
+        check_values("offsets", self.offsets, "offsets", below=1.0)
+        if self.repeats < 1:
+            raise PlanError(f"{self.repeats} repeats (`repeats`)", remedy="give 1 or more")
+
+    def series(self) -> list[Series]:
+        """Every series, in the order of schemes, dampings, offsets, repeats."""
+        return [
+            Series(number, damping, offset, repeat)
+            for number in range(len(self.schemes))
+            for damping in self.dampings
+            for offset in self.offsets
+            for repeat in range(self.repeats)
+        ]
+
+    def experiment_of(self, series: Series, under: Experiment | None = None) -> Experiment:
+        """The experiment of a series but for its stiffness; `under` is the plan's under its scheme, if known."""
+        changes = {
+            "rig.encoder.offset": series.offset,
+            "trial.seed": self.experiment.trial.seed + series.repeat,
+            "wall.damping": series.damping,
+        }
+        applied = self.schemes[series.scheme].applied(self.experiment) if under is None else under
+        return config.override(applied, changes, "the map")
+
+    @cached_property
+    def tasks(self) -> list[sweep.Task]:
+        """The series as a sweep runs them: here their experiments are checked, and nowhere again."""
+        applied = [scheme.applied(self.experiment) for scheme in self.schemes]
+        return [
+            sweep.Task(
+                series.key,
+                run_series,
+                {
+                    "experiment": config.as_mapping(self.experiment_of(series, applied[series.scheme])),
+                    "search": asdict(self.search),
+                    "judged": self.judged,
+                    "criteria": list(self.criteria),
+                },
+                weight=float(self.schemes[series.scheme].position_rate),
+            )
+            for series in self.series()
+        ]
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, which `from_mapping` turns into an equal plan."""
+        own = {"search": asdict(self.search), "schemes": [scheme.text for scheme in self.schemes]}
+        named = {
+            name: getattr(self, name) for name in ("dampings", "offsets", "repeats", "judged", "criteria")
+        }
+        return {**plain(named), **own, "experiment": config.as_mapping(self.experiment)}
+
+    @classmethod
+    def from_mapping(cls, mapping: Mapping[str, Any], where: str) -> MapPlan:
+        """The plan of plain values; `ConfigError` names `where`."""
+        return cls(
+            experiment=config.experiment_from_mapping(mapping["experiment"], where),
+            schemes=tuple(Scheme.parse(text) for text in mapping["schemes"]),
+            dampings=tuple(mapping["dampings"]),
+            search=StiffnessSearch(**mapping["search"]),
+            offsets=tuple(mapping["offsets"]),
+            repeats=mapping["repeats"],
+            judged=mapping["judged"],
+            criteria=tuple(mapping["criteria"]),
+        )
+
+    def found(self, results: Sequence[Any]) -> ZWidth:
+        """The map that the results of all tasks make."""
+        return ZWidth.of(self, results)
+
+
+def run_series(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Run one series in simulation; payload and result are JSON: a row for each hit, in the order of hits."""
+    experiment = config.restore_experiment(payload["experiment"])
+    simulator = HitSimulator(experiment)
+    rows: list[dict[str, Any]] = []
+
+    def hit(stiffness: float) -> Outcomes:
+        done = simulator.hit(stiffness, experiment.wall.damping)
+        rows.append({"stiffness": stiffness} | row_of(done.recorded, "") | row_of(done.true, TRUE))
+        return outcomes_of(rows[-1], payload["judged"])
+
+    drive(StiffnessSearch(**payload["search"]).walk(payload["criteria"]), hit)
+    return rows
+
+
+@dataclass(frozen=True, slots=True)
+class Boundary:
+    """The limit of one scheme at one damping under one criterion, over offsets and repeats.
+
+    Attributes
+    ----------
+    stiffness, deviation
+        Mean and standard deviation of the limits (N·m/rad or N/m); 0 counts as a limit, the deviation of one is 0.
+    lowest, highest
+        Of the limits.
+    capped
+        How many series ended before a wall failed: the mean is then a lower bound.
+    unknown
+        How many hits were invalid.
+    limits
+        Of each series, with its islands.
+    rendered
+        Share of the damping that the effort limit leaves of a slow motion (`rig.experiments.mapping.rendering`).
+    """
+
+    scheme: int
+    damping: float
+    criterion: str
+    stiffness: float
+    deviation: float
+    lowest: float
+    highest: float
+    capped: int
+    unknown: int
+    limits: tuple[StiffnessLimit, ...]
+    rendered: float = 1.0
+
+    @property
+    def counted(self) -> float:
+        """Limit that counts towards a width: 0 where the damping is not rendered."""
+        return self.stiffness if self.rendered >= RENDERED else 0.0
+
+    @classmethod
+    def of(
+        cls,
+        scheme: int,
+        damping: float,
+        criterion: str,
+        limits: Sequence[StiffnessLimit],
+        *,
+        rendered: float = 1.0,
+    ) -> Boundary:
+        """Summarise limits."""
+        stiffness = np.array([limit.stiffness for limit in limits])
+        return cls(
+            scheme=scheme,
+            damping=damping,
+            criterion=criterion,
+            stiffness=float(stiffness.mean()),
+            deviation=float(stiffness.std(ddof=1)) if len(limits) > 1 else 0.0,
+            lowest=float(stiffness.min()),
+            highest=float(stiffness.max()),
+            capped=sum(limit.capped for limit in limits),
+            unknown=sum(limit.unknown for limit in limits),
+            limits=tuple(limits),
+            rendered=rendered,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Width:
+    """A curve in numbers: what the papers compare. Dampings that are not rendered do not count.
+
+    Attributes
+    ----------
+    stiffness_undamped
+        Limit at B = 0; None when the map does not have that column, 0 when no wall passed there.
+    stiffness_peak, damping_at_peak
+        Largest limit, and where.
+    damping_range
+        Largest damping at which some wall passes.
+    area
+        Under the curve, up to `damping_range`.
+    capped, undamped_capped, range_capped
+        Whether peak, limit at B = 0 and range are only lower bounds: the search, or the map, ended before the wall did.
+    holes
+        Dampings below `damping_range` at which no wall passed; the area is then a lower bound.
+    not_rendered
+        Dampings that were left out.
+    lowest
+        Softest wall that was tried: where none passed, the limit lies below it.
+    """
+
+    stiffness_undamped: float | None
+    stiffness_peak: float
+    damping_at_peak: float
+    damping_range: float
+    area: float
+    capped: bool
+    undamped_capped: bool
+    range_capped: bool
+    holes: tuple[float, ...]
+    not_rendered: tuple[float, ...]
+    lowest: float
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class ZWidth(Shown, Drawn):
+    """A finished map: its plan, the boundaries, and every hit, series by series (read from the journal, if any)."""
+
+    table_name: ClassVar[str] = "hits.parquet"
+
+    plan: MapPlan
+    boundaries: tuple[Boundary, ...]
+    hits: int
+    series: Sequence[list[dict[str, Any]]]  # rows of `run_series`, in the order of `MapPlan.series`
+    on_device: bool = False  # every hit ran over a link
+
+    @property
+    def cutoffs(self) -> str | None:
+        """How the cut-offs differ between schemes that state none; None where they do not."""
+        return describe_cutoffs(self.plan.schemes, self.plan.experiment)
+
+    @property
+    def of_device_loop(self) -> bool:
+        """Whether simulated hits under the host's law stand for a law on the device."""
+        return self.plan.experiment.controller.loop == "device" and not self.on_device
+
+    @classmethod
+    def of(cls, plan: MapPlan, series: Sequence[list[dict[str, Any]]], *, on_device: bool = False) -> ZWidth:
+        """Find the boundaries in the hits of every series."""
+        limits: dict[tuple[int, float, str], list[StiffnessLimit]] = {}
+        hits = 0
+        applied = [scheme.applied(plan.experiment) for scheme in plan.schemes]
+        for one, rows in zip(plan.series(), series, strict=True):
+            hits += len(rows)
+            for criterion in plan.criteria:
+                column = (one.scheme, one.damping, criterion)
+                limits.setdefault(column, []).append(limit_of(_tried(rows, criterion, plan.judged)))
+        boundaries = tuple(
+            Boundary.of(*column, found, rendered=rendered_share(applied[column[0]], column[1]))
+            for column, found in limits.items()
+        )
+        return cls(plan, boundaries, hits, series, on_device)
+
+    def curve(self, scheme: int, criterion: str) -> list[Boundary]:
+        """Boundaries of one scheme under one criterion, by damping."""
+        found = [b for b in self.boundaries if (b.scheme, b.criterion) == (scheme, criterion)]
+        return sorted(found, key=lambda boundary: boundary.damping)
+
+    def width(self, scheme: int, criterion: str) -> Width:
+        """Summarise one curve."""
+        curve = self.curve(scheme, criterion)
+        peak = max(curve, key=lambda boundary: boundary.counted)
+        extent = Extent.of([b.damping for b in curve], [b.counted for b in curve])
+        dropped = tuple(b.damping for b in curve if b.rendered < RENDERED)
+        return Width(
+            stiffness_undamped=curve[0].stiffness if curve[0].damping == 0.0 else None,
+            stiffness_peak=peak.counted,
+            damping_at_peak=peak.damping,
+            damping_range=extent.damping,
+            area=extent.area,
+            capped=any(b.capped for b in curve if b.rendered >= RENDERED),
+            undamped_capped=curve[0].damping == 0.0 and curve[0].capped > 0,
+            range_capped=curve[-1].counted > 0.0,
+            holes=tuple(b for b in extent.holes if b not in dropped),
+            not_rendered=dropped,
+            lowest=self.plan.search.lowest,
+        )
+
+    def invalid(self) -> dict[str, int]:
+        """Why hits were invalid, with how many each, the most common reason first."""
+        limits, why = config.verdict_thresholds(self.plan.experiment), Counter[str]()
+        suffix, column = TRUE if self.plan.judged == "true" else "", _passes("any", self.plan.judged)
+        for rows in self.series:
+            for row in rows:
+                if row[column] is None:
+                    numbers: Any = {name: row[name + suffix] for name in NUMBERS.names or ()}
+                    found = Objection(int(objections(numbers, limits))) & INVALID
+                    why.update([str(reason.name).lower().replace("_", " ") for reason in found] or [_BEFORE])
+        return dict(why.most_common())
+
+    def brief(self) -> list[Item]:
+        """Each scheme's width, by the criterion that every ripple counts for."""
+        x = self.plan.experiment
+        stiffness, damping = (unit_of(name, x.rig.motion) for name in ("stiffness", "damping"))
+        rows = []
+        for number, scheme in enumerate(self.plan.schemes):
+            width = self.width(number, "any")
+            least, beyond = ("≥ " if capped else "" for capped in (width.capped, width.range_capped))
+            peak = f"K up to {least}{written(width.stiffness_peak)} {stiffness}"
+            rows.append(
+                Row(scheme.label(x), f"{peak}, B up to {beyond}{written(width.damping_range)} {damping}")
+            )
+        notes = [] if self.cutoffs is None else [self.cutoffs]
+        by = "; judged by the simulation's truth" if self.plan.judged == "true" else ""
+        return [
+            f"Z-width of {x.rig.name}: {self.hits} hits, neither felt, heard nor moved{by}",
+            *rows,
+            *notes,
+        ]
+
+    def detailed(self) -> list[Item]:
+        """The short form, and the limit of each scheme at each damping."""
+        x = self.plan.experiment
+        stiffness, damping = (unit_of(name, x.rig.motion) for name in ("stiffness", "damping"))
+        curves = [self.curve(number, "any") for number in range(len(self.plan.schemes))]
+        head = (f"B ({damping})", *(f"K ({stiffness}), {scheme.label(x)}" for scheme in self.plan.schemes))
+        rows = [[limits[0].damping, *(b.stiffness for b in limits)] for limits in zip(*curves, strict=True)]
+        return [*self.brief(), Table(head, rows, words=0)]
+
+    def table(self) -> Iterator[dict[str, Any]]:
+        """Every hit as a flat row: scheme, damping, offset, repeat, stiffness, kinds and numbers."""
+        for one, rows in zip(self.plan.series(), self.series, strict=True):
+            of_series = asdict(one) | {"scheme": self.plan.schemes[one.scheme].text}
+            for row in rows:
+                yield of_series | row
+
+    def units(self) -> dict[str, str]:
+        """Unit of each column of the table that has one."""
+        quantities: dict[str, Any] = {"damping": "damping", "stiffness": "stiffness", "offset": "count"}
+        for name, quantity in UNITS.items():
+            quantities[name] = quantities[name + TRUE] = quantity
+        return {
+            name: unit_of(quantity, self.plan.experiment.rig.motion) for name, quantity in quantities.items()
+        }
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON: the plan, the boundaries and the widths, without the single hits."""
+        plan = self.plan
+        labels = [scheme.label(plan.experiment) for scheme in plan.schemes]
+        return {
+            "rig": plan.experiment.rig.name,
+            "motion": plan.experiment.rig.motion,
+            "trial": plan.experiment.trial.kind,
+            "schemes": [
+                {
+                    "scheme": scheme.text,
+                    "label": labels[number],
+                    "widths": {name: plain(self.width(number, name)) for name in plan.criteria},
+                    "curves": {name: plain(self.curve(number, name)) for name in plan.criteria},
+                }
+                for number, scheme in enumerate(plan.schemes)
+            ],
+            "search": asdict(plan.search),
+            "offsets": list(plan.offsets),
+            "repeats": plan.repeats,
+            "judged": plan.judged,
+            "hits": self.hits,
+            "invalid": self.invalid(),
+            "cutoffs": self.cutoffs,
+            "note": stands_for_device(self.plan.experiment) if self.of_device_loop else None,
+            "experiment": config.as_mapping(plan.experiment),
+        }
+
+
+def row_of(measured: Measured, suffix: str) -> dict[str, Any]:
+    """Columns of one side of a hit: kind, what passes, and every number."""
+    passes = (measured.passes(criterion) for criterion in CRITERIA)
+    return dict(zip(_columns(suffix), (str(measured.kind), *passes, *measured.numbers.item()), strict=True))
+
+
+def outcomes_of(row: Mapping[str, Any], judged: Judged) -> Outcomes:
+    """What a row says under each criterion, by the signals that decide."""
+    return {criterion: row[_passes(criterion, judged)] for criterion in CRITERIA}
+
+
+@cache
+def _columns(suffix: str) -> tuple[str, ...]:
+    names = ("kind", *(f"passes_{criterion}" for criterion in CRITERIA), *(NUMBERS.names or ()))
+    return tuple(name + suffix for name in names)
+
+
+def _passes(criterion: str, judged: Judged) -> str:
+    return f"passes_{criterion}" + (TRUE if judged == "true" else "")
+
+
+def _tried(rows: Iterable[Mapping[str, Any]], criterion: str, judged: Judged) -> dict[float, bool | None]:
+    column = _passes(criterion, judged)
+    return {row["stiffness"]: row[column] for row in rows}

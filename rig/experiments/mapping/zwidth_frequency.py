@@ -1,0 +1,292 @@
+"""Z-width in the frequency domain, with fidelity: for which walls (K, B) the impedance is passive, and how true it is.
+
+    found = zwidth(frequency_plan(presets.load("chawda-linear")))  # rig.experiments.mapping.maps, .ranges
+    table_one(found)  # rig.experiments.mapping.table_one
+
+A map is an exhaustive grid. Each wall is excited by several realisations of the excitation, and every one of them is
+judged by itself (its variance is then that between its periods, which does not see what friction does alike in each
+of them) and all together (variance between realisations). The spread of the first is the uncertainty of a single
+measurement; the second is the map. A wall that throws the handle out, or to its speed limit, is not passive.
+
+A task of the sweep is a column: one scheme and one damping. It is decided by its description alone, as in
+`rig.experiments.mapping.zwidth`, and by the same machinery: journal, resume, threads, Dask.
+
+Source: Chawda et al., section V, Figs. 5 to 8; verdict and fidelity are those of `rig.analysis.impedance.verdict`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import config
+from rig.analysis.impedance.signals import Floats
+from rig.config import Experiment
+from rig.config.schemes import Scheme
+from rig.core.drawn import Drawn
+from rig.core.present import Item, Row, plain
+from rig.core.sample import unit_of
+from rig.core.shown import Shown
+from rig.experiments import sweep
+from rig.experiments.mapping.impedance import ImpedanceResult, Judging, concluded, refuse_excitations
+from rig.experiments.mapping.searches import check_values
+from rig.experiments.trials.excitation_run import ExcitedRig, RealisationRun, Signal
+
+TOGETHER = -1  # number that stands for all realisations
+NUMBERS = (
+    "margin",  # least Re Z + tolerance over the lines
+    "worst_hz",  # where
+    "residual",  # share of the motion's power off the lines
+    "coherence",  # least, of the motion
+    "fidelity",  # rms of |Z| − |K/(jω) + B|
+    "fidelity_deviation",
+    "stiffness_percent",  # effective, of what was asked for
+    "damping_percent",
+    "saturated",  # share of ticks
+    "ended_s",
+)
+
+
+@dataclass(frozen=True, kw_only=True)  # without slots: `tasks` is cached
+class FrequencyPlan:
+    """What to map.
+
+    Attributes
+    ----------
+    experiment
+        Rig and excitation; its controller and its wall's K and B are what the map varies.
+    schemes
+        One map each.
+    stiffnesses, dampings
+        Of the grid, rising (N·m/rad or N/m, N·m·s/rad or N·s/m).
+    judging
+        Band and thresholds of the verdict.
+    signal
+        Which position is measured; see `rig.experiments.trials.excitation_run.ExcitedRig`.
+    """
+
+    experiment: Experiment
+    schemes: tuple[Scheme, ...]
+    stiffnesses: tuple[float, ...]
+    dampings: tuple[float, ...]
+    judging: Judging = Judging()  # noqa: RUF009  (frozen)
+    signal: Signal = "count"
+
+    unit: ClassVar[str] = "runs"
+
+    def __post_init__(self) -> None:
+        """Raise `PlanError` for a map without walls, with the same scheme twice, or with values in no rising order."""
+        check_values("schemes", [scheme.text for scheme in self.schemes], "scheme")
+        check_values("stiffnesses", self.stiffnesses, "stiffness", rising=True)
+        check_values("dampings", self.dampings, "damping", rising=True)
+
+    @property
+    def realisations(self) -> int:
+        """How many times each wall is excited."""
+        return self.experiment.excitation.realisations
+
+    @property
+    def band_hz(self) -> tuple[float, float]:
+        """Lines that count."""
+        excitation = self.experiment.excitation
+        return self.judging.band_hz or (excitation.low_hz, excitation.high_hz)
+
+    def columns(self) -> list[tuple[int, float]]:
+        """Number of the scheme and damping of every task."""
+        return [(number, damping) for number in range(len(self.schemes)) for damping in self.dampings]
+
+    @cached_property
+    def tasks(self) -> list[sweep.Task]:
+        """The columns as a sweep runs them.
+
+        Raises `PlanError` when the excitation is too large for the rig at the softest wall of some scheme.
+        """
+        applied = [scheme.applied(config.excited(self.experiment)) for scheme in self.schemes]
+        refuse_excitations([_walled(one, self.stiffnesses[0], self.dampings[0]) for one in applied])
+        return [
+            sweep.Task(
+                f"{number}/{damping!r}",
+                run_column,
+                {
+                    "experiment": config.as_mapping(_walled(applied[number], 0.0, damping)),
+                    "stiffnesses": list(self.stiffnesses),
+                    "judging": asdict(self.judging),
+                    "signal": self.signal,
+                },
+                weight=float(self.schemes[number].position_rate),
+            )
+            for number, damping in self.columns()
+        ]
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, which `from_mapping` turns into an equal plan."""
+        own = {"judging": asdict(self.judging), "schemes": [scheme.text for scheme in self.schemes]}
+        named = {name: getattr(self, name) for name in ("stiffnesses", "dampings", "signal")}
+        return {**plain(named), **own, "experiment": config.as_mapping(self.experiment)}
+
+    @classmethod
+    def from_mapping(cls, mapping: Mapping[str, Any], where: str) -> FrequencyPlan:
+        """The plan of plain values; `ConfigError` names `where`."""
+        return cls(
+            experiment=config.experiment_from_mapping(mapping["experiment"], where),
+            schemes=tuple(Scheme.parse(text) for text in mapping["schemes"]),
+            stiffnesses=tuple(mapping["stiffnesses"]),
+            dampings=tuple(mapping["dampings"]),
+            judging=_judging(mapping["judging"]),
+            signal=mapping["signal"],
+        )
+
+    def found(self, results: Sequence[Any]) -> FrequencyMap:
+        """The map that the results of all tasks make."""
+        return FrequencyMap.of(self, results)
+
+
+def run_column(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Excite every wall of one column; payload and result are JSON: a row per wall and realisation, and for all."""
+    experiment = config.restore_experiment(payload["experiment"])
+    judging = _judging(payload["judging"])
+    bench = ExcitedRig(experiment, signal=payload["signal"])
+    rows: list[dict[str, Any]] = []
+    for stiffness in payload["stiffnesses"]:
+        walled = _walled(bench.experiment, stiffness, experiment.wall.damping)
+        rows += wall_rows(bench, walled, judging, payload["signal"])
+    return rows
+
+
+def wall_rows(
+    bench: ExcitedRig, walled: Experiment, judging: Judging, signal: Signal
+) -> Iterator[dict[str, Any]]:
+    """Excite one wall: a row for each realisation, and one for all of them together."""
+    wall = walled.wall
+    runs: list[RealisationRun] = []
+    for realisation in range(walled.excitation.realisations):
+        runs.append(bench.excite(wall.stiffness, wall.damping, realisation))
+        yield _row(concluded(walled, runs[-1:], signal=signal, judging=judging), realisation, 1)
+    yield _row(concluded(walled, runs, signal=signal, judging=judging), TOGETHER, 0)
+
+
+def _row(result: ImpedanceResult, realisation: int, runs: int) -> dict[str, Any]:
+    judgement, fidelity = result.judgement, result.fidelity
+    row: dict[str, Any] = {
+        "stiffness": result.wall[0],
+        "realisation": realisation,
+        "runs": runs,
+        "passive": judgement is not None and judgement.passive,
+        "reason": result.ended or ("" if judgement is None else "; ".join(judgement.reasons)),
+    }
+    numbers: dict[str, float] = dict.fromkeys(NUMBERS, math.nan) | {"saturated": result.saturated}
+    if judgement is None or fidelity is None:
+        numbers["ended_s"] = result.ended_s or 0.0
+    else:
+        numbers |= {
+            "margin": judgement.passivity.margin,
+            "worst_hz": judgement.passivity.worst_hz,
+            "residual": judgement.residual,
+            "coherence": judgement.least_coherence,
+            "fidelity": fidelity.rms,
+            "fidelity_deviation": fidelity.rms_deviation,
+            "stiffness_percent": fidelity.stiffness_percent,
+            "damping_percent": fidelity.damping_percent,
+        }
+    return row | {name: value if math.isfinite(value) else None for name, value in numbers.items()}
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class FrequencyMap(Shown, Drawn):
+    """A finished map.
+
+    Attributes
+    ----------
+    plan
+        What was mapped.
+    columns
+        Rows of `run_column`, in the order of `FrequencyPlan.columns`.
+    passive
+        Verdicts, ``passive[scheme, realisation, damping, stiffness]``; the last realisation is all together.
+    fidelity
+        The same of the fidelity's rms, NaN where the guard ended the run.
+    """
+
+    table_name: ClassVar[str] = "walls.parquet"
+
+    plan: FrequencyPlan
+    columns: Sequence[list[dict[str, Any]]]
+    passive: NDArray[np.bool_]
+    fidelity: Floats
+
+    @classmethod
+    def of(cls, plan: FrequencyPlan, columns: Sequence[list[dict[str, Any]]]) -> FrequencyMap:
+        """Arrange the rows of every column."""
+        each = plan.realisations + 1
+        shape = (len(plan.schemes), len(plan.dampings), len(plan.stiffnesses), each)
+
+        def arranged(name: str, dtype: Any) -> Any:
+            values = [row[name] for rows in columns for row in rows]
+            array = np.array([math.nan if value is None else value for value in values], dtype=dtype)
+            return np.ascontiguousarray(np.moveaxis(array.reshape(shape), 3, 1))
+
+        return cls(plan, columns, arranged("passive", np.bool_), arranged("fidelity", np.float64))
+
+    def brief(self) -> list[Item]:
+        """How many walls of each scheme are passive."""
+        plan, (low, high) = self.plan, self.plan.band_hz
+        walls = len(plan.dampings) * len(plan.stiffnesses)
+        rows = [
+            Row(scheme.label(plan.experiment), f"{int(passive.sum())} of {walls} walls passive")
+            for scheme, passive in zip(plan.schemes, self.passive[:, -1], strict=True)
+        ]
+        return [f"impedances of {plan.experiment.rig.name}, from {low:g} to {high:g} Hz", *rows]
+
+    def table(self) -> Iterator[dict[str, Any]]:
+        """Yield every row, flat: scheme and damping first; a row for all realisations together has realisation None."""
+        for (number, damping), rows in zip(self.plan.columns(), self.columns, strict=True):
+            for row in rows:
+                of_row = {key: value for key, value in row.items() if key != "runs"}
+                if row["realisation"] == TOGETHER:
+                    of_row["realisation"] = None
+                yield {"scheme": self.plan.schemes[number].text, "damping": damping} | of_row
+
+    def units(self) -> dict[str, str]:
+        """Unit of each column of the table that has one."""
+        motion = self.plan.experiment.rig.motion
+        damping = unit_of("damping", motion)
+        return {
+            "damping": damping,
+            "stiffness": unit_of("stiffness", motion),
+            "worst_hz": "Hz",
+            "ended_s": "s",
+            "stiffness_percent": "%",
+            "damping_percent": "%",
+            **dict.fromkeys(("margin", "fidelity", "fidelity_deviation"), damping),
+        }
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON: everything but the single walls and Table I."""
+        plan, x = self.plan, self.plan.experiment
+        return {
+            "domain": "frequency",
+            "rig": x.rig.name,
+            "motion": x.rig.motion,
+            "stiffnesses": list(plan.stiffnesses),
+            "dampings": list(plan.dampings),
+            "judging": {**asdict(plan.judging), "band_hz": list(plan.band_hz)},
+            "excitation": {**config.as_mapping(x)["excitation"], **config.excitation_size(x)},
+            "signal": plan.signal,
+            "passive": self.passive[:, -1].tolist(),
+            "experiment": config.as_mapping(x),
+        }
+
+
+def _walled(experiment: Experiment, stiffness: float, damping: float) -> Experiment:
+    return replace(experiment, wall=replace(experiment.wall, stiffness=stiffness, damping=damping))
+
+
+def _judging(mapping: Mapping[str, Any]) -> Judging:
+    band = mapping["band_hz"]
+    return Judging(**{**mapping, "band_hz": None if band is None else tuple(band)})

@@ -1,0 +1,305 @@
+"""A torque pulse before a person takes the handle: the rig has to move as it is described, in both directions.
+
+    found = pulse(device, experiment, recording=Path("pulse.rigcap"), verified=True, reference_count=0)
+    found.ok, found.checks
+
+Four small pushes, two each way, each growing until the handle has moved a few counts: by the law that the rig's runs
+have, on this computer (`rig.control.motions.nudges`) or on the board (`rig.experiments.motion.board_pushes`).
+They need no sensor of the current, no known sign, and no more energy than `energy_of`. A motor that is dead or
+reversed, an encoder that is dead or swapped, one dead channel of it, and a scale that is wrong by a factor show in
+whether, where to, how much and when the handle moves. What they cannot tell from a dead motor is friction beyond what a
+push may use: then nothing was observed, and the rig is not armed for a person either.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import config, devices
+from rig.analysis.identification.quality import IdentificationError
+from rig.analysis.identification.signs import SignCheck
+from rig.config import Experiment
+from rig.core.check import Check, Outcome, refuse, refused
+from rig.core.errors import DeviceFaultError
+from rig.core.present import reported
+from rig.core.same_rig import check_rig
+from rig.core.sample import unit_of
+from rig.core.this_system import refuse_real_time
+from rig.devices.framed import FramedDevice
+from rig.experiments.motion.board_pushes import board_pushes
+from rig.experiments.motion.motion_run import (
+    FreeRigRequest,
+    Pushes,
+    position_now,
+    refuse_unverified,
+    repeat_if_late,
+    run_motion,
+    signs_of,
+    stalled,
+    trial_rows,
+)
+from rig.experiments.trials.identify_motions import (
+    coulomb_of,
+    most_push,
+    observable_check,
+    push_growth,
+    push_way,
+    pushes_motion,
+    slow_rate,
+    still,
+)
+from rig.experiments.trials.plan import link_checks
+from rig.experiments.trials.zero import position_zero
+from rig.realtime import stop_requests
+from rig.recording.files import free_name, plain_errors
+
+PUSHES = 4
+# The rules, written before their results (`tests/benchmarks/pulses.py`): inertia within this factor of the described
+# one is as described; the motion begins within this factor of the described friction's time, and so long after it.
+SAME_SCALE, SAME_FRICTION, LATEST_S = 1.6, 2.0, 0.05
+
+NO_HANDS = "hands off the handle: the motor moves it a little, both ways"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pulse:
+    """What the pushes showed.
+
+    Attributes
+    ----------
+    rig, motion, device
+        Names of the rig and of the device; the kind of motion, which decides the units.
+    recording
+        The file of the pushes; of the first, where the board made them one by one.
+    signs
+        What was measured.
+    checks
+        What that says: motion, direction, size, delay.
+    """
+
+    rig: str
+    motion: str
+    device: str
+    recording: Path
+    signs: SignCheck = field(repr=False)
+    checks: tuple[Check, ...]
+
+    @reported
+    def ok(self) -> bool:
+        """Whether the rig may be armed for a person."""
+        return not refused(self.checks)
+
+    def insist(self) -> None:
+        """Raise `IdentificationError` with everything that these checks refuse, and what to do."""
+        if found := refused(self.checks):
+            raise IdentificationError(
+                "the rig does not move as it is described: "
+                + "; ".join(f"{one.name}: {one.text}" for one in found),
+                remedy="; ".join(one.remedy for one in found),
+            )
+
+
+def check_rig_moves(request: FreeRigRequest) -> Pulse:
+    """Open a device, and send it a pulse. Errors as `pulse`, and those of opening it."""
+    x = config.override(request.experiment, request.changes)
+    url = devices.url_for(request.url or "sim://", x.controller.loop)
+    with devices.open_device(url, config.rig_model(still(x))) as device:
+        output = Path(request.output)
+        with plain_errors("make", output):
+            output.mkdir(parents=True, exist_ok=True)
+        return pulse(
+            device,
+            x,
+            recording=free_name(output, f"{x.rig.name}-pulse"),
+            verified=request.verified,
+            reference_count=position_zero(device, x),
+        )
+
+
+@stop_requests.together()
+def pulse(
+    device: FramedDevice, experiment: Experiment, *, recording: Path, verified: bool, reference_count: int
+) -> Pulse:
+    """Push a rig whose handle is free, and compare its motion with the described one.
+
+    Parameters
+    ----------
+    device
+        Open, at rest. Where all is well it is marked as one that moved as described.
+    experiment
+        The rig is compared with, its limits are kept.
+    recording
+        The capture to write.
+    verified, reference_count
+        As in `rig.experiments.hits.hit.HitRequest`.
+
+    Raises
+    ------
+    PlanError
+        Another rig, or one that must not move: nothing has moved.
+    ConfigError
+        A real rig whose polarity is not verified.
+    RigError
+        Whatever ended the pushes early; the effort is zero.
+    """
+    device.moved_as_described = False
+    refuse_unverified(device, verified=verified)
+    refuse([check_rig(config.rig_model(still(experiment)), device.dictionary)])
+    changes = at_own_rate(experiment, device)
+    if experiment.trial.kind == "human":  # an end mass belongs to automated trials
+        changes["rig.mechanics.end_mass"] = 0.0
+    x = config.override(experiment, changes, "the torque pulse")
+    on_board = x.controller.loop == "device"
+    if not on_board and not device.link.clock.virtual:
+        refuse_real_time('the torque pulse of controller.loop = "host"')
+    refuse(link_checks(still(x), device.dictionary.position_rate_maximum, device.link.bytes_per_second))
+    push = board_pushes if on_board else _host_pushes
+    made = push(
+        device,
+        x,
+        PUSHES,
+        recording,
+        verified=verified,
+        reference_count=reference_count,
+        extra={"pulse": {"pushes": PUSHES, "most_effort": most_push(x), "way": push_way(x)}},
+    )
+    signs = signs_of(x, made.rows, slow_rate(x))
+    found = Pulse(
+        rig=x.rig.name,
+        motion=x.rig.motion,
+        device=device.dictionary.device,
+        recording=made.recording,
+        signs=signs,
+        checks=judged(x, signs),
+    )
+    if made.ended is not None and found.ok:
+        raise made.ended
+    device.moved_as_described = found.ok
+    return found
+
+
+def _host_pushes(
+    device: FramedDevice,
+    x: Experiment,
+    pushes: int,
+    recording: Path,
+    *,
+    verified: bool,
+    reference_count: int,
+    extra: Mapping[str, Any],
+) -> Pushes:
+    """`board_pushes` by a law of this computer, in one trial."""
+
+    def run() -> tuple[NDArray[np.void], Path]:
+        used = any(recording.with_suffix(suffix).exists() for suffix in (".rigcap", ".parquet"))
+        return run_motion(
+            device,
+            pushes_motion(x, position_now(device, x, reference_count), pushes),
+            free_name(recording.parent, recording.stem) if used else recording,
+            verified=verified,
+            reference_count=reference_count,
+            extra=extra,
+            leaves_switch=True,
+        )
+
+    try:
+        (rows, path), _ = repeat_if_late(device, run, slow_rate(x))
+    except DeviceFaultError as error:
+        sealed = stalled(error)
+        assert sealed.path is not None
+        return Pushes(trial_rows(sealed), sealed.path, error)
+    return Pushes(rows, path)
+
+
+def at_own_rate(x: Experiment, device: FramedDevice) -> dict[str, Any]:
+    """In real time the loop runs at the device's own rate: slow motions need no more."""
+    if device.link.clock.virtual:
+        return {}
+    rate = min(device.dictionary.position_rate_default, slow_rate(x))
+    return dict.fromkeys(("controller.position_rate", "controller.velocity_rate"), rate)
+
+
+def energy_of(x: Experiment) -> float:
+    """Most that the motor gives to the handle in one push (J): its most effort over its way."""
+    return most_push(x) * push_way(x)
+
+
+def judged(x: Experiment, signs: SignCheck) -> tuple[Check, ...]:
+    """Judge the pushes of a rig: whether it moved, where to, how much, and when."""
+    most, coulomb = most_push(x), coulomb_of(x)
+    effort = unit_of("effort", x.rig.motion)
+    moved = [push for push in signs.pushes if push.moved]
+    if not moved:
+        return (_not_moved(x, signs, most, coulomb, effort),)
+    sizes = [push.inertia for push in moved if math.isfinite(push.inertia)]
+    begins = float(np.median([push.began_s for push in moved]))
+    expected = coulomb / push_growth(x)
+    latest = SAME_FRICTION * expected + LATEST_S
+    return (
+        _check(
+            "motion",
+            len(moved) == PUSHES,
+            f"{len(moved)} of {PUSHES} pushes of at most {most:.3g} {effort} moved the handle",
+            "see that nothing touches the handle, then check again; a contact of motor or encoder may be loose",
+        ),
+        _check(
+            "direction",
+            signs.sign == 1,
+            "a positive effort raises the position"
+            if signs.sign == 1
+            else "a positive effort lowers the position"
+            if signs.sign == -1
+            else "some pushes moved the handle along, some against",
+            "motor or encoder are connected the other way round: swap two wires, or turn rig.encoder.sign"
+            if signs.sign == -1
+            else "see that nobody holds the handle, then check again",
+        ),
+        _check(
+            "size",
+            len(sizes) > 0 and 1.0 / SAME_SCALE <= signs.scale <= SAME_SCALE,
+            f"the handle answers like {signs.scale:.2g} times the inertia described; up to {SAME_SCALE:g} is borne",
+            "check the torque constant, the ratio and the decoding of the encoder (a half or a quarter: it counts two "
+            "or four for one; twice: half of the effort), and that nobody holds the handle",
+        ),
+        Check(
+            "delay",
+            Outcome.OK if begins <= latest else Outcome.WARNING,
+            f"the handle begins to move {begins:.3g} s into a push, {begins * push_growth(x):.3g} {effort}; described "
+            f"friction {coulomb:.3g} {effort}: {expected:.3g} s, at the latest {latest:.3g} s",
+            "friction is larger than described, or the effort comes late: `rig identify` measures both",
+        ),
+    )
+
+
+def _not_moved(x: Experiment, signs: SignCheck, most: float, coulomb: float, effort: str) -> Check:
+    seen = max((push.seen for push in signs.pushes), default=0.0)
+    text = f"nothing moved, up to {most:.3g} {effort}"
+    if (hidden := observable_check(x)).outcome is not Outcome.OK:
+        bears = " if the rig bears it, or free the mechanism" if hidden.changes else ""
+        return _check("motion", False, f"not observed: {text}; {hidden.text}", f"{hidden.remedy}{bears}")
+    if seen > 0.5 * x.rig.encoder.resolution:
+        return _check(
+            "motion",
+            False,
+            f"the count goes to and fro by one, up to {most:.3g} {effort}: a channel of the encoder is dead",
+            "check both channels of the encoder and their wires",
+        )
+    times = f", {most / coulomb:.2g} times the described friction" if coulomb > 0.0 else ""
+    return _check(
+        "motion",
+        False,
+        f"{text}{times}: the motor is dead, the encoder is dead, or the handle is blocked or rubs more than that",
+        "move the handle by hand: if the position follows (`rig device show URL`), check the motor's leads and the "
+        "amplifier's supply, or describe its friction (rig.mechanics.motor_coulomb); if not, the encoder's",
+    )
+
+
+def _check(name: str, holds: bool, text: str, remedy: str) -> Check:
+    return Check(name, Outcome.OK if holds else Outcome.REFUSED, text, "" if holds else remedy)

@@ -1,0 +1,429 @@
+"""Find the reference: to the limit switch, back to the encoder's index, and position zero is known in the mechanism.
+
+    found = find_reference(ReferenceRequest(experiment=x, url="usb://…", verified=True))
+    found.reference_count
+
+An incremental encoder counts from where the handle stood at power-up. Its index comes once in a turn of the encoder, so
+that behind a limit switch the first one on the way back is always the same. Where the travel holds one index only, it
+is enough by itself. The device keeps what was found until it restarts or loses counts: walls then stand at the same
+place of the mechanism, wherever the handle was placed before (drives call this homing by limit switch and
+index pulse; here homing is the servo that takes the handle to the start of a trial).
+
+A search with a wrong sign runs away, so that it begins with a torque pulse (`rig.experiments.motion.pulse`) and is
+bounded: by the speed and effort of homing, by a window of the travel and a margin, and by time. Each ends with zero
+effort and a reason. The index is always passed in the same direction, since its pulse has a width.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_protocol.faults import Input
+from firmware_protocol.messages import State
+from rig import config, devices
+from rig.analysis.identification.quality import IdentificationError
+from rig.config import Experiment
+from rig.config.controller import resolution
+from rig.core.check import refuse
+from rig.core.errors import ConfigError, DeviceFaultError, GuardError
+from rig.core.keyword import Keyword
+from rig.core.present import Row
+from rig.core.same_rig import check_rig
+from rig.core.sample import Motion, unit_of
+from rig.devices.framed import FramedDevice
+from rig.experiments.motion.motion_run import FreeRigRequest, refuse_unverified, run_motion
+from rig.experiments.motion.pulse import at_own_rate, pulse
+from rig.experiments.trials.identify_motions import still, way_motion
+from rig.experiments.trials.plan import link_checks
+from rig.experiments.trials.preparation import prepared_on
+from rig.experiments.trials.trial import end_of
+from rig.loop.layout import EndReason
+from rig.realtime import stop_requests
+from rig.recording.files import free_name, plain_errors
+
+MARGIN = (
+    0.1  # of the travel, that a search goes beyond it; of the window, that the handle keeps from its ends
+)
+LEAVE = 1 / 16  # of the distance of two indices, in which the switch has to open
+NEAR = (
+    0.1  # of that distance: an index so near to the switch may be the one before it or behind it another day
+)
+SAME_COUNTS = 2  # by which the distance of two indices may be wrong: each is latched within a count
+BOTH = 2.25  # distances that a travel must hold for a second index behind the switch
+FOLLOWS = 0.05  # of a way, by which the handle may end short of it
+LOOK_S, HAND_S = 0.02, 120.0
+BLOCKED = "see that nothing stands in the travel, a stop before the switch or a hand"
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReferenceRequest(FreeRigRequest):
+    """Which rig is to find its reference, and how; by hand nothing has to be verified."""
+
+    by_hand: Annotated[bool, Keyword("Somebody moves the handle; the motor stays off.")] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundReference:
+    """Where position zero is.
+
+    Attributes
+    ----------
+    rig, motion, device
+        Names of the rig and of the device; the kind of motion, which decides the units.
+    reference_count
+        Count at position zero.
+    index_count
+        Count at the index.
+    position
+        Where the handle stands (rad or m).
+    switch_position
+        Where the limit switch opens (rad or m); None without one.
+    index_counts
+        Counts from this index to the next, as they were passed; None where the travel holds no second one.
+    recordings
+        Of the motions; none by hand.
+    """
+
+    rig: str
+    motion: Motion
+    device: str
+    reference_count: int
+    index_count: int
+    position: float
+    switch_position: float | None
+    index_counts: int | None
+    recordings: tuple[Path, ...]
+
+    def rows(self) -> list[Row]:
+        """Return it for people."""
+        unit = unit_of("position", self.motion)
+        between = "not measured: the travel holds one" if self.index_counts is None else self.index_counts
+        return [
+            Row("position zero", self.reference_count, "count"),
+            Row("index", self.index_count, "count"),
+            Row("to the next index", between, "" if self.index_counts is None else "count"),
+            *([] if self.switch_position is None else [Row("limit switch", self.switch_position, unit)]),
+            Row("handle", self.position, unit),
+            *(Row("recording", str(path)) for path in self.recordings),
+        ]
+
+
+def find_reference(request: ReferenceRequest, tell: Tell | None = None) -> FoundReference:
+    """Open a device, and find its reference; `tell` is called with what happens next. Errors as `reference`."""
+    x = config.override(request.experiment, request.changes)
+    _refuse_without_index(x)
+    url = devices.url_for(request.url or "sim://", x.controller.loop)
+    with devices.open_device(url, config.rig_model(still(x))) as device:
+        return reference(
+            device,
+            x,
+            output=Path(request.output),
+            verified=request.verified,
+            by_hand=request.by_hand,
+            tell=tell,
+        )
+
+
+@stop_requests.together()
+def reference(
+    device: FramedDevice,
+    experiment: Experiment,
+    *,
+    output: Path,
+    verified: bool,
+    by_hand: bool = False,
+    tell: Tell | None = None,
+) -> FoundReference:
+    """Find the reference of an open device, which keeps it, and takes it for position zero from then on.
+
+    Parameters
+    ----------
+    device
+        Open, at rest.
+    experiment
+        Its rig has an index (`rig.reference`); its homing says how fast and how hard the handle moves.
+    output
+        Directory of the recordings.
+    verified
+        As in `rig.experiments.hits.hit.HitRequest`; not needed by hand.
+    by_hand
+        A person moves the handle, not the motor.
+    tell
+        Called with what happens next, or what to do.
+
+    Raises
+    ------
+    ConfigError
+        No index; no limit switch to search for; a real rig whose polarity is not verified. Nothing has moved.
+    IdentificationError
+        The rig does not move as described, no switch or no index where it must be, or two indices at a wrong distance.
+    RigError
+        Whatever ended a motion early; the effort is zero.
+    """
+    _refuse_without_index(experiment)
+    refuse([check_rig(config.rig_model(still(experiment)), device.dictionary)])
+    x = config.override(experiment, at_own_rate(experiment, device), "reference")
+    search = _IndexSearch(device, x, output, tell or (lambda text: None), verified=verified)
+    if by_hand:
+        index_count, switch_count, passed = search.by_hand()
+    else:
+        index_count, switch_count, passed = search.by_motor()
+    scale, at = resolution(x), x.rig.reference.position
+    zero = index_count - round(at / scale)
+    device.reference_count = zero
+    run = prepared_on(
+        device, still(x), verified=verified or device.dictionary.simulated, reference_count=zero
+    )
+    device.configure(run.parameters)
+    if not by_hand:
+        search.into_the_window(zero)
+    return FoundReference(
+        rig=x.rig.name,
+        motion=x.rig.motion,
+        device=device.dictionary.device,
+        reference_count=zero,
+        index_count=index_count,
+        position=scale * (device.count() - zero),
+        switch_position=None if switch_count is None else scale * (switch_count - zero),
+        index_counts=passed,
+        recordings=tuple(search.recordings),
+    )
+
+
+def _refuse_without_index(x: Experiment) -> None:
+    if not x.rig.reference.index:
+        raise ConfigError(
+            f"{x.rig.name} has no index to find: rig.reference.index is false",
+            remedy="set it, with rig.reference.travel, and a limit switch where the travel holds more than one index; "
+            "or put the handle at position zero before each run",
+        )
+
+
+_Found = tuple[int, int | None, int | None]  # counts: of the index, of the switch, to the next index
+
+
+class _IndexSearch:
+    """One search on an open device, in counts; positions are relative to a zero that is not known yet."""
+
+    def __init__(
+        self, device: FramedDevice, x: Experiment, output: Path, tell: Tell, *, verified: bool
+    ) -> None:
+        self._device, self._x, self._output, self._tell, self._verified = device, x, output, tell, verified
+        self._scale, self._reference = resolution(x), x.rig.reference
+        self._every = self._reference.index_counts(x.rig.encoder)
+        assert self._reference.travel is not None  # a rule of the configuration
+        self._travel = self._reference.travel
+        # Away from the switch, in counts: up without one.
+        self._away = (self._reference.away or 1) * x.rig.encoder.sign
+        limits = x.rig.limits
+        self._middle = 0.5 * (limits.position_minimum + limits.position_maximum)
+        self._zero = device.count() - round(self._middle / self._scale)
+        self.recordings: list[Path] = []
+
+    # ------------------------------------------------------------------ by the motor
+
+    def by_motor(self) -> _Found:
+        device, x = self._device, self._x
+        if self._reference.limit_switch == "none":
+            raise ConfigError(
+                f"{x.rig.name} has no limit switch to move to (rig.reference.limit_switch)",
+                remedy="move the handle by hand: `by_hand`; the travel holds one index, which is then enough",
+            )
+        refuse(link_checks(still(x), device.dictionary.position_rate_maximum, device.link.bytes_per_second))
+        refuse_unverified(device, verified=self._verified)
+        with plain_errors("make", self._output):
+            self._output.mkdir(parents=True, exist_ok=True)
+        self._tell("signs: a torque pulse, hands off the handle")
+        signs = pulse(
+            device, x, recording=self._name("pulse"), verified=self._verified, reference_count=self._zero
+        )
+        self.recordings.append(signs.recording)
+        signs.insist()
+        if not self._pressed():
+            self._tell(f"to the limit switch at the {self._reference.limit_switch} of the travel")
+            self._seek()
+        self._tell("back to the index")
+        switch, before = self._leave()
+        self._go(switch + self._away * self._every, "index")
+        first = self._one_more(before)
+        self._check_near(first, switch)
+        if self._travel < BOTH * self._every * abs(self._scale):
+            return first, switch, None
+        self._go(switch + 2 * self._away * self._every, "next-index")
+        second = self._one_more(before + 1)
+        self._check_distance(first, second)
+        return first, switch, abs(second - first)
+
+    def _pressed(self) -> bool:
+        return bool(self._look().inputs & Input.LIMIT_SWITCH)
+
+    def _look(self) -> State:
+        for _ in range(round(1.0 / LOOK_S)):
+            if found := self._device.states(LOOK_S):
+                return found[-1]
+        raise IdentificationError("the device shows no STATE", remedy="update its firmware")
+
+    def _name(self, what: str) -> Path:
+        return free_name(self._output, f"{self._x.rig.name}-reference-{what}")
+
+    def _go(self, count: int, what: str, *, zero: int | None = None) -> NDArray[np.void]:
+        """Move to a count, and return the rows of the way."""
+        device, zero = self._device, self._zero if zero is None else zero
+        at, to = self._scale * (device.count() - zero), self._scale * (count - zero)
+        try:
+            rows, recording = run_motion(
+                device,
+                way_motion(self._x, at, to, MARGIN * self._travel),
+                self._name(what),
+                verified=self._verified,
+                reference_count=zero,
+                extra={"reference": what},
+                leaves_switch=what != "switch",
+            )
+        except DeviceFaultError as error:  # a handle that stands still under effort is a fault of its own
+            error.remedy = f"{BLOCKED}; {error.remedy}"
+            raise
+        except GuardError as error:
+            end = end_of(error)
+            if end is not None and end.reason is EndReason.UNMOVED:
+                error.remedy = f"{BLOCKED}; {error.remedy}"
+            if end is None or end.reason is not EndReason.HOMING_FAILED:  # of a way that the board went
+                raise
+            raise self._short(abs(to - self._scale * (device.count() - zero))) from error
+        self.recordings.append(recording)
+        short = abs(to - float(rows["position"][-1]))
+        if what != "switch" and short > FOLLOWS * self._every * abs(self._scale):
+            raise self._short(short)
+        return rows
+
+    def _short(self, way: float) -> IdentificationError:
+        return IdentificationError(
+            f"the handle ended {way:.3g} {unit_of('position', self._x.rig.motion)} short of its way",
+            remedy="see that nobody holds it, and that nothing stands in its travel; or raise homing.effort",
+        )
+
+    def _seek(self) -> None:
+        """Move until the switch is pressed: the run ends there."""
+        way = -self._away * round((1.0 + MARGIN) * self._travel / abs(self._scale))
+        try:
+            self._go(self._device.count() + way, "switch")
+        except GuardError as error:
+            end = end_of(error)
+            if end is None or end.reason is not EndReason.LIMIT_SWITCH:
+                raise
+            self.recordings.append(end.recording)
+            return
+        raise IdentificationError(
+            f"no limit switch within a travel of {self._travel:.4g} {unit_of('position', self._x.rig.motion)} towards "
+            f"the {self._reference.limit_switch}",
+            remedy="check rig.reference.limit_switch and travel, the board's setting of the switch, and that the "
+            "handle presses it; a stop before it, or a hand, holds the handle back as well",
+        )
+
+    def _leave(self) -> tuple[int, int]:
+        """Move until the switch is open again; the last count at which it was pressed, and the indices seen before."""
+        step = max(1, round(LEAVE * self._every))
+        for _ in range(round(1.0 / LEAVE)):
+            before = self._device.reference().index_edges
+            rows = self._go(self._device.count() + self._away * step, "leave")
+            if not self._pressed():
+                pressed = np.flatnonzero(rows["inputs"] & int(Input.LIMIT_SWITCH))
+                return int(rows["count"][pressed[-1] if len(pressed) else 0]), before
+        raise IdentificationError(
+            "the limit switch stays pressed on the way from it",
+            remedy="its wire is broken, or it stands at the other end (rig.reference.limit_switch)",
+        )
+
+    # ------------------------------------------------------------------ by hand
+
+    def by_hand(self) -> _Found:
+        """Observe the index and the switch while a person moves the handle."""
+        away = "rising" if self._away * self._x.rig.encoder.sign > 0 else "falling"
+        switched = self._reference.limit_switch != "none"
+        where = "press the limit switch with the handle, then move it" if switched else "move the handle"
+        self._tell(f"{where} slowly through its travel, with {away} position, without turning back")
+        switch: int | None = None
+        before, begun, first = self._device.reference().index_edges, self._device.count(), None
+        both = switched and self._travel >= BOTH * self._every * abs(self._scale)
+        for _ in range(round(HAND_S / LOOK_S)):
+            state, seen = self._look(), self._device.reference()
+            if switched and (state.inputs & Input.LIMIT_SWITCH or switch is None):
+                pressed = state.inputs & Input.LIMIT_SWITCH
+                switch, before, first = (state.count if pressed else None), seen.index_edges, None
+                continue
+            if seen.index_edges == before:
+                continue
+            if first is None:
+                first = self._one_more(before)
+                self._check_near(first, begun if switch is None else switch)
+                if not both:
+                    return first, switch, None
+            elif seen.index_edges != before + 1:
+                second = self._one_more(before + 1)
+                self._check_distance(first, second)
+                return first, switch, abs(second - first)
+        raise IdentificationError(
+            f"{'the limit switch' if switched and switch is None else 'an index'} was not seen within {HAND_S:g} s",
+            remedy="move the handle as told; else check the wires and the board's settings of index and limit switch",
+        )
+
+    # ------------------------------------------------------------------ judging
+
+    def _one_more(self, before: int) -> int:
+        """Count of the one index that must have been passed since there were `before`."""
+        seen = self._device.reference()
+        passed = (seen.index_edges - before) % 2**32
+        if passed == 1:
+            return seen.index_count
+        raise IdentificationError(
+            "no index came within the distance of two"
+            if passed == 0
+            else f"{passed} indices came where one must be",
+            remedy="check the index's wire, the board's setting of it, and rig.encoder.counts_per_revolution; move on "
+            "without turning back"
+            if passed == 0
+            else "noise on the index's wire, or a wrong rig.encoder.counts_per_revolution or decoding",
+        )
+
+    def _check_near(self, index: int, switch: int) -> None:
+        """Refuse an index that another day may be the one before."""
+        way = self._away * (index - switch)
+        if self._reference.limit_switch == "none":
+            if way < 0:
+                raise IdentificationError(
+                    "the index was passed in the wrong direction", remedy="move the handle as told"
+                )
+            return
+        if not NEAR * self._every <= way <= (1.0 - NEAR) * self._every:
+            raise IdentificationError(
+                f"the index lies {way} counts from the limit switch, of {self._every} between two: on another day the "
+                "one before it or behind it may come first",
+                remedy="move the switch by about half of the way between two indices",
+            )
+
+    def _check_distance(self, first: int, second: int) -> None:
+        between = abs(second - first)
+        if abs(between - self._every) > SAME_COUNTS:
+            raise IdentificationError(
+                f"from one index to the next are {between} counts, and {self._every} are described",
+                remedy="a pulse was lost or doubled by noise, or the encoder has lost counts; or correct "
+                "rig.encoder.counts_per_revolution, decoding or rig.reference.index_distance",
+            )
+
+    def into_the_window(self, zero: int) -> None:
+        """Bring the handle to where a run may begin."""
+        limits = self._x.rig.limits
+        margin = MARGIN * (limits.position_maximum - limits.position_minimum)
+        at = self._scale * (self._device.count() - zero)
+        to = min(max(at, limits.position_minimum + margin), limits.position_maximum - margin)
+        if to != at:
+            self._tell("into the position window")
+            self._go(zero + round(to / self._scale), "window", zero=zero)

@@ -1,0 +1,150 @@
+"""What an excited run will do, and whether it may: peaks by the linear closed form, before anything moves.
+
+Friction is left out, which errs on the hard side; so is whatever only instability brings, of which linear theory warns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from rig import config
+from rig.analysis.impedance.ideal import bare, rendered
+from rig.analysis.theory.lifted import Lifted
+from rig.analysis.theory.loop import LinearLoop, linear_loop
+from rig.config import Experiment
+from rig.control.excitation import Peak
+from rig.core.check import Check, Outcome
+from rig.core.errors import ConfigError
+from rig.core.sample import Motion, unit_of
+from rig.experiments.trials.excitation_run import multisine_of
+from rig.experiments.trials.planned import Plan, Step, heat_check, limited, where_it_runs
+
+RENDERED = "peak motor effort"  # of `rig.control.excitation.Multisine.check`
+
+
+def excitation_plan(experiment: Experiment) -> Plan:
+    """List and check a measurement of an impedance; `rig.experiments.trials.plan.make_plan` calls it for that kind."""
+    x = config.excited(experiment)
+    checks = (*excitation_checks(x), *_heat_checks(x))
+    return Plan(x.rig.name, x.excitation.realisations, _steps(x), checks)
+
+
+def excitation_checks(experiment: Experiment) -> list[Check]:
+    """Whether an excitation keeps within what effort, window and speed allow, by the linear closed form.
+
+    Friction is left out, which makes the prediction hard; so are the wall's estimator where it is not linear (a raw
+    difference stands in) and all that only instability brings.
+    """
+    x, motion, limits = experiment, experiment.rig.motion, experiment.rig.limits
+    wall, centre = x.wall, x.wall.position
+    loop = _linear_loop(x)
+    multisines = [multisine_of(x, number) for number in range(x.excitation.realisations)]
+    lines = multisines[0].lines_hz
+    whole, alone = rendered(loop, wall.stiffness, wall.damping, lines), bare(loop, lines)
+    motor = x.excitation.channel == "motor"
+    bounds = {
+        "effort_limit": min(limits.effort, x.rig.amplifier.effort_limit) if motor else None,
+        "position_limit": min(limits.position_maximum - centre, centre - limits.position_minimum),
+        "speed_limit": limits.speed,
+    }
+    most: dict[str, Peak] = {}
+    for multisine in multisines:
+        for check in multisine.check(
+            whole, wall=whole - alone, motor_limit=limits.effort, channel=x.excitation.channel, **bounds
+        ):
+            if check.name not in most or not check.value <= most[check.name].value:
+                most[check.name] = check
+    remedies = {
+        "effort": "reduce the excitation (excitation.rms), or take a softer wall",
+        "position": "reduce the excitation, begin the band higher (excitation.low_hz), or take a stiffer wall",
+        "velocity": "reduce the excitation",
+    }
+    stability = _stability_checks(x, loop)
+    moved = Outcome.REFUSED if all(check.outcome == Outcome.OK for check in stability) else Outcome.WARNING
+    worst = {"effort": Outcome.REFUSED, "position": moved, "velocity": moved}
+    most_rendered = most.pop(RENDERED, None)
+    checks = [
+        Check(
+            found.name,
+            Outcome.OK if found.holds else worst[found.quantity],
+            f"{found.value:.3g} {unit_of(found.quantity, motion)}"
+            + ("" if found.limit is None else f", limit {found.limit:g}"),
+            remedies[found.quantity],
+        )
+        for found in most.values()
+    ]
+    if most_rendered is not None:
+        checks.append(_rendered_check(most_rendered, motion))
+    return [*checks, *stability]
+
+
+def _rendered_check(found: Peak, motion: Motion) -> Check:
+    """Warn above the limit: the guard clips the rendered effort, which spoils a measurement but is safe."""
+    return limited(
+        found.name,
+        found.holds,
+        f"{found.value:.3g} {unit_of(found.quantity, motion)}, limit {found.limit:g}",
+        "the effort will be clipped: reduce the excitation, or take a softer wall",
+        Outcome.WARNING,
+    )
+
+
+def _linear_loop(x: Experiment) -> LinearLoop:
+    """The loop as linear theory sees it; a raw difference in place of an estimator that is not linear."""
+    fixed = replace(x.controller, slow_velocity_rate=None)
+    try:
+        return linear_loop(replace(x, controller=fixed))
+    except ConfigError:
+        plain = replace(fixed, estimator="fdm", parameters={})
+        return linear_loop(replace(x, controller=plain))
+
+
+def _stability_checks(x: Experiment, loop: LinearLoop) -> list[Check]:
+    if x.wall.stiffness == 0.0 and x.wall.damping == 0.0:
+        return []
+    radius = float(Lifted.of(loop).radius(x.wall.stiffness, x.wall.damping))
+    return [
+        limited(
+            "stability",
+            radius < 1.0,
+            f"spectral radius {radius:.4f} by linear theory, both sides of the wall",
+            "the guard may end the run; friction may save it",
+            Outcome.WARNING,
+        )
+    ]
+
+
+def _steps(x: Experiment) -> tuple[Step, ...]:
+    position, effort = (unit_of(q, x.rig.motion) for q in ("position", "effort"))
+    e, w, c = x.excitation, x.wall, x.controller
+    (size, value), (whole_s, settling_s) = *config.excitation_size(x).items(), config.excitation_s(x)
+    wall = f"{w.stiffness:g} {unit_of('stiffness', x.rig.motion)}, {w.damping:g} {unit_of('damping', x.rig.motion)}"
+    who = "the rig's own motor" if e.channel == "motor" else "a second actuator"
+    return (
+        Step(
+            "configure",
+            f"position {c.position_rate} Hz, velocity {c.velocity_rate} Hz by {c.estimator}, {where_it_runs(x)}",
+            0.0,
+        ),
+        Step(
+            "home",
+            f"to the wall at {w.position:g} {position}",
+            x.homing.timeout_s if e.channel == "motor" else 0.0,
+        ),
+        Step(
+            "excite",
+            f"{who}: {e.kind} multisine, {e.low_hz:g} to {e.high_hz:g} Hz every {1.0 / e.period_s:g} Hz, "
+            f"{size} {value:.3g} {effort}, about a bilateral wall of {wall}; {settling_s:g} s to settle, "
+            f"{e.periods} periods of {e.period_s:g} s",
+            whole_s,
+        ),
+        Step("estimate", "impedance, passivity and fidelity from all realisations", 0.0),
+    )
+
+
+def _heat_checks(x: Experiment) -> list[Check]:
+    """Heat of the motor that excites; one that only renders the wall carries less."""
+    if x.excitation.channel != "motor":
+        return []
+    seconds = x.excitation.realisations * config.excitation_s(x)[0]
+    return [heat_check(x, multisine_of(x).rms, seconds, "reduce the excitation, or its length")]

@@ -1,0 +1,679 @@
+"""The motions of an identification: what moves, how far and how hard; and the plan that says so beforehand.
+
+Everything follows from the described rig and its limits; no device is touched here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import config
+from rig.analysis.identification.cogging import SETTLE_S
+from rig.analysis.identification.quality import LEAST_MOTION_COUNTS
+from rig.analysis.identification.sliding import PIECES, UNSTEADY, Stroke
+from rig.config import Experiment
+from rig.config.homing import holding_effort
+from rig.config.velocity_reading import COUNT_PEAK
+from rig.control import bilateral
+from rig.control.excitation import Multisine
+from rig.control.law import Law
+from rig.control.motions import nudging, tracing
+from rig.core.check import Check, Outcome
+from rig.core.errors import ConfigError
+from rig.core.sample import Phase, unit_of
+from rig.doctor.predicted import SPARE, finding, round_up
+from rig.experiments.trials.planned import Plan, Step, limited
+
+Floats = NDArray[np.float64]
+
+SLOW_RATE = 2000  # Hz: pushes and strokes need no more
+RATE_STEP = (
+    50  # Hz, of rates that are named: the usual period of the excitation, 0.5 s, is whole samples of each
+)
+NO_PUSH = 1e-12  # of the effort limit: a trial must push, and this is less than any quantum
+MARGIN_COUNTS = 1.0  # a trial starts that far before its wall
+
+# Pushes: how many, how far, up to which share of the nominal effort, in which time, and the rest after each.
+PUSHES, PUSH_COUNTS, PUSH_SHARE, PUSH_S, REST_S = 6, 30, 0.3, 1.5, 0.2
+# With a coarse encoder, whose brake is late: ways of a push that half of the window has room for, and the least way.
+COARSE_ROOM, LEAST_PUSH_COUNTS = 3.0, 8
+PUSH_RISE_S = 0.05  # gentle: without friction the way takes that long
+PUSH_COULOMB = 5.0  # but it may grow to this multiple of the described friction in `PUSH_S`
+UNSEEN_SPEED = (
+    0.92  # share of the speed limit that a handle may have when a push gives up; the rest is for its end
+)
+PUSH_END_S = (
+    0.01  # of a push by a board: until this computer ends it; its effort falls as slowly as it has grown
+)
+PUSH_WINDOW, PUSH_SPEED = 20.0, 200.0  # window (ways of a push) and speed (ways a second) that end the run
+BRAKE_S = 0.02  # time constant of the brake after a push
+# Most effort of a push over the described friction: below it a dead motor and friction look alike.
+OBSERVABLE = 1.5
+PUSHES_ROOM = 2.5  # ways of a push that the handle may go to one side: two pushes, and their brakes
+
+# Strokes: half their travel as a share of the window, lengths, and most speed as a share of its limit.
+TRAVEL_SHARE, STROKES_S, STROKE_SPEED = 0.2, (0.4, 0.8, 1.6), 0.3
+LEAST_STROKE_COUNTS = 45  # ten in a third of what is read of the second stroke
+HELD_OF_TRAVEL = 0.5  # at which friction may hold a handle: it must still slide for a third of its stroke
+MOST_SLOWING = 16.0  # of strokes, so that a soft servo reaches their speed
+WAY_SPEED, WAY_REST_S = 5.0, 0.3  # a slow way: speed that ends the run, over that of the way; rest at its end
+WAY_END_S = 0.02  # of a way that a board goes: the handle is let go
+WAY_PATIENCE_S = 5.0  # and how much longer than twice its time it may take before it is given up
+HANG_S, WEIGHING_SHARES = 2.0, (1.0, 0.5)  # weighing: time to let go of the load; speeds, over that of homing
+CUTOFF_SHARE = 0.2  # cut-off of the velocity filter over its rate
+# Of the speed limit, as which that filter may read one count; strokes and excitation have the rest.
+COUNT_SHARE = 0.4
+FILTER_DELAY = 0.225  # of that filter: its delay times its cut-off, √2/(2π)
+SERVO_TICKS, SERVO_PHASE = 3.0, 0.5  # delay that a servo must bear besides, and phase (rad) that it may cost
+
+# Sweeps for cogging: half their travel as a share of the window; speeds of the pairs, over the fastest, at which the
+# servo still follows the highest harmonic (its corner over that harmonic's frequency); rest at each end.
+SWEEP_SHARE, SWEEP_SPEEDS, FOLLOWS, SWEEP_REST_S = 0.42, (1.0, 0.8, 0.6), 6.0, 0.3
+
+# Excitation: its band, and where it ends as a share of the rate; before the kept periods a time, and periods at least.
+LOWEST_HZ, HIGHEST_HZ, HIGHEST_SHARE = 4.0, 1000.0, 0.15
+EXCITATION_SETTLE_S, LEAST_SETTLE, PERIODS = 1.0, 2, 2
+LINES_PER_OCTAVE = 16
+EVEN_FROM_HZ = 25.0  # below it amplitudes fall with the frequency: the motion would grow
+CENTRING_HZ = 2.5  # of the soft spring that keeps an excited handle near the middle
+EFFORT_SHARE, RMS_SHARE, POSITION_SHARE, SPEED_SHARE = (
+    0.6,
+    0.9,
+    0.5,
+    0.5,
+)  # of the limits, that the excitation may use
+HARD = 5.0  # rms effort of the excitation over Coulomb friction from which friction biases by below half a per cent
+
+
+@dataclass(frozen=True, slots=True)
+class IdentificationMotion:
+    """One kind of trial: the experiment that it runs, the law that moves (None: its own), and in which phases."""
+
+    experiment: Experiment
+    law: Law | None
+    phases: tuple[Phase, ...] = (Phase.TRIAL,)
+
+
+def identification_plan(
+    x: Experiment, *, realisations: int, period_s: float, seed: int, cogging: int | None = None
+) -> Plan:
+    """List and check what will be done, from the described rig; no device is touched.
+
+    With `cogging` it is looked for up to that harmonic.
+    """
+    limits = x.rig.limits
+    effort, position, speed = (_unit(x, quantity) for quantity in ("effort", "position", "velocity"))
+    multisine = excitation(x, seed, period_s, inertia_of(x))
+    impedance = _free_impedance(x, inertia_of(x))
+    fastest = multisine.velocity(impedance).peak
+    half = 0.5 * (limits.position_maximum - limits.position_minimum)
+    coulomb = coulomb_of(x)
+    rms_load = multisine.rms / limits.nominal_effort
+    travel, top_speed = TRAVEL_SHARE * 2.0 * half, max(abs(s.velocity) for s in strokes_of(x)[1])
+    settings: tuple[Step, ...] = (
+        Step("pushes", f"{PUSHES} pushes of at most {most_push(x):.3g} {effort}, each until the handle has "
+             f"moved {push_way(x):.3g} {position}", pushes_s()),
+        Step("strokes", f"± {travel:.3g} {position} about the middle of the window at up to {top_speed:.3g} {speed}",
+             strokes_of(x)[0][-1][0]),
+        Step("excitation", f"{realisations} × {excited_s(period_s):.3g} s, {multisine.lines_hz[0]:g} to "
+             f"{multisine.lines_hz[-1]:g} Hz, {multisine.rms:.3g} {effort} rms",
+             realisations * excited_s(period_s)),
+    )  # fmt: skip
+    checks: tuple[Check, ...] = (
+        _check("push", most_push(x), limits.effort, effort, "raise rig.limits.effort"),
+        _check("stroke speed", top_speed, limits.speed, speed, "raise rig.limits.speed"),
+        _follows(x, HELD_OF_TRAVEL * travel),
+        _counts(x, travel),
+        _moves(x, multisine.position(impedance).rms),
+        _check("peak effort of the excitation", multisine.peak, limits.effort, effort, "raise rig.limits.effort"),
+        _check("peak position of the excitation", multisine.position(impedance).peak, half, position,
+               "widen the window"),
+        _check("peak speed of the excitation", fastest, limits.speed, speed, "raise rig.limits.speed"),
+        _check("motor heat", rms_load, 1.0, "of the nominal effort, rms", "lower rig.limits.effort"),
+        Check(
+            "excitation over friction",
+            Outcome.OK if multisine.rms >= HARD * coulomb else Outcome.WARNING,
+            f"{multisine.rms:.3g} {effort} rms, Coulomb friction {coulomb:.3g}",
+            "the inertia will be some per cent too large: allow more effort, speed or way",
+        ),
+    )  # fmt: skip
+    if cogging is not None:
+        sweeps = cogging_sweeps(x, cogging)[1]
+        way, most = sweeps[0].velocity * (sweeps[0].end_s - sweeps[0].begin_s), abs(sweeps[0].velocity)
+        settings += (
+            Step("sweeps", f"{len(sweeps)} slow ways of {way:.3g} {position} at {most:.3g} {speed} or less, both ways",
+                 sweeps[-1].end_s + SWEEP_REST_S),
+        )  # fmt: skip
+        checks += (_repeatable(x), _whole_period(x, way - 2.0 * SETTLE_S * most))
+    return Plan(x.rig.name, 1, settings, checks)
+
+
+def loaded_plan(plan: Plan, x: Experiment, most_order: int, weight: float) -> Plan:
+    """Add the same sweeps with a weight (N·m or N) to a plan; `x` is the rig with the mass on it."""
+    limits, position, effort = x.rig.limits, _unit(x, "position"), _unit(x, "effort")
+    sweeps = cogging_sweeps(x, most_order, loaded=True)[1]
+    room = (0.5 - SWEEP_SHARE) * (limits.position_maximum - limits.position_minimum)
+    sags = (weight + coulomb_of(x) + x.rig.cogging.crest) / servo_of(x, slow_rate(x))[0]
+    step = Step(
+        "loaded sweeps",
+        f"{len(sweeps)} ways again, with {weight:.3g} {effort} hung on the rig",
+        sweeps[-1].end_s + SWEEP_REST_S,
+    )
+    sag = _check(
+        "sag under the mass", sags, room, position, "hang a smaller mass, or widen the window of positions"
+    )
+    return replace(plan, steps=(*plan.steps, step), checks=(*plan.checks, sag))
+
+
+def _follows(x: Experiment, limit: float) -> Check:
+    """Whether the servo of the strokes moves the handle against its friction: it is the softer, the slower the loop."""
+    stiffness = servo_of(x, slow_rate(x))[0]
+    held, unit = coulomb_of(x) / stiffness, _unit(x, "position")
+    stiffer = math.sqrt(3.0 * held / limit)  # with room: stiffness goes as the square of the rate
+    enough = RATE_STEP * math.ceil(x.controller.position_rate * stiffer / RATE_STEP)
+    return limited(
+        "friction under the strokes",
+        held <= limit,
+        f"friction holds the handle {held:.3g} {unit} behind a servo at {x.controller.position_rate} Hz, limit "
+        f"{limit:.3g}",
+        f"choose `rate` {enough} or more, raise homing.damping, or widen the window",
+    )
+
+
+def _counts(x: Experiment, travel: float) -> Check:
+    """Whether a third of a stroke has the counts that a speed is read from."""
+    counts, wider = 2.0 * travel / x.rig.encoder.resolution, LEAST_STROKE_COUNTS * x.rig.encoder.resolution
+    return limited(
+        "counts of a stroke",
+        counts >= LEAST_STROKE_COUNTS,
+        f"a stroke has {counts:.0f} counts, least {LEAST_STROKE_COUNTS}",
+        f"widen the window of positions to {0.5 * wider / TRAVEL_SHARE:.3g} {_unit(x, 'position')} or more, or take a "
+        "finer encoder",
+    )
+
+
+def _moves(x: Experiment, rms: float) -> Check:
+    """Whether the excitation moves the handle by counts, friction aside."""
+    counts = rms / x.rig.encoder.resolution
+    return limited(
+        "counts of the excitation",
+        counts >= LEAST_MOTION_COUNTS,
+        f"{counts:.2g} counts rms without friction, least {LEAST_MOTION_COUNTS:g}",
+        f"take an encoder of {math.ceil(2.0 * LEAST_MOTION_COUNTS / counts)} times the counts, or allow more effort "
+        "(rig.limits.effort, rig.limits.nominal_effort)",
+    )
+
+
+def _repeatable(x: Experiment) -> Check:
+    """Whether a position means the same place of the mechanism tomorrow: only an index says so."""
+    if x.rig.reference.index:
+        return Check("position zero", Outcome.OK, "comes from the encoder's index")
+    return Check(
+        "position zero",
+        Outcome.REFUSED,
+        "is where the handle happens to stand: a map of cogging would be of no use after the next start",
+        "wire the encoder's index, with a limit switch where the motor turns more than once, and describe it in "
+        "[rig.reference]",
+    )
+
+
+def _whole_period(x: Experiment, measured: float) -> Check:
+    """Whether the sweeps see a whole period, as telling its harmonics apart needs."""
+    period, unit = cogging_period(x), _unit(x, "position")
+    return limited(
+        "period of cogging", period <= measured, f"{period:.3g} {unit}, the sweeps measure {measured:.3g}",
+        "widen the window of positions, or give rig.cogging.period if it is shorter",
+    )  # fmt: skip
+
+
+def cogging_period(x: Experiment) -> float:
+    """Way after which cogging repeats (rad or m): as described, else a turn of a rotary encoder's disc, and motor."""
+    if x.rig.cogging.period is not None:
+        return x.rig.cogging.period
+    if x.rig.motion == "linear":
+        raise ConfigError(
+            "rig.cogging.period is not given: nothing tells after which way the motor's cogging repeats",
+            remedy="give it: the pitch of a linear motor's magnets, or what a turn of its pinion moves",
+        )
+    return 2.0 * math.pi / x.rig.encoder.ratio
+
+
+def pushes_motion(x: Experiment, at: float, pushes: int = PUSHES) -> IdentificationMotion:
+    """Small pushes about where the handle is; window, speed and energy shrink to what they need."""
+    limits, way, rate = x.rig.limits, push_way(x), slow_rate(x)
+    speed = min(limits.speed, PUSH_SPEED * way)
+    changes = {
+        "rig.limits.position_minimum": max(limits.position_minimum, at - PUSH_WINDOW * way),
+        "rig.limits.position_maximum": min(limits.position_maximum, at + PUSH_WINDOW * way),
+        "rig.limits.speed": speed,
+        # Homing must do nothing while the signs are not known.
+        "homing.stiffness": 1e-12,
+        "homing.damping": 0.0,
+        "homing.speed": 0.5 * speed,
+        "homing.tolerance_counts": 1e6,
+        "homing.settle_s": REST_S,
+    }
+    law = nudging(
+        effort_per_s=push_growth(x),
+        most_effort=most_push(x),
+        moved=way,
+        rest_s=REST_S,
+        brake=inertia_of(x) / BRAKE_S,
+        pulses=pushes,
+        rate_hz=rate,
+    )
+    return IdentificationMotion(_moved(x, at, pushes_s(pushes), rate, changes), law)
+
+
+def single_push(x: Experiment, at: float, way: Literal[-1, 1]) -> Experiment:
+    """One push as a trial of the law that every board has; to be run inside the limits of `pushes_motion`.
+
+    There is no wall. The slew limit lets the effort grow as slowly as in the other pushes, and the window is the way of
+    a push, on both sides: whatever the signs are, the guard cuts in the very tick in which the handle has gone so far.
+    """
+    around, length, most = pushes_motion(x, at).experiment, push_way(x), most_push(x)
+    growth = push_growth(x)
+    limits = around.rig.limits
+    changes = {
+        "rig.limits.position_minimum": max(limits.position_minimum, at - length),
+        "rig.limits.position_maximum": min(limits.position_maximum, at + length),
+        "rig.limits.slew": growth,
+        "rig.simulation.initial_position": at,
+        "wall.position": at + way * MARGIN_COUNTS * x.rig.encoder.resolution,
+        "wall.side": way,
+        "trial.effort": way * most,
+        "trial.duration_s": most / growth,
+        "trial.release_s": PUSH_END_S,
+        "verdict.tail_s": 0.5 * most / growth,
+    }
+    return config.override(around, changes, "a push")
+
+
+def strokes_motion(x: Experiment) -> IdentificationMotion:
+    """Strokes at constant speeds by the homing servo, with as much effort as the motor gives for hours."""
+    path, _ = strokes_of(x)
+    limit = min(x.rig.limits.effort, x.rig.limits.nominal_effort)
+    rate = slow_rate(x)
+    stiffness, damping = servo_of(x, rate)
+    law = tracing(path, stiffness=stiffness, damping=damping, limit=limit, rate_hz=rate)
+    return IdentificationMotion(_moved(x, path[0][1], path[-1][0], rate, _homing(x, rate)), law)
+
+
+def way_motion(x: Experiment, at: float, to: float, margin: float) -> IdentificationMotion:
+    """A slow way between two positions by the homing servo, at homing's speed and with no more effort than homing has.
+
+    The window is that way with a margin at both ends, whatever the description says. Where the board runs the law, the
+    way is the homing of a trial that then does nothing.
+    """
+    rate, way_s = slow_rate(x), abs(to - at) / x.homing.speed
+    on_board = x.controller.loop == "device"
+    stiffness, damping = servo_of(x, rate)
+    effort = min(x.homing.effort, x.rig.limits.nominal_effort)
+    low, high = min(at, to) - margin, max(at, to) + margin
+    changes = {
+        **_homing(x, rate),
+        "homing.effort": effort,
+        "rig.limits.effort": effort,
+        "rig.limits.speed": min(
+            x.rig.limits.speed, max(WAY_SPEED * x.homing.speed, PUSH_SPEED * push_way(x))
+        ),
+        "rig.limits.position_minimum": low,
+        "rig.limits.position_maximum": high,
+        "rig.simulation.initial_position": at,  # which must lie in the window, wherever the device now is
+        "rig.reference.travel": max(high - low, x.rig.reference.travel or 0.0),
+    }
+    if on_board:
+        changes |= {
+            "homing.settle_s": WAY_REST_S,
+            "homing.timeout_s": min(600.0, 2.0 * way_s + WAY_PATIENCE_S),
+        }
+        moved = _moved(x, to, WAY_END_S, rate, changes)
+        return IdentificationMotion(moved, None, (Phase.HOMING, Phase.SETTLE, Phase.TRIAL))
+    law = tracing([(0.0, at), (way_s, to)], stiffness=stiffness, damping=damping, limit=effort, rate_hz=rate)
+    return IdentificationMotion(_moved(x, at, way_s + WAY_REST_S, rate, changes), law)
+
+
+def weighing_motion(x: Experiment) -> IdentificationMotion:
+    """Slow strokes under a steady load, which the servo carries with as much effort as the motor gives for hours."""
+    rate, limit = slow_rate(x), min(x.rig.limits.effort, x.rig.limits.nominal_effort)
+    stiffness, damping = servo_of(x, rate)
+    path, _ = weighing_strokes(x)
+    law = tracing(path, stiffness=stiffness, damping=damping, limit=limit, rate_hz=rate)
+    return IdentificationMotion(_moved(x, path[0][1], path[-1][0], rate, _bearing(x, rate, limit)), law)
+
+
+def _bearing(x: Experiment, rate: int, limit: float) -> dict[str, Any]:
+    """Homing that bears a load: so far below its set point the servo holds it."""
+    hangs = limit / servo_of(x, rate)[0] / x.rig.encoder.resolution
+    return {
+        **_homing(x, rate),
+        "homing.effort": limit,
+        "homing.tolerance_counts": min(1e6, x.homing.tolerance_counts + hangs),
+    }
+
+
+def weighing_strokes(x: Experiment) -> tuple[list[tuple[float, float]], list[Stroke]]:
+    """Path of slow strokes about the middle of the window, at homing's speed and at half of it, and each of them."""
+    travel = TRAVEL_SHARE * (x.rig.limits.position_maximum - x.rig.limits.position_minimum)
+    start, time_s = _middle(x) - travel, HANG_S
+    path, strokes = [(0.0, start), (time_s, start)], []
+    for speed in WEIGHING_SHARES:
+        for way in (travel, -travel):
+            begin_s, time_s = time_s, time_s + 2.0 * travel / (speed * x.homing.speed)
+            strokes.append(Stroke(begin_s, time_s, math.copysign(speed * x.homing.speed, way)))
+            path.append((time_s, _middle(x) + way))
+    return path, strokes
+
+
+def cogging_motion(x: Experiment, most_order: int, *, loaded: bool = False) -> IdentificationMotion:
+    """Slow sweeps both ways by the homing servo, with as much effort as the motor gives for hours; also with a mass."""
+    path, _ = cogging_sweeps(x, most_order, loaded=loaded)
+    rate, limit = slow_rate(x), min(x.rig.limits.effort, x.rig.limits.nominal_effort)
+    stiffness, damping = servo_of(x, rate)
+    law = tracing(path, stiffness=stiffness, damping=damping, limit=limit, rate_hz=rate)
+    changes = _bearing(x, rate, limit) if loaded else _homing(x, rate)
+    return IdentificationMotion(_moved(x, path[0][1], path[-1][0], rate, changes), law)
+
+
+def cogging_sweeps(
+    x: Experiment, most_order: int, *, loaded: bool = False
+) -> tuple[list[tuple[float, float]], list[Stroke]]:
+    """Path of pairs of sweeps over most of the window, each pair at a speed of its own, and each of them.
+
+    A load is let go first.
+    """
+    stiffness, damping = servo_of(x, slow_rate(x))
+    wave = cogging_period(x) / most_order / (2.0 * math.pi)
+    fastest = min(STROKE_SPEED * x.rig.limits.speed, 2.0 * stiffness / damping / FOLLOWS * wave)
+    travel = SWEEP_SHARE * (x.rig.limits.position_maximum - x.rig.limits.position_minimum)
+    start = _middle(x) - travel
+    path, sweeps, time_s = [(0.0, start)], [], HANG_S if loaded else 0.0
+    if loaded:
+        path.append((time_s, start))
+    for share in SWEEP_SPEEDS:
+        for way in (travel, -travel):
+            begin_s, time_s = time_s, time_s + 2.0 * travel / (share * fastest)
+            sweeps.append(Stroke(begin_s, time_s, math.copysign(share * fastest, way)))
+            path += [(time_s, _middle(x) + way), (time_s + SWEEP_REST_S, _middle(x) + way)]
+            time_s += SWEEP_REST_S
+    return path, sweeps
+
+
+def excitation_motion(x: Experiment, multisine: Multisine, inertia: float) -> IdentificationMotion:
+    """One realisation of a multisine about the middle of the window, kept there by a soft spring."""
+    rate = x.controller.position_rate
+    periods = settle_periods(multisine.period_s) + PERIODS
+    law = bilateral.excited_law(multisine.period(rate), round(multisine.period_s * rate))
+    changes = {"wall.stiffness": centring(inertia), **_homing(x, rate)}
+    return IdentificationMotion(_moved(x, _middle(x), periods * multisine.period_s, rate, changes), law)
+
+
+def servo_of(x: Experiment, rate: int) -> tuple[float, float]:
+    """Stiffness and damping of a well damped servo that the delay of loop and velocity filter leaves stable.
+
+    The homing servo of a description may count on an end mass that is not there now; no more damping is used than it
+    has, because a mode may be what limits it.
+    """
+    ticks = SERVO_TICKS + x.rig.amplifier.set_point_ticks(1.0 / rate)
+    delay_s = ticks / rate + FILTER_DELAY / _cutoff_hz(x, rate)
+    corner = min(SERVO_PHASE / delay_s, (x.homing.damping or math.inf) / inertia_of(x))
+    return 0.25 * inertia_of(x) * corner**2, inertia_of(x) * corner
+
+
+def _cutoff_hz(x: Experiment, rate: int) -> float:
+    """Cut-off of the velocity filter: lower where single counts of a coarse encoder would end a motion by its speed."""
+    quiet = COUNT_SHARE * x.rig.limits.speed / (COUNT_PEAK * x.rig.encoder.resolution)
+    return min(CUTOFF_SHARE * _divisor(rate, SLOW_RATE), quiet)
+
+
+def _homing(x: Experiment, rate: int) -> dict[str, Any]:
+    """Homing by that servo, as close to the start as friction and cogging let it come."""
+    stiffness, damping = servo_of(x, rate)
+    held = 2.0 * (coulomb_of(x) + x.rig.cogging.crest) / stiffness / x.rig.encoder.resolution
+    return {
+        "homing.stiffness": stiffness,
+        "homing.damping": damping,
+        "homing.effort": max(x.homing.effort, min(most_push(x), x.rig.limits.effort)),
+        "homing.tolerance_counts": min(1e6, max(x.homing.tolerance_counts, held)),
+    }
+
+
+def strokes_of(x: Experiment) -> tuple[list[tuple[float, float]], list[Stroke]]:
+    """Path of the strokes (time, position) and each of them."""
+    limits = x.rig.limits
+    travel = TRAVEL_SHARE * (limits.position_maximum - limits.position_minimum)
+    slowing = max(1.0, 2.0 * travel / STROKES_S[0] / (STROKE_SPEED * limits.speed))
+    while slowing < MOST_SLOWING and not all(
+        _settles(x, slowing * length, travel) for length in STROKES_S[1:]
+    ):
+        slowing *= 1.25
+    path, strokes, time_s = [(0.0, _middle(x) - travel)], [], 0.0
+    for length in STROKES_S:
+        for way in (travel, -travel):
+            begin_s, time_s = time_s, time_s + slowing * length
+            strokes.append(Stroke(begin_s, time_s, 2.0 * way / (time_s - begin_s)))
+            path.append((time_s, _middle(x) + way))
+    return path, strokes
+
+
+def _settles(x: Experiment, length_s: float, travel: float) -> bool:
+    """Return True if the servo has the speed of a stroke in its last third.
+
+    After a turn friction holds the handle until the servo's spring has turned, too. Then what is missing of the speed
+    decays by the slower pole of servo, mass and viscous damping.
+    """
+    stiffness, damping = servo_of(x, slow_rate(x))
+    damping, mass = damping + config.rig_model(x).damping, inertia_of(x)
+    pole = 2.0 * stiffness / (damping + math.sqrt(max(0.0, damping**2 - 4.0 * mass * stiffness)))
+    held_s = 2.0 * coulomb_of(x) / stiffness * length_s / (2.0 * travel)
+    decayed = pole * ((1.0 - 1.0 / PIECES) * length_s - held_s)
+    return decayed > 0.0 and 2.0 * (1.0 + decayed) * math.exp(-decayed) < UNSTEADY
+
+
+def excitation(x: Experiment, seed: int, period_s: float, inertia: float, realisation: int = 0) -> Multisine:
+    """A multisine as large as effort, heat, window and speed allow, with margins, for a rig of this inertia."""
+    top = min(HIGHEST_HZ, HIGHEST_SHARE * x.controller.position_rate)
+    if top < 2.0 * LOWEST_HZ:
+        raise ConfigError(
+            f"a loop of {x.controller.position_rate} Hz excites up to {top:.3g} Hz: too low to tell an inertia",
+            remedy=f"choose a rate of {math.ceil(2.0 * LOWEST_HZ / HIGHEST_SHARE)} Hz or more",
+        )
+    count = max(2, round(LINES_PER_OCTAVE * math.log2(top / LOWEST_HZ)))
+    harmonics = np.unique(np.rint(np.geomspace(LOWEST_HZ, top, count) * period_s))
+    lines = harmonics[harmonics >= 1.0] / period_s
+    phases = np.random.default_rng((seed, realisation)).uniform(-np.pi, np.pi, len(lines))
+    shape = Multisine(period_s, lines, np.minimum(lines / EVEN_FROM_HZ, 1.0), phases)
+    limits, impedance = x.rig.limits, _free_impedance(x, inertia)
+    half = 0.5 * (limits.position_maximum - limits.position_minimum)
+    return shape.scaled(
+        min(
+            EFFORT_SHARE * limits.effort / shape.peak,
+            RMS_SHARE * limits.nominal_effort / shape.rms,
+            POSITION_SHARE * half / shape.position(impedance).peak,
+            SPEED_SHARE * limits.speed / shape.velocity(impedance).peak,
+        )
+    )
+
+
+def centring(inertia: float) -> float:
+    """Stiffness of the spring that centres an excited handle (N·m/rad or N/m)."""
+    return inertia * (2.0 * math.pi * CENTRING_HZ) ** 2
+
+
+def inertia_of(x: Experiment) -> float:
+    """Described inertia of everything that moves (kg·m² or kg)."""
+    return x.rig.mechanics.motor_inertia + x.rig.mechanics.loaded_link_inertia
+
+
+def coulomb_of(x: Experiment) -> float:
+    """Described Coulomb friction of everything that moves (N·m or N)."""
+    return x.rig.mechanics.motor_coulomb + x.rig.mechanics.link_coulomb
+
+
+def push_growth(x: Experiment) -> float:
+    """How fast a push grows (N·m/s or N/s): beyond the described friction, and slow enough to be stopped in time."""
+    gentle = 6.0 * inertia_of(x) * push_way(x) / PUSH_RISE_S**3 * PUSH_S
+    bound = PUSH_SHARE * min(x.rig.limits.nominal_effort, x.rig.limits.effort)
+    return min(bound, max(gentle, PUSH_COULOMB * coulomb_of(x))) / PUSH_S
+
+
+def most_push(x: Experiment) -> float:
+    """Return the effort at which a push ends (N·m or N): after `PUSH_S`, or where an undetected motion would be fast.
+
+    Under an effort g·t a free handle of inertia m and Coulomb friction F has the speed (g·t − F)²/(2·g·m), which a dead
+    encoder would not show.
+    """
+    growth, speed = push_growth(x), UNSEEN_SPEED * x.rig.limits.speed
+    return min(growth * PUSH_S, coulomb_of(x) + math.sqrt(2.0 * growth * inertia_of(x) * speed))
+
+
+def pushes_checks(x: Experiment) -> list[Check]:
+    """Return what limits the pushes of `rig device check`: friction that hides them, and the ends of the window."""
+    way, limits = push_way(x), x.rig.limits
+    half, middle = 0.5 * (limits.position_maximum - limits.position_minimum), _middle(x)
+    position, needed = _unit(x, "position"), round_up(SPARE * PUSHES_ROOM * way)
+    room = finding(
+        "room of rig device check",
+        PUSHES_ROOM * way <= half * (1.0 + 1e-9),
+        f"two pushes of {way / x.rig.encoder.resolution:.3g} counts go up to {PUSHES_ROOM * way:.3g} {position} to "
+        f"each side, the window has {half:.3g}",
+        {"rig.limits.position_minimum": middle - needed, "rig.limits.position_maximum": middle + needed},
+        otherwise=Outcome.WARNING,
+    )
+    return [observable_check(x), room]
+
+
+def observable_check(x: Experiment) -> Check:
+    """Return whether a push is beyond what holds the handle; a warning, because it may rub less than described."""
+    held, most, effort = holding_effort(x), most_push(x), _unit(x, "effort")
+    return finding(
+        "pushes of rig device check",
+        most >= OBSERVABLE * held,
+        f"at most {most:.3g} {effort}, described friction, weight and cogging {held:.3g}; a dead motor shows from "
+        f"{OBSERVABLE:g} times that on",
+        _observable_limits(x),
+        "take a stronger motor, or free the mechanism",
+        Outcome.WARNING,
+    )
+
+
+def _observable_limits(x: Experiment) -> dict[str, float]:
+    """Limits with which `most_push` is enough; empty where the amplifier has not so much effort."""
+    limits, wanted = x.rig.limits, SPARE * OBSERVABLE * holding_effort(x)
+    if (most := round_up(wanted / PUSH_SHARE)) > x.rig.amplifier.effort_limit:
+        return {}
+    raised = replace(limits, nominal_effort=max(limits.nominal_effort, most), effort=max(limits.effort, most))
+    growth = push_growth(replace(x, rig=replace(x.rig, limits=raised)))
+    beyond = max(0.0, wanted - coulomb_of(x))
+    speed = round_up(beyond**2 / (2.0 * growth * inertia_of(x) * UNSEEN_SPEED))
+    raised = replace(raised, speed=max(limits.speed, speed))
+    names = ("nominal_effort", "effort", "speed")
+    return {
+        f"rig.limits.{name}": new for name in names if (new := getattr(raised, name)) > getattr(limits, name)
+    }
+
+
+def push_way(x: Experiment) -> float:
+    """How far the handle moves in a push (rad or m): counts, or with a coarse encoder what the window has room for."""
+    count, limits = x.rig.encoder.resolution, x.rig.limits
+    half = 0.5 * (limits.position_maximum - limits.position_minimum)
+    return max(LEAST_PUSH_COUNTS * count, min(PUSH_COUNTS * count, half / COARSE_ROOM))
+
+
+def pushes_s(pushes: int = PUSHES) -> float:
+    """Length of all pushes (s)."""
+    return pushes * (PUSH_S + REST_S) + REST_S
+
+
+def slow_rate(x: Experiment) -> int:
+    """Rate of pushes and strokes (Hz)."""
+    return _divisor(x.controller.position_rate, SLOW_RATE)
+
+
+def _moved(x: Experiment, at: float, duration_s: float, rate: int, changes: Mapping[str, Any]) -> Experiment:
+    velocity_rate = _divisor(rate, SLOW_RATE)
+    still = {
+        **_NO_WALL,
+        "wall.position": at + MARGIN_COUNTS * x.rig.encoder.resolution,  # a trial starts before its wall
+        "trial.start": at,
+        "trial.effort": NO_PUSH * x.rig.limits.effort,
+        "trial.duration_s": duration_s,
+        "verdict.tail_s": 0.5 * duration_s,
+        "controller.position_rate": rate,
+        "controller.velocity_rate": velocity_rate,
+        "controller.parameters.cutoff_hz": _cutoff_hz(x, rate),
+        "verdict.lowpass_hz": min(x.verdict.lowpass_hz, 0.4 * rate),
+    }
+    if x.controller.loop == "device":  # in integers, which every board has
+        still["controller.estimator"] = "fdm-butterworth-fixed"
+    # Its own friction and cogging are what is looked for: nothing may compensate them meanwhile.
+    plain = {"controller.friction_compensation": 0.0, "controller.cogging_compensation": False}
+    return config.override(x, {**still, **changes, **plain}, "identification")
+
+
+_NO_WALL: dict[str, Any] = {
+    "trial.kind": "constant-effort",
+    "trial.repeats": 1,
+    "trial.baseline_s": 0.0,
+    "trial.minimum_rest_counts": 0.0,
+    "rig.limits.oscillations": 0,  # a motion is the motor's own: neither its efforts nor its work are a wall's
+    "rig.limits.energy": None,
+    "wall.stiffness": 0.0,
+    "wall.damping": 0.0,
+    "wall.side": 1,
+    "wall.law": "spring-damper",
+    "controller.estimator": "fdm-butterworth",
+    "controller.arithmetic": "auto",
+    "controller.prediction": "hold",
+    "controller.slow_below": 0.0,
+    "controller.slow_velocity_rate": None,
+}
+
+
+def still(x: Experiment) -> Experiment:
+    """Return the same rig with its handle free."""
+    return _moved(x, _middle(x), 1.0, slow_rate(x), {})
+
+
+def _middle(x: Experiment) -> float:
+    return 0.5 * (x.rig.limits.position_minimum + x.rig.limits.position_maximum)
+
+
+def _free_impedance(x: Experiment, inertia: float) -> Callable[[Floats], Any]:
+    """Z of a rigid rig on its centring spring: the described damping and back-EMF, and this inertia."""
+    mechanics, amplifier = x.rig.mechanics, x.rig.amplifier
+    damping, stiffness = mechanics.motor_damping + mechanics.link_damping, centring(inertia)
+
+    def impedance(lines_hz: Floats) -> Any:
+        s = 2j * np.pi * lines_hz
+        return inertia * s + damping + amplifier.back_emf / (1.0 + amplifier.lag_s * s) + stiffness / s
+
+    return impedance
+
+
+def settle_periods(period_s: float) -> int:
+    """Periods that are played before those that are kept."""
+    return max(LEAST_SETTLE, math.ceil(EXCITATION_SETTLE_S / period_s - 1e-9))
+
+
+def excited_s(period_s: float) -> float:
+    """Length of one realisation (s)."""
+    return (settle_periods(period_s) + PERIODS) * period_s
+
+
+def _divisor(rate: int, most: int) -> int:
+    return next(rate // n for n in range(1, rate + 1) if rate % n == 0 and rate // n <= most)
+
+
+def _check(name: str, value: float, limit: float, unit: str, remedy: str) -> Check:
+    return limited(name, value <= limit, f"{value:.3g} {unit}, limit {limit:.3g}", remedy)
+
+
+def _unit(x: Experiment, quantity: str) -> str:
+    return unit_of(quantity, x.rig.motion)

@@ -1,0 +1,550 @@
+"""List what an experiment will do, and check whether it is permitted, before a person touches the handle.
+
+No device is touched here. The predictions are those of one rigid mass without damping, which errs on the hard
+side: a real hit is slower and softer.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from firmware_protocol.dictionary import Dictionary
+from firmware_protocol.law_parameters import LAW_PARAMETERS
+from rig.analysis.theory import default_schemes
+from rig.config import (
+    Experiment,
+    controller,
+    device_law,
+    homing,
+    human_limits_exceeded,
+    motor_push,
+    push_at_rest,
+    push_s,
+    rig_model,
+)
+from rig.config.device_limits import check_limits
+from rig.config.homing import holding_effort
+from rig.config.prepared_run import PreparedRun
+from rig.config.schemes import describe_cutoffs
+from rig.config.velocity_reading import highest_reading
+from rig.core.check import Check, Outcome
+from rig.core.sample import unit_of
+from rig.devices.device import LINK_SHARE, STATE_BYTES
+from rig.doctor.delay import ticks_late
+from rig.doctor.late_walls import late_wall
+from rig.doctor.predicted import (
+    COUNT_SPEED_SHARE,
+    finding,
+    homing_checks,
+    predicted,
+    quieter_changes,
+    speed_reading,
+)
+from rig.experiments.trials import on_the_drive
+from rig.experiments.trials.excitation_plan import excitation_plan
+from rig.experiments.trials.identify_motions import RATE_STEP, pushes_checks
+from rig.experiments.trials.planned import (
+    ARITHMETIC_WORDS,
+    Plan,
+    Step,
+    check_positive,
+    heat_check,
+    limited,
+    where_it_runs,
+)
+from rig.firmware.tick_budget import BOARD, INTEGERS, named_budget
+
+STANDS_FOR_DEVICE = (
+    "simulated with the law of the host, in float64: it stands for that of the device, which has no more delay and "
+    "rounds to a quantum or two"
+)
+
+
+def stands_for_device(experiment: Experiment) -> str:
+    """What a simulation under the host's law is worth for the law on a device."""
+    return on_the_drive.STANDS_FOR_NO_DRIVE if on_the_drive.is_on_the_drive(experiment) else STANDS_FOR_DEVICE
+
+
+CUTOFFS = "cut-offs compared"
+LESS = 0.9  # of a limit that a named value leaves
+FLASH = "flash the firmware of this package (rig firmware)"
+LAW_NAMES = frozenset(parameter.name for parameter in LAW_PARAMETERS)
+
+
+def make_plan(experiment: Experiment) -> Plan:
+    """List and check an experiment; errors as `rig.config.controller.prepared`."""
+    return plan_of(controller.prepared(experiment))
+
+
+def is_linked(url: str | None, *, realtime: bool, round_trip_s: float | None) -> bool:
+    """Whether the delay of a link belongs to a plan: it is stated, or the run is in real time."""
+    return realtime or round_trip_s is not None or (url is not None and not url.startswith("sim:"))
+
+
+def plan_of(
+    run: PreparedRun,
+    *,
+    linked: bool = False,
+    round_trip_s: float | None = None,
+    board: str = BOARD,
+) -> Plan:
+    """List and check a prepared run; one that is `linked` also as `delay_checks` do, which say what they raise.
+
+    The tick of a law on the device is counted for the processor of `board`; `ConfigError` for an unknown one.
+    """
+    experiment = run.experiment
+    delay = delay_checks(experiment, round_trip_s) if linked else []
+    ticks = (
+        _link_ticks(experiment, round_trip_s)[0]
+        if linked
+        else experiment.rig.simulation.computation_delay_ticks
+    )
+    beside = (
+        *delay,
+        *_tick_checks(experiment, board),
+        *_cutoff_checks(experiment),
+        *pushes_checks(experiment),
+    )
+    if experiment.trial.kind == "excitation":
+        planned = excitation_plan(experiment)
+        homes = experiment.excitation.channel == "motor"
+        homed = homing_checks(experiment, ticks) if homes else [speed_reading(experiment)]
+        return replace(planned, run=run, checks=(*planned.checks, *homed, *beside))
+    checks = (
+        *_wall_checks(experiment),
+        *predicted(experiment, ticks),
+        *_watch_checks(experiment),
+        *human_limit_checks(experiment),
+        _heat_check(experiment),
+        *on_the_drive.lost(experiment),
+        *beside,
+    )
+    return Plan(experiment.rig.name, experiment.trial.repeats, _steps(experiment), checks, run)
+
+
+def _tick_checks(x: Experiment, board: str) -> list[Check]:
+    """Whether a board has the time for its law, as an image and a design count it.
+
+    A warning: the cycles are estimates, and the device reports a tick that it missed.
+    """
+    if x.controller.loop != "device" or on_the_drive.is_on_the_drive(x):
+        return []
+    budget, own = named_budget(board), x.controller
+    most, divider = budget.rate_maximum(own.estimator), own.position_rate // own.velocity_rate
+    velocity_rate = RATE_STEP * math.floor(most / divider / RATE_STEP)
+    rates = {"controller.position_rate": divider * velocity_rate, "controller.velocity_rate": velocity_rate}
+    return [
+        finding(
+            "tick budget",
+            own.position_rate <= most,
+            f"the law at {own.position_rate} Hz; {budget.text(own.estimator)}",
+            rates if velocity_rate > 0 else None,
+            f"choose controller.estimator = {INTEGERS}: {budget.text(INTEGERS)}",
+            Outcome.WARNING,
+        )
+    ]
+
+
+def _cutoff_checks(x: Experiment) -> list[Check]:
+    """The cut-offs that comparisons of this experiment's rates give its filter."""
+    found = describe_cutoffs(default_schemes(x), x)
+    return [] if found is None else [Check(CUTOFFS, Outcome.OK, found)]
+
+
+def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: float | None) -> list[Check]:
+    """Whether a device and its link carry the loop at the asked rate."""
+    rate = experiment.controller.position_rate
+    checks = [
+        limited(
+            "device rate",
+            rate <= rate_maximum,
+            f"the law asks for {rate} Hz, and the device runs at most at {rate_maximum} Hz",
+            f"choose `rate` {rate_maximum} or less",
+        )
+    ]
+    if bytes_per_second is not None and experiment.controller.loop == "device":
+        checks.append(_batch_check(experiment, LINK_SHARE * bytes_per_second))
+    elif bytes_per_second is not None:
+        needed, usable = rate * STATE_BYTES, LINK_SHARE * bytes_per_second
+        possible = int(usable // STATE_BYTES)
+        checks.append(
+            limited(
+                "link capacity",
+                needed <= usable,
+                f"samples at {rate} Hz need {needed / 1e3:.1f} kB/s, and the link carries {usable / 1e3:.1f} kB/s",
+                f"choose `rate` {possible} or less, or a faster link",
+            )
+        )
+    return checks
+
+
+def delay_checks(x: Experiment, round_trip_s: float | None = None) -> list[Check]:
+    """How late commands act behind a link, and what the wall is then: as the arming gate finds it, only warned of.
+
+    Parameters
+    ----------
+    x
+        As it would run. What it describes as the delay (`rig.simulation.computation_delay_ticks`) is taken where
+        nothing else is stated, and one tick where it describes none.
+    round_trip_s
+        Of the link, and of the drive behind a bridge, as it was measured (s).
+
+    Raises `PlanError` for one that is not above zero.
+    """
+    check_positive({"round_trip": round_trip_s})
+    tick_s = 1.0 / x.controller.position_rate
+    ticks, why = _link_ticks(x, round_trip_s)
+    beside, late_s = x.rig.amplifier.set_point_ticks(tick_s), x.rig.amplifier.set_point_delay_s
+    total = ticks + beside
+    text = (
+        f"{total} tick{'' if total == 1 else 's'}, {1e6 * total * tick_s:.4g} µs, from a sample to its effort: "
+        f"{ticks} by the link ({why}), {beside} by a set-point that is {1e6 * late_s:.4g} µs late"
+    )
+    wall = [
+        replace(check, outcome=Outcome.WARNING) if check.outcome is Outcome.REFUSED else check
+        for check in late_wall(x, ticks).checks
+    ]
+    return [Check("delay", Outcome.OK, text), *wall]
+
+
+def _link_ticks(x: Experiment, round_trip_s: float | None) -> tuple[int, str]:
+    """How many ticks late a link makes commands, and where that is from."""
+    rate, described = x.controller.position_rate, x.rig.simulation.computation_delay_ticks
+    if x.controller.loop == "device":
+        return 0, "the device runs the law"
+    if round_trip_s is not None:
+        return ticks_late(
+            round_trip_s, rate, x.host.pacing
+        ), f"a round trip of {1e6 * round_trip_s:.4g} µs, as stated"
+    if described > 0:
+        return described, "rig.simulation.computation_delay_ticks"
+    return ticks_late(
+        0.0, rate, x.host.pacing
+    ), "assumed, the least that a link can give: `rig doctor` measures it"
+
+
+def _batch_check(x: Experiment, usable: float) -> Check:
+    """Whether the link carries every tick of a law on the device."""
+    needed = device_law.bytes_per_second(x)
+    remedy = "choose a lower `rate`, or a faster link"
+    if x.controller.measured_current:
+        short = replace(x, controller=replace(x.controller, measured_current=False))
+        if device_law.bytes_per_second(short) <= usable:
+            remedy = f"leave the measured current out (controller.measured_current = false), {remedy}"
+    return limited(
+        "link capacity",
+        needed <= usable,
+        f"{needed / 1e3:.1f} kB/s for every tick at {x.controller.position_rate} Hz, "
+        f"the link carries {usable / 1e3:.1f} kB/s",
+        remedy,
+    )
+
+
+def device_checks(run: PreparedRun, dictionary: Dictionary) -> list[Check]:
+    """Whether a device takes the limits of a run, and has the law, where it is to run one.
+
+    Parameters
+    ----------
+    run
+        As it is about to run.
+    dictionary
+        What the device says of itself.
+    """
+    experiment, limits = run.experiment, check_limits(run, dictionary)
+    if experiment.controller.loop != "device":
+        return [limits]
+    arithmetic = device_law.arithmetic_of(experiment.controller)
+    own = dictionary.parameter("law")
+    if own is None or own.maximum < 1:
+        simulated = "open sim://NAME?firmware=1, which runs the firmware" if dictionary.simulated else FLASH
+        return [
+            limits,
+            Check(
+                "law on the device",
+                Outcome.REFUSED,
+                f"{dictionary.device} ({dictionary.firmware}) runs no law of its own",
+                f'{simulated}; or let the host run it (controller.loop = "host")',
+            ),
+        ]
+    narrow = [
+        f"{name} = {value:g} (it takes {info.minimum:g} to {info.maximum:g})"
+        for name, value in run.parameters.items()
+        if name in LAW_NAMES
+        and (info := dictionary.parameter(name)) is not None
+        and not info.minimum <= value <= info.maximum
+    ]
+    return [
+        limits,
+        Check(
+            "law on the device",
+            Outcome.REFUSED if narrow else Outcome.OK,
+            f"{dictionary.device} does not have {'; '.join(narrow)}"
+            if narrow
+            else f"{dictionary.device} runs it in {ARITHMETIC_WORDS[arithmetic]}",
+            "choose another rate, estimator or arithmetic, or a firmware that has it",
+        ),
+        *on_the_drive.fits(experiment, dictionary),
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class PredictedImpact:
+    """Hit of a rigid, undamped mass: velocity at the wall, deepest penetration, effort of the spring there."""
+
+    velocity: float
+    peak_penetration: float
+    peak_effort: float
+
+
+def predict_impact(experiment: Experiment) -> PredictedImpact:
+    """Energy balance: the push works along the approach, against Coulomb friction; the spring takes it all.
+
+    A person's hand is assumed to follow its intention without lag, and to be so soft that its mass does not count.
+    """
+    mechanics, wall, push = rig_model(experiment).mechanics, experiment.wall, push_at_rest(experiment)
+    inertia = mechanics.motor_inertia + mechanics.loaded_link_inertia
+    distance = abs(wall.position - experiment.trial.start)
+    if experiment.trial.kind == "human":
+        inertia += experiment.operator.pads_mass * mechanics.handle_radius**2
+        velocity = _reach_velocity(experiment, distance)
+    else:
+        net = max(0.0, push - mechanics.motor_coulomb - mechanics.link_coulomb)
+        velocity = math.sqrt(2.0 * net * distance / inertia)
+    if wall.stiffness == 0.0:
+        return PredictedImpact(velocity, math.inf, 0.0)
+    rest = push / wall.stiffness
+    peak = rest + math.sqrt(rest**2 + inertia * velocity**2 / wall.stiffness)
+    return PredictedImpact(velocity, peak, wall.stiffness * peak)
+
+
+def _way_of_the_hand(x: Experiment, distance: float) -> float:
+    """How far a hand would go from the start if nothing were in the way, by its spring and its press (rad or m)."""
+    operator = x.operator
+    stretch = math.inf
+    if operator.hand_stiffness > 0.0:
+        stretch = operator.press * (1.0 + operator.press_modulation) / operator.hand_stiffness
+    return distance + (operator.depth + stretch) / x.rig.mechanics.handle_radius
+
+
+def _reach_velocity(x: Experiment, distance: float) -> float:
+    """Velocity of a raised cosine over the way of the hand where it passes the wall."""
+    way = _way_of_the_hand(x, distance)
+    if math.isinf(way):
+        return math.inf
+    share = distance / way
+    return math.pi * way / x.operator.reach_s * math.sqrt(share * (1.0 - share))
+
+
+def _push_text(x: Experiment) -> str:
+    motion, o = x.rig.motion, x.operator
+    if x.trial.kind != "human":
+        return f"{x.trial.effort:g} {unit_of('effort', motion)}"
+    return (
+        f"a person's hand with a {o.grip} grip, no motor: it reaches {o.depth * 1e3:g} mm deep in {o.reach_s:g} s "
+        f"from {o.begin_s:g} s on, and presses {o.press:g} N"
+    )
+
+
+def _steps(x: Experiment) -> tuple[Step, ...]:
+    position, effort, velocity = (unit_of(q, x.rig.motion) for q in ("position", "effort", "velocity"))
+    c, t, h, w = x.controller, x.trial, x.homing, x.wall
+    scheme = "uniform" if c.position_rate == c.velocity_rate else "dual-rate"
+    wall = f"{w.stiffness:g} {unit_of('stiffness', x.rig.motion)}, {w.damping:g} {unit_of('damping', x.rig.motion)}"
+    return (
+        Step(
+            "configure",
+            f"{scheme}: position {c.position_rate} Hz, velocity {c.velocity_rate} Hz by {c.estimator}, "
+            f"{where_it_runs(x)}",
+            0.0,
+        ),
+        Step(
+            "home",
+            f"to {t.start:g} {position} at {h.speed:g} {velocity}, at most {h.effort:g} {effort}",
+            h.timeout_s,
+        ),
+        *_baseline_step(x),
+        Step("push", f"{_push_text(x)} into a wall of {wall} at {w.position:g} {position}", push_s(x)),
+        Step("release", "ramp the effort to zero", t.release_s),
+        Step("judge", f"on the last {x.verdict.tail_s:g} s of the push; disarm and seal the recording", 0.0),
+    )
+
+
+def _baseline_step(x: Experiment) -> tuple[Step, ...]:
+    trial = x.trial
+    if trial.baseline_s + trial.foreperiod_s == 0.0:
+        return ()
+    most = f", and up to {trial.foreperiod_s:g} s more" if trial.foreperiod_s else ""
+    return (Step("wait", f"in free space for the cue{most}", trial.baseline_s),)
+
+
+def _watch_checks(x: Experiment) -> list[Check]:
+    """What ends a trial for what the motor does to the handle (`rig.control.watch`)."""
+    energy, oscillations = controller.energy_limit(x), controller.oscillation_limit(x)
+    checks = []
+    if energy > 0.0 and x.wall.stiffness > 0.0:
+        hit = predict_impact(x)
+        work = abs(motor_push(x)) * (abs(x.wall.position - x.trial.start) + hit.peak_penetration)
+        leak = x.wall.stiffness * x.rig.encoder.resolution**2
+        checks.append(
+            limited(
+                "energy",
+                work <= energy,
+                f"the push gives up to {work:.2g} J, a count left and entered again {leak:.2g} J; limit {energy:g}",
+                "raise rig.limits.energy, push less or start closer",
+            )
+        )
+    if oscillations > 0:
+        within = f"each within {x.rig.limits.oscillation_s:g} s"
+        checks.append(
+            Check(
+                "violence",
+                Outcome.OK,
+                f"{oscillations} full oscillations of the effort in a row, {within}, end the run",
+            )
+        )
+    return checks
+
+
+def human_limit_checks(x: Experiment, *, real: bool = False) -> list[Check]:
+    """Check the limits of a person's trial; what exceeds those for people is refused on a `real` rig."""
+    if x.trial.kind != "human":
+        return []
+    limits, unit = x.rig.limits, unit_of("effort", x.rig.motion)
+    if exceeded := human_limits_exceeded(x):
+        text = f"a person holds the handle, and {', '.join(exceeded)}; a real rig refuses this trial"
+        outcome = Outcome.REFUSED if real else Outcome.WARNING
+        return [
+            Check("human limits", outcome, text, f"remove {', '.join(one.split(' ')[0] for one in exceeded)}")
+        ]
+    if limits.effort > limits.nominal_effort:
+        text = (
+            f"the effort may reach {limits.effort:g} {unit}, {limits.effort / limits.nominal_effort:.3g} times the "
+            "nominal effort, with a person at the handle (rig.limits.override_stall = true)"
+        )
+        return [Check("human limits", Outcome.WARNING, text, "remove it unless the study needs those peaks")]
+    return [
+        Check(
+            "human limits", Outcome.OK, f"at most {limits.effort:g} {unit}, no more than the nominal effort"
+        )
+    ]
+
+
+def _saturating(x: Experiment) -> str:
+    """What to say of a hit whose spring asks for more than the limit at its deepest."""
+    if (
+        x.trial.kind == "human"
+        and push_at_rest(x) * (1.0 + x.operator.press_modulation) < x.rig.limits.effort
+    ):
+        return "expected for a moment at impact, and a verdict looks at the end; to avoid it push less or start closer"
+    return "the hit will saturate; push less or start closer"
+
+
+def _wall_checks(x: Experiment) -> list[Check]:
+    limits, motion, delta = x.rig.limits, x.rig.motion, x.rig.encoder.resolution
+    position, effort, velocity = (unit_of(q, motion) for q in ("position", "effort", "velocity"))
+    if x.wall.stiffness == 0.0:
+        return [
+            Check(
+                "stiffness",
+                Outcome.REFUSED,
+                "0: nothing would stop the handle",
+                "choose wall.stiffness above 0",
+            )
+        ]
+    hit = predict_impact(x)
+    end = x.wall.position + x.wall.side * hit.peak_penetration
+    inside = limits.position_minimum <= end <= limits.position_maximum
+    # A hand's motion may have no bound that is known.
+    reading = highest_reading(x, hit.velocity) if math.isfinite(hit.velocity) else math.inf
+    checks = [
+        finding(
+            "impact velocity",
+            reading <= limits.speed,
+            f"up to {hit.velocity:.3g} {velocity}, which reads as up to {reading:.3g} {velocity}; "
+            f"limit {limits.speed:g}",
+            {**quieter_changes(x), **_slower_changes(x, hit.velocity)},
+            "push less or start closer to the wall",
+        ),
+        finding(
+            "peak penetration",
+            inside,
+            f"up to {hit.peak_penetration:.3g} {position} ({hit.peak_penetration / delta:.1f} counts), "
+            f"window {limits.position_minimum:g} … {limits.position_maximum:g}",
+            _stiffer_changes(x, hit),
+            "raise wall.stiffness, push less, or widen the window",
+        ),
+        limited(
+            "peak effort",
+            hit.peak_effort <= limits.effort,
+            f"spring up to {hit.peak_effort:.3g} {effort}, limit {limits.effort:g}",
+            _saturating(x),
+            Outcome.WARNING,
+        ),
+    ]
+    rest = push_at_rest(x) / x.wall.stiffness
+    enough = rest / delta >= x.trial.minimum_rest_counts
+    if x.trial.kind == "human":
+        checks.append(_let_go_check(x))
+    if share := x.rig.cogging.ripple_crest:
+        low, high = (x.wall.stiffness * (1.0 + way * share) for way in (-1.0, 1.0))
+        varies = f"K·(1 ± {share:.2g}) over position, {low:.4g} to {high:.4g} {unit_of('stiffness', motion)}"
+        checks.append(Check("ripple", Outcome.OK, f"{varies}, as much of B; not compensated"))
+    return [
+        *checks,
+        limited(
+            "resting penetration",
+            enough,
+            f"{rest:.3g} {position} ({rest / delta:.2f} counts), least {x.trial.minimum_rest_counts:g} counts",
+            "push more, or lower wall.stiffness",
+        ),
+    ]
+
+
+def _slower_changes(x: Experiment, velocity: float) -> dict[str, float]:
+    """The push of a motor that brings the handle to the wall below the speed limit, and a wall in which it rests.
+
+    The loop reads a count more than the speed; `quieter_changes` leave that below a share of the limit.
+    """
+    way = abs(x.wall.position - x.trial.start)
+    count = min(highest_reading(x), COUNT_SPEED_SHARE * x.rig.limits.speed)
+    speed = LESS * x.rig.limits.speed - count
+    if x.trial.kind == "human" or velocity <= speed:
+        return {}
+    push = holding_effort(x) + 0.5 * homing.inertia(x) * speed**2 / way
+    rest = x.trial.minimum_rest_counts * x.rig.encoder.resolution
+    rests = push >= rest * x.wall.stiffness
+    softer = {} if rests else {"wall.stiffness": float(f"{LESS * push / rest:.3g}")}
+    return {"trial.effort": x.wall.side * float(f"{push:.3g}"), **softer}
+
+
+def _stiffer_changes(x: Experiment, hit: PredictedImpact) -> dict[str, float]:
+    """The stiffness that stops the handle within the window."""
+    limits = x.rig.limits
+    end = limits.position_maximum if x.wall.side > 0 else limits.position_minimum
+    room = LESS * abs(end - x.wall.position)
+    if x.trial.kind == "human" or room == 0.0:
+        return {}
+    stiffness = (2.0 * push_at_rest(x) * room + homing.inertia(x) * hit.velocity**2) / room**2
+    return {"wall.stiffness": float(f"{stiffness:.3g}")}
+
+
+def _let_go_check(x: Experiment) -> Check:
+    """Where a pressing hand ends when the wall goes away in the release."""
+    limits = x.rig.limits
+    start = x.trial.start
+    end = start + x.wall.side * _way_of_the_hand(x, abs(x.wall.position - start))
+    inside = limits.position_minimum <= end <= limits.position_maximum
+    return limited(
+        "after the wall",
+        inside,
+        f"the hand goes on to {end:.3g} {unit_of('position', x.rig.motion)}, "
+        f"window {limits.position_minimum:g} … {limits.position_maximum:g}",
+        "press less, or with a stiffer hand",
+    )
+
+
+def _heat_check(x: Experiment) -> Check:
+    seconds = x.trial.duration_s * x.trial.repeats
+    remedy = "push less, shorten trial.duration_s, or let the motor cool between repeats"
+    return heat_check(x, push_at_rest(x), seconds, remedy)

@@ -1,0 +1,204 @@
+"""The same inputs through the same law again, or through another: what would it have commanded.
+
+Replay is open loop: the handle moved as it moved, whatever the other law would have done to it. With the
+recorded settings it is bit-exact, also over gaps, because the rows and the header hold every input of
+`rig.control.step`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_protocol.connection import State
+from rig import config
+from rig.config import controller
+from rig.control.law import Law
+from rig.control.step import DONE, ControllerState
+from rig.core.drawn import Drawn
+from rig.core.errors import LawError, RecordingError
+from rig.core.present import Item, Row, reported
+from rig.core.sample import COLUMNS, ROW, unit_of
+from rig.core.shown import Shown
+from rig.experiments.trials.judgement import experiment_of
+from rig.loop.replay import NO_SETS, replay_rows
+from rig.recording.counts import refuse_counts
+from rig.recording.cutting import cut_facts
+from rig.recording.data import Recording
+
+# What `step` leaves, and what a replay therefore computes anew; everything else of a row is copied.
+COMPUTED = (
+    "phase",
+    "position",
+    "velocity",
+    "estimator_window",
+    "penetration",
+    "effort_wall",
+    "effort_wanted",
+    "effort_sent",
+    "current_sent",
+)
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class ReplayResult(Shown, Drawn):
+    """Replayed rows beside the recorded ones (equal length, `rig.core.sample.ROW`), and how far they are apart.
+
+    `exact` says that every computed column is equal to the last bit; the differences are rms over the rows,
+    in the units of the rig. `of` is the recording.
+    """
+
+    of: Recording = field(repr=False)
+    recorded: NDArray[np.void] = field(repr=False)
+    rows: NDArray[np.void] = field(repr=False)
+    estimator: str
+    law: str
+    exact: bool
+    velocity_difference: float
+    effort_difference: float
+
+    @reported
+    def ticks(self) -> int:
+        """How many rows there are."""
+        return len(self.rows)
+
+    def brief(self) -> list[Item]:
+        """What it went through, and how far that is from the recorded one."""
+        velocity, effort = (unit_of(name, self.of.header["motion"]) for name in ("velocity", "effort"))
+        return [
+            f"{self.of.path or self.of.header['rig']}: {self.ticks} ticks through {self.estimator} and {self.law}",
+            Row("equal to the last bit", self.exact),
+            Row("velocity differs by", self.velocity_difference, velocity, "rms"),
+            Row("effort differs by", self.effort_difference, effort, "rms"),
+        ]
+
+
+def replay(
+    recording: Recording, changes: Mapping[str, Any] | None = None, *, law: Law | None = None
+) -> ReplayResult:
+    """Replay a recording.
+
+    Parameters
+    ----------
+    recording
+        Complete or not: its rows from the first on.
+    changes
+        Keys of the experiment to change, dotted, like ``{"controller.estimator": "fdm"}``; none: the same
+        law again. A change of the wall replaces also what was changed during the run.
+    law
+        A law of the caller's own instead of the named one.
+
+    Raises
+    ------
+    RecordingError
+        The recording lacks its beginning, or ticks in the middle; or it is a cut, and another law or estimator is asked
+        for.
+    ConfigError
+        The changes are invalid, or the law of the recording is not installed here.
+    LawError
+        The law or the estimator raised an exception.
+    """
+    recorded = _rows(recording)
+    replayed = recorded.copy()
+    bundle = _controller(recording, changes, law)
+    _run(bundle, recorded, replayed, _sets(recording, changes, law))
+    if len(recorded):
+        _as_the_loop_ended(recorded, replayed)
+    return ReplayResult(
+        recording,
+        recorded,
+        replayed,
+        bundle.estimator.estimator.name,
+        bundle.law.law.name,
+        exact=all(replayed[name].tobytes() == recorded[name].tobytes() for name in (*COMPUTED, "flags")),
+        velocity_difference=_rms(replayed["velocity"], recorded["velocity"]),
+        effort_difference=_rms(replayed["effort_sent"], recorded["effort_sent"]),
+    )
+
+
+def state_before(recording: Recording, row: int) -> dict[str, Any]:
+    """The controller as it stood before a row, found by replaying the ones before; `ControllerState.as_mapping`.
+
+    Raises `RecordingError` for a recording that has no replay up to there, `ConfigError` and `LawError` as `replay`.
+    """
+    recorded, bundle = _rows(recording)[:row], _controller(recording, None, None)
+    _run(bundle, recorded, recorded.copy(), _sets(recording, None, None))
+    return bundle.as_mapping()
+
+
+def _run(
+    bundle: ControllerState, recorded: NDArray[np.void], replayed: NDArray[np.void], sets: NDArray[np.float64]
+) -> None:
+    try:
+        replay_rows(bundle.arguments(), recorded, replayed, sets)
+    except Exception as error:
+        raise LawError(
+            f"the law or the estimator raised {error!r}", remedy="correct it, since a kernel must not raise"
+        ) from error
+
+
+def _rows(recording: Recording) -> NDArray[np.void]:
+    began = int((cut_facts(recording) or {"first_tick": 0})["first_tick"])
+    if len(recording.rows) and recording.rows["tick"][0] != began:
+        raise RecordingError(
+            f"the recording begins at tick {recording.rows['tick'][0]}",
+            remedy="its first block is lost: it has no replay",
+        )
+    if not np.array_equal(recording.rows["tick"], began + np.arange(len(recording.rows))):
+        raise RecordingError(
+            "ticks are missing in the middle of the recording", remedy="it has no exact replay"
+        )
+    rows = np.zeros(len(recording.rows), dtype=ROW)
+    for column in COLUMNS:
+        rows[column.name] = recording.rows[column.name]
+    return rows
+
+
+def _sets(recording: Recording, changes: Mapping[str, Any] | None, law: Law | None) -> NDArray[np.float64]:
+    """Parameter sets that became active during the run, unless another wall is asked for."""
+    sets = recording.trailer.get("parameter_sets") or [] if recording.trailer else []
+    if law is not None or any(key.startswith("wall.") for key in changes or ()):
+        sets = []
+    rows = [[one["tick"], one["wall_position"], *one["parameters"]] for one in sets]
+    return np.array(rows, dtype=np.float64) if rows else NO_SETS
+
+
+def _controller(recording: Recording, changes: Mapping[str, Any] | None, law: Law | None) -> ControllerState:
+    refuse_counts(recording)
+    initial, facts = recording.header["initial_state"], cut_facts(recording)
+    if facts is not None and (not initial or (facts["first_tick"] and (changes or law))):
+        raise RecordingError(
+            "the recording is a cut that begins in the middle of a trial, where no other law or estimator ever was"
+            if initial
+            else "the recording is a cut from one that has no replay up to there",
+            remedy=f"replay the recording that it was cut from: {facts['recording']}",
+        )
+    if not changes:
+        return ControllerState.from_mapping(initial, law=law)
+    experiment = config.override(experiment_of(recording), changes, "replay")
+    quantum = recording.header["identity"].get("current_quantum_a")
+    reference = initial.get("control", {}).get("reference_count")
+    if quantum is None or reference is None:
+        raise RecordingError(
+            "the recording's header lacks the current quantum or the reference count", remedy="record again"
+        )
+    return controller.for_experiment(
+        experiment, current_quantum_a=quantum, reference_count=reference, law=law
+    )
+
+
+def _as_the_loop_ended(recorded: NDArray[np.void], replayed: NDArray[np.void]) -> None:
+    """The loop sends zero in the tick that ends it, though the effort was on its way down or the device failed."""
+    last = recorded[-1]
+    faulty = last["fault"] != 0 or last["device_state"] == State.FAULT
+    if faulty or replayed["phase"][-1] == DONE:
+        replayed["effort_sent"][-1] = 0.0
+        replayed["current_sent"][-1] = 0
+
+
+def _rms(replayed: NDArray[np.float64], recorded: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(np.square(replayed - recorded)))) if len(recorded) else 0.0
