@@ -23,7 +23,7 @@ GROUPS = ("dialout", "uucp")  # Debian and Fedora, Arch
 RULES_PLACES = ("etc/udev/rules.d", "run/udev/rules.d", "usr/lib/udev/rules.d", "lib/udev/rules.d")
 
 
-@question("serial ports", "a rig can only be used by somebody who may open its port")
+@question("serial ports", "the user must be allowed to open the rig's port")
 def serial_ports(machine: Machine) -> Check:
     """Whether this user may open the serial ports that are here, or those that will be."""
     ports = sorted(path for pattern in PORTS for path in (machine.root / "dev").glob(pattern))
@@ -31,19 +31,19 @@ def serial_ports(machine: Machine) -> Check:
     if not ports:
         return _future_ports(machine)
     if not closed:
-        return ok(f"{', '.join(path.name for path in ports)} may be opened")
+        return ok(f"{', '.join(path.name for path in ports)} can be opened")
     group = name_of_group(closed[0].stat().st_gid)
-    text = f"{', '.join(path.name for path in closed)} may not be opened by {machine.rights.user}"
+    text = f"{', '.join(path.name for path in closed)} cannot be opened by {machine.rights.user}"
     if group == "root":
-        return refused(f"{text}: they belong to root alone", RULES_COMMAND)
+        return refused(f"{text}: they belong to root", RULES_COMMAND)
     return _group_missing(machine, group, f"{text}, who is not in group {group}")
 
 
 def _future_ports(machine: Machine) -> Check:
     group = next((group for group in GROUPS if group in _groups(machine)), None)
     if group is None or machine.rights.user == "root" or group in machine.rights.groups:
-        return ok("none is connected")
-    text = f"none is connected, and {machine.rights.user} is not in group {group}, which will own them"
+        return ok("none connected")
+    text = f"none connected; {machine.rights.user} is not in group {group}, which owns serial ports"
     return replace(_group_missing(machine, group, text), outcome=Outcome.WARNING)
 
 
@@ -62,25 +62,25 @@ def _groups(machine: Machine) -> dict[str, list[str]]:
 
 @question(
     "udev rules",
-    "they name the rig's port after its serial number, let its user open it, and keep other programs away",
+    "they name the rig's port after its serial number, grant access to it, and keep other programs away",
 )
 def udev_rules_present(machine: Machine) -> Check:
     """Whether the rules for rigs are installed."""
     path = machine.root / RULES_FILE.lstrip("/")
     if path.exists() or any("haptic-rig" in rules.name for rules in _rules(machine)):
-        return ok("they are installed")
-    return warning(f"there is no {RULES_FILE}", RULES_COMMAND)
+        return ok("installed")
+    return warning(f"{RULES_FILE} is missing", RULES_COMMAND)
 
 
 @question("ModemManager", "it opens every new serial port and sends modem commands for up to half a minute")
 def modem_manager(machine: Machine) -> Check:
     """Whether a program that looks for modems would open the port first."""
     if not running(machine.root, "ModemManager"):
-        return ok("it does not run")
+        return ok("not running")
     ignoring = (rules for rules in _rules(machine) if "haptic-rig" in rules.name)
     if any("ID_MM_DEVICE_IGNORE" in text_of(rules) for rules in ignoring):
-        return ok("it runs, and a udev rule makes it ignore rigs")
-    return warning("it runs, and no udev rule makes it ignore rigs", RULES_COMMAND)
+        return ok("running; a udev rule makes it ignore rigs")
+    return warning("running, and no udev rule makes it ignore rigs", RULES_COMMAND)
 
 
 @question("brltty", "it takes some serial adapters (CH340, CP210x, FTDI) for braille displays and keeps them")
@@ -88,9 +88,9 @@ def brltty(machine: Machine) -> Check:
     """Whether a program for braille displays would take the adapter."""
     rules = [rules.name for rules in _rules(machine) if "brltty" in rules.name]
     if not running(machine.root, "brltty") and not rules:
-        return ok("it is not installed")
+        return ok("not installed")
     return warning(
-        "it is installed, and needed only for a braille display",
+        "installed, but needed only for a braille display",
         "sudo systemctl mask --now brltty.service brltty-udev.service",
     )
 

@@ -13,6 +13,6 @@ def machine_checks(host: RealtimeRequest | None = None) -> list[Check]:
     return [_real_time()]
 
 
-@question("real time", "other programs may stop a loop of this computer for as long as they like")
+@question("real time", "other programs can interrupt a loop on this computer for any time")
 def _real_time() -> Check:
-    return warning("no loop of this computer runs in real time: it is not Linux", ON_THE_BOARD)
+    return warning("no real-time loop on this computer: its system is not Linux", ON_THE_BOARD)

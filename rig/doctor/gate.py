@@ -133,7 +133,9 @@ def _link_checks(experiment: Experiment, measurement: LinkMeasurement) -> list[C
     return found
 
 
-@question("delay", "a command that arrives after the lifetime of the one before finds the wall dropped")
+@question(
+    "delay", "if a command arrives after the previous one's lifetime, the device has already dropped the wall"
+)
 def _delay(experiment: Experiment, measurement: LinkMeasurement) -> Check:
     travel_s, lifetime_s = measurement.travel_s.almost_all, _lifetime_s(experiment)
     ticks = measurement.delay_ticks(experiment.controller.position_rate, experiment.host.pacing)
@@ -144,9 +146,7 @@ def _delay(experiment: Experiment, measurement: LinkMeasurement) -> Check:
     if experiment.controller.loop == "device":
         other = "lengthen controller.supervise_lifetime_s"
     elif experiment.controller.command_lifetime_s is not None:
-        other = (
-            f"set controller.command_lifetime_s to {travel_s / LIFETIME_SHARE:.3g} s or more, where it may"
-        )
+        other = f"set controller.command_lifetime_s to {travel_s / LIFETIME_SHARE:.3g} s or more, if its limit permits"
     else:
         other = f"choose a rate of {rate_of_lifetime(travel_s / LIFETIME_SHARE)} Hz or less"
     return refused(
@@ -155,10 +155,10 @@ def _delay(experiment: Experiment, measurement: LinkMeasurement) -> Check:
     )
 
 
-@question("losses", "a lost command is one tick without a new effort")
+@question("losses", "each lost command is a tick without a new effort")
 def _losses(measurement: LinkMeasurement) -> Check:
     share = f"{100 * measurement.loss_share:.2g} %, allowed {100 * LOST_SHARE:g} %"
-    text = f"{measurement.lost} of {measurement.sent} questions were lost ({share})"
+    text = f"{measurement.lost} of {measurement.sent} requests were lost ({share})"
     if measurement.loss_share <= LOST_SHARE:
         return ok(text)
     return refused(
@@ -169,8 +169,8 @@ def _losses(measurement: LinkMeasurement) -> Check:
 @question("measurement")
 def _short(number: int, bounded: float) -> Check:
     return warning(
-        f"{number} answers bound p{100 * bounded:.5g} only: the longest one counts",
-        f"measure longer: bounding p99.9 needs {ENOUGH} answers",
+        f"{number} replies bound only p{100 * bounded:.5g}; the longest round trip is used instead",
+        f"measure longer: bounding p99.9 needs {ENOUGH} replies",
     )
 
 
@@ -179,7 +179,7 @@ def _execution(experiment: Experiment) -> Check:
     """The wall under a whole tick of delay: at its highest rate the device needs about two thirds of one."""
     wall = experiment.wall
     late = LateLoops.of(experiment, 1).radius(wall.stiffness, wall.damping)
-    text = "the law is to run on the device, within the tick; with a whole tick of delay this wall would be"
+    text = "the law runs on the device within a tick; with a full tick of delay this wall would be"
     if unstable_hands(late, wall.stiffness):
         return warning(f"{text} unstable (spectral radius {max(late.values()):.4g})")
     return ok(f"{text} stable, too")

@@ -49,7 +49,7 @@ class Here:
             *(Row(f"{one.scheme}://", _shown(one, broken)) for one, broken in self.backends),
             "serial ports",
             *([Row(port.url, port.description) for port in self.ports] or nothing),
-            "USB devices that could be rigs",
+            "USB devices that might be rigs",
             *([Row(device.url, device.product) for device in self.usb if device.is_rig] or nothing),
             "simulated rigs",
             *(Row(f"sim://{name}", "") for name in self.simulated),

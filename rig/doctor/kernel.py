@@ -25,19 +25,19 @@ _HYPERVISORS = re.compile(
 )
 
 
-@question("kernel", "the loop waits for whatever the kernel does not interrupt")
+@question("kernel", "the loop must wait for kernel work that cannot be interrupted")
 def preemption(machine: Machine) -> Check:
     """How the kernel lets a real-time thread interrupt what runs."""
     kind = facts.preemption(machine.root)
     if kind == "PREEMPT_RT":
         return ok("PREEMPT_RT: almost everything can be interrupted")
     if kind in ("PREEMPT_DYNAMIC (none)", "PREEMPT_DYNAMIC (voluntary)"):
-        text = f"{kind}: the kernel's own work is not interrupted"
+        text = f"{kind}: kernel work cannot be interrupted"
         return warning(text, f"echo full | sudo tee {PREEMPT_FILE}")
     if kind == "none":
         remedy = "on Debian, run, then reboot: sudo apt-get install linux-image-rt-amd64"
-        return warning("the kernel's own work is not interrupted", remedy)
-    return ok(f"{kind}: most of it can be interrupted; PREEMPT_RT would shorten the longest waits")
+        return warning("kernel work cannot be interrupted", remedy)
+    return ok(f"{kind}: most kernel work can be interrupted; PREEMPT_RT would shorten the longest waits")
 
 
 @question("timers", "coarse timers wake the loop at multiples of 1 to 10 ms only")
@@ -48,7 +48,7 @@ def timer(machine: Machine) -> Check:
     if resolution <= COARSE_NS:
         return ok(f"high resolution ({resolution} ns)")
     return refused(
-        f"their resolution is {resolution / 1e6:g} ms",
+        f"resolution {resolution / 1e6:g} ms, needed are 0.001 ms or finer",
         "remove highres=off and nohz=off from the kernel's command line and reboot",
     )
 
@@ -64,16 +64,16 @@ def clock(machine: Machine) -> Check:
     fast = [other for other in facts.clock_sources(machine.root) if other not in SLOW_CLOCKS]
     if fast:
         return warning(f"{source} is slow", f"echo {fast[0]} | sudo tee {CLOCK_FILE}")
-    return warning(f"{source} is slow: the kernel found the processor's own counter not steady")
+    return warning(f"{source} is slow: the kernel found the processor's counter (TSC) unsteady")
 
 
-@question("frequency", "a processor that slows down between two ticks computes the next one late")
+@question("frequency", "a processor that lowers its clock between ticks computes the next tick late")
 def governor(machine: Machine) -> Check:
     """Whether processors stay at their full frequency."""
     chosen = facts.governors(machine.root)
     others = sorted(by for by in chosen.values() if by != "performance")
     if not chosen:
-        return ok("it is fixed, or not visible on this machine")
+        return ok("fixed, or not visible on this machine")
     if not others:
         return ok(f"performance on {len(chosen)} processors")
     text = ", ".join(f"{by} on {others.count(by)}" for by in dict.fromkeys(others))
@@ -81,13 +81,13 @@ def governor(machine: Machine) -> Check:
     return warning(f"{text} of {len(chosen)} processors", f"echo performance | sudo tee {file}")
 
 
-@question(refusals.PROCESSOR, "on a processor of its own the loop shares neither time nor caches")
+@question(refusals.PROCESSOR, "on an isolated processor the loop shares neither time nor caches")
 def isolation(machine: Machine) -> Check:
     """Whether the loop's processor is its own."""
     cpu, isolated = machine.request.cpu, sorted(facts.isolated_cpus(machine.root))
     online = sorted(facts.online_cpus(machine.root))
     if cpu is None:
-        free = f"; host.cpu could be an isolated one: {', '.join(map(str, isolated))}" if isolated else ""
+        free = f"; isolated processors for host.cpu: {', '.join(map(str, isolated))}" if isolated else ""
         return ok(f"the loop may run on any of {len(online) or 'the'} processors{free}")
     if online and cpu not in online:
         return refusals.of_processor(cpu, 0, machine.root)
@@ -95,13 +95,13 @@ def isolation(machine: Machine) -> Check:
         return ok(f"processor {cpu} is isolated")
     edit = f's/^GRUB_CMDLINE_LINUX="/&isolcpus={cpu} nohz_full={cpu} rcu_nocbs={cpu} /'
     return warning(
-        f"processor {cpu} is not isolated: other programs run there too",
+        f"processor {cpu} is not isolated: other programs run on it too",
         f"run, then reboot: sudo sed -i '{edit}' /etc/default/grub && sudo update-grub",
     )
 
 
 @question(
-    "virtual machine", "its host may stop this machine for milliseconds, and nothing here can prevent that"
+    "virtual machine", "the hypervisor may stop this machine for milliseconds, which nothing here can prevent"
 )
 def virtual_machine(machine: Machine) -> Check:
     """Whether this machine is a virtual one."""
@@ -113,5 +113,5 @@ def virtual_machine(machine: Machine) -> Check:
         text_of(machine.root / "sys/class/dmi/id" / part) for part in ("sys_vendor", "product_name")
     )
     if flags or below or _HYPERVISORS.search(dmi):
-        return warning(f"this machine is one ({below or dmi.strip() or 'by its processor flags'})")
-    return ok("no sign of one")
+        return warning(f"this machine is virtual ({below or dmi.strip() or 'by its processor flags'})")
+    return ok("no sign of virtualisation")

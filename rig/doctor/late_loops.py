@@ -76,17 +76,17 @@ class LateLoops:
         law = experiment.wall.law
         if law not in SPRING_AND_DAMPER:
             raise ConfigError(
-                f"the law {law} is not a spring and damper",
-                remedy="its stability is not computed: begin with little effort",
+                f"the law {law} is not a spring and damper, so its stability cannot be computed",
+                remedy="begin with little effort",
             )
         if experiment.controller.arithmetic == "drive" and experiment.controller.loop == "device":
             raise ConfigError(
-                "the drive renders the wall itself, with filters that theory here does not have",
-                remedy="its stability is not computed: begin with little effort",
+                "the drive renders the wall itself, with filters that linear theory here does not model",
+                remedy="begin with little effort",
             )
         if delay_ticks > LARGEST_DELAY:
             raise ConfigError(
-                f"a delay of {delay_ticks} ticks is not computed (at most {LARGEST_DELAY})",
+                f"stability with a delay of {delay_ticks} ticks cannot be computed (at most {LARGEST_DELAY})",
                 remedy=f"choose a rate of {experiment.controller.position_rate * LARGEST_DELAY // delay_ticks} Hz or "
                 "less, or a faster link",
             )
@@ -142,7 +142,7 @@ def _linear_schemes(experiment: Experiment) -> tuple[tuple[Scheme, ...], str]:
         linear_loop(experiment, own, operator=NO_OPERATOR)
     except NotLinearError as error:
         usual = [replace(scheme, estimator=STAND_IN, parameters=_cutoff_of(scheme)) for scheme in schemes]
-        return tuple(usual), f"{own.estimator} is not linear ({error.reason}): {STAND_IN} stands in for it"
+        return tuple(usual), f"{own.estimator} is not linear ({error.reason}): theory uses {STAND_IN} instead"
     return tuple(schemes), ""
 
 

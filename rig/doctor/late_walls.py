@@ -66,7 +66,7 @@ def stability(
     )
     return refused(
         f"{what} is unstable {where} ({', '.join(map(hand_text, hands))}; {limit})",
-        f"{less}, or a faster link or another rate; `rig doctor --url …` lists the stable walls",
+        f"{less}, or use a faster link or another rate; `rig doctor --url …` lists the stable walls",
     )
 
 
@@ -84,9 +84,9 @@ def _theory_checks(experiment: Experiment, loops: LateLoops, passive: float) -> 
     worst = max(homing, key=lambda hand: homing[hand])
     if homing[worst] >= 1.0:
         radius = f"spectral radius {homing[worst]:.4g}"
-        text = f"homing would oscillate in {hand_text(worst)} ({radius}), within homing.effort"
+        text = f"homing would oscillate in {hand_text(worst)} ({radius}), with effort up to homing.effort"
         yield replace(warning(text), name="homing")
     wall, unit = experiment.wall, unit_of("stiffness", experiment.rig.motion)
-    kind = "passive" if wall.stiffness <= passive else "not passive, which is not required"
+    kind = "passive" if wall.stiffness <= passive else "not passive (not required)"
     limit = f"the largest passive K at this damping and delay is {max(0.0, passive):.4g} {unit}"
     yield replace(ok(f"the wall is {kind}: {limit}"), name="passivity")

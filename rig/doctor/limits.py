@@ -18,7 +18,7 @@ assert sys.platform == "linux"
 
 @question(
     refusals.PRIORITY,
-    "an ordinary thread waits behind other programs, for milliseconds when the machine is busy",
+    "without real-time priority a thread waits for other programs, for milliseconds on a busy machine",
 )
 def priority(machine: Machine) -> Check:
     """Whether SCHED_FIFO is granted: by limits and control group, then by trying it in a short-lived thread."""
@@ -30,7 +30,7 @@ def priority(machine: Machine) -> Check:
     return machine.judged(found[0]) if found else ok(f"SCHED_FIFO {wanted} is granted")
 
 
-@question(refusals.MEMORY, "a page that has to be read back from a disk stops the loop for milliseconds")
+@question(refusals.MEMORY, "reading a swapped memory page back from disk stops the loop for milliseconds")
 def memory(machine: Machine) -> Check:
     """Whether all of the program's memory may be locked."""
     if machine.rights.may_lock(status_kilobytes("VmSize", machine.root) * 1024 + refusals.ROOM):
@@ -43,25 +43,26 @@ def idle_states(machine: Machine) -> Check:
     """Whether processors can be kept from deep sleep."""
     device = machine.root / idle.DEVICE
     if device.exists() and machine.openable(device):
-        return ok("they can be kept from deep sleep (/dev/cpu_dma_latency)")
+        return ok("processors can be kept from deep sleep (/dev/cpu_dma_latency)")
     refusal = refusals.of_idle(errno.EACCES if device.exists() else errno.ENOENT, machine.root)
-    return machine.judged(refusal) if refusal else ok("they do not sleep deeply on this machine")
+    return machine.judged(refusal) if refusal else ok("processors have no deep sleep on this machine")
 
 
-@question("swap", "what was moved to a disk has to be read back before the loop continues")
+@question("swap", "swapped memory must be read back from disk before the loop continues")
 def swap(machine: Machine) -> Check:
     """Whether memory may be moved to a disk."""
     areas = [line.split() for line in text_of(machine.root / "proc/swaps").splitlines()[1:]]
     used = sum(int(area[3]) for area in areas if len(area) > 3 and area[3].isdecimal()) // 1024
     if not areas:
-        return ok("there is none")
+        return ok("none")
     if memory(machine).outcome == Outcome.OK:
-        return ok(f"{used} MiB are in use; the loop's memory is locked and stays")
-    return warning(f"{used} MiB are in use, and memory cannot be locked", "sudo swapoff -a")
+        return ok(f"{used} MiB in use; the loop's memory is locked and not swapped")
+    return warning(f"{used} MiB in use, and memory cannot be locked", "sudo swapoff -a")
 
 
 @question(
-    "real-time share", "the share that the kernel keeps back saves a processor from a loop that never waits"
+    "real-time share",
+    "the time that the kernel reserves keeps a processor usable if a real-time loop never waits",
 )
 def real_time_share(machine: Machine) -> Check:
     """Return how much of a second real-time threads may run."""
@@ -70,7 +71,7 @@ def real_time_share(machine: Machine) -> Check:
     if runtime is None:
         return ok("the kernel reports no limit")
     if runtime < 0:
-        return warning("real-time threads may run without end", remedy)
+        return warning("real-time threads may use all processor time", remedy)
     if runtime == 0:
         return machine.judged(refused("real-time threads may not run at all", remedy))
     return ok(f"real-time threads may run {runtime / period:.0%} of each {period / 1e6:g} s")

@@ -58,7 +58,9 @@ class Pace:
         if self.lost_share == 0.0:
             return ""
         lost = f"{100 * self.lost_share:.2g} % of the samples at {self.rate_hz} Hz, or is late with them"
-        return f"this computer or the link loses {lost}, up to {1e3 * self.longest_gap_s:.3g} ms at a time"
+        return (
+            f"this computer or the link loses {lost}, for up to {1e3 * self.longest_gap_s:.3g} ms at a time"
+        )
 
 
 def measured_pace(device: FramedDevice, host: Host, rate_hz: int, limits: VerdictLimits) -> Pace | None:

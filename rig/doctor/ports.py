@@ -39,9 +39,9 @@ def serial_port(name: str, description: str = "") -> tuple[Port, PortFacts]:
     return Port(DeviceUrl.of("serial", name).text, description or facts.product or "", facts), facts
 
 
-@question(NO_PORTS, "without a rig only the simulation can be run")
+@question(NO_PORTS, "without a rig only simulations can run")
 def _nothing_here() -> Check:
-    return warning("no serial port and no USB rig is connected", "plug the rig in, then run: rig device list")
+    return warning("no serial port and no USB rig is connected", "connect the rig, then run: rig device list")
 
 
 def rules_for_rigs() -> str:

@@ -49,11 +49,12 @@ def speed_reading(x: Experiment) -> Check:
     reading, limit = highest_reading(x, x.homing.speed), x.rig.limits.speed
     unit = unit_of("velocity", x.rig.motion)
     text = (
-        f"a count reads as up to {reading:.3g} {unit} by {x.controller.estimator} at {x.controller.velocity_rate} Hz, "
-        f"moved at homing.speed = {x.homing.speed:g} {unit}; rig.limits.speed = {limit:g} ends the run"
+        f"one count is estimated as up to {reading:.3g} {unit} ({x.controller.estimator} at "
+        f"{x.controller.velocity_rate} Hz, moving at homing.speed = {x.homing.speed:g} {unit}); allowed by "
+        f"rig.limits.speed: {limit:g}"
     )
     higher = round_up(reading / COUNT_SPEED_SHARE)
-    filtered = f"choose an estimator that filters more, or set rig.limits.speed = {higher:g}"
+    filtered = f"choose an estimator with more filtering, or set rig.limits.speed = {higher:g}"
     return finding("speed reading", reading <= limit, text, quieter_changes(x), filtered)
 
 
@@ -102,14 +103,17 @@ def _homing_effort(x: Experiment) -> Check:
     held, effort, limits = holding_effort(x), x.homing.effort, x.rig.limits
     least = ABOVE_FRICTION * held + x.rig.amplifier.effort_quantum
     unit = unit_of("effort", x.rig.motion)
-    text = f"{effort:.3g} {unit} against {held:.3g} {unit} of friction, weight and cogging; least {least:.3g}"
+    text = (
+        f"{effort:.3g} {unit} against {held:.3g} {unit} of friction, weight and cogging; "
+        f"required at least {least:.3g}"
+    )
     wanted = round_up(min(max(servos.stable_servo(x).effort, SPARE * least), limits.effort))
     if wanted < least:
         return finding(
             "homing effort",
             effort >= least,
             text,
-            remedy="take a stronger motor: rig.limits.effort is below it, or the described friction is too large",
+            remedy="rig.limits.effort is too low: use a stronger motor, or correct the described friction",
         )
     return finding("homing effort", effort >= least, text, {"homing.effort": wanted})
 
@@ -123,7 +127,7 @@ def _homing_stability(x: Experiment, ticks: int) -> Check:
     margin = servos.phase_margin(x, x.homing.stiffness, x.homing.damping, ticks)
     text = (
         f"stiffness {x.homing.stiffness:g}, damping {x.homing.damping:g} at {x.controller.position_rate} Hz: "
-        f"phase margin {math.degrees(margin):.2g}°, least {math.degrees(LEAST_MARGIN):.2g}°"
+        f"phase margin {math.degrees(margin):.2g}°, required at least {math.degrees(LEAST_MARGIN):.2g}°"
     )
     # Of the free handle: a hand damps it, by how much is not described.
     otherwise = Outcome.WARNING if x.trial.kind == "human" else Outcome.REFUSED
@@ -136,7 +140,10 @@ def _homing_slew(x: Experiment) -> Check:
     natural = math.sqrt(h.stiffness / servos.inertia(x))
     least = h.effort * natural / servos.SLOWEST_RISE
     unit = unit_of("effort", x.rig.motion)
-    text = f"{h.slew:.3g} {unit}/s for homing.effort {h.effort:.3g} {unit} at {natural:.3g} rad/s; least {least:.3g}"
+    text = (
+        f"{h.slew:.3g} {unit}/s for homing.effort {h.effort:.3g} {unit} at {natural:.3g} rad/s; "
+        f"required at least {least:.3g}"
+    )
     return finding(
         "homing slew", h.slew >= least, text, {"homing.slew": round_up(least * servos.SLOWEST_RISE)}
     )
@@ -147,8 +154,8 @@ def _homing_resolution(x: Experiment, ticks: int) -> Check:
     h, unit = x.homing, unit_of("effort", x.rig.motion)
     delta, stiffest = x.rig.encoder.resolution, servos.stiffest_for_counts(x, h.effort, servos.COUNT_SHARE)
     text = (
-        f"one count changes the spring's effort by {h.stiffness * delta:.3g} {unit}, at most {stiffest * delta:.3g}: "
-        "half of homing.effort and twice the friction"
+        f"one count changes the spring's effort by {h.stiffness * delta:.3g} {unit}; allowed at most "
+        f"{stiffest * delta:.3g} (from half of homing.effort and twice the friction)"
     )
     return finding("homing resolution", h.stiffness <= stiffest, text, _gains(x, ticks))
 
@@ -158,13 +165,13 @@ def _homing_offset(x: Experiment, ticks: int) -> Check:
     if (
         x.trial.kind != "constant-effort"
     ):  # a person brings the handle to its start; an excitation has no approach
-        return Check("homing offset", Outcome.OK, "no push begins at trial.start")
+        return Check("homing offset", Outcome.OK, "not relevant: no push begins at trial.start")
     delta, unit = x.rig.encoder.resolution, unit_of("position", x.rig.motion)
     offset, tolerance, largest = servos.resting_offset(x), home_tolerance(x), servos.largest_offset(x)
     text = (
-        f"friction can hold the handle {offset:.3g} {unit} ({offset / delta:.1f} counts) from trial.start; home within "
-        f"{tolerance:.3g} {unit} (homing.tolerance_counts = {x.homing.tolerance_counts:g}), at most {largest:.3g}, "
-        f"three quarters of the way to the wall"
+        f"friction can hold the handle {offset:.3g} {unit} ({offset / delta:.1f} counts) away from trial.start; homing "
+        f"accepts {tolerance:.3g} {unit} (homing.tolerance_counts = {x.homing.tolerance_counts:g}); allowed at most "
+        f"{largest:.3g}, three quarters of the distance to the wall"
     )
     if tolerance <= largest:
         return finding("homing offset", True, text)
@@ -184,9 +191,7 @@ def _homing_offset(x: Experiment, ticks: int) -> Check:
         start, limits = x.wall.position - x.wall.side * round_up(way), x.rig.limits
         if not limits.position_minimum < start < limits.position_maximum:
             held = f"{holding_effort(x):.3g} {unit_of('effort', x.rig.motion)}"
-            remedy = (
-                f"lessen the friction, {held}; or widen the window of positions beyond {start:.3g} {unit}"
-            )
+            remedy = f"reduce the friction, {held}; or widen the position window beyond {start:.3g} {unit}"
             return Check("homing offset", Outcome.REFUSED, text, remedy)
         changes["trial.start"] = start
     return finding("homing offset", False, text, changes)
@@ -203,7 +208,7 @@ def _homing_time(x: Experiment) -> Check:
     )
     needed = way / x.homing.speed + min(settles, 10.0) + x.homing.settle_s
     unit, given = unit_of("position", x.rig.motion), x.homing.timeout_s
-    text = f"up to {needed:.3g} s from {way:.3g} {unit} away; homing.timeout_s = {given:g}"
+    text = f"takes up to {needed:.3g} s from a distance of {way:.3g} {unit}; homing.timeout_s = {given:g}"
     return finding(
         "homing time",
         needed <= given,
@@ -219,10 +224,10 @@ def _approach_checks(x: Experiment) -> Iterator[Check]:
         return
     unit, held, push = unit_of("effort", x.rig.motion), holding_effort(x), abs(motor_push(x))
     least = ABOVE_FRICTION * held + x.rig.amplifier.effort_quantum
-    text = f"{push:.3g} {unit} against {held:.3g} {unit} that hold the handle; least {least:.3g}"
+    text = f"push of {push:.3g} {unit} against a holding effort of {held:.3g} {unit}; required at least {least:.3g}"
     wanted = x.wall.side * round_up(SPARE * least)
     if abs(wanted) > x.rig.limits.effort:
-        yield finding("push", push >= least, text, remedy="take a stronger motor, or less friction")
+        yield finding("push", push >= least, text, remedy="use a stronger motor, or reduce the friction")
     else:
         yield finding("push", push >= least, text, {"trial.effort": wanted})
     net = push - held
@@ -247,7 +252,7 @@ def _unseen_speed(x: Experiment, net: float) -> Check:
     way, limit = UNMOVED_COUNTS * x.rig.encoder.resolution, UNMOVED_SPEED * x.rig.limits.speed
     speed = math.sqrt(2.0 * net * way / inertia)
     slower = x.wall.side * _down(holding_effort(x) + inertia * (limit / SPARE) ** 2 / (2.0 * way))
-    text = f"up to {speed:.3g} {unit} within two counts, where a dead encoder is suspected from {limit:.3g} {unit} on"
+    text = f"up to {speed:.3g} {unit} within two counts; from {limit:.3g} {unit} on a dead encoder would be suspected"
     return finding("unseen speed", speed < limit, text, {"trial.effort": slower})
 
 
@@ -264,8 +269,8 @@ def _current_checks(x: Experiment) -> Iterator[Check]:
     )
     least_a = SIGMAS * sensor.noise * quantum / QUIET_SHARE
     text = (
-        f"compared with what was set {early} to {late} ticks before, behind {1e6 * amplifier.lag_s:.3g} µs of lag; "
-        f"a dead motor shows above {least_a:.2g} A"
+        f"compared with the set-point {early} to {late} ticks before, after a lag of {1e6 * amplifier.lag_s:.3g} µs; "
+        f"a dead motor is detected above {least_a:.2g} A"
     )
     steps = amplifiers.load(amplifier.profile).steps
     step_a = 2.0 * amplifier.effort_limit / amplifier.effort_per_ampere / steps if steps else 0.0
@@ -284,7 +289,7 @@ def _current_checks(x: Experiment) -> Iterator[Check]:
     yield finding(
         "current monitor",
         seen,
-        text if seen else f"{text}, and the push sets {push_a:.2g} A: nothing would be noticed",
+        text if seen else f"{text}, but the push sets only {push_a:.2g} A: a fault would not be detected",
         remedy="push harder, or describe the sensor's noise (rig.amplifier.current_noise_a)",
         otherwise=Outcome.WARNING,
     )

@@ -126,22 +126,22 @@ class LinkMeasurement:
 
     def rows(self) -> list[Row]:
         """Return it for people."""
-        asked = "as fast as it answers" if self.asked_rate_hz is None else f"at {self.asked_rate_hz:g} Hz"
+        asked = (
+            "as fast as the device replies" if self.asked_rate_hz is None else f"at {self.asked_rate_hz:g} Hz"
+        )
         known = (
-            _times(self.travel_s)
-            if self.stamps_trusted
-            else "not known: the device's time stamps are invalid"
+            _times(self.travel_s) if self.stamps_trusted else "unknown: the device's time stamps are invalid"
         )
         carries = (
             "" if self.capacity_bytes_per_s is None else f"of {self.capacity_bytes_per_s / 1e3:.1f} kB/s"
         )
         there, back = self.bytes_to_device_per_s / 1e3, self.bytes_to_host_per_s / 1e3
         lost = f"{100 * self.loss_share:.2g} %; {self.late} late, {self.unsent} not sent, {self.bad_frames} bad frames"
-        rate = f"{self.loop_rate_hz:.0f} Hz with one tick of delay for 99.9 % of the commands"
+        rate = f"{self.loop_rate_hz:.0f} Hz with at most one tick of delay for 99.9 % of the commands"
         return [
-            Row("questions", self.sent, note=f"in {self.duration_s:.1f} s, {asked}"),
+            Row("requests", self.sent, note=f"in {self.duration_s:.1f} s, {asked}"),
             Row("round trip", _times(self.round_trip_s)),
-            Row("of it the link", known),
+            Row("thereof the link", known),
             *([Row("drive", _drive(self.drive))] if self.drive else []),
             *([] if self.virtual else [Row("loop rate", f"up to {rate}")]),
             Row("lost", self.lost, note=lost),
@@ -153,8 +153,11 @@ def _drive(facts: Mapping[str, float]) -> str:
     """From a bridge's tick to the drive's sample (ms), and what was lost there."""
     named = (("p50", "median_us"), ("p99.9", "p999_us"), ("longest", "longest_us"))
     times = ", ".join(f"{name} {1e-3 * facts[key]:.3g} ms" for name, key in named)
-    asked, told = facts["replies"] + facts["lost"], "samples after" if facts.get("cycle_us") else "answers in"
-    return f"{told} {times}; {facts['lost']:.0f} of {asked:.0f} replies lost; {facts['temperature']:.0f} °C"
+    asked, kind = (
+        facts["replies"] + facts["lost"],
+        "samples after" if facts.get("cycle_us") else "replies after",
+    )
+    return f"{kind} {times}; {facts['lost']:.0f} of {asked:.0f} replies lost; {facts['temperature']:.0f} °C"
 
 
 def _times(times: Distribution) -> str:
@@ -284,7 +287,7 @@ class _Run:
         if result < 0:
             failure = self._device.link.failure()
             raise LinkLostError(
-                f"{self._device.link.url.text} is gone ({os.strerror(-result)})",
+                f"the link to {self._device.link.url.text} was lost ({os.strerror(-result)})",
                 remedy="check cable and power, then start again",
                 statistics=self._device.connection.statistics,
             ) from failure
@@ -305,8 +308,8 @@ class _Run:
         tally = dict(zip(TALLY._fields, self._tally.tolist(), strict=True))
         if not tally["answered"]:
             raise LinkLostError(
-                f"the device at {self._device.link.url.text} does not answer GetTime in {TIMEOUT_S * 1e3:g} ms",
-                remedy="check cable and power, and that the right firmware runs there",
+                f"the device at {self._device.link.url.text} did not reply to GetTime within {TIMEOUT_S * 1e3:g} ms",
+                remedy="check cable and power, and that the right firmware runs on the device",
                 statistics=self._device.connection.statistics,
             )
         exchanges = self._exchanges[: tally["answered"]].copy()

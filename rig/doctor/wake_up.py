@@ -94,7 +94,7 @@ def measure(request: RealtimeRequest, seconds: float = 1.0, rate_hz: int = RATE_
     )
 
 
-@question("wake-ups", "the time that waking takes is missing from each period, and varies from tick to tick")
+@question("wake-ups", "wake-up latency shortens each period and varies from tick to tick")
 def judged(woken: WakeUps) -> Check:
     """Judge a measurement."""
     thread = woken.thread

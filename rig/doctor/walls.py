@@ -105,10 +105,10 @@ def candidate_rates(experiment: Experiment, measurement: LinkMeasurement, rate_m
     if measurement.capacity_bytes_per_s is not None and not on_the_device:
         carried = int(LINK_SHARE * measurement.capacity_bytes_per_s // STATE_BYTES)
         if carried < rate_maximum:
-            found.append(Rate(_round(carried), "what the link carries"))
+            found.append(Rate(_round(carried), "the link's capacity"))
             fastest = carried
     if fastest == rate_maximum:
-        found.append(Rate(rate_maximum, "the device's largest"))
+        found.append(Rate(rate_maximum, "the device's maximum"))
     if measurement.loop_rate_hz < fastest and not on_the_device:
         found.append(Rate(_round(measurement.loop_rate_hz), "one tick of delay"))
     names: dict[int, str] = {}

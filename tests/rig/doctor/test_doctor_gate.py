@@ -130,7 +130,7 @@ def test_losing_more_than_one_in_a_thousand_is_refused(lost: int, too_many: bool
 
 def test_too_few_exchanges_are_told_and_the_longest_counts() -> None:
     found = gate(CALM, link(number=100))
-    assert "bound p97.049 only" in texts(found)["measurement"]
+    assert "bound only p97.049" in texts(found)["measurement"]
     assert found.travel_s == pytest.approx(30e-6)
 
 
@@ -138,7 +138,7 @@ def test_the_usual_filter_stands_in_for_an_estimator_that_is_not_linear() -> Non
     adaptive = config.override(CALM, {"controller.estimator": "foaw-end"})
     found = gate(adaptive, link())
     assert "foaw-end is not linear" in texts(found)["estimator"]
-    assert "fdm-butterworth stands in" in texts(found)["estimator"]
+    assert "theory uses fdm-butterworth" in texts(found)["estimator"]
     same = config.override(CALM, {"controller.parameters": {"cutoff_hz": 100.0}})
     assert found.spectral_radius == pytest.approx(gate(same, link()).spectral_radius)
 
@@ -264,16 +264,16 @@ def test_rates_worth_looking_at() -> None:
     def found(measurement: Any, maximum: Any) -> Any:
         return [(rate.hertz, rate.because) for rate in candidate_rates(CALM, measurement, maximum)]
 
-    assert found(link(30e-6), 4000) == [(1000, "the experiment's"), (4000, "the device's largest")]
+    assert found(link(30e-6), 4000) == [(1000, "the experiment's"), (4000, "the device's maximum")]
     assert found(link(0.4e-3), 4000) == [
-        (1000, "the experiment's"), (2500, "one tick of delay"), (4000, "the device's largest"),
+        (1000, "the experiment's"), (2500, "one tick of delay"), (4000, "the device's maximum"),
     ]  # fmt: skip
     assert found(link(30e-6, capacity=92_160.0), 4000) == [
-        (1000, "the experiment's"), (1200, "what the link carries"),
+        (1000, "the experiment's"), (1200, "the link's capacity"),
     ]  # fmt: skip
-    assert found(link(1e-3), 1000) == [(1000, "the experiment's, the device's largest")]
+    assert found(link(1e-3), 1000) == [(1000, "the experiment's, the device's maximum")]
     assert found(link(0.0, virtual=True), 20_000) == [
-        (1000, "the experiment's"), (20_000, "the device's largest"),
+        (1000, "the experiment's"), (20_000, "the device's maximum"),
     ]  # fmt: skip
 
 

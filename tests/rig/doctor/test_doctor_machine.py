@@ -183,7 +183,7 @@ SWAPS = "Filename Type Size Used Priority\n/dev/sda2 partition 2097148 20480 -2\
 
 
 def test_swap_matters_to_memory_that_is_not_locked(tree: Tree) -> None:
-    assert limits.swap(tree.machine(ORDINARY)).text == "there is none"
+    assert limits.swap(tree.machine(ORDINARY)).text == "none"
     tree.with_files({"proc/swaps": SWAPS})
     assert limits.swap(tree.machine()).outcome == OK
     finding = limits.swap(tree.machine(ORDINARY))
@@ -263,7 +263,7 @@ def test_processors_that_change_their_frequency(tree: Tree) -> None:
 @pytest.mark.parametrize(
     ("cpu", "outcome", "text"),
     [
-        (None, OK, "host.cpu could be an isolated one: 3"),
+        (None, OK, "isolated processors for host.cpu: 3"),
         (3, OK, "is isolated"),
         (2, WARNING, "not isolated"),
         (7, REFUSED, "this machine has 0, 1, 2, 3"),
@@ -300,7 +300,7 @@ def test_a_machine_below_the_machine(tree: Tree, files: Any, outcome: Any) -> No
 
 def test_ports_that_do_not_open_name_the_group_that_owns_them(tree: Tree) -> None:
     tree.with_files({"dev/ttyACM0": "", "dev/ttyUSB1": "", "dev/ttyS0": ""})
-    assert access.serial_ports(tree.machine()).text == "ttyACM0, ttyUSB1 may be opened"
+    assert access.serial_ports(tree.machine()).text == "ttyACM0, ttyUSB1 can be opened"
     finding = access.serial_ports(tree.machine(may_open=False))
     assert finding.outcome == REFUSED
     group = group_of(tree.root / "dev/ttyACM0")

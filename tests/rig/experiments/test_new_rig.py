@@ -150,7 +150,7 @@ def test_assumed_friction_that_holds_the_carriage_anywhere_is_refused_with_what_
         "carriage_mass": 0.0534,
     }  # fmt: skip
     with pytest.raises(
-        PlanError, match=r"lessen the friction, 6.2 N; or widen .* give `friction` as measured"
+        PlanError, match=r"reduce the friction, 6.2 N; or widen .* give `friction` as measured"
     ):
         rig.new_rig(**strong)
     assert make_plan(rig.new_rig(**strong, friction=1.0).experiment).ok
