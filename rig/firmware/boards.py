@@ -174,8 +174,8 @@ def load(name: str) -> Board:
         if name not in names():
             known = ", ".join(names())
             raise ConfigError(
-                f"there is no board {name!r}",
-                remedy=f"name one of: {known}, or a directory with a {BOARD_FILE}",
+                f"unknown board {name!r}",
+                remedy=f"choose one of: {known}, or give a directory with a {BOARD_FILE}",
             )
         directory, _, processor = name.partition("-")
         own = BOARDS / directory
@@ -198,7 +198,7 @@ def _read(path: Path) -> BoardFile:
         return pydantic.TypeAdapter(BoardFile).validate_json(json.dumps(content))  # type: ignore[no-any-return]
     except pydantic.ValidationError as error:
         wrong = (f"{path}: {'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors())
-        raise ConfigError("\n".join(wrong), remedy="PORTING.md lists the keys of a board") from None
+        raise ConfigError("\n".join(wrong), remedy="see the keys of a board in PORTING.md") from None
 
 
 def settings_of(board: Board, chosen: Mapping[str, Any]) -> dict[str, SettingValue]:
@@ -212,7 +212,9 @@ def settings_of(board: Board, chosen: Mapping[str, Any]) -> dict[str, SettingVal
     for name in chosen:
         if name not in board.settings:
             known = ", ".join(board.settings) or "none"
-            raise ConfigError(f"board {board.name} has no setting {name!r}", remedy=f"its settings: {known}")
+            raise ConfigError(
+                f"board {board.name} has no setting {name!r}", remedy=f"choose one of its settings: {known}"
+            )
     values = {
         name: _checked(board, setting, chosen.get(name, setting.default))
         for name, setting in board.settings.items()
@@ -231,7 +233,7 @@ def _check_pins(board: Board, values: Mapping[str, SettingValue]) -> None:
             if pin in used:
                 raise ConfigError(
                     f"{used[pin]} and {name} of board {board.name} both use pin {pin}",
-                    remedy=f"choose another pin for one of them: {name} takes {setting.pins} in a row",
+                    remedy=f"choose another pin for one of them; {name} occupies {setting.pins} consecutive pins",
                 )
             used[pin] = name
 

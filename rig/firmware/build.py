@@ -169,14 +169,14 @@ def _warnings(request: BuildRequest, budget: TickBudget | None, step_a: float | 
         most = budget.rate_maximum(own.estimator)
         if own.position_rate > most:
             found.append(
-                f"the law of {request.model.name} does not fit at {own.position_rate} Hz: "
+                f"the law of {request.model.name} is too slow for {own.position_rate} Hz: "
                 f"{budget.text(own.estimator)}; choose a rate of at most {math.floor(most)} Hz, or the estimator "
                 f"{INTEGERS} (at most {math.floor(budget.rate_maximum(INTEGERS))} Hz)"
             )
     if step_a is not None and step_a > COARSE_STEP * quantum:
         found.append(
             f"one step of the set-point is {step_a:.3g} A, {step_a / quantum:.3g} times the rig's "
-            f"current_quantum_a = {quantum:g} A: simulation, theory and maps show a finer motor than this one; set "
+            f"current_quantum_a = {quantum:g} A: simulation, theory and maps would assume a finer resolution; set "
             f"rig.amplifier.current_quantum_a = {step_a:.3g}, or lower full_scale there and in the amplifier"
         )
     return tuple(found)
@@ -206,7 +206,7 @@ def build(request: BuildRequest, on_progress: Progress = lambda _what, _share: N
     if ports not in board.applications:
         raise ConfigError(
             f"board {board.name} has no program {request.application!r}",
-            remedy=f"its programs: {', '.join(board.applications)}",
+            remedy=f"choose one of its programs: {', '.join(board.applications)}",
         )
     _make_directory(request.output)
     compiler = find_compiler()
@@ -359,7 +359,7 @@ def _make_directory(directory: Path) -> None:
 def _not_written(directory: Path, error: OSError) -> RecordingError:
     return RecordingError(
         f"the image cannot be written to {directory}: {error.strerror or error}",
-        remedy="name another `output`",
+        remedy="give another directory with `output`",
     )
 
 
@@ -371,8 +371,8 @@ def _sizes(board: Board, segments: tuple[Segment, ...]) -> tuple[int, int]:
         inside = flash.origin <= begin and begin + len(segment.load.data) <= flash.origin + flash.bytes
         if segment.load.data and not inside:
             raise ToolchainError(
-                f"the program keeps bytes at {begin:#x}, where board {board.name} has no flash",
-                remedy="let the linker script keep them in flash (`AT >`), and the start copy them",
+                f"the program has initialised data at {begin:#x}, where board {board.name} has no flash",
+                remedy="place it in flash (`AT >` in the linker script), and copy it in the start-up code",
             )
     stored = [s for s in segments if flash.origin <= s.load.address < flash.origin + flash.bytes]
     flash_bytes = max((s.load.address + len(s.load.data) - flash.origin for s in stored), default=0)

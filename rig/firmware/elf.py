@@ -50,7 +50,7 @@ def read_segments(content: bytes, name: str) -> tuple[Segment, ...]:
     for kind, offset, address, load, file_bytes, memory_bytes, *_ in segments:
         data = content[offset : offset + file_bytes]
         if len(data) != file_bytes:
-            raise ConfigError(f"{name} is a damaged program: it ends early", remedy="build it again")
+            raise ConfigError(f"{name} is a damaged program: it is truncated", remedy="build it again")
         if kind == _LOAD and memory_bytes:
             found.append(Segment(offset, Piece(load, data), address, memory_bytes))
     return tuple(sorted(found, key=lambda segment: segment.load.address))

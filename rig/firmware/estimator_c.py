@@ -196,13 +196,13 @@ def _functions(form: _Form, prefix: str, *, whole: bool, per_count: float) -> st
 {_indented(members)}
 }} {prefix}_estimator;
 
-/* It has seen nothing. */
+/* Initialise: no count has been seen. */
 static inline void {prefix}_begin({prefix}_estimator *e)
 {{
 {_indented(begin)}
 }}
 
-/* Call it once in each velocity period. */
+/* Call once per velocity period. */
 static inline {returns} {prefix}_velocity({prefix}_estimator *e, int32_t count, uint32_t elapsed)
 {{
 {_indented(body)}

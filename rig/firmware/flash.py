@@ -118,7 +118,7 @@ def read_image(path: Path) -> tuple[bytes, Record]:
     except OSError as error:
         raise ConfigError(
             f"{path} cannot be read: {error.strerror or error}",
-            remedy="name an image: rig firmware build makes one",
+            remedy="give an image made by rig firmware build",
         ) from None
     plain = flat(read_uf2(content, str(path)).pieces) if is_uf2(content) else content
     return content, find(plain, str(path))
@@ -139,7 +139,7 @@ def drive_at(path: Path) -> BootDrive:
     drive = _drive(path)
     if drive is None:
         raise DeviceNotFoundError(
-            f"{path} is not the drive of a boot ROM: it has no {INFO_FILE}", remedy=HOLD
+            f"{path} is not the drive of a boot ROM: {INFO_FILE} is missing", remedy=HOLD
         )
     return drive
 
@@ -171,15 +171,15 @@ def _only(drives: list[BootDrive]) -> BootDrive:
     if drives:
         listed = ", ".join(str(drive.path) for drive in drives)
         raise DeviceNotFoundError(
-            f"several boards show their drives: {listed}", remedy="name one of them with `drive`"
+            f"several boards show their boot drives: {listed}", remedy="choose one with `drive`"
         )
     unmounted = _unmounted()
     if unmounted:
         raise DeviceNotFoundError(
-            f"a board shows its drive, but it is not mounted: {unmounted}",
+            f"a board's boot drive is not mounted: {unmounted}",
             remedy=f"mount it: udisksctl mount -b {unmounted}",
         )
-    raise DeviceNotFoundError("no board shows its drive", remedy=HOLD)
+    raise DeviceNotFoundError("no boot drive of a board found", remedy=HOLD)
 
 
 def _unmounted() -> Path | None:
@@ -191,7 +191,7 @@ def _unmounted() -> Path | None:
 def _check_kind(image: Path, content: bytes) -> None:
     if not is_uf2(content):
         raise ConfigError(
-            f"{image} is not a UF2 file", remedy="flash the .uf2 that rig firmware build made beside it"
+            f"{image} is not a UF2 file", remedy="flash the .uf2 file that rig firmware build wrote beside it"
         )
 
 
@@ -202,13 +202,13 @@ def _check_family(image: Path, content: bytes, drive: BootDrive) -> None:
     if wanted is None:
         raise DeviceNotFoundError(
             f"the drive at {drive.path} belongs to an unknown board: {drive.board_id or 'no Board-ID'}",
-            remedy=f"known boards: {', '.join(FAMILY_OF_DRIVE)}",
+            remedy=f"use one of the supported boards: {', '.join(FAMILY_OF_DRIVE)}",
         )
     if family != wanted:
         is_for = "no processor" if family is None else FAMILIES.get(family, f"family {family:#010x}")
         raise ConfigError(
-            f"{image} is for {is_for}, the board at {drive.path} is a {drive.model or drive.board_id}",
-            remedy="build the firmware for that board, or plug in the other one",
+            f"{image} is for {is_for}, but the board at {drive.path} is a {drive.model or drive.board_id}",
+            remedy="build the firmware for that board, or connect the other one",
         )
 
 
@@ -242,7 +242,7 @@ def _copy(content: bytes, drive: BootDrive, name: str, on_progress: Progress) ->
             ) from None
         raise LinkLostError(
             f"the image cannot be written to {drive.path}: {error.strerror or error}",
-            remedy="check that the drive is mounted for you to write, and not full, and unplug and try again",
+            remedy="check that the drive is writable and not full; then unplug the board and try again",
         ) from None
 
 
@@ -269,7 +269,7 @@ def _wait_until_gone(drive: BootDrive, on_progress: Progress) -> None:
         left = deadline - time.monotonic()
         if left <= 0.0:
             raise LinkLostError(
-                f"the board at {drive.path} did not take the image: its drive is still there after {VANISH_S:g} s",
+                f"the board at {drive.path} did not accept the image: its drive is still present after {VANISH_S:g} s",
                 remedy="unplug the board, hold BOOTSEL while plugging it in, and flash again",
             )
         on_progress("waiting for the board to start", 1.0 - left / VANISH_S)

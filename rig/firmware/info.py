@@ -75,30 +75,28 @@ def about(source: str, dictionary: Dictionary, hash_: int, facts: ImageFacts | N
 def compatibility(dictionary: Dictionary) -> Iterator[Check]:
     """Why this package cannot run a firmware, and what else differs; nothing where all is equal."""
     theirs, ours = f"{dictionary.major}.{dictionary.minor}", f"{MAJOR}.{MINOR}"
-    versions = f"it speaks protocol {theirs}, this package {ours}"
+    versions = f"the firmware uses protocol {theirs}, this package {ours}"
     if dictionary.major != MAJOR:
         yield Check("protocol", Outcome.REFUSED, versions, FLASH)
     elif dictionary.minor != MINOR:
-        text = f"{versions}: what only one of them knows stays unused"
+        text = f"{versions}: features of only one of them are not used"
         yield Check("protocol", Outcome.WARNING, text, FLASH)
     known = {info.id: info for info in dictionary.parameters}
     for parameter in PARAMETERS:
         if mismatch := _mismatch(parameter, known.pop(parameter.id, None)):
             yield Check("parameters", Outcome.REFUSED, mismatch, FLASH)
     if known:
-        text = (
-            f"it has {len(known)} parameters that this package does not know: {_listed(list(known.values()))}"
-        )
+        text = f"the firmware has {len(known)} parameters unknown to this package: {_listed(list(known.values()))}"
         yield Check("parameters", Outcome.WARNING, text)
 
 
 def _mismatch(ours: Parameter, theirs: ParameterInfo | None) -> str:
     if theirs is None:
-        return f"it does not know parameter {ours.id}, {ours.name}"
+        return f"the firmware lacks parameter {ours.id}, {ours.name}"
     if (theirs.name, theirs.ctype, theirs.unit) != (ours.name, ours.ctype, ours.unit):
         return (
-            f"its parameter {ours.id} is {theirs.name} ({theirs.ctype} {theirs.unit}), here it is {ours.name} "
-            f"({ours.ctype} {ours.unit})"
+            f"parameter {ours.id} of the firmware is {theirs.name} ({theirs.ctype} {theirs.unit}), in this package "
+            f"{ours.name} ({ours.ctype} {ours.unit})"
         )
     return ""
 

@@ -106,7 +106,7 @@ class PortCheckRequest:
         float,
         Ge(0.05),
         Le(600.0),
-        Keyword("How long the board's time is watched; 280 from power-up on sees bit 32 change."),
+        Keyword("How long the board's time is observed; 280 s from power-up include the change of bit 32."),
     ] = 1.0
     bootloader: Annotated[bool, Keyword("Try the way into the boot loader, last of all.")] = False
     real_time: bool = True
@@ -183,7 +183,7 @@ class BoardUnderTest:
         kind, body = raw[1], raw[HEADER_BYTES:]
         if m.MESSAGES.get(kind) in (m.Ack, m.State):
             raise DeviceRefusedError(
-                f"the firmware runs at {self.link.url.text}, not the program that tries its port out",
+                f"{self.link.url.text} runs the firmware itself instead of the port check program",
                 remedy="flash the image of: rig firmware build --check-port --board …",
             )
         numbers = struct.unpack_from(f"<{(len(body) - _HEAD.size) // 4}I", body, _HEAD.size)
@@ -250,8 +250,8 @@ class PortTrial:
         rate, maximum, law, senses, lag, noise, bootloader, _told, _place, limit = board.meet()
         if abs(request.current) > limit:
             raise ConfigError(
-                f"current = {request.current} quanta is above the rig's over-current limit",
-                remedy=f"give -{limit} to {limit}",
+                f"current = {request.current} quanta exceeds the rig's over-current limit",
+                remedy=f"give a value from -{limit} to {limit}",
             )
         return cls(board, request, rate, maximum, law, bool(senses), lag, noise, bool(bootloader))
 
@@ -259,7 +259,7 @@ class PortTrial:
         """Take back what was found by a time that is itself wrong."""
         if any(isinstance(self.verdicts[name], Mapping) for name in TIME):
             wrong = [name for name in BY_TIME if isinstance(self.verdicts[name], Mapping)]
-            self.verdicts |= dict.fromkeys(wrong, "time is wrong, by which it is judged")
+            self.verdicts |= dict.fromkeys(wrong, "not judged: the board's time, which this needs, is wrong")
 
     def ask_signed(self, probe: PortProbe, *arguments: int) -> list[int]:
         """Return the numbers of a probe, which may be negative."""
@@ -297,7 +297,7 @@ def check_port(
             trial = PortTrial.begin(board, request)
         except NoAnswerError:
             raise LinkLostError(
-                f"nobody answers at {board.link.url.text}",
+                f"no reply at {board.link.url.text}",
                 remedy="flash the image of rig firmware build --check-port; check port and baud rate",
             ) from None
         for number, (step, names) in enumerate(STEPS.items()):
@@ -313,7 +313,7 @@ def check_port(
 
 def _tried(step: Step, names: tuple[str, ...], trial: PortTrial) -> dict[str, Verdict]:
     if trial.silent:
-        return dict.fromkeys(names, "it answers no longer")
+        return dict.fromkeys(names, "the board no longer replies")
     try:
         return dict(step(trial))
     except NoAnswerError:
@@ -337,7 +337,7 @@ def _check(duty: Duty, verdict: Verdict) -> Check:
         return Check(name, Outcome.SKIPPED, verdict)
     if verdict is NO_ANSWER:
         return Check(
-            name, Outcome.REFUSED, f"no answer comes while {duty.call} is tried: {duty.duty}", duty.remedy
+            name, Outcome.REFUSED, f"no reply during the test of {duty.call}: {duty.duty}", duty.remedy
         )
     return Check(name, Outcome.REFUSED, duty.broken.format(**verdict), duty.remedy)
 
@@ -358,7 +358,7 @@ def _time(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     passed_s = ((second - first) % (2**32 if second < first else 2**64)) / UNITS_A_SECOND
     least, most = passed_s / ((ended - begun) * 1e-9), passed_s / ((asked - heard) * 1e-9)
     if not trial.request.real_time:
-        yield "time_unit", "the board does not keep this computer's time"
+        yield "time_unit", "not judged: the board's time does not follow this computer's clock"
     elif least > 1.0 + RATE_SHARE or most < 1.0 - RATE_SHARE:
         trial.time_ratio = (least + most) / 2.0
         yield "time_unit", {"ratio": trial.time_ratio}
@@ -384,7 +384,7 @@ def _ticks(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
             grid = {"us": off_s * 1e6, "rate": rate}
     yield "tick_rate", wrong
     yield "time_of_timer", {"ppm": drift_ppm} if abs(drift_ppm) > CLOCKS_PPM else None
-    yield "tick_grid", grid if wrong is None else "it does not tick at the rate that was set"
+    yield "tick_grid", grid if wrong is None else "not judged: the tick rate is not the set rate"
 
 
 def _ticked(trial: PortTrial, rate: int, expected: int) -> tuple[float, bool, float]:
@@ -403,7 +403,7 @@ def _refusal(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     found = rate if accepted else _ticked(trial, 0, rate)[0]
     broken = {"wanted": UNDOABLE_RATE, "found": found, "rate": rate}
     if accepted:
-        yield "rate_kept", "no rate was refused"
+        yield "rate_kept", "not judged: no rate was refused"
     else:
         yield "rate_kept", broken if abs(found / rate - 1.0) > RATE_SHARE else None
     trial.board.ask(PortProbe.TICKS, rate, 1)
@@ -421,7 +421,7 @@ def _nesting(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
 def _wires(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     encoder = ("encoder_count", "edge_time", "encoder_failed")
     if not trial.request.wired:
-        why = "wire the sync outputs tick and trial to A and B, inside to the sync input, and say `wired`"
+        why = "wire the sync outputs tick and trial to A and B, inside to the sync input, and give `wired`"
         yield from dict.fromkeys(STEPS[_wires], why).items()
         return
     moved, wrong, missed, edge_off, alarmed, failed, again, rose, sync_off, fell = trial.ask_signed(
@@ -430,7 +430,9 @@ def _wires(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     nothing = not moved and not rose
     yield "sync_bits", {} if nothing else None
     if nothing:
-        yield from dict.fromkeys(("sync_time", *encoder), "the sync outputs show nothing").items()
+        yield from dict.fromkeys(
+            ("sync_time", *encoder), "not judged: no edge of the sync outputs was seen"
+        ).items()
         return
     counted = {"wrong": wrong, "edges": SYNC_EDGES, "missed": missed}
     yield "encoder_count", counted if wrong or missed else None
@@ -455,14 +457,14 @@ def _writing(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     came, torn = board.counted, _damaged(board.statistics) - before
     broken = {"taken": taken, "came": len(came), "torn": torn, "others": ""}
     if len(came) == taken and sum(came) % 2**32 != total:
-        broken["others"] = ", among them some that it dropped"
+        broken["others"] = ", including frames reported as dropped"
     yield "write_whole", broken if torn or broken["others"] or len(came) != taken else None
     waits_s = longest / UNITS_A_SECOND
     yield "write_waits_not", {"ms": waits_s * 1e3} if waits_s > WAITS_S else None
     wanted = round(BATCH_S * BATCH_BYTES * trial.rate_maximum)
     short = {"bytes": room, "wanted": wanted, "rate": trial.rate_maximum}
     if trial.law_maximum == 0:
-        yield "write_room", "it runs no law, and sends no BATCH"
+        yield "write_room", "the board runs no law, so it sends no BATCH"
     else:
         yield "write_room", short if refused and room < wanted else None
 
@@ -480,7 +482,7 @@ def _meanwhile(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     begins_again = back > UNITS_A_SECOND
     yield "time_steps_back", {"us": back / UNITS_PER_US} if back and not begins_again else None
     crossed = trial.times[0] >> 32 != trial.times[1] >> 32
-    unseen = "it was not watched for long enough: 280 `seconds` from power-up on"
+    unseen = "not observed for long enough: give 280 `seconds` from power-up"
     yield (
         "time_width",
         {"s": back / UNITS_A_SECOND} if begins_again else None if crossed else unseen,
@@ -500,7 +502,9 @@ def _bites(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     lived_ms, bitten = _starved(trial.board, slow_us)
     if not bitten:
         yield "watchdog_bites", {"ms": lived_ms, "bite": slow_us * 1e-3}
-        yield from dict.fromkeys(("watchdog_time", "reset_told"), "it does not bite").items()
+        yield from dict.fromkeys(
+            ("watchdog_time", "reset_told"), "not judged: the watchdog does not reset the board"
+        ).items()
         return
     yield "watchdog_bites", None
     told = bool(trial.board.meet_again()[7])
@@ -536,9 +540,11 @@ def _current(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     first, mean, zero_units = trial.ask_signed(PortProbe.ON, quanta)
     (off_units,) = trial.ask_signed(PortProbe.DISABLE, quanta)
     if first == last == quanta:
-        said = {"quanta": quanta, "wanted": 0, "echo": ", with the amplifier off: it is the set-point"}
+        said = {"quanta": quanta, "wanted": 0, "echo": " with the amplifier off: it repeats the set-point"}
         yield "measured_flows", said
-        yield from dict.fromkeys(names[1:], "measured_current does not say what flows").items()
+        yield from dict.fromkeys(
+            names[1:], "not judged: measured_current does not measure the current"
+        ).items()
         return
     near = max(
         MEASURED_SHARE * abs(quanta), MEASURED_NOISES * 1e-3 * trial.noise_milliquanta + MEASURED_QUANTA
@@ -548,7 +554,7 @@ def _current(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     flows = abs(quanta) / 4.0
     if off > flows:
         yield "off_until_enabled", {"quanta": off}
-        yield "starts_from_zero", "it is on before"
+        yield "starts_from_zero", "not judged: the amplifier is on before it is enabled"
     else:
         yield "off_until_enabled", None
         yield "starts_from_zero", {"quanta": started} if started > flows else None
@@ -559,11 +565,11 @@ def _current(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
 
 def _why_no_current(trial: PortTrial) -> str:
     if not trial.senses:
-        return "it measures no current"
+        return "the board measures no current"
     if not trial.request.current:
-        return "free the handle or put a resistor in the motor's place, and give a `current`"
+        return "free the handle or replace the motor by a resistor, and give a `current`"
     if any(isinstance(trial.verdicts[name], Mapping) for name in (*TIME, "tick_rate", "watchdog_bites")):
-        return "no current before time, tick and watchdog are right"
+        return "not tested: time, tick and watchdog must pass first"
     return ""
 
 
@@ -572,9 +578,9 @@ def _why_no_current(trial: PortTrial) -> str:
 
 def _leaving(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     if not trial.has_bootloader:
-        yield "bootloader", "it has none"
+        yield "bootloader", "the board has no boot loader"
     elif not trial.request.bootloader:
-        yield "bootloader", "`bootloader` ends in it"
+        yield "bootloader", "not tested: give `bootloader` to enter it at the end"
     else:
         with suppress(NoAnswerError, LinkLostError):
             trial.board.ask(PortProbe.LEAVE, wait_s=GONE_BY_S)

@@ -97,10 +97,10 @@ def find(image: bytes, name: str) -> Record:
         damaged = True
         at = image.find(MAGIC, at + 1)
     if damaged:
-        raise ConfigError(f"{name} is damaged: its record fails its check", remedy="build it again")
+        raise ConfigError(f"{name} is damaged: the checksum of its record is wrong", remedy="build it again")
     raise ConfigError(
-        f"{name} is not firmware of this project: it has no description",
-        remedy="name an image that rig firmware build has made (.elf, .uf2 or .bin)",
+        f"{name} is not firmware of this project: it contains no image record",
+        remedy="give an image made by rig firmware build (.elf, .uf2 or .bin)",
     )
 
 

@@ -86,28 +86,29 @@ def check_scales(board: Board, model: RigModel, settings: Mapping[str, SettingVa
     if wanted is not None and settings.get("output", wanted) != wanted:
         raise refuse(
             "output",
-            f"{settings['output']} is not what {profile.name} takes",
-            f"set it to {wanted}, or name another rig.amplifier.profile",
+            f"{settings['output']} does not match the input of {profile.name}",
+            f"set it to {wanted}, or choose another rig.amplifier.profile",
         )
     if full_scale < peak * (1.0 - 1e-9):
         raise refuse(
             "full_scale",
-            f"{full_scale:g} A is below the {peak:.4g} A that the rig may ask for: it would saturate unseen",
+            f"{full_scale:g} A is below the peak current of {peak:.4g} A: larger set-points would saturate unnoticed",
             f"set it to {peak:.4g} A or more there and in the amplifier, or lower rig.amplifier.effort_limit",
         )
     if full_scale > (profile.most_a or inf):
         raise refuse(
             "full_scale",
-            f"{full_scale:g} A is more than {profile.name} gives",
-            f"set it to {profile.most_a:g} A at most there and in the amplifier",
+            f"{full_scale:g} A exceeds the maximum of {profile.name}",
+            f"set it to at most {profile.most_a:g} A there and in the amplifier",
         )
     if _has_pulse_width(settings):
         _check_frequency(float(settings["pwm_frequency"]), profile, model.amplifier.set_point_delay_s, refuse)
     if step > peak / LEAST_STEPS:
         raise refuse(
             "full_scale",
-            f"{full_scale:g} A in steps of {step:.3g} A leave {peak / step:.0f} of them up to the rig's {peak:.4g} A",
-            f"set it nearer to {peak:.4g} A there and in the amplifier: at least {LEAST_STEPS} are wanted",
+            f"{full_scale:g} A in steps of {step:.3g} A gives only {peak / step:.0f} steps up to the rig's "
+            f"{peak:.4g} A; required are {LEAST_STEPS}",
+            f"set it closer to {peak:.4g} A there and in the amplifier",
         )
     if settings["current_monitor"] == "adc":
         _check_monitor(peak * OVER_CURRENT_MARGIN, settings, refuse)
@@ -120,14 +121,14 @@ def _check_frequency(frequency: float, profile: AmplifierProfile, delay_s: float
     if not least <= frequency <= most:
         raise refuse(
             "pwm_frequency",
-            f"{frequency:g} Hz is outside what {profile.name} takes",
+            f"{frequency:g} Hz is outside the range of {profile.name}",
             f"set it to {least:g} to {most:g} Hz",
         )
     if profile.set_point_delay_s and delay_s * frequency < 1.0 - 1e-9:
         raise refuse(
             "pwm_frequency",
-            f"{frequency:g} Hz have a period of {1e6 / frequency:.4g} µs, and theory counts {1e6 * delay_s:.4g} µs",
-            f"set rig.amplifier.set_point_delay_s = {1.0 / frequency:.4g}, or a higher rate",
+            f"{frequency:g} Hz has a period of {1e6 / frequency:.4g} µs, but theory assumes {1e6 * delay_s:.4g} µs",
+            f"set rig.amplifier.set_point_delay_s = {1.0 / frequency:.4g}, or a higher frequency",
         )
 
 
@@ -138,8 +139,8 @@ def _check_monitor(over_a: float, settings: Mapping[str, SettingValue], refuse: 
     if over_a * scale > room_v:
         raise refuse(
             "monitor_scale",
-            f"{scale:g} V/A about {zero:g} V show {room_v / scale:.4g} A, and over-current is {over_a:.4g} A: "
-            "it could never be seen",
+            f"{scale:g} V/A about {zero:g} V can measure up to {room_v / scale:.4g} A, less than the over-current "
+            f"limit of {over_a:.4g} A",
             f"scale the monitor to {room_v / over_a:.3g} V/A or less",
         )
 

@@ -60,7 +60,7 @@ class SelfTestRequest:
 
     experiment: Experiment | None = None
     rate: int | None = None
-    seconds: Annotated[float, Ge(0.05), Le(600.0), Keyword("How long ticks are counted.")] = 1.0
+    seconds: Annotated[float, Ge(0.05), Le(600.0), Keyword("Duration of the count of ticks.")] = 1.0
     move: Annotated[bool, Keyword("Ask for the handle to be moved by hand, and look for its counts.")] = False
     stream: Annotated[
         bool,
@@ -172,7 +172,7 @@ def _rig(device: FramedDevice, request: SelfTestRequest) -> Check:
     dictionary = device.dictionary
     model = request.model
     if model is None:
-        return skipped(f"its name is {dictionary.device}; `rig` compares it with yours")
+        return skipped(f"the device's name is {dictionary.device}; give `rig` to compare it with your rig")
     found = check_rig(model, dictionary)
     if found.outcome is Outcome.REFUSED:
         return refused(
@@ -190,10 +190,10 @@ def _fault_memory(device: FramedDevice, _request: SelfTestRequest) -> Check:
     stopped_at = device.statistics().stopped_at
     place = f", at {stopped_at:#010x}" if stopped_at else ""
     if not _is_faulty(device):
-        return ok(f"nothing is latched, {len(report.entries)} ticks are logged")
+        return ok(f"no fault is latched; {len(report.entries)} ticks are logged")
     device.disarm(clear_fault=True)
     if _is_faulty(device):
-        return refused(f"{report.text} stays latched", report.remedy)
+        return refused(f"the fault remains latched: {report.text}", report.remedy)
     return ok(f"{report.name} was latched by an earlier run ({report.text}{place}) and is now cleared")
 
 
@@ -208,9 +208,9 @@ def _parameters(device: FramedDevice, _request: SelfTestRequest) -> Check:
     changed = device.configure({**kept, "ramp_us": other})
     back = device.configure(kept)
     if changed.values != {**before, "ramp_us": other} or back.values != before:
-        return refused("what is read back is not what was set", "flash the device again")
+        return refused("parameters read back differ from those set", "flash the device again")
     return ok(
-        f"{len(before)} active; a change and its undoing were read back",
+        f"{len(before)} active; a change was read back and undone",
     )
 
 
@@ -233,12 +233,12 @@ def _refusals(device: FramedDevice, _request: SelfTestRequest) -> Check:
                 raise
     if taken:
         return refused(
-            f"it takes {' and '.join(taken)}",
-            "keep motor power off; flash it again",
+            f"the device accepts {' and '.join(taken)}",
+            "keep motor power off; flash the device again",
         )
     if device.active_parameters() != before:
-        return refused("a block that was refused has changed something", "flash the device again")
-    return ok("a wrong ARM and a current out of range are refused, and change nothing")
+        return refused("a refused parameter block has changed parameters", "flash the device again")
+    return ok("a wrong ARM and a current out of range are refused without effect")
 
 
 # ------------------------------------------------------------------ its time
@@ -249,7 +249,7 @@ def _clock(device: FramedDevice, _request: SelfTestRequest) -> Check:
     drift = f"drift {fit.drift_ppm:.1f} ± {fit.drift_sd_ppm:.1f} ppm"
     text = f"{drift}, round trip {fit.round_trip_ns / 1e3:.0f} µs at least"
     if abs(fit.drift_ppm) - 3.0 * fit.drift_sd_ppm > DRIFT_LIMIT_PPM:
-        return refused(text, "check the board's crystal: the device's time is not real time")
+        return refused(text, "check the board's crystal: the device's clock has the wrong frequency")
     return ok(text)
 
 
@@ -258,7 +258,7 @@ def _ticks(device: FramedDevice, request: SelfTestRequest) -> Check:
     with _at_rate(device, rate):
         states = device.states(request.seconds)
     if len(states) < 3:
-        return refused(f"{len(states)} samples arrived in {request.seconds:g} s", "update its firmware")
+        return refused(f"only {len(states)} samples arrived in {request.seconds:g} s", "update its firmware")
     unit_s = device.dictionary.time_unit_ns * 1e-9
     indices = [(state.sample_index - states[0].sample_index) % 2**32 for state in states]
     times = [(state.device_time - states[0].device_time) % 2**32 * unit_s for state in states]
@@ -271,11 +271,11 @@ def _ticks(device: FramedDevice, request: SelfTestRequest) -> Check:
     missed = states[-1].missed_ticks - states[0].missed_ticks
     load = states[-1].execution_time * unit_s * rate
     text = (
-        f"{counted:.2f} Hz of {rate} by its own clock, samples within {1e9 * jitter_s:.0f} ns of the grid, "
+        f"{counted:.2f} Hz instead of {rate} by its own clock, samples within {1e9 * jitter_s:.0f} ns of the grid, "
         f"{missed} missed, the longest tick took {100 * load:.2g} % of a period"
     )
     if abs(counted / rate - 1.0) > RATE_LIMIT_PPM * 1e-6 or missed or jitter_s * rate > JITTER_LIMIT:
-        return refused(text, f"run it slower: rig firmware selftest … --rate {max(50, rate // 2)}")
+        return refused(text, f"use a lower rate: rig firmware selftest … --rate {max(50, rate // 2)}")
     return ok(text)
 
 
@@ -309,7 +309,7 @@ def _inputs(device: FramedDevice, _request: SelfTestRequest) -> Check:
 def _encoder(device: FramedDevice, request: SelfTestRequest) -> Check:
     first = device.count()
     if not request.move:
-        return skipped(f"it reads {first}; `move` looks for the counts of a hand")
+        return skipped(f"the encoder reads {first}; give `move` to test it by hand")
     counts = [first]
     while max(counts) - min(counts) < MOVE_COUNTS and len(counts) < MOVE_LOOKS:
         counts += [state.count for state in device.states(MOVE_LOOK_S)] or [counts[-1]]
@@ -319,10 +319,10 @@ def _encoder(device: FramedDevice, request: SelfTestRequest) -> Check:
         report = device.fault_report()
         return refused(report.text, report.remedy)
     if most == least:
-        remedy = "move the handle when asked; else check the encoder's supply and both of its wires"
-        return refused(f"it read {first} all the time", remedy)
+        remedy = "move the handle when asked; if you did, check the encoder's supply and both of its wires"
+        return refused(f"the encoder read {first} all the time", remedy)
     if most - least == 1:
-        return refused("one count toggles", "check both encoder wires: one channel is missing")
+        return refused("the count only toggles by one", "check both encoder wires: one channel is missing")
     return ok(_way(first, counts[-1], most - least, request.model))
 
 
@@ -353,9 +353,9 @@ def _way(first: int, last: int, span: int, model: RigModel | None) -> str:
 def _stream(device: FramedDevice, request: SelfTestRequest) -> Check:
     law = device.dictionary.parameter("law")
     if law is None or law.maximum == 0:
-        return skipped("it has no law of its own")
+        return skipped("the device cannot run the law")
     if not request.stream or request.experiment is None:
-        return skipped("`stream` with `rig` runs its law with a current limit of zero")
+        return skipped("give `stream` and `rig` to run the rig's law with a current limit of zero")
     experiment = config.override(request.experiment, {"controller.loop": "device"})
     before = device.active_parameters()
     wanted = prepared(
@@ -386,8 +386,6 @@ def _link(device: FramedDevice, _request: SelfTestRequest) -> Check:
     wrong = [f"{count} {what}" for what, count in bad.items() if count]
     text = f"{theirs.frames} frames to the device, {ours.frames} to the host"
     if wrong:
-        remedy = (
-            "check cable, ground and baud rate; try again, since noise from before the opening counts, too"
-        )
+        remedy = "check cable, ground and baud rate, then try again (noise received before the start is counted too)"
         return refused(f"{text}; {', '.join(wrong)}", remedy)
     return ok(f"{text}, none damaged")

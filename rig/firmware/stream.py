@@ -23,7 +23,7 @@ def judge_stream(received: list[m.Message], ticks: float, rate: int, dictionary:
     if faults:
         return refused("; ".join(fault.text for fault in faults), faults[0].remedy)
     if any(current for _, current in rows.values()):
-        return refused("it drove a current although the limit was zero", remedy)
+        return refused("the device set a current although the limit was zero", remedy)
     differ = [index for index, state in states.items() if index in rows and rows[index][0] != state.count]
     if differ:
         return refused(f"BATCH and STATE have different counts in {len(differ)} ticks", remedy)
@@ -32,10 +32,8 @@ def judge_stream(received: list[m.Message], ticks: float, rate: int, dictionary:
     load = worst * dictionary.time_unit_ns * 1e-9 * rate
     timed = f"the longest tick took {100 * load:.2g} % of a period (homing only: no contact, no release)"
     if gaps or len(rows) < STREAM_SHARE * ticks:
-        slower = (
-            "choose a lower rate or a faster link, or free the computer: rig doctor measures what it can do"
-        )
-        return refused(f"{text}, where {ticks:.0f} ticks passed", slower)
+        slower = "choose a lower rate or a faster link, or close other programs; rig doctor measures the possible rate"
+        return refused(f"{text}, instead of {ticks:.0f}", slower)
     if load > LOAD_LIMIT:
         slower = "choose a lower position_rate, or a law in integers (estimator fdm-butterworth-fixed)"
         return refused(f"{text}; {timed}", slower)

@@ -81,7 +81,7 @@ class TickBudget:
         unit = "" if self.has_float_unit or estimator == INTEGERS else ", no floating-point unit"
         cycles = TICKS[self.core.name].get(estimator)
         if cycles is None:
-            return f"no board runs {estimator}"
+            return f"no supported board can run {estimator}"
         return (
             f"{cycles} cycles a tick on {self.board} (Cortex-{self.core.name}, "
             f"{self.clock_hz / 1e6:g} MHz{unit}): at most {self.rate_maximum(estimator) / 1e3:.3g} kHz"
@@ -105,7 +105,7 @@ def named_budget(name: str) -> TickBudget:
     found = tick_budget(load(name))
     if found is None:
         raise ConfigError(
-            f"the cycles of board {name} are not known: they are of Cortex-{' and Cortex-'.join(TICKS)}",
-            remedy=f"name a board with one of these processors, such as {BOARD}",
+            f"the cycles of board {name} are not known; they were counted for Cortex-{' and Cortex-'.join(TICKS)}",
+            remedy=f"choose a board with one of these processors, such as {BOARD}",
         )
     return found

@@ -16,7 +16,7 @@ COMPILER_VARIABLE = "ARM_NONE_EABI_GCC"  # another one, by its path
 COMPILE_S = 300.0
 INSTALL = (
     "install it: apt install gcc-arm-none-eabi libnewlib-arm-none-eabi (Debian, Ubuntu), brew install --cask "
-    "gcc-arm-embedded (macOS), winget install Arm.GnuArmEmbeddedToolchain (Windows); or name it by "
+    "gcc-arm-embedded (macOS), winget install Arm.GnuArmEmbeddedToolchain (Windows); or set "
     f"{COMPILER_VARIABLE}=/path/to/{COMPILER}"
 )
 _SHOWN_LINES = 12  # of what the compiler complains about
@@ -34,7 +34,7 @@ class Compiler:
         done = _called([self.path, *arguments], directory)
         if done.returncode != 0:
             shown = "\n".join(done.stderr.strip().splitlines()[:_SHOWN_LINES])
-            raise ToolchainError(f"the firmware does not build:\n{shown}\n", remedy=_remedy(done.stderr))
+            raise ToolchainError(f"the firmware cannot be built:\n{shown}\n", remedy=_remedy(done.stderr))
 
     def tool(self, name: str, arguments: Sequence[str], directory: Path) -> str:
         """Run a tool that came with the compiler, such as ``nm``, and return what it printed."""
@@ -50,14 +50,14 @@ def find_compiler() -> Compiler:
     path = find_program(named or COMPILER)
     if path is None:
         missing = (
-            f"{COMPILER_VARIABLE} names {named}, which does not run"
+            f"{COMPILER_VARIABLE} is {named}, which cannot be run"
             if named
             else f"{COMPILER} is not installed"
         )
         raise ToolchainError(missing, remedy=INSTALL)
     version = _called([path, "--version"], None)
     if version.returncode != 0 or not version.stdout:
-        raise ToolchainError(f"{path} does not run: {version.stderr.strip()}", remedy=INSTALL)
+        raise ToolchainError(f"{path} cannot be run: {version.stderr.strip()}", remedy=INSTALL)
     header = _called([path, "-E", "-include", "string.h", "-x", "c", os.devnull], None)
     if header.returncode != 0:
         raise ToolchainError(f"{path} has no C library: string.h is missing", remedy=INSTALL)
@@ -81,12 +81,12 @@ def _called(command: list[str], directory: Path | None) -> subprocess.CompletedP
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise ToolchainError(f"{command[0]} does not run: {error}", remedy=INSTALL) from None
+        raise ToolchainError(f"{command[0]} cannot be run: {error}", remedy=INSTALL) from None
 
 
 def _remedy(complaint: str) -> str:
     if "overflowed" in complaint or "will not fit" in complaint:
-        return "it is too large for the board: reduce the sizes in its board.toml, or use a larger board"
+        return "the program is too large for the board: reduce the sizes in its board.toml, or use a larger board"
     if "#error" in complaint:
-        return "change the setting that it names"
-    return "report it, with this output and the compiler's version"
+        return "change the setting that the compiler's message names"
+    return "report this with the output above and the compiler's version"

@@ -80,15 +80,17 @@ def read_uf2(content: bytes, name: str) -> Uf2:
         It is no UF2, or a damaged one: a block without its magic numbers, a block missing, two families.
     """
     if not content or len(content) % BLOCK_BYTES:
-        raise _damaged(name, f"{len(content)} bytes are no whole number of blocks of {BLOCK_BYTES}")
+        raise _damaged(name, f"{len(content)} bytes are not a multiple of {BLOCK_BYTES}, the size of a block")
     blocks = [_block(content[at : at + BLOCK_BYTES], name) for at in range(0, len(content), BLOCK_BYTES)]
     numbers = [number for number, *_ in blocks]
     totals = {total for _, total, *_ in blocks}
     if numbers != list(range(len(blocks))) or totals != {len(blocks)}:
-        raise _damaged(name, "blocks are missing, or not in order")
+        raise _damaged(name, "blocks are missing or out of order")
     families = {family for *_, family, _ in blocks}
     if len(families) != 1:
-        raise ConfigError(f"{name} is for several processors at once", remedy="flash an image for one")
+        raise ConfigError(
+            f"{name} contains images for several processors", remedy="use an image for one processor"
+        )
     return Uf2(_joined(piece for *_, piece in blocks if piece is not None), families.pop())
 
 
@@ -97,9 +99,9 @@ def _block(block: bytes, name: str) -> tuple[int, int, int | None, Piece | None]
     first, second, flags, address, size, number, total, family = _HEAD.unpack_from(block)
     (last,) = struct.unpack_from("<I", block, BLOCK_BYTES - 4)
     if (first, second, last) != (MAGIC_FIRST, MAGIC_SECOND, MAGIC_LAST):
-        raise _damaged(name, "a block does not begin and end as blocks do")
+        raise _damaged(name, "a block has wrong magic numbers")
     if size > DATA_ROOM:
-        raise _damaged(name, f"block {number} claims {size} bytes")
+        raise _damaged(name, f"block {number} has an invalid size of {size} bytes")
     piece = None if flags & NOT_FOR_FLASH else Piece(address, block[_HEAD.size : _HEAD.size + size])
     return number, total, family if flags & FAMILY_PRESENT else None, piece
 
@@ -115,4 +117,4 @@ def _joined(pieces: Iterable[Piece]) -> tuple[Piece, ...]:
 
 
 def _damaged(name: str, why: str) -> ConfigError:
-    return ConfigError(f"{name} is not a whole UF2 file: {why}", remedy="build it again: rig firmware build")
+    return ConfigError(f"{name} is not a valid UF2 file: {why}", remedy="build it again: rig firmware build")

@@ -126,13 +126,13 @@ def test_a_board_that_falls_silent_breaks_what_was_tried_and_the_rest_is_not_see
     found = check_port(lambda: link, PortCheckRequest(seconds=0.1))
     texts = {one.name: one.text for one in found.checks}
     assert list(broken(found)) == ["time_of_timer", "tick_rate", "tick_grid"]
-    assert texts["tick rate"].startswith("no answer comes while set_rate is tried")
-    assert texts["write whole"] == "it answers no longer"
+    assert texts["tick rate"].startswith("no reply during the test of set_rate")
+    assert texts["write whole"] == "the board no longer replies"
 
 
 def test_where_nobody_answers_it_says_what_to_flash(board: ctypes.CDLL) -> None:
     link = Silent(powered_up(board), 0)
-    with pytest.raises(LinkLostError, match="nobody answers") as caught:
+    with pytest.raises(LinkLostError, match="no reply at") as caught:
         check_port(lambda: link, PortCheckRequest())
     assert "--check-port" in caught.value.remedy
 

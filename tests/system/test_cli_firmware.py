@@ -83,4 +83,4 @@ def test_a_setting_that_the_board_cannot_have_is_refused_by_name(run: Any) -> No
     assert "encoder_complement_pin and enable_pin of board rp2040 both use pin 15" in err
     code, _, err = run("firmware", "build", "--set", "pwm_pin=13")
     assert code == 15
-    assert "change the setting that it names" in err
+    assert "change the setting that the compiler's message names" in err

@@ -173,7 +173,7 @@ def test_the_costs_are_counted_or_the_reason_is_given(
     monkeypatch.setenv("ARM_NONE_EABI_GCC", str(tmp_path / "none"))
     export = export_estimator(Variant("fdm"), rig_of(), tmp_path / "b.h")
     assert export.costs == ()
-    assert "which does not run" in export.text.replace("\n *", "")
+    assert "which cannot be run" in export.text.replace("\n *", "")
 
 
 def test_integers_have_to_be_equal(tmp_path: Path) -> None:

@@ -132,7 +132,7 @@ def test_an_image_for_another_board_is_refused(image: Any, drive: Any) -> None:
 
 def test_a_board_that_does_not_start_is_told(image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(flashing, "VANISH_S", 0.0)
-    with pytest.raises(LinkLostError, match="did not take the image"):
+    with pytest.raises(LinkLostError, match="did not accept the image"):
         flash(image)
 
 

@@ -155,10 +155,10 @@ WHOLE = [batch(2**32 - 2, [(1, 0, 3)] * 2), state(1, count=104), batch(0, [(1, 0
     ("said", "ticks", "outcome", "text"),
     [
         (WHOLE, 4, Outcome.OK, "4 samples in 2 frames, 0 gaps"),
-        (WHOLE, 40, Outcome.REFUSED, "where 40 ticks passed"),
+        (WHOLE, 40, Outcome.REFUSED, "instead of 40"),
         ([WHOLE[0], batch(1, [(0, 0, 0)])], 3, Outcome.REFUSED, "1 gaps"),
         ([*WHOLE, state(0, count=9)], 4, Outcome.REFUSED, "different counts in 1 ticks"),
-        ([*WHOLE, batch(2, [(0, 5, 0)])], 4, Outcome.REFUSED, "drove a current"),
+        ([*WHOLE, batch(2, [(0, 5, 0)])], 4, Outcome.REFUSED, "set a current"),
         ([*WHOLE, state(7, fault=int(Fault.LINK_LOST))], 4, Outcome.REFUSED, Fault.LINK_LOST.text),
     ],
 )

@@ -50,14 +50,14 @@ def test_a_damaged_file_is_refused(data: st.DataObject) -> None:
     content = bytearray(write_uf2([Piece(FLASH, bytes(700))], RP2040))
     at = data.draw(st.sampled_from([0, 4, 20, 24, 512, 532, 1023, 1020]))
     content[at] ^= 0x55
-    with pytest.raises(ConfigError, match="not a whole UF2"):
+    with pytest.raises(ConfigError, match="not a valid UF2"):
         read_uf2(bytes(content), "a.uf2")
 
 
 @pytest.mark.parametrize("cut", [1, 512, 700])
 def test_a_file_that_ends_early_is_refused(cut: int) -> None:
     content = write_uf2([Piece(FLASH, bytes(700))], RP2040)
-    with pytest.raises(ConfigError, match="not a whole UF2"):
+    with pytest.raises(ConfigError, match="not a valid UF2"):
         read_uf2(content[:-cut], "a.uf2")
 
 
