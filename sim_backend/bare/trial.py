@@ -151,7 +151,7 @@ def run_trial(
     """
     script = script or OperatorScript.silent()
     if len(script.rows) and plant.hand_position is None:
-        raise ValueError("a script needs a plant that is held by a hand")
+        raise ValueError("a script of the hand needs a plant with a hand")
     trace = Trace.empty(most_ticks, plant)
     state = plant.at_rest(initial_position)
     for position in (plant.sensed_position, plant.handle_position, plant.hand_position):

@@ -160,7 +160,7 @@ class SimulatedDevice:
     ) -> None:
         if not 1 <= position_rate_default <= position_rate_maximum:
             raise ConfigError(
-                f"a default rate of {position_rate_default} Hz with a maximum of {position_rate_maximum} Hz",
+                f"the default rate of {position_rate_default} Hz is outside 1 … {position_rate_maximum} Hz",
                 remedy="choose a rate that the device can run",
             )
         self._dictionary = describe(model, name or model.name, position_rate_default, position_rate_maximum)

@@ -165,7 +165,7 @@ class FirmwareDevice:
     ) -> None:
         if not 1 <= position_rate_default <= position_rate_maximum:
             raise ConfigError(
-                f"a default rate of {position_rate_default} Hz with a maximum of {position_rate_maximum} Hz",
+                f"the default rate of {position_rate_default} Hz is outside 1 … {position_rate_maximum} Hz",
                 remedy="choose a rate that the device can run",
             )
         library = library or firmware_library.library()

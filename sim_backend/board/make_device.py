@@ -44,6 +44,6 @@ def make_device(
             raise ConfigError(
                 error.message, remedy=f'{error.remedy}; or set controller.loop = "host"'
             ) from None
-        slow = f"{error.message}; until then it runs in Python, 50 times slower"
+        slow = f"{error.message}; the simulated device runs in Python instead, 50 times slower"
         return SimulatedDevice(model, **options), (f"{slow}: {error.remedy}",)
     return FirmwareDevice(model, law_maximum=LAWS if firmware else 0, library=compiled, **options), ()

@@ -24,19 +24,30 @@ def main() -> int:
     program.begin()
     parser = argparse.ArgumentParser(prog="python -m sim_backend.drives", description=__doc__)
     parser.add_argument("kind", choices=("moteus", "odrive"))
-    parser.add_argument("--rig", required=True, help="name of a preset, or an experiment file")
-    parser.add_argument("--fault", action="append", default=[], help='"drop to=host frame=12", several times')
+    parser.add_argument("--rig", required=True, help="a preset or an experiment file")
     parser.add_argument(
-        "--set", action="append", default=[], help="setting of the drive: servo.timeout_mode=0"
+        "--fault",
+        action="append",
+        default=[],
+        help='fault such as "drop to=host frame=12"; can be given several times',
     )
-    parser.add_argument("--firmware", type=lambda text: int(text, 0), help="0x010203 is 1.2.3")
     parser.add_argument(
-        "--adapter", choices=("uart", "fdcanusb"), default="uart", help="of a moteus without a bus"
+        "--set",
+        action="append",
+        default=[],
+        help="setting of the drive, such as servo.timeout_mode=0; can be given several times",
     )
-    parser.add_argument("--bus", help="a CAN interface, or the path of a socket to be made")
     parser.add_argument(
-        "--endpoints", type=Path, help="where an ODrive's flat_endpoints.json is to be written"
+        "--firmware", type=lambda text: int(text, 0), help="firmware version; 0x010203 is 1.2.3"
     )
+    parser.add_argument(
+        "--adapter",
+        choices=("uart", "fdcanusb"),
+        default="uart",
+        help="protocol of the adapter, for a moteus without a CAN bus",
+    )
+    parser.add_argument("--bus", help="a CAN interface, or the path of a socket to create")
+    parser.add_argument("--endpoints", type=Path, help="path to write an ODrive's flat_endpoints.json to")
     given = parser.parse_args()
     if given.endpoints is not None:
         given.endpoints.write_text(json.dumps(SimulatedOdrive.flat_endpoints()), encoding="utf-8")

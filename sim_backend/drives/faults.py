@@ -55,7 +55,8 @@ class DriveScript:
         for event in self.events:
             if event.name not in {STALE, HOST_BUS_OFF, *known}:
                 raise ConfigError(
-                    f"{event.name} does not happen to this drive", remedy=f"one of {', '.join(known)}"
+                    f"fault {event.name} does not exist for this drive",
+                    remedy=f"choose one of {', '.join(known)}",
                 )
 
     @classmethod
@@ -73,7 +74,10 @@ def _read(text: str) -> FrameFault | DriveEvent:
     given = dict(part.partition("=")[::2] for part in rest)
     to = given.pop("to", "host")
     if ("frame" in given) == ("tick" in given) or to not in _DIRECTIONS:
-        raise ConfigError(f"{text!r} does not say when, or to whom", remedy=_EXAMPLE)
+        raise ConfigError(
+            f"fault {text!r} needs either frame or tick, and to=host or to=drive",
+            remedy=f"write it {_EXAMPLE}",
+        )
     try:
         if word in {kind.value for kind in FaultKind}:
             numbers = {name: int(value) for name, value in given.items()}
@@ -82,6 +86,6 @@ def _read(text: str) -> FrameFault | DriveEvent:
             value = float(given.pop("value", "0"))
             return DriveEvent(name=word, value=value, **{name: int(when) for name, when in given.items()})
     except (ValueError, TypeError) as error:
-        raise ConfigError(f"{text!r} is no fault: {error}", remedy=_EXAMPLE) from error
+        raise ConfigError(f"{text!r} is not a valid fault: {error}", remedy=f"write it {_EXAMPLE}") from error
     known = ", ".join((*(kind.value for kind in FaultKind), *EVENTS))
-    raise ConfigError(f"{word!r} is no fault", remedy=f"one of {known}; {_EXAMPLE}")
+    raise ConfigError(f"{word!r} is not the name of a fault", remedy=f"choose one of {known}, {_EXAMPLE}")

@@ -129,8 +129,8 @@ class SimulatedMoteus:
         for name, text in options.settings.items():
             if not self.settings.set(name, text):
                 raise ConfigError(
-                    f"{name} = {text} is no setting of a simulated moteus",
-                    remedy=f"one of {', '.join(self.settings.values)}",
+                    f"{name} = {text} is not a setting of a simulated moteus",
+                    remedy=f"choose one of {', '.join(self.settings.values)}",
                 )
         self.settings.store()
         self._console = DiagnosticChannel(self.settings, self._order)

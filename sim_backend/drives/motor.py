@@ -130,8 +130,8 @@ class Motor:
         encoder = model.encoder
         if encoder.counts_per_revolution is None:
             raise ConfigError(
-                f"{model.name} is linear: a drive turns",
-                remedy="give its encoder counts_per_revolution and ratio, and efforts in N·m",
+                f"{model.name} is a linear rig, but a drive is rotary",
+                remedy="use a rotary rig, with encoder counts_per_revolution and ratio, and efforts in N·m",
             )
         model = replace(
             model,

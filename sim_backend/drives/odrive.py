@@ -405,8 +405,8 @@ class SimulatedOdrive:
             self.values[path] = kinds.get(known[0], int)(text)
         except ValueError as error:
             raise ConfigError(
-                f"{path} = {text} is no setting of a simulated ODrive: {error}",
-                remedy=f"one of {', '.join(_PARAMETERS)}",
+                f"{path} = {text} is not a setting of a simulated ODrive: {error}",
+                remedy=f"choose one of {', '.join(_PARAMETERS)}",
             ) from error
 
     def _write(self, path: str, value: Value) -> None:

@@ -134,7 +134,9 @@ def _listener(place: str) -> socket.socket:
         listener.bind(place)
     except OSError as error:
         listener.close()
-        raise ConfigError(f"{place} cannot be made: {error}", remedy="choose another path") from error
+        raise ConfigError(
+            f"the socket {place} cannot be created: {error}", remedy="choose another path"
+        ) from error
     listener.listen(HOSTS)
     return listener
 
@@ -146,7 +148,7 @@ def _interface(name: str) -> socket.socket:
         end.bind((name,))
     except OSError as error:
         raise DeviceNotFoundError(
-            f"{name} is no CAN interface of this computer: {error}",
-            remedy=f"ip link add {name} type vcan && ip link set {name} up; where the kernel has none, give a path",
+            f"{name} is not a CAN interface of this computer: {error}",
+            remedy=f"ip link add {name} type vcan && ip link set {name} up; if the kernel has no vcan, give a path",
         ) from error
     return end

@@ -92,7 +92,7 @@ def serve(
         drive, spoken = _odrive(model, settings, firmware), SocketCan()
         if place is None:
             raise ConfigError(
-                "no CAN bus for the ODrive", remedy="give an interface, or the path of a socket"
+                "an ODrive needs a CAN bus", remedy="give an interface, or the path of a socket, with --bus"
             )
     else:
         drive = _moteus(model, settings, firmware)
@@ -129,7 +129,7 @@ def _adapter(name: str, drive: SimulatedMoteus) -> SimulatedAdapter:
         return Uart(prefix=int(drive.settings.values["can.prefix"]))
     if name == "fdcanusb":
         return Fdcanusb()
-    raise ConfigError(f"adapter = {name} is unknown", remedy="uart, or fdcanusb")
+    raise ConfigError(f"unknown adapter {name}", remedy="choose uart or fdcanusb")
 
 
 @contextmanager

@@ -126,7 +126,10 @@ def open_link(url: DeviceUrl, model: RigModel | None = None, faults: Faults | No
         No model, an unknown option, or a value that it cannot have; no C compiler for the firmware.
     """
     if model is None:
-        raise ConfigError(f"{url.text}: nothing to simulate", remedy="name a rig, like sim://koul-compliant")
+        raise ConfigError(
+            f"{url.text}: the URL names no rig to simulate",
+            remedy="name one, for example sim://koul-compliant",
+        )
     options = _parse(url)
     if "offset" in options:
         model = _with_offset(url, model, options.pop("offset"))
@@ -148,7 +151,7 @@ def _parse(url: DeviceUrl) -> dict[str, Any]:
         if name == "hand":
             raise ConfigError(
                 f"{url.text}: a hand cannot be driven in virtual time",
-                remedy="run in real time, or leave hand out: then it plays its script",
+                remedy="run in real time, or omit hand to use the scripted hand",
             )
         kind = OPTIONS[name]
         try:
@@ -176,8 +179,8 @@ def _check(url: DeviceUrl, options: Mapping[str, Any]) -> None:
         if not allowed[name](value):
             raise ConfigError(
                 f"{url.text}: {name} = {value} is out of range",
-                remedy="offset lies in 0 … 1, rates in 50 … 50000 Hz, clock_ppm in ±1000, "
-                "firmware and incremental are 0 or 1, a seed is not negative, the times of sync (s) rise from above 0",
+                remedy="allowed: offset 0 … 1, rates 50 … 50000 Hz, clock_ppm ±1000, "
+                "firmware and incremental 0 or 1, seed 0 or more, times of sync (s) above 0 and rising",
             )
 
 
@@ -454,8 +457,8 @@ class MemoryLink:
     def _check_open(self) -> None:
         if self._closed or (self.line is not None and self.line.unplugged):
             raise LinkLostError(
-                f"{self.url.text} is gone ({'closed' if self._closed else 'unplugged'})",
-                remedy="open it again; the device cuts the effort by itself",
+                f"the link to {self.url.text} was {'closed' if self._closed else 'unplugged'}",
+                remedy="open it again; the device sets the effort to zero by itself",
             )
 
     # ------------------------------------------------------------------ the compiled loop

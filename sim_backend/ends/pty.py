@@ -150,7 +150,9 @@ def _linked(link_path: str | Path | None, target: str) -> Iterator[None]:
         link.unlink(missing_ok=True)
         link.symlink_to(target)
     except OSError as error:
-        raise ConfigError(f"{link} cannot be made: {error}", remedy="choose another path") from error
+        raise ConfigError(
+            f"the link {link} cannot be created: {error}", remedy="choose another path"
+        ) from error
     try:
         yield
     finally:

@@ -197,7 +197,7 @@ def serve(
     if not 50 <= rate <= POSITION_RATE_MAXIMUM:
         raise ConfigError(
             f"rate = {rate} Hz is outside 50 … {POSITION_RATE_MAXIMUM}",
-            remedy="a device in Python keeps no more; run faster in virtual time (sim://)",
+            remedy="use a rate in this range; higher rates run in virtual time only (sim://)",
         )
     device = SimulatedDevice(
         model,

@@ -62,7 +62,7 @@ class DrivenHand:
     ) -> None:
         if model.operator is None or model.reach is None:
             raise ConfigError(
-                f"the handle of {model.name} is not held by a person, so no hand can be driven",
+                f"no person holds the handle of {model.name}, so there is no hand to drive",
                 remedy='set trial.kind = "human"',
             )
         self._operator, self._reach = model.operator, model.reach

@@ -130,7 +130,7 @@ class DiscretePlant:
             The tick is not above zero, or the inner step is too long for the mode of the capstan.
         """
         if not (tick_s > 0.0 and math.isfinite(tick_s)):
-            raise ConfigError(f"a tick of {tick_s} s", remedy="choose a rate above zero")
+            raise ConfigError(f"tick_s = {tick_s} s must be above 0", remedy="choose a rate above zero")
         return _discretised(model, tick_s)
 
     @property
@@ -260,7 +260,7 @@ def _check_friction(continuous: StateSpace, gamma: Matrix, step_s: float) -> Non
     if np.linalg.eigvalsh((gains + gains.T) / 2.0).min() <= 0.0:
         half_period_s = math.pi / float(np.abs(np.linalg.eigvals(continuous.a).imag).max())
         raise ConfigError(
-            f"an inner step of {step_s:.3g} s is too long for the mode of the capstan",
+            f"simulation.inner_step_s = {step_s:.3g} s is too long for the vibration mode of the capstan",
             remedy=f"set simulation.inner_step_s well below {half_period_s:.3g} s, half its period",
         )
 

@@ -295,5 +295,5 @@ def test_what_cannot_be_served_is_said() -> None:
         serve("moteus", drive_rig(), faults=["bus-off frame=1"])
     with pytest.raises(DeviceNotFoundError, match="nocan0"):
         DriveSockets("nocan0")
-    with pytest.raises(ConfigError, match="cannot be made"):
+    with pytest.raises(ConfigError, match="cannot be created"):
         DriveSockets("/no/such/place")

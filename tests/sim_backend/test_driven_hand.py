@@ -192,7 +192,7 @@ def test_tremor_comes_with_the_effort_of_the_hand() -> None:
 
 
 def test_a_rig_that_nobody_holds_cannot_be_led() -> None:
-    with pytest.raises(ConfigError, match="not held by a person"):
+    with pytest.raises(ConfigError, match="no person holds the handle"):
         DrivenHand(config.rig_model(presets.load("koul-compliant")), Someone())
 
 

@@ -159,7 +159,7 @@ def test_a_url_opens_a_device_as_its_options_say() -> None:
         ("sim://test?seed=-1", "seed = -1 is out of range"),
         ("sim://test?offset=1.0", "offset = 1.0 is out of range"),
         ("sim://test?initial_position=nan", "initial_position = nan is out of range"),
-        ("sim://test?position_rate_maximum=100", "default rate of 1000 Hz with a maximum of 100 Hz"),
+        ("sim://test?position_rate_maximum=100", "default rate of 1000 Hz is outside 1 … 100 Hz"),
     ],
 )
 def test_a_wrong_option_is_refused_by_name(url: str, says: str) -> None:
@@ -168,7 +168,7 @@ def test_a_wrong_option_is_refused_by_name(url: str, says: str) -> None:
 
 
 def test_without_a_model_there_is_nothing_to_simulate() -> None:
-    with pytest.raises(ConfigError, match="nothing to simulate"):
+    with pytest.raises(ConfigError, match="names no rig to simulate"):
         open_link(DeviceUrl.parse("sim://test"))
 
 

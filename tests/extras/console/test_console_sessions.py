@@ -264,14 +264,14 @@ def test_what_may_be_begun_and_resumed_is_listed(tmp_path: Path, monkeypatch: py
     assert resumable() == []
     monkeypatch.setattr(talk, "hear", lambda _: {"kind": "reply", "number": 1, "action": "abort"})
     left = session_desk.session({**CONTENT, "code": "P02"}, talk)
-    assert (left["stands"], left["over"]) == ("session of P02: left: the operator left", False)
+    assert (left["stands"], left["over"]) == ("session of P02: interrupted: the operator left", False)
     (found,) = resumable()
     assert (found["code"], found["trials"], found["rehearsal"]) == ("P02", 0, False)
     monkeypatch.setattr(talk, "hear", lambda _: {"kind": "reply", "number": 1, "action": "abort"})
     again = session_desk.session(
         {**CONTENT, "protocol": "", "code": "", "directory": found["directory"]}, talk
     )
-    assert again["stands"] == "session of P02: left: the operator left"
+    assert again["stands"] == "session of P02: interrupted: the operator left"
     session_desk.session({**CONTENT, "study": "elsewhere"}, talk)
     assert (tmp_path / "elsewhere" / "P01" / "session.log").exists()
 

@@ -143,7 +143,7 @@ def test_the_makers_library_reads_a_torque_command_as_it_is_meant() -> None:
 
 
 def test_a_bus_needs_a_place() -> None:
-    with pytest.raises(ConfigError, match="no port and no CAN interface"):
+    with pytest.raises(ConfigError, match="no serial port and no CAN interface"):
         open_bus(DeviceUrl.parse("moteus://"))
 
 

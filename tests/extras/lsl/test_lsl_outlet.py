@@ -331,5 +331,5 @@ def test_what_is_lost_says_why_and_each_reason_once(
     assert marks.lost == 4
     assert [record.message.split(" ")[0:2] for record in caplog.records] == [
         ["a", "marker"],
-        ["the", "process"],
+        ["the", "LSL"],
     ]
