@@ -143,7 +143,7 @@ class Recordings(Service):
                     first_s, last_s = float(asked["first"]), float(asked["last"])
                 except (KeyError, ValueError):
                     raise ConfigError(
-                        "the request has no valid `first` and `last`", remedy="give both as times in s"
+                        "the request has no valid time span", remedy="give first and last as times in s"
                     ) from None
                 changes = {"controller.estimator": asked["estimator"]} if "estimator" in asked else None
                 columns = asked.get("columns", "position").split(",")

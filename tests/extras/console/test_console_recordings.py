@@ -202,8 +202,8 @@ def test_a_replay_lies_over_the_same_times_and_says_how_far_it_is_apart(output: 
 @pytest.mark.parametrize(
     ("what", "said"),
     [
-        ("cut", "has no valid `first`"),
-        ("cut?first=0&last=x", "has no valid `first`"),
+        ("cut", "no valid time span"),
+        ("cut?first=0&last=x", "no valid time span"),
         ("cut?first=0&last=1&columns=nothing", "no column 'nothing'"),
         ("cut?first=0&last=1&estimator=nobody", "nobody"),
         ("export?form=exe", "'exe' is not an export format"),
