@@ -120,15 +120,15 @@ def picture() -> str:
 
 
 def states() -> str:
-    """State × message of the host → state; and what the device sends unasked."""
+    """State × message from the host → state; and what the device sends without a request."""
     requests = [cls for type_id, cls in m.MESSAGES.items() if m.sender_of(type_id) is m.Role.HOST]
     rows: list[Sequence[object]] = [
         (f"`{title(cls)}`", *(row[cls].name if cls in row else "–" for row in TRANSITIONS.values()))
         for cls in requests
     ]
     sent = [", ".join(sorted(f"`{title(cls)}`" for cls in UNASKED[state])) or "–" for state in State]
-    rows.append(("device sends unasked", *sent))
-    return table(("message of the host", *(f"in {state.name}" for state in State)), rows)
+    rows.append(("sent by the device without a request", *sent))
+    return table(("message from the host", *(f"in {state.name}" for state in State)), rows)
 
 
 def header() -> str:

@@ -432,13 +432,15 @@ class Connection:
         if layout.type_id not in _NEXT[self.state]:
             raise LocalProtocolError(f"{layout.name} is not allowed in state {self.state.name}")
         if (session is not None) != (layout.type_id == _ARM):
-            raise LocalProtocolError("the session is given with ARM, and with nothing else")
+            raise LocalProtocolError("a session number is set by ARM only")
         if session is not None:
             if not 1 <= session <= 0xFF or session == self._last_session:
-                raise LocalProtocolError(f"session {session} is not 1 … 255, or was the last one")
+                raise LocalProtocolError(f"session {session} must be 1 … 255 and differ from the last one")
             return session
         if layout.type_id == _COMMAND and not self.session:
-            raise LocalProtocolError("COMMAND needs a session of ours: the device is armed by another host")
+            raise LocalProtocolError(
+                "COMMAND is not allowed: another host has armed the device; its session is unknown here"
+            )
         return self.session
 
     def _check_unasked(self, layout: Layout) -> None:

@@ -194,7 +194,7 @@ def _inflate(packed: bytes) -> bytes:
     inflater = zlib.decompressobj()
     plain = inflater.decompress(packed, PLAIN_LIMIT)
     if not inflater.eof or inflater.unused_data:
-        raise ValueError("truncated, too long, or followed by something")
+        raise ValueError("truncated, too long, or followed by other bytes")
     return plain
 
 
@@ -315,7 +315,7 @@ def _explain(known: tuple[CodeInfo, ...], ours: type[Described], code: int) -> C
         return theirs or _code_info(ours(code))
     if ours is Fault and code in PORT_FAULTS and theirs is not None:
         return theirs
-    unknown = f"{ours.__name__.lower()} {code}, which this version does not know"
+    unknown = f"{ours.__name__.lower()} {code} (unknown to this version)"
     if theirs is None:
         return CodeInfo(code, f"code {code}", unknown, "update this package and the firmware")
     return replace(theirs, text=f"{unknown}: {theirs.text}")

@@ -12,7 +12,7 @@ class ProtocolError(Exception):
 
     def __init__(self, message: str) -> None:
         if type(self) is ProtocolError:
-            raise TypeError("raise LocalProtocolError or RemoteProtocolError: say whose fault it is")
+            raise TypeError("ProtocolError is abstract: raise LocalProtocolError or RemoteProtocolError")
         super().__init__(message)
 
 
@@ -28,6 +28,6 @@ class IncompatibleMajorError(RemoteProtocolError):
     """The other side speaks another major version; `ours` and `theirs` say which."""
 
     def __init__(self, ours: int, theirs: int) -> None:
-        super().__init__(f"the device speaks protocol major {theirs}, this package speaks {ours}")
+        super().__init__(f"the device uses major protocol version {theirs}, this package uses {ours}")
         self.ours = ours
         self.theirs = theirs

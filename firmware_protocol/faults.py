@@ -49,8 +49,8 @@ class Fault(Described):
     NONE = 0, "no fault", ""
     LINK_LOST = (
         1,
-        "the host fell silent: no valid command within its lifetime, the effort was ramped to zero",
-        "look for a busy host, a cable, a hub that delays, or a lower rate; then clear the fault",
+        "no valid command arrived within the lifetime of the last one; the effort was ramped to zero",
+        "check the load of the host, the cable, and hubs that delay, or lower the rate; then clear the fault",
     )
     OVER_SPEED = (
         2,
@@ -64,7 +64,7 @@ class Fault(Described):
     )
     NON_FINITE = (
         4,
-        "the law on the device gave a value that is not finite",
+        "the law on the device computed a value that is not finite",
         "check the parameters; then clear the fault",
     )
     ENCODER = (
@@ -75,9 +75,9 @@ class Fault(Described):
     TICK_OVERRUN = (
         6,
         "the device did not finish a tick within its period, or missed two in succession (behind a bridge: four)",
-        "lower position_rate, or take a law in integers (estimator fdm-butterworth-fixed), which is faster than "
-        "float32 on a board without floating point; behind a bridge to a drive, close other programs; then "
-        "clear the fault",
+        "lower position_rate, or choose a law in integers (estimator fdm-butterworth-fixed), which "
+        "is faster than float32 on a board without floating point; behind a bridge to a drive, close "
+        "other programs; then clear the fault",
     )
     EMERGENCY_STOP = (
         7,
@@ -92,7 +92,7 @@ class Fault(Described):
     THERMAL = 9, "the motor's thermal model exceeds its budget", "let the motor cool; then clear the fault"
     RUNAWAY = (
         10,
-        "large effort with motion along it, or no encoder edge where motion must be",
+        "large effort with motion in its direction, or no encoder edge although the model predicts motion",
         "check the signs of motor and encoder and the encoder cable, verify again; then clear the fault",
     )
     WATCHDOG_RESET = (
@@ -102,7 +102,7 @@ class Fault(Described):
     )
     INTERNAL = (
         12,
-        "the device found itself inconsistent, or its main loop stood still for 20 ms",
+        "the device found an inconsistent state, or its main loop hung for 20 ms",
         "restart the device; report it with its fault log",
     )
     BATCH_OVERFLOW = (
@@ -112,14 +112,14 @@ class Fault(Described):
     )
     CURRENT_MISMATCH = (
         14,
-        "the measured current is not the one that was set",
+        "the measured current differs from the set current",
         "check, in this order, rig.amplifier.set_point_delay_s and lag_s against the amplifier, current_quantum_a "
         "against the steps of its set-point, motor leads, supply, and the current sensor with its sign and scale; "
         "then clear the fault",
     )
     PROCESSOR_STOPPED = (
         15,
-        "the processor met an instruction or an address that it cannot use, and was reset",
+        "the processor executed an invalid instruction or accessed an invalid address, and was reset",
         "configure, home and verify again; report it with the place that rig firmware selftest shows",
     )
     OUTPUT_STALLED = (
@@ -141,32 +141,37 @@ OUT_OF_TIME = frozenset({Fault.TICK_OVERRUN.name, Fault.LINK_LOST.name, "DRIVE_S
 class LimitFlag(DescribedFlag):
     """Limits that changed the effort of a tick. Not faults: the device continues."""
 
-    CURRENT = 1, "current clipped to current_limit", "ask for less effort"
+    CURRENT = 1, "current clipped to current_limit", "command less effort"
     SLEW = 2, "change of current clipped to slew_limit", "a trial with this flag is invalid; raise slew_limit"
     SPEED = 4, "speed within 10 % of speed_limit", "lower the effort or raise the limit"
     POSITION = 8, "position within 5 % of the edge of its window", "check the wall position and the window"
     THERMAL = 16, "current reduced to continuous_current by the thermal model", "let the motor cool"
     RAMPING = (
         32,
-        "link silence: the effort is being ramped to zero",
-        "LINK_LOST follows unless the host returns",
+        "no commands from the host: the effort is being ramped to zero",
+        "restore the link: without commands from the host, LINK_LOST follows",
     )
-    HOLD_TO_RUN_RELEASED = 64, "hold-to-run is required and not held: effort zero", "hold the switch"
+    HOLD_TO_RUN_RELEASED = (
+        64,
+        "hold-to-run is required and its switch is not held: the effort is zero",
+        "hold the hold-to-run switch",
+    )
     NOT_CONFIRMED = (
         128,
-        "position not confirmed: the count stayed on two neighbours for longer than confirm_ms under effort, which "
-        "fades out",
-        "leave the wall; if it does not come back, check the encoder and its cable",
+        "position not confirmed: the count stayed on two neighbouring values under effort for longer "
+        "than confirm_ms; the effort fades out",
+        "move the handle out of the wall; if the effort does not return, check the encoder and its cable",
     )
     MISSED_TICKS = (
         256,
         "more than ten ticks missed within a second",
-        "lower position_rate, or find what keeps the board's processor",
+        "lower position_rate, or find what occupies the board's processor",
     )
     COMMAND_TOO_OLD = (
         512,
-        "a command came that was older than its lifetime: it was not activated",
-        "LINK_LOST follows unless younger ones come; look for a hub or a cable that delays (rig doctor)",
+        "a command was older than its lifetime when it arrived, and was not activated",
+        "check for a hub or cable that delays (rig doctor); LINK_LOST follows unless a command "
+        "arrives in time",
     )
 
 
@@ -174,26 +179,42 @@ class Status(Described):
     """How a transaction ended: the status of an ACK."""
 
     OK = 0, "done", ""
-    UNSUPPORTED = 1, "this device does not know the request", "use a newer firmware, or do without"
+    UNSUPPORTED = (
+        1,
+        "the device does not support this request",
+        "update the firmware, or do not use this request",
+    )
     BAD_STATE = (
         2,
-        "the request is not allowed in the device's state (detail)",
-        "bring it into another state first",
+        "the request is not allowed in the state of the device (detail)",
+        "bring the device into an allowed state first (states: PROTOCOL.md)",
     )
-    UNKNOWN_PARAMETER = 3, "no parameter has this id (detail)", "compare with the device's dictionary"
+    UNKNOWN_PARAMETER = (
+        3,
+        "there is no parameter with this id (detail)",
+        "compare with the device's dictionary",
+    )
     OUT_OF_RANGE = (
         4,
         "the value of a parameter (detail) is outside its range",
         "see its range in the dictionary; rig.limits, controller.position_rate and homing give most of them",
     )
-    BAD_LENGTH = 5, "the request or the block has an impossible length", "resend; report it if it persists"
+    BAD_LENGTH = (
+        5,
+        "the request or the block has a length that is not allowed",
+        "resend; report it if it persists",
+    )
     BAD_CRC = 6, "the assembled block does not have the announced CRC", "send the block again from BEGIN"
     HASH_MISMATCH = (
         7,
         "dictionary hash or parameter CRC differ from the device's",
         "read them again, then arm",
     )
-    STALE_SESSION = 8, "session 0, or the session used last", "arm with another session number"
+    STALE_SESSION = (
+        8,
+        "the session number is 0, or that of the last session",
+        "arm with another session number",
+    )
     NOT_HOMED = 9, "reference_count was not set since the device started", "home the rig"
     NOT_VERIFIED = (
         10,
@@ -210,7 +231,11 @@ class Status(Described):
         "the block has missing bytes, or was never begun",
         "send the missing chunks, or begin again",
     )
-    BAD_ORDER = 13, "parameters must rise by id, each at most once (detail)", "sort the block"
+    BAD_ORDER = (
+        13,
+        "parameters must be in ascending order of id, each at most once (detail)",
+        "sort the block",
+    )
     FAULT_PRESENT = (
         14,
         "the cause of a fault is still there (detail: fault)",
@@ -218,22 +243,22 @@ class Status(Described):
     )
     INCONSISTENT = (
         15,
-        "parameters that contradict each other (detail)",
+        "parameters contradict each other (detail)",
         "see the rule in the parameter's meaning",
     )
     NOT_LIVE = (
         16,
         "this parameter (detail) does not change while the device is armed",
-        "disarm first, or send live parameters alone",
+        "disarm first, or send only parameters that may change while armed",
     )
     INSIDE_WALL = (
         17,
-        "the handle is inside the wall that is, or inside the one that would be",
+        "the handle is inside the present wall or inside the new one",
         "send it again when the handle is in free space",
     )
     NOT_READY = (
         18,
-        "the device is not ready: it works out an excitation, or its amplifier is being switched on",
+        "the device is not ready: it is computing an excitation, or its amplifier is being switched on",
         "arm a little later",
     )
 
@@ -249,5 +274,5 @@ class Input(DescribedFlag):
     LIMIT_SWITCH = (
         32,
         "the limit switch is pressed, or its wire is broken",
-        "move the handle back into its travel; if that changes nothing, mend the wire",
+        "move the handle back into its travel; if the switch still shows pressed, repair the wire",
     )

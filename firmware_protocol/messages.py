@@ -75,7 +75,7 @@ class DisarmFlag(IntFlag):
     CLEAR_FAULT = 1  # also leave FAULT; refused while the cause is present
 
 
-Nonce = Annotated[int, Wire("u16", "", "names the transaction; a repeat carries the same")]
+Nonce = Annotated[int, Wire("u16", "", "number of the transaction; a repeated request has the same")]
 Tail = Annotated[bytes, Wire("bytes", "", "the rest of the frame")]
 
 
@@ -90,7 +90,9 @@ class Identify(Message):
     """Ask for a piece of the device's dictionary; answered in every state, to every major version."""
 
     nonce: Nonce
-    offset: Annotated[int, Wire("u16", "byte", "first byte wanted of the compressed dictionary")]
+    offset: Annotated[
+        int, Wire("u16", "byte", "offset of the first requested byte of the compressed dictionary")
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +106,7 @@ class Identity(Message):
         int, Wire("u64", "", "first 8 bytes of the SHA-256 of the compressed dictionary")
     ]
     total: Annotated[int, Wire("u16", "byte", "length of the compressed dictionary")]
-    offset: Annotated[int, Wire("u16", "byte", "where this piece begins")]
+    offset: Annotated[int, Wire("u16", "byte", "offset of this piece")]
     data: Tail
 
 
@@ -116,7 +118,7 @@ class Ack(Message):
     request: Annotated[int, Wire("u8", "", "type id of the request")]
     status: Annotated[int, Wire("u8", "", "Status")]
     detail: Annotated[
-        int, Wire("u16", "", "what the status refers to: state, parameter id, fault; offset of a CHUNK")
+        int, Wire("u16", "", "detail of the status: state, parameter id or fault; of a CHUNK: its offset")
     ]
     sample_index: Annotated[int, Wire("u32", "tick", "tick at which the request took effect")]
     crc: Annotated[int, Wire("u32", "", "COMMIT and ARM: CRC-32 of the whole active parameter block; else 0")]
@@ -135,8 +137,8 @@ class SetBegin(Message):
 class SetChunk(Message):
     """SET_PARAMETERS, second step: a piece of the block; pieces may come twice and in any order."""
 
-    nonce: Annotated[int, Wire("u16", "", "that of the SET_BEGIN")]
-    offset: Annotated[int, Wire("u16", "byte", "where this piece begins")]
+    nonce: Annotated[int, Wire("u16", "", "transaction of the SET_BEGIN")]
+    offset: Annotated[int, Wire("u16", "byte", "offset of this piece")]
     data: Tail
 
 
@@ -144,7 +146,7 @@ class SetChunk(Message):
 class SetCommit(Message):
     """SET_PARAMETERS, last step: check the block, then activate all or none of it between two ticks."""
 
-    nonce: Annotated[int, Wire("u16", "", "that of the SET_BEGIN")]
+    nonce: Annotated[int, Wire("u16", "", "transaction of the SET_BEGIN")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +154,7 @@ class GetParameters(Message):
     """Ask for a piece of the active parameter block."""
 
     nonce: Nonce
-    offset: Annotated[int, Wire("u16", "byte", "first byte wanted")]
+    offset: Annotated[int, Wire("u16", "byte", "offset of the first requested byte")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +164,7 @@ class Parameters(Message):
     nonce: Nonce
     total: Annotated[int, Wire("u16", "byte", "length of the block")]
     crc: Annotated[int, Wire("u32", "", "CRC-32 of the block")]
-    offset: Annotated[int, Wire("u16", "byte", "where this piece begins")]
+    offset: Annotated[int, Wire("u16", "byte", "offset of this piece")]
     data: Tail
 
 
@@ -171,7 +173,7 @@ class Arm(Message):
     """Begin a session, whose number is in the header; both sums must be the device's own."""
 
     nonce: Nonce
-    dictionary_hash: Annotated[int, Wire("u64", "", "that of IDENTITY")]
+    dictionary_hash: Annotated[int, Wire("u64", "", "hash from IDENTITY")]
     parameters_crc: Annotated[int, Wire("u32", "", "CRC-32 of the whole active parameter block")]
 
 
@@ -196,7 +198,7 @@ class Time(Message):
     """Clock exchange, second and third stamp; the host takes the fourth on receipt."""
 
     nonce: Nonce
-    host_sent: Annotated[int, Wire("u64", "ns", "as in the request")]
+    host_sent: Annotated[int, Wire("u64", "ns", "copied from the request")]
     device_received: Annotated[int, Wire("u64", "1/16 µs", "device time at receipt, extended to 64 bits")]
     device_sent: Annotated[int, Wire("u64", "1/16 µs", "device time at sending, extended to 64 bits")]
 
@@ -206,7 +208,7 @@ class GetFaultLog(Message):
     """Ask for the fault and a piece of the ring of ticks before it."""
 
     nonce: Nonce
-    first: Annotated[int, Wire("u16", "", "first entry wanted; 0 is the oldest")]
+    first: Annotated[int, Wire("u16", "", "first requested entry; 0 is the oldest")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,15 +240,16 @@ class Statistics(Message):
     framing_errors: Annotated[int, Wire("u32", "", "bad byte stuffing, too long, too short")]
     crc_errors: Annotated[int, Wire("u32", "", "wrong CRC")]
     malformed: Annotated[int, Wire("u32", "", "impossible payload")]
-    unknown_type: Annotated[int, Wire("u32", "", "types of a newer minor version")]
+    unknown_type: Annotated[int, Wire("u32", "", "frames of a type from a newer minor version")]
     foreign_major: Annotated[int, Wire("u32", "", "frames of another major version")]
     stale_session: Annotated[int, Wire("u32", "", "COMMANDs of another session")]
     out_of_state: Annotated[int, Wire("u32", "", "messages forbidden in their state")]
-    lost: Annotated[int, Wire("u32", "", "COMMANDs missing between two that came")]
-    duplicated: Annotated[int, Wire("u32", "", "COMMANDs that came twice")]
+    lost: Annotated[int, Wire("u32", "", "COMMANDs missing between two that arrived")]
+    duplicated: Annotated[int, Wire("u32", "", "COMMANDs that arrived twice")]
     reordered: Annotated[int, Wire("u32", "", "COMMANDs older than one applied, or than their lifetime")]
     stopped_at: Annotated[
-        int, Wire("u32", "", "address at which the processor stopped before its last reset; 0: it did not")
+        int,
+        Wire("u32", "", "address at which the processor stopped before its last reset; 0: it did not stop"),
     ]
 
 
@@ -296,14 +299,12 @@ class Command(Message):
         Wire(
             "u32",
             "µs",
-            "the effort ramps to zero unless another COMMAND comes within this time; "
-            "what answers an older STATE is not activated",
+            "the effort ramps to zero unless another COMMAND comes within this time; a COMMAND that "
+            "answers an older STATE is not activated",
         ),
     ]
     mode: Annotated[int, Wire("u8", "", "Mode")]
-    flags: Annotated[
-        int, Wire("u8", "", "Sync: TRIAL and INSIDE as the sync outputs shall show them; all other bits 0")
-    ]
+    flags: Annotated[int, Wire("u8", "", "Sync: TRIAL and INSIDE for the sync outputs; all other bits 0")]
     current: Annotated[int, Wire("i16", "quantum", "motor current")]
 
 
@@ -313,7 +314,7 @@ class State(Message):
 
     command_sequence: Annotated[int, Wire("u16", "", "sequence of the active COMMAND")]
     command_age: Annotated[
-        int, Wire("u16", "tick", "ticks since that COMMAND came; saturates; 65535 for none yet")
+        int, Wire("u16", "tick", "ticks since that COMMAND arrived; saturates; 65535: none yet")
     ]
     sample_index: Annotated[
         int, Wire("u32", "tick", "number of this tick since the device started, modulo 2³²")
@@ -332,7 +333,7 @@ class State(Message):
     state: Annotated[int, Wire("u8", "", "state of the device (connection.State)")]
     inputs: Annotated[int, Wire("u8", "", "Input")]
     phase: Annotated[
-        int, Wire("u8", "", "what the law on the device is doing (firmware/law/law.h); 0 without one")
+        int, Wire("u8", "", "phase of the law on the device (firmware/law/law.h); 0 without a law")
     ]
     sync_time: Annotated[
         int, Wire("u32", "1/16 µs", "device time of the last rising edge of the sync input; 0: none")
@@ -346,7 +347,9 @@ class Batch(Message):
     first_index: Annotated[int, Wire("u32", "tick", "sample index of the first sample")]
     device_time: Annotated[int, Wire("u32", "1/16 µs", "device time of the first sample")]
     base_count: Annotated[int, Wire("i32", "count", "encoder count before the first sample's difference")]
-    layout: Annotated[int, Wire("u8", "", "key of BATCH_LAYOUTS; as many samples as the data holds")]
+    layout: Annotated[
+        int, Wire("u8", "", "key of BATCH_LAYOUTS; the length of the data gives the number of samples")
+    ]
     data: Tail
 
 

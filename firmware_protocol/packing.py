@@ -30,7 +30,9 @@ class Header(NamedTuple):
     major: Annotated[int, Wire("u8", "", "major protocol version of the sender")]
     type_id: Annotated[int, Wire("u8", "", "type of the message, see below")]
     flags: Annotated[int, Wire("u8", "", "reserved: sent as 0, ignored on receipt")]
-    session: Annotated[int, Wire("u8", "", "session of the armed run; 0 outside of one; the new one in ARM")]
+    session: Annotated[
+        int, Wire("u8", "", "session of the armed run; 0 when not armed; in ARM the new session")
+    ]
     sequence: Annotated[
         int, Wire("u16", "", "counts the frames of this type; from 0 in each session for streams")
     ]
@@ -121,7 +123,7 @@ def unpack(raw: bytes) -> tuple[Header, Message]:
     to the caller, because IDENTIFY must be understood in every one.
     """
     if len(raw) < HEADER_BYTES:
-        raise RemoteProtocolError("a frame without a header")
+        raise RemoteProtocolError("a frame shorter than its header")
     header = Header._make(HEADER.unpack_from(raw))
     layout = LAYOUTS.get(header.type_id)
     if layout is None:

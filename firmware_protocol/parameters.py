@@ -42,9 +42,7 @@ class ParameterError(ProtocolError):
 
 
 PARAMETERS: tuple[Parameter, ...] = (
-    Parameter(
-        1, "motion", "u8", "", 0, 1, 0, "0 rotary, 1 linear; a device is one of them, and takes no other"
-    ),
+    Parameter(1, "motion", "u8", "", 0, 1, 0, "0 rotary, 1 linear; a device accepts only its own value"),
     Parameter(
         2, "position_rate", "u32", "Hz", 50, 50_000, 1_000, "ticks a second; see the device's own maximum"
     ),
@@ -56,7 +54,7 @@ PARAMETERS: tuple[Parameter, ...] = (
         _I32_MINIMUM,
         _I32_MAXIMUM,
         0,
-        "the count that is position zero; setting it declares the rig homed until the device starts anew",
+        "the count of position zero; setting it makes the rig homed until the device restarts",
     ),
     Parameter(
         4,
@@ -66,8 +64,8 @@ PARAMETERS: tuple[Parameter, ...] = (
         0,
         1,
         0,
-        "1: signs and scale of encoder and motor were checked for this configuration; "
-        "a commit that does not repeat it clears it",
+        "1: signs and scale of encoder and motor were checked for this configuration; a COMMIT "
+        "without it clears it",
     ),
     Parameter(
         5,
@@ -87,7 +85,7 @@ PARAMETERS: tuple[Parameter, ...] = (
         0,
         10_000,
         10_000,
-        "after link silence: time in which the effort falls to zero",
+        "time in which the effort falls to zero after the link is lost",
     ),
     Parameter(7, "current_limit", "u16", "quantum", 0, _I16_MAXIMUM, 0, "largest current, either sign"),
     Parameter(
@@ -100,9 +98,18 @@ PARAMETERS: tuple[Parameter, ...] = (
         65_535,
         "largest change of current in a tick; 65535: none",
     ),
-    Parameter(9, "speed_limit", "u32", "count/s", 0, _U32_MAXIMUM, 0, "faster motion is a fault"),
     Parameter(
-        10, "window_minimum", "i32", "count", _I32_MINIMUM, _I32_MAXIMUM, 0, "a smaller count is a fault"
+        9, "speed_limit", "u32", "count/s", 0, _U32_MAXIMUM, 0, "speed above which the device latches a fault"
+    ),
+    Parameter(
+        10,
+        "window_minimum",
+        "i32",
+        "count",
+        _I32_MINIMUM,
+        _I32_MAXIMUM,
+        0,
+        "count below which the device latches a fault",
     ),
     Parameter(
         11,
@@ -112,7 +119,7 @@ PARAMETERS: tuple[Parameter, ...] = (
         _I32_MINIMUM,
         _I32_MAXIMUM,
         0,
-        "a larger count is a fault; not below window_minimum",
+        "count above which the device latches a fault; at least window_minimum",
     ),
     Parameter(
         12,
@@ -122,10 +129,17 @@ PARAMETERS: tuple[Parameter, ...] = (
         0,
         _I16_MAXIMUM,
         0,
-        "what the motor bears for ever (I²t, nominal)",
+        "continuous current of the motor (I²t, nominal)",
     ),
     Parameter(
-        13, "thermal_time_constant", "f32", "s", 0.125, 8192.0, 8.0, "of the winding, for the I²t budget"
+        13,
+        "thermal_time_constant",
+        "f32",
+        "s",
+        0.125,
+        8192.0,
+        8.0,
+        "thermal time constant of the winding, for the I²t budget",
     ),
     Parameter(14, "hold_to_run", "u8", "", 0, 1, 0, "1: effort only while the hold-to-run input is active"),
     Parameter(
@@ -146,7 +160,7 @@ PARAMETERS: tuple[Parameter, ...] = (
         -1,
         1,
         1,
-        "-1: counts fall while the position rises; a device has one of them, and takes no other",
+        "-1: counts fall while the position rises; a device accepts only its own value",
         excluded=(0,),
     ),
     Parameter(
@@ -157,8 +171,9 @@ PARAMETERS: tuple[Parameter, ...] = (
         0,
         4_000_000,
         0,
-        "effort for longer than this while the count stays on two neighbours fades out, until none is wanted: the "
-        "position is not confirmed; 0: never",
+        "if the count stays on two neighbouring values under effort for longer than this, the "
+        "position is not confirmed and the effort fades out and stays zero until the commanded "
+        "effort is zero; 0: never",
     ),
     Parameter(
         18,
@@ -168,7 +183,7 @@ PARAMETERS: tuple[Parameter, ...] = (
         0,
         1,
         0,
-        "what reference_count is: 0 the place where somebody had put the handle, 1 an index of the encoder",
+        "origin of reference_count: 0 the position at which the handle was placed, 1 an index of the encoder",
     ),
     *LAW_PARAMETERS,
 )
@@ -224,10 +239,13 @@ def decode_block(block: bytes) -> dict[str, Value]:
         (number,) = struct.unpack_from("<H", block, start)
         parameter = BY_ID.get(number)
         if parameter is None:
-            raise ParameterError(Status.UNKNOWN_PARAMETER, f"no parameter has id {number}", detail=number)
+            raise ParameterError(Status.UNKNOWN_PARAMETER, f"unknown parameter id {number}", detail=number)
         if number <= previous:
             raise ParameterError(
-                Status.BAD_ORDER, f"{parameter.name} is out of order", detail=number, name=parameter.name
+                Status.BAD_ORDER,
+                f"{parameter.name} is out of order: parameters must be in ascending order of id",
+                detail=number,
+                name=parameter.name,
             )
         previous = number
         _, value = struct.unpack_from(_FORMATS[parameter.ctype], block, start)
@@ -244,7 +262,7 @@ def block_crc(block: bytes) -> int:
 def _by_name(name: str) -> Parameter:
     parameter = BY_NAME.get(name)
     if parameter is None:
-        raise ParameterError(Status.UNKNOWN_PARAMETER, f"there is no parameter {name!r}", name=name)
+        raise ParameterError(Status.UNKNOWN_PARAMETER, f"unknown parameter {name!r}", name=name)
     return parameter
 
 

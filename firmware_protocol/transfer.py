@@ -102,7 +102,9 @@ class PageReader:
         """Take one page. A page that was already taken is ignored."""
         if self._head is None:
             if total > self._limit:
-                raise RemoteProtocolError(f"a reply of {total} bytes, above {self._limit}")
+                raise RemoteProtocolError(
+                    f"the reply announces {total} bytes, above the limit of {self._limit}"
+                )
             self._head = (total, fingerprint)
         if (total, fingerprint) != self._head:
             raise RemoteProtocolError("the reply changed while it was read; read it again")
@@ -110,6 +112,6 @@ class PageReader:
             return
         if offset > self.offset or not data or self.offset + len(data) > total:
             raise RemoteProtocolError(
-                f"page of {len(data)} bytes at {offset}, wanted at {self.offset} of {total}"
+                f"a page of {len(data)} bytes at offset {offset}; expected at offset {self.offset} of {total}"
             )
         self._content += data

@@ -352,7 +352,7 @@ def test_a_request_of_impossible_length_is_answered_if_it_has_a_nonce(pair: Pair
 def test_another_major_stops_the_host_with_both_numbers(pair: Pair) -> None:
     frame = encode_frame(HEADER.pack(m.MAJOR + 1, type_id_of(m.State), 0, 0, 0) + bytes(34))
     pair.host.receive_data(frame + encode_frame(pack(state_message(State.IDENTIFIED))))
-    with pytest.raises(IncompatibleMajorError, match=f"major {m.MAJOR + 1}") as caught:
+    with pytest.raises(IncompatibleMajorError, match=f"major protocol version {m.MAJOR + 1}") as caught:
         pair.host.next_event()
     assert (caught.value.ours, caught.value.theirs) == (m.MAJOR, m.MAJOR + 1)
     assert pair.host.next_event() is not None, "the frame is dropped, the connection goes on"

@@ -67,10 +67,10 @@ def test_what_a_younger_device_adds_is_ignored() -> None:
 def test_the_devices_own_text_comes_first_then_ours_then_a_placeholder() -> None:
     own = {"code": 200, "name": "LASER", "text": "laser hot", "remedy": "wait"}
     dictionary = decode(repacked(faults=[own]))
-    assert dictionary.explain_fault(200).text == "fault 200, which this version does not know: laser hot"
+    assert dictionary.explain_fault(200).text == "fault 200 (unknown to this version): laser hot"
     assert dictionary.explain_fault(Fault.ENCODER).text == Fault.ENCODER.text
     assert dictionary.explain_fault(999).name == "code 999"
-    assert dictionary.explain_fault(37).text == "fault 37, which this version does not know"
+    assert dictionary.explain_fault(37).text == "fault 37 (unknown to this version)"
     assert DICTIONARY.explain_status(Status.NOT_HOMED).remedy == Status.NOT_HOMED.remedy
 
 

@@ -116,5 +116,5 @@ def test_pages_that_do_not_fit_together_are_the_peers_fault(second: dict[str, ob
 
 
 def test_a_reply_without_bound_is_refused() -> None:
-    with pytest.raises(RemoteProtocolError, match="above 100"):
+    with pytest.raises(RemoteProtocolError, match="above the limit of 100"):
         PageReader(limit=100).add(total=101, fingerprint=1, offset=0, data=b"a")
