@@ -333,9 +333,9 @@ def device_parameters(
         if not BY_NAME[name].accepts(value):
             parameter = BY_NAME[name]
             raise PlanError(
-                f"{name} = {value:g} {parameter.unit} does not fit the device: it takes "
+                f"{name} = {value:g} {parameter.unit} is out of range for the device: allowed are "
                 f"{parameter.minimum:g} to {parameter.maximum:g}",
-                remedy="change the limit, the rate or the current quantum behind it",
+                remedy="change the limit, the rate or the current quantum from which it is computed",
             )
     return values
 

@@ -118,8 +118,8 @@ class DataSheets(TypedDict, total=False):
     mechanism: Annotated[
         Mechanism,
         DataSheetQuestion(
-            "What the hand holds: a lever that a rotary motor turns, a carriage that a rotary motor pulls by belt or "
-            "cable, or a carriage on a linear-motor",
+            "Mechanism at the hand: a lever turned by a rotary motor, a carriage pulled by a rotary "
+            "motor with belt or cable, or a carriage on a linear-motor",
             choices=ANY,
         ),
     ]
@@ -156,7 +156,7 @@ class DataSheets(TypedDict, total=False):
             {"ohm": 1.0, "mohm": 1e-3},
             1e-4,
             1e4,
-            assumed="not what limits the current",
+            assumed="assumed not to limit the current",
         ),
     ]
     winding_inductance: Annotated[
@@ -223,7 +223,9 @@ class DataSheets(TypedDict, total=False):
     ]
     handle_mass: Annotated[
         float,
-        DataSheetQuestion("Lever: mass, taken as being at the hand (kg)", KILOGRAM, 0.0, 50.0, of=LEVER),
+        DataSheetQuestion(
+            "Lever: mass, assumed to be concentrated at the hand (kg)", KILOGRAM, 0.0, 50.0, of=LEVER
+        ),
     ]
     carriage_mass: Annotated[
         float,
@@ -255,7 +257,7 @@ class DataSheets(TypedDict, total=False):
     peak_current: Annotated[
         float,
         DataSheetQuestion(
-            "Amplifier: current limit that is set in it (A)",
+            "Amplifier: its current limit setting (A)",
             AMPERE,
             1e-3,
             1e3,
@@ -265,13 +267,14 @@ class DataSheets(TypedDict, total=False):
     supply_voltage: Annotated[
         float,
         DataSheetQuestion(
-            "Amplifier: supply voltage (V)", {"V": 1.0}, 1.0, 1e3, assumed="not what limits the current"
+            "Amplifier: supply voltage (V)", {"V": 1.0}, 1.0, 1e3, assumed="assumed not to limit the current"
         ),
     ]
     board: Annotated[
         str,
         DataSheetQuestion(
-            "Board: rp2040 (Raspberry Pi Pico), which runs the law itself, or none: the computer runs it",
+            "Board: rp2040 (Raspberry Pi Pico; the law runs on the board), or none (the law runs on "
+            "the computer)",
             choices=("rp2040", "none"),
             assumed="rp2040",
         ),
@@ -301,7 +304,7 @@ def check_answers(answers: Mapping[str, Any]) -> DataSheets:
     for name in given:
         if name not in known:
             raise ConfigError(
-                f"there is no answer {name!r}",
+                f"unknown data-sheet value {name!r}",
                 remedy=did_you_mean(name, tuple(known), f"choose one of: {', '.join(known)}"),
             )
     if "mechanism" not in given:
@@ -310,7 +313,7 @@ def check_answers(answers: Mapping[str, Any]) -> DataSheets:
     asked = questions_for(mechanism)
     surplus = [f"`{name}`" for name in given if name not in asked and name != "mechanism"]
     if surplus:
-        raise ConfigError(f"a {mechanism} has no {', '.join(surplus)}", remedy="leave it out")
+        raise ConfigError(f"{', '.join(surplus)} cannot be given for a {mechanism}", remedy="leave it out")
     missing = [name for name, question in asked.items() if not question.assumed and name not in given]
     if missing:
         lines = "\n".join(f"  `{name}`: {asked[name].text}; {asked[name].allowed}" for name in missing)

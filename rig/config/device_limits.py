@@ -55,13 +55,13 @@ def check_limits(run: PreparedRun, dictionary: Dictionary) -> Check:
             continue
         quantum, unit = limit.quantum(run), unit_of(limit.quantity, run.experiment.rig.motion)
         low, high = own.minimum * quantum, own.maximum * quantum
-        wrong.append(f"{name} {value * quantum:.4g} {unit}, it takes {low:.4g} to {high:.4g} {unit}")
+        wrong.append(f"{name} {value * quantum:.4g} {unit} (allowed: {low:.4g} to {high:.4g} {unit})")
         keys.append(limit.key)
     return Check(
         "limits of the device",
         Outcome.REFUSED if wrong else Outcome.OK,
-        f"{dictionary.device} does not take {'; '.join(wrong)}"
+        f"{dictionary.device} does not accept these limits: {'; '.join(wrong)}"
         if wrong
-        else f"{dictionary.device} takes those of the experiment",
+        else f"{dictionary.device} accepts the limits of the experiment",
         f"change {', '.join(dict.fromkeys(keys))}, or the limit of the drive or board" if wrong else "",
     )

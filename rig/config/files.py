@@ -48,9 +48,7 @@ def parse_toml(text: str, source: str) -> Table:
         names = _misleading(text, reason)
         raise ConfigError(
             f"{source}: not valid TOML: {reason}{names and f'; that line contains {names}'}",
-            remedy="type these characters anew, or put them into quotes"
-            if names
-            else "correct the file there",
+            remedy="retype these characters, or put them in quotes" if names else "correct the file there",
         ) from None
 
 
@@ -75,7 +73,7 @@ def preset_text(name: str) -> str:
     """Text of a preset, comments and sources included; `ConfigError` when there is no such preset."""
     if name not in preset_names():
         choice = f"choose one of: {', '.join(preset_names())}"
-        raise ConfigError(f"there is no preset {name!r}", remedy=did_you_mean(name, preset_names(), choice))
+        raise ConfigError(f"unknown preset {name!r}", remedy=did_you_mean(name, preset_names(), choice))
     return (files("rig.config") / "presets" / f"{name}.toml").read_text(encoding="utf-8")
 
 

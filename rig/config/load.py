@@ -61,7 +61,7 @@ def experiment_from_mapping(mapping: Mapping[str, Any], source: str) -> Experime
     table = tidy(mapping)
     if not isinstance(table, dict):
         raise ConfigError(
-            f"{source}: not a table of sections", remedy="give tables like those of an experiment file"
+            f"{source}: must be a table of sections", remedy="give tables like those of an experiment file"
         )
     preset, top = None, table
     if "preset" in table:
@@ -179,7 +179,7 @@ def _preset(name: Any, source: str) -> Table:
                 Problem(
                     "preset",
                     shown(name),
-                    "there is no such preset",
+                    "unknown preset",
                     did_you_mean(str(name), preset_names(), choice),
                 )
             ],

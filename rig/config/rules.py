@@ -44,7 +44,7 @@ def magnitudes(x: Experiment) -> Iterator[Problem]:
             continue
         if isinstance(value, float) and value and not LEAST <= abs(value) <= GREATEST:
             must = f"must be 0, or between {LEAST:g} and {GREATEST:g} in magnitude"
-            yield Problem(key, shown(value), must, "no rig has such a value: check its unit")
+            yield Problem(key, shown(value), must, "check the unit: the value is beyond that of any rig")
 
 
 def rates(x: Experiment) -> Iterator[Problem]:
@@ -127,23 +127,25 @@ def reference(x: Experiment) -> Iterator[Problem]:
         yield _problem(
             x,
             f"{key}.travel",
-            f"must be given with an index, and not be less than the position window, {window:.4g} {unit}",
-            "measure the way of the handle from stop to stop",
+            f"must be given with an index, and be at least the position window, {window:.4g} {unit}",
+            "measure the travel of the handle from stop to stop",
         )
     elif given.limit_switch == "none" and given.travel >= distance:
         yield _problem(
             x,
             f"{key}.limit_switch",
-            f"must name an end: a travel of {given.travel:.4g} {unit} may hold more than one index, which come every "
-            f"{distance:.4g} {unit}, and nothing else tells which one is found",
-            "wire a limit switch at one end; or put the encoder where it turns less than once",
+            f"must name an end of the travel: a travel of {given.travel:.4g} {unit} may contain more "
+            f"than one index, one every {distance:.4g} {unit}, and only a limit switch identifies "
+            "which one was found",
+            "wire a limit switch at one end, or mount the encoder where it turns less than once",
         )
     elif given.travel <= 1.25 * distance and given.limit_switch != "none":
         yield _problem(
             x,
             f"{key}.travel",
-            f"must hold an index behind the switch for certain: more than {1.25 * distance:.4g} {unit}",
-            'leave the switch out: limit_switch = "none" is enough where the travel holds one index',
+            "must be long enough to contain an index beyond the switch: more than "
+            f"{1.25 * distance:.4g} {unit}",
+            'set limit_switch = "none", which is enough if the travel contains one index',
         )
 
 
@@ -160,7 +162,7 @@ def cogging(x: Experiment) -> Iterator[Problem]:
                 x,
                 f"{key}.{name}",
                 f"must have one number for each of the {len(given.orders)} orders in {key}.orders",
-                "change them together; write 0.0 for what there is not",
+                "change both lists together; write 0.0 for an absent component",
             )
     yield from _ripple(x)
     if given.orders and given.period is None:
@@ -168,7 +170,8 @@ def cogging(x: Experiment) -> Iterator[Problem]:
             x,
             f"{key}.period",
             f"must be given with {key}.orders",
-            "give the way at the link after which cogging repeats: a turn of the motor, or the magnets' pitch",
+            "give the travel at the link after which cogging repeats: one turn of the motor, or the "
+            "pitch of the magnets",
         )
     low, high = given.minimum, given.maximum
     if (low is None) != (high is None) or (low is not None and high is not None and low >= high):
@@ -184,7 +187,7 @@ def _ripple(x: Experiment) -> Iterator[Problem]:
             x,
             f"{key}.ripple_cosine",
             f"must have one number for each of the {len(given.orders)} orders in {key}.orders, as {key}.ripple_sine",
-            "change them together, 0.0 for what there is not; or give neither",
+            "change both lists together, with 0.0 for an absent component; or give neither",
         )
     elif given.ripple_crest >= 1.0:
         yield _problem(
@@ -211,14 +214,14 @@ def cogging_compensation(x: Experiment) -> Iterator[Problem]:
         yield _problem(
             x,
             key,
-            "needs a position zero that is an index's (rig.reference.index): else the map may be of another place",
+            "needs a position zero from an index (rig.reference.index); otherwise the map may be shifted",
             "wire the encoder's index and describe it in [rig.reference], or set it to false",
         )
     if x.controller.loop == "device":
         yield _problem(
             x,
             key,
-            'must be false with controller.loop = "device": a device does not have it',
+            'must be false with controller.loop = "device": the firmware does not compensate cogging',
             'set it to false, or let the host run the law (controller.loop = "host")',
         )
 
@@ -274,7 +277,8 @@ def profile(x: Experiment) -> Iterator[Problem]:
             x,
             "rig.amplifier.set_point_delay_s",
             f"must be ≥ {known_of.set_point_delay_s:g} s with {key} = {shown(known_of.name)}",
-            "it is the set-point's way to the amplifier: a period of its pulse width, or until a voltage is seen",
+            "set at least the delay of the set-point to the amplifier: a PWM period, or until the "
+            "amplifier reads the voltage",
         )
 
 
@@ -302,7 +306,7 @@ def efforts(x: Experiment) -> Iterator[Problem]:
             "rig.limits.effort",
             f"must be at most rig.limits.nominal_effort, {limits.nominal_effort:g} {_unit(x, 'effort')}, "
             "while a person holds the handle (rig.limits.human = true)",
-            "lower it; or set rig.limits.override_stall = true and answer for it",
+            "lower it; or set rig.limits.override_stall = true and take responsibility for it",
         )
 
 
@@ -342,7 +346,7 @@ def approach(x: Experiment) -> Iterator[Problem]:
             x,
             "trial.start",
             f"must be {where} wall.position, {wall:g} {unit}: the free side for wall.side = {side}",
-            "start farther out, or turn wall.side",
+            "start farther out, or change the sign of wall.side",
         )
     if x.trial.kind == "constant-effort" and side * x.trial.effort <= 0:
         sign = ">" if side > 0 else "<"
@@ -350,7 +354,7 @@ def approach(x: Experiment) -> Iterator[Problem]:
             x,
             "trial.effort",
             f"must be {sign} 0 {_unit(x, 'effort')} to push into a wall with wall.side = {side}",
-            "change its sign, or turn wall.side",
+            "change its sign, or the sign of wall.side",
         )
 
 
@@ -363,7 +367,7 @@ def choreography(x: Experiment) -> Iterator[Problem]:
             yield _problem(
                 x,
                 f"trial.{name}",
-                f'must be 0 with trial.kind = "{x.trial.kind}", which has no cue and keeps its clock',
+                f'must be 0 with trial.kind = "{x.trial.kind}", which has no cue and starts at a fixed time',
                 'leave it out, or set trial.kind = "human"',
             )
 
@@ -385,7 +389,7 @@ def rest(x: Experiment) -> Iterator[Problem]:
         key,
         f"must be at least {asked}: against wall.stiffness = {x.wall.stiffness:g} {_unit(x, 'stiffness')} it rests "
         f"{least * push / needed:.2g} counts deep, less than trial.minimum_rest_counts = {least:g}",
-        f"push harder, or take a wall.stiffness of at most {softest:.3g} {_unit(x, 'stiffness')}",
+        f"push harder, or choose a wall.stiffness of at most {softest:.3g} {_unit(x, 'stiffness')}",
     )
 
 
@@ -435,7 +439,7 @@ def speeds(x: Experiment) -> Iterator[Problem]:
             x,
             "homing.speed",
             f"must be below rig.limits.speed, {x.rig.limits.speed:g} {_unit(x, 'velocity')}",
-            "home more slowly",
+            "choose a lower homing speed",
         )
 
 
@@ -469,7 +473,8 @@ def excitation(x: Experiment) -> Iterator[Problem]:
         yield _problem(
             x,
             "excitation.period_s",
-            f"must have a line between {e.low_hz:g} and {e.high_hz:g} Hz: they stand {1.0 / e.period_s:g} Hz apart",
+            f"must have a line between {e.low_hz:g} and {e.high_hz:g} Hz: the lines are "
+            f"{1.0 / e.period_s:g} Hz apart",
             "lengthen the period or widen the band",
         )
     if e.rms is not None and e.peak is not None:
@@ -509,7 +514,7 @@ def heartbeat(x: Experiment) -> Iterator[Problem]:
             x,
             "host.heartbeat_s",
             f"must be 0 or at least {SHORTEST_HEARTBEAT_S:g} s",
-            "give the program around the loop more time, or say 0, which never ends a run",
+            "give the supervising program more time, or set 0, which never ends a run",
         )
 
 

@@ -70,7 +70,7 @@ class Scheme:
         head, *settings = text.split(",")
         kind, colon, rates = head.strip().partition(":")
         if kind not in _KINDS or not colon:
-            raise ConfigError(f"scheme {text!r}: no such kind of sampling", remedy=_FORM)
+            raise ConfigError(f"scheme {text!r}: unknown kind of sampling", remedy=_FORM)
         position_rate, velocity_rate = parse_rates(rates)
         if kind == "uniform" and position_rate != velocity_rate:
             raise ConfigError(
@@ -235,7 +235,7 @@ def _hertz(part: str, text: str) -> int:
 def _setting(text: str, whole: str) -> tuple[str, float | str]:
     key, equals, value = (part.strip() for part in text.partition("="))
     if not key or not equals or not value:
-        raise ConfigError(f"scheme {whole!r}: {text!r} is no setting", remedy=_FORM)
+        raise ConfigError(f"scheme {whole!r}: {text!r} is not a setting: expected key=value", remedy=_FORM)
     try:
         return key, float(value)
     except ValueError:

@@ -32,7 +32,7 @@ class Limits:
     """What the guard allows on this rig, whatever the law asks for."""
 
     nominal_effort: Annotated[
-        float, Gt(0), Quantity("effort", "what the motor gives for hours without overheating")
+        float, Gt(0), Quantity("effort", "continuous effort of the motor, without overheating")
     ]
     effort: Annotated[
         float, Gt(0), Quantity("effort", "every command is clipped to ± this; left out: nominal_effort")
@@ -40,11 +40,13 @@ class Limits:
     thermal_time_constant_s: Annotated[
         float, Gt(0), Le(10_000), Quantity("s", "thermal time constant of the motor's winding")
     ]
-    speed: Annotated[float, Gt(0), Quantity("velocity", "a faster handle ends the run")]
+    speed: Annotated[float, Gt(0), Quantity("velocity", "speed above which the run ends")]
     slew: Annotated[
         float,
         Gt(0),
-        Quantity("effort/s", "fastest change of effort in a trial; a tick where it binds makes it invalid"),
+        Quantity(
+            "effort/s", "fastest change of effort in a trial; a trial in which this limit acts is invalid"
+        ),
     ]
     position_minimum: Annotated[
         float, Quantity("position", "lower end of the window; leaving it ends the run")
@@ -56,7 +58,9 @@ class Limits:
         float | None,
         Gt(0),
         Quantity(
-            "J", "a motor that has given the handle more than this in a trial ends it; left out: no limit"
+            "J",
+            "largest energy that the motor may give the handle in a trial, which ends beyond it; "
+            "left out: no limit",
         ),
     ] = None
     oscillations: Annotated[
@@ -65,22 +69,23 @@ class Limits:
         Le(1000),
         Quantity(
             "",
-            "number of oscillations of the effort in a row, from zero to its limit with the handle moving, "
-            f"that end the run; 0: never; left out: {OSCILLATIONS} in a person's trial (human = true), else never",
+            "number of successive oscillations of the effort, from zero to its limit with the handle "
+            f"moving, that end the run; 0: never; left out: {OSCILLATIONS} in a person's trial (human "
+            "= true), else never",
         ),
     ] = None
     oscillation_s: Annotated[
         float,
         Gt(0),
         Le(1),
-        Quantity("s", "longest time between two oscillations in a row"),
+        Quantity("s", "longest time between two successive oscillations"),
     ] = OSCILLATION_S
     human: Annotated[
         bool,
         Quantity(
             "",
-            'a person holds the handle, so effort may not exceed nominal_effort; trial.kind = "human" sets it; false '
-            "beside that kind is refused on a real rig",
+            "a person holds the handle, so the effort must not exceed nominal_effort; trial.kind = "
+            '"human" sets it; false beside that kind is refused on a real rig',
         ),
     ] = True
     override_stall: Annotated[
@@ -103,13 +108,14 @@ class Rig:
     reference: Reference = field(default_factory=Reference)
     cogging: Cogging = field(default_factory=Cogging)
     simulation: Simulation = field(default_factory=Simulation)
-    description: Annotated[str, Quantity("", "what the rig is, in a sentence")] = ""
-    source: Annotated[str, Quantity("", "where its numbers come from")] = ""
+    description: Annotated[str, Quantity("", "description of the rig, in one sentence")] = ""
+    source: Annotated[str, Quantity("", "source of its numbers")] = ""
     board: Annotated[
         Mapping[str, Setting],
         Quantity(
             "",
-            "pins, scales and amplifier of the board: rig firmware build takes them, and a device must have them",
+            "pins, scales and amplifier of the board: rig firmware build uses them, and they are "
+            "compared with those of the device",
         ),
     ] = field(default_factory=dict)
 
@@ -133,7 +139,7 @@ class Controller:
         int,
         Ge(10),
         Le(200_000),
-        Quantity("Hz", "velocity estimates per second, 1/T2; uniform when equal to position_rate"),
+        Quantity("Hz", "velocity estimates per second, 1/T2; uniform sampling when equal to position_rate"),
     ]
     estimator: Annotated[str, MinLen(1), Quantity("", "name of the velocity estimator")]
     parameters: Annotated[Mapping[str, float | str], Quantity("", "settings of the estimator")] = field(
@@ -143,8 +149,8 @@ class Controller:
         SchemeCutoff,
         Quantity(
             "",
-            "cut-off of a scheme that states none, at another velocity rate: as-in-the-paper, the same share of that "
-            "rate; same, this cut-off in Hz",
+            "cut-off of a scheme without its own, at another velocity rate: as-in-the-paper, the "
+            "same share of that rate; same, this cut-off in Hz",
         ),
     ] = "as-in-the-paper"
     prediction: Annotated[
@@ -158,55 +164,59 @@ class Controller:
         Quantity("Hz", "velocity rate while the handle is slower than slow_below; left out: velocity_rate"),
     ] = None
     slow_below: Annotated[
-        float, Ge(0), Quantity("velocity", "speed below which slow_velocity_rate holds; 0: never")
+        float, Ge(0), Quantity("velocity", "speed below which slow_velocity_rate is used; 0: never")
     ] = 0.0
     loop: Annotated[
         Literal["host", "device"],
-        Quantity(
-            "", "where the law runs: on this computer, or on the device itself, which a computer supervises"
-        ),
+        Quantity("", "where the law runs: on this computer, or on the device, supervised by this computer"),
     ] = "host"
     arithmetic: Annotated[
         Literal["auto", "fixed", "float32", "drive"],
         Quantity(
             "",
-            "of a law on the device: integers, float32, or by the estimator: integers for fdm-butterworth-fixed; "
-            "drive: behind a bridge, the drive renders the wall itself, at its own rate with its own filter",
+            "arithmetic of a law on the device: integers, float32, or chosen by the estimator "
+            "(integers for fdm-butterworth-fixed); drive: behind a bridge, the drive renders the "
+            "wall itself, at its own rate with its own filter",
         ),
     ] = "auto"
     measured_current: Annotated[
         bool,
-        Quantity("", "a device that runs the law sends the measured current of every tick, 2 bytes more"),
+        Quantity("", "a device that runs the law also sends the measured current of every tick (2 bytes)"),
     ] = True
     supervise_lifetime_s: Annotated[
         float | None,
         Ge(0.01),
         Le(0.1),
-        Quantity("s", "a device that runs the law stops after this silence; left out: 20 ms"),
+        Quantity("s", "a device that runs the law stops after this time without a command; left out: 20 ms"),
     ] = None
     friction_compensation: Annotated[
         float,
         Ge(0),
         Lt(1),
-        Quantity("1", "share of the rig's Coulomb friction that the motor takes over in a trial; 0: none"),
+        Quantity("1", "share of the rig's Coulomb friction that the motor compensates in a trial; 0: none"),
     ] = 0.0
     friction_dead_band: Annotated[
         float | None,
         Gt(0),
         Quantity(
             "velocity",
-            "speed from which the whole share acts; left out: four times what one count makes of the estimate",
+            "speed from which the whole share acts; left out: four times the estimate for one count "
+            "per sample",
         ),
     ] = None
     cogging_compensation: Annotated[
         bool,
-        Quantity("", "the motor takes its own cogging away in a trial, as [rig.cogging] has it in its range"),
+        Quantity(
+            "",
+            "the motor compensates its cogging in a trial, from the map in [rig.cogging] and within "
+            "its range",
+        ),
     ] = False
     cogging_limit: Annotated[
         float,
         Gt(0),
         Le(1),
-        Quantity("1", "most effort of that, as a share of rig.limits.nominal_effort"),
+        Quantity("1", "largest effort of this compensation, as a share of rig.limits.nominal_effort"),
     ] = 0.2
     command_lifetime_s: Annotated[
         float | None,
@@ -227,14 +237,18 @@ class Wall:
 
     stiffness: Annotated[float, Ge(0), Quantity("stiffness", "K")]
     damping: Annotated[float, Ge(0), Quantity("damping", "B")]
-    position: Annotated[float, Quantity("position", "where the wall begins")] = 0.0
-    side: Annotated[Literal[-1, 1], Quantity("", "1: entered with rising position; -1: with falling")] = 1
+    position: Annotated[float, Quantity("position", "position of the wall's surface")] = 0.0
+    side: Annotated[
+        Literal[-1, 1], Quantity("", "1: entered with rising position; -1: with falling position")
+    ] = 1
     pull: Annotated[
         Literal["clamp", "allow"],
-        Quantity("", "may the wall pull a handle that leaves it, or is it clamped at zero"),
+        Quantity(
+            "", "allow: the wall may pull a handle that leaves it; clamp: its effort is clamped at zero"
+        ),
     ] = "clamp"
     damping_on: Annotated[
-        Literal["both", "entry"], Quantity("", "damping both ways, or on the way in only")
+        Literal["both", "entry"], Quantity("", "damping in both directions, or on the way in only")
     ] = "both"
     law: Annotated[str, MinLen(1), Quantity("", "name of the force law")] = "spring-damper"
 
@@ -246,20 +260,22 @@ class Homing:
     """The soft servo that takes the handle to the start of a trial."""
 
     speed: Annotated[float, Gt(0), Quantity("velocity", "speed of the set point")]
-    stiffness: Annotated[float, Gt(0), Quantity("stiffness", "spring to the set point")]
-    damping: Annotated[float, Ge(0), Quantity("damping", "damping to rest")]
-    effort: Annotated[float, Gt(0), Quantity("effort", "most effort of the servo")]
+    stiffness: Annotated[float, Gt(0), Quantity("stiffness", "stiffness of the servo to the set point")]
+    damping: Annotated[float, Ge(0), Quantity("damping", "damping of the servo")]
+    effort: Annotated[float, Gt(0), Quantity("effort", "largest effort of the servo")]
     slew: Annotated[float, Gt(0), Quantity("effort/s", "fastest change of effort while homing")]
     tolerance_counts: Annotated[
         float,
         Gt(0),
         Le(1e6),
         Quantity(
-            "count", "home when no farther than this from the start, or than friction can hold the handle"
+            "count",
+            "homing is complete within this distance of the start, or within that at which "
+            "friction can hold the handle",
         ),
     ]
-    settle_s: Annotated[float, Ge(0), Le(60), Quantity("s", "how long the handle must stay there")]
-    timeout_s: Annotated[float, Gt(0), Le(600), Quantity("s", "give up after this time")]
+    settle_s: Annotated[float, Ge(0), Le(60), Quantity("s", "time for which the handle must stay there")]
+    timeout_s: Annotated[float, Gt(0), Le(600), Quantity("s", "homing fails after this time")]
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
@@ -275,14 +291,16 @@ class Trial:
         ),
     ]
     start: Annotated[
-        float, Quantity("position", "where the handle is released, on the free side of the wall")
+        float, Quantity("position", "position at which the handle is released, on the free side of the wall")
     ]
     duration_s: Annotated[
         float,
         Gt(0),
         Le(3600),
         Quantity(
-            "s", "from release, or the cue, to the end of the push; with hold_s, to the first contact at most"
+            "s",
+            "time from the release, or from the cue, to the end of the push; with hold_s, to the "
+            "first contact at most",
         ),
     ]
     hold_s: Annotated[
@@ -291,16 +309,20 @@ class Trial:
         Le(3600),
         Quantity(
             "s",
-            "from a person's first contact to the end of the push, however often the wall is left; 0: duration_s",
+            "time from a person's first contact to the end of the push, however often the handle "
+            "leaves the wall; 0: duration_s",
         ),
     ] = 0.0
-    release_s: Annotated[float, Gt(0), Le(60), Quantity("s", "ramp to zero effort afterwards")] = 0.1
+    release_s: Annotated[
+        float, Gt(0), Le(60), Quantity("s", "time of the ramp to zero effort after the push")
+    ] = 0.1
     baseline_s: Annotated[
         float,
         Ge(0),
         Le(60),
         Quantity(
-            "s", "free space before the cue, in which a person must not move halfway to the wall; 0: none"
+            "s",
+            "time in free space before the cue, in which a person must not move halfway to the wall; 0: none",
         ),
     ] = 0.0
     foreperiod_s: Annotated[
@@ -308,21 +330,28 @@ class Trial:
         Ge(0),
         Le(60),
         Quantity(
-            "s", "most of a random time of free space after that, by trial.seed, so that nobody anticipates"
+            "s",
+            "longest random additional time in free space (foreperiod), by trial.seed, so that "
+            "the cue cannot be anticipated",
         ),
     ] = 0.0
-    repeats: Annotated[int, Ge(1), Le(100_000), Quantity("", "how often the trial runs")] = 1
+    repeats: Annotated[int, Ge(1), Le(100_000), Quantity("", "number of repeats of the trial")] = 1
     seed: Annotated[
-        int, Ge(0), Le(2**63 - 1), Quantity("", "seed of everything random in the simulation")
+        int, Ge(0), Le(2**63 - 1), Quantity("", "seed of all random numbers of the simulation")
     ] = 0
     minimum_rest_counts: Annotated[
-        float, Ge(0), Quantity("count", "refuse a push that would rest less deep than this; 0: never refuse")
+        float,
+        Ge(0),
+        Quantity(
+            "count", "smallest depth at which the push must come to rest, else it is refused; 0: never refuse"
+        ),
     ] = 2.0
     kind: Annotated[
         Literal["constant-effort", "human", "excitation"],
         Quantity(
             "",
-            "what drives the handle: the motor, with the end mass on it; a person; or [excitation], about the wall",
+            "source of motion: the motor, with the end mass on the handle; a person; or "
+            "[excitation], about the wall",
         ),
     ] = "constant-effort"
 
@@ -338,7 +367,7 @@ class Excitation:
 
     kind: Annotated[
         Literal["schroeder", "random"],
-        Quantity("", "phases: Schroeder's, for a small peak; or random ones, others in each realisation"),
+        Quantity("", "phases: Schroeder's, for a small peak; or random, different in each realisation"),
     ] = "random"
     low_hz: Annotated[float, Gt(0), Le(100_000), Quantity("Hz", "lowest line")] = 1.0
     high_hz: Annotated[float, Gt(0), Le(100_000), Quantity("Hz", "highest line")] = 250.0
@@ -349,14 +378,18 @@ class Excitation:
         int,
         Ge(0),
         Le(10_000),
-        Quantity("", "periods before those that are analysed; it rises in the first half of them"),
+        Quantity(
+            "", "settling periods before the analysed ones; the excitation rises in the first half of them"
+        ),
     ] = 2
-    periods: Annotated[int, Ge(1), Le(10_000), Quantity("", "periods that are analysed")] = 4
+    periods: Annotated[int, Ge(1), Le(10_000), Quantity("", "number of analysed periods")] = 4
     realisations: Annotated[
         int,
         Ge(1),
         Le(10_000),
-        Quantity("", "runs, each with other phases: friction's distortion averages over them only"),
+        Quantity(
+            "", "number of runs, each with other phases, over which the distortion by friction averages"
+        ),
     ] = 4
     rms: Annotated[
         float | None,
@@ -370,7 +403,9 @@ class Excitation:
     channel: Annotated[
         Literal["external", "motor"],
         Quantity(
-            "", "what excites the rig: a second actuator (in simulation), or its own motor on top of the wall"
+            "",
+            "actuator of the excitation: a second one (in simulation), or the rig's motor in "
+            "addition to the wall",
         ),
     ] = "external"
     seed: Annotated[int, Ge(0), Le(2**63 - 1), Quantity("", "seed of random phases")] = 0
@@ -384,31 +419,38 @@ class Host:
 
     realtime: Annotated[
         Literal["enforce", "try", "off"],
-        Quantity("", "real-time scheduling and locked memory: demanded, taken if granted, or not asked for"),
+        Quantity("", "real-time scheduling and locked memory: enforced, used if granted, or not requested"),
     ] = "try"
     priority: Annotated[int, Ge(1), Le(98), Quantity("", "SCHED_FIFO priority of the loop's thread")] = 80
     cpu: Annotated[
-        int | None, Ge(0), Le(4095), Quantity("", "processor that the loop is kept on; left out: any")
+        int | None, Ge(0), Le(4095), Quantity("", "processor on which the loop runs; left out: any")
     ] = None
     pacing: Annotated[
         Literal["device", "host"],
-        Quantity("", "who gives the beat: each sample that arrives, or this computer's clock"),
+        Quantity("", "timing of the loop: by each sample that arrives, or by this computer's clock"),
     ] = "device"
     overrun: Annotated[
         Literal["skip", "stop"],
-        Quantity("", "a tick more than one period late: skip what passed and count it, or end the run"),
+        Quantity(
+            "", "when a tick is more than one period late: skip and count the missed ticks, or end the run"
+        ),
     ] = "skip"
     spin_s: Annotated[
         float,
         Ge(0),
         Le(0.0005),
-        Quantity("s", "host pacing: the last part of each wait, spent awake; at most 60 % of a period"),
+        Quantity(
+            "s",
+            "host pacing: the last part of each wait, in which the processor polls; at most 60 % of a period",
+        ),
     ] = 0.0
     heartbeat_s: Annotated[
         float,
         Ge(0),
         Le(60),
-        Quantity("s", "the loop ends when the program around it is silent for this long; 0: never"),
+        Quantity(
+            "s", "the loop ends when the supervising program sends no heartbeat for this time; 0: never"
+        ),
     ] = 2.0
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
@@ -418,11 +460,14 @@ class Host:
 class VerdictLimits:
     """Thresholds of the verdict, at the handle; `Mechanics.handle_radius` turns them for a rotary rig."""
 
-    tail_s: Annotated[float, Gt(0), Le(3600), Quantity("s", "the last part of the push, which is judged")] = (
-        0.4
-    )
+    tail_s: Annotated[
+        float, Gt(0), Le(3600), Quantity("s", "duration of the judged last part of the push")
+    ] = 0.4
     highpass_hz: Annotated[
-        float, Gt(0), Le(100_000), Quantity("Hz", "two-pole high pass that removes slow pressing")
+        float,
+        Gt(0),
+        Le(100_000),
+        Quantity("Hz", "cut-off of the two-pole high pass that removes slow pressing"),
     ] = 30.0
     lowpass_hz: Annotated[
         float, Gt(0), Le(100_000), Quantity("Hz", "upper edge of the band that a hand feels")
@@ -440,7 +485,10 @@ class VerdictLimits:
         float, Gt(1), Quantity("", "unstable: amplitude of the tail's second half over its first above this")
     ] = 1.2
     late_fraction: Annotated[
-        float, Gt(0), Lt(1), Quantity("", "invalid: share of late ticks from the first contact on from this")
+        float,
+        Gt(0),
+        Lt(1),
+        Quantity("", "invalid: share of late ticks from the first contact on at or above this"),
     ] = 0.003
     longest_gap: Annotated[
         int,

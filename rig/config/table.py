@@ -195,7 +195,7 @@ def json_schema() -> dict[str, Any]:
         definition.pop("required", None)
     schema["properties"]["preset"] = {
         "enum": list(preset_names()),
-        "description": "what this file starts from",
+        "description": "preset from which this file starts",
     }
     schema["properties"]["realtime"] = {"type": "object", "description": "changes for a loop in real time"}
     return schema

@@ -38,7 +38,7 @@ def batch_layout(experiment: Experiment) -> int:
         raise refusal(
             "rig.limits.speed",
             experiment.rig.limits.speed,
-            f"the handle may pass {counts:.0f} counts in a tick, which a BATCH cannot carry",
+            f"the handle may move by {counts:.0f} counts in a tick, more than a BATCH can carry",
             "lower it, or raise controller.position_rate",
         )
     if counts > _I8_GREATEST:

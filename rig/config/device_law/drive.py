@@ -20,42 +20,57 @@ def refuse_what_it_lacks(controller: ControllerState, c: Control) -> None:
             law.law.name != "spring-damper",
             "wall.law",
             f'"{law.law.name}"',
-            "its own law is a spring and a damper beyond a bound",
+            "the drive's own law is a spring and a damper beyond a bound",
             'choose wall.law = "spring-damper" without compensations',
         ),
-        (not may_pull, "wall.pull", '"clamp"', "nothing clamps its wall", 'choose wall.pull = "allow"'),
-        (entry_only, "wall.damping_on", '"entry"', "it damps both ways", 'choose wall.damping_on = "both"'),
+        (
+            not may_pull,
+            "wall.pull",
+            '"clamp"',
+            "the drive does not clamp its wall",
+            'choose wall.pull = "allow"',
+        ),
+        (
+            entry_only,
+            "wall.damping_on",
+            '"entry"',
+            "the drive damps in both directions",
+            'choose wall.damping_on = "both"',
+        ),
         (
             c["velocity_divider"] != 1,
             "controller.velocity_rate",
             f"{velocity_rate:.0f}",
-            "it has one rate, its own",
+            "the drive has a single rate, its own",
             "choose controller.velocity_rate equal to controller.position_rate",
         ),
         (
             bool(c["extrapolate"]),
             "controller.prediction",
             '"extrapolate"',
-            "it holds no velocity between samples",
+            "the drive does not hold the velocity between samples",
             'choose controller.prediction = "hold"',
         ),
         (
             c["slow_multiple"] != 1,
             "controller.slow_velocity_rate",
             f"{velocity_rate / c['slow_multiple']:.0f}",
-            "it has one rate, its own",
+            "the drive has a single rate, its own",
             "leave it out",
         ),
         (
             controller.estimator.estimator.name != BESIDE,
             "controller.estimator",
             f'"{controller.estimator.estimator.name}"',
-            "its own filter gives the velocity",
-            f'choose controller.estimator = "{BESIDE}", which serves homing and the recording alone',
+            "the drive computes the velocity by its own filter",
+            f'choose controller.estimator = "{BESIDE}", which is used only for homing and in the recording',
         ),
     )
     for there, key, shown, why, instead in lacks:
         if there:
             raise NotOnDeviceError(
-                key, f'{shown} with controller.arithmetic = "drive"', f"a drive lacks it: {why}", instead
+                key,
+                f'{shown} with controller.arithmetic = "drive"',
+                f"a drive does not have it: {why}",
+                instead,
             )

@@ -26,12 +26,12 @@ ESTIMATORS = (  # in the order of the parameter `estimator`
     "levant",
     "kalman",
 )
-_EDGES = ": it needs the time of each encoder edge"
+_EDGES = ": this one needs the time of each encoder edge"
 _ABSENT = {  # why a built-in one is not there
     "period": _EDGES,
     "period-frequency": _EDGES,
-    "foaw-levant": ": it is written for the host alone",
-    "optimal": ": it is written for the host alone",
+    "foaw-levant": ": this one exists on the host only",
+    "optimal": ": this one exists on the host only",
 }
 BAND_BITS = 8  # of a noise band in counts
 WORD_BITS = 32
@@ -52,7 +52,7 @@ def estimator_parameters(prepared: Prepared) -> Values:
         raise refusal(
             "controller.estimator",
             name,
-            f"a device has no such estimator{_ABSENT.get(name, '')}",
+            f"a device does not have this estimator{_ABSENT.get(name, '')}",
             f"choose one of: {', '.join(ESTIMATORS)}",
         )
     numbers = _NUMBERS.get(name)
@@ -75,7 +75,7 @@ def _biquad(own: Floats) -> Values:
         raise refusal(
             "controller.parameters.word_bits",
             values["biquad_word_bits"],
-            f"its words have {WORD_BITS} bits",
+            f"the words of a device have {WORD_BITS} bits",
             f"choose {WORD_BITS} or less",
         )
     return values
@@ -117,7 +117,7 @@ def _foaw_best(own: Floats) -> Values:
         raise refusal(
             "controller.parameters.anchor",
             anchor,
-            "a device has no such anchor",
+            "a device does not have this anchor",
             'choose anchor = "lsq" or "last"',
         )
     return {**_foaw(own), "foaw_least_squares": int(anchor == "lsq")}
@@ -137,7 +137,7 @@ def _kalman(own: Floats) -> Values:
         raise refusal(
             "controller.parameters.gain",
             "recursive",
-            "a device has only the steady gain, which the recursive one reaches within a few periods",
+            "a device has only the steady gain, to which the recursive gain converges within a few periods",
             'choose gain = "steady" (and no fading)',
         )
     position, velocity, acceleration = own[kalman.GAIN1 : kalman.GAIN3 + 1].tolist()

@@ -132,7 +132,7 @@ def live_parameters(controller: ControllerState, arithmetic: Arithmetic, numbers
     name, before, after = controller.law.law.name, controller.law.parameters, np.array(law, dtype=np.float64)
     if walls.options(name, before) != walls.options(name, after):
         raise PlanError(
-            "wall.pull and wall.damping_on do not change while the law runs on the device",
+            "wall.pull and wall.damping_on cannot change while the law runs on the device",
             remedy="end the run and start it with the other wall",
         )
     c: Control = {**_plain(controller), "wall_position": position}
@@ -170,8 +170,8 @@ def check_values(values: Mapping[str, Value]) -> None:
             continue
         key = max((start for start in _KEYS if name.startswith(start)), key=len, default=None)
         raise PlanError(
-            f"{name if key is None else _KEYS[key]}: {name} = {value:g} {parameter.unit}".rstrip()
-            + f" does not fit the device: it takes {parameter.minimum:g} to {parameter.maximum:g}",
+            f"{_KEYS[key] if key else name}: {name} = {value:g} {parameter.unit}".rstrip()
+            + f" is out of range for the device: allowed are {parameter.minimum:g} to {parameter.maximum:g}",
             remedy=f"change that key, the rate or the current quantum, or {ELSE_HOST}",
         )
 
@@ -184,14 +184,14 @@ def _check_arithmetic(c: Control, controller: ControllerState, arithmetic: Arith
         raise refusal(
             "controller.arithmetic",
             "fixed",
-            f"the estimator {name} has no integers",
+            f"the estimator {name} does not exist in integers",
             f'choose controller.estimator = "{FIXED_ESTIMATOR}", or controller.arithmetic = "float32"',
         )
     if c["extrapolate"]:
         raise refusal(
             "controller.prediction",
             "extrapolate",
-            "the law in integers holds the velocity",
+            "the law in integers holds the velocity between samples",
             'choose controller.prediction = "hold", or controller.arithmetic = "float32"',
         )
 
@@ -202,9 +202,9 @@ def _check_work(c: Control) -> None:
         raise refusal(
             "controller.slow_velocity_rate",
             round(1.0 / (c["tick_s"] * c["velocity_divider"] * c["slow_multiple"])),
-            f"{c['slow_multiple']} velocity periods would be computed in one tick, and a board has time for "
-            f"{MOST_PERIODS_A_TICK}",
-            "choose it no lower than that share of controller.velocity_rate",
+            f"{c['slow_multiple']} velocity periods would be computed in one tick; a board has time "
+            f"for {MOST_PERIODS_A_TICK} at most",
+            "choose at least that fraction of controller.velocity_rate",
         )
 
 
@@ -254,8 +254,10 @@ def _excitation(controller: ControllerState) -> Values:
     law = controller.law.law
     if law.name == "excited" and not law.device:
         raise PlanError(
-            'wall.law = "excited" with controller.loop = "device": a table of the host cannot be sent',
-            remedy=f"measure with rig impedance measure, whose excitation the device makes itself, or {ELSE_HOST}",
+            'wall.law = "excited" with controller.loop = "device": a table of the host cannot be '
+            "sent to the device",
+            remedy="measure with rig impedance measure, for which the device computes the excitation "
+            f"itself, or {ELSE_HOST}",
         )
     return dict(law.device)
 

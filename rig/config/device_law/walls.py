@@ -50,10 +50,13 @@ def common_parameters(name: str, law: Floats) -> Values:
     if name not in LAWS:
         if name.endswith("+friction"):
             raise PlanError(
-                'controller.friction_compensation with controller.loop = "device": a device does not have it',
+                'controller.friction_compensation with controller.loop = "device": the firmware does '
+                "not compensate friction",
                 remedy='set it to 0, or let the host run the law (controller.loop = "host")',
             )
-        raise refusal("wall.law", name, "a device has no such law", f"choose one of: {', '.join(LAWS)}")
+        raise refusal(
+            "wall.law", name, "a device does not have this law", f"choose one of: {', '.join(LAWS)}"
+        )
     may_pull, entry_only = options(name, law)
     return {
         "bilateral": int(name in BILATERAL),

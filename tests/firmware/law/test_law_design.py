@@ -204,7 +204,7 @@ REFUSED = {
     ),
     "integers of another": (
         {"arithmetic": "fixed"},
-        "fdm-butterworth has no integers",
+        "fdm-butterworth does not exist in integers",
         "fdm-butterworth-fixed",
     ),
     "prediction in integers": (
@@ -232,7 +232,7 @@ def test_a_foreign_law_and_a_table_of_the_host_are_refused() -> None:
     foreign = Law("mine", "", laws.get("bilateral").function, 1, laws.get("bilateral").design)
     with pytest.raises(PlanError, match=r'wall.law = "mine".*no such law'):
         values_of(x, foreign)
-    with pytest.raises(PlanError, match="a table of the host cannot be sent"):
+    with pytest.raises(PlanError, match="a table of the host cannot be sent to the device"):
         values_of(x, bilateral.excited_law([0.1, -0.1]))
 
 

@@ -119,7 +119,7 @@ def test_a_byte_order_mark_is_no_error(tmp_path: Path) -> None:
         (b"a = " + b"[" * 100_000, ("hit.toml", "not valid TOML")),
         (b"a = " + b"1" * 10_000, ("hit.toml", "not valid TOML")),
         (b'preset = "\xff"', ("hit.toml", "UTF-8", "byte 10")),
-        ("a = 1\n\u00a0b = 2".encode(), ("line 2", "U+00A0 NO-BREAK SPACE", "type these characters anew")),
+        ("a = 1\n\u00a0b = 2".encode(), ("line 2", "U+00A0 NO-BREAK SPACE", "retype these characters")),
         ("stiff\u200bness = 2".encode(), ("line 1", "U+200B ZERO WIDTH SPACE")),
         ('stiffness = \u22123  # N·m "°'.encode(), ("line 1, column 13", "contains U+2212 MINUS SIGN;")),
         ("preset = \u201ckoul-rigid\u201d".encode(), ("U+201C LEFT DOUBLE", "U+201D RIGHT DOUBLE")),
@@ -302,7 +302,7 @@ def test_an_error_under_a_preset_names_both() -> None:
 
 
 def test_a_mapping_must_be_a_mapping() -> None:
-    with pytest.raises(ConfigError, match="not a table"):
+    with pytest.raises(ConfigError, match="must be a table of sections"):
         experiment_from_mapping([1], "hit.toml")  # type: ignore[arg-type]
 
 
@@ -388,12 +388,12 @@ ROTARY_RULES = [
     (
         {"wall.stiffness": 3000.0},
         "trial.effort = 0.15 N·m: must be at least 0.942 N·m: against wall.stiffness = 3000 N·m/rad it rests 0.32 "
-        "counts deep, less than trial.minimum_rest_counts = 2; push harder, or take a wall.stiffness of at most "
+        "counts deep, less than trial.minimum_rest_counts = 2; push harder, or choose a wall.stiffness of at most "
         "477 N·m/rad",
     ),
     (
         {"homing.speed": 11.0},
-        "homing.speed = 11.0 rad/s: must be below rig.limits.speed, 10 rad/s; home more",
+        "homing.speed = 11.0 rad/s: must be below rig.limits.speed, 10 rad/s; choose a lower homing speed",
     ),
     ({"verdict.tail_s": 1.0}, "verdict.tail_s = 1.0 s: must be shorter than trial.duration_s, 1 s; shorten"),
     (

@@ -228,7 +228,7 @@ def test_a_slow_loop_has_the_longest_lifetime_that_a_device_takes() -> None:
 @pytest.mark.parametrize(
     ("changes", "name", "words"),
     [
-        (SLOW, "command_lifetime_us", "25000 µs does not fit the device: it takes 100 to 20000"),
+        (SLOW, "command_lifetime_us", "25000 µs is out of range for the device: allowed are 100 to 20000"),
         ({"rig.limits.speed": 1e9}, "speed_limit", "count/s"),
         ({"rig.limits.position_maximum": 1e7}, "window_maximum", "-2.14748e+09 to 2.14748e+09"),
         ({"rig.limits.thermal_time_constant_s": 0.1}, "thermal_time_constant", "0.125 to 8192"),
@@ -304,7 +304,7 @@ def test_a_device_that_takes_less_is_known_before_it_refuses(name: str, key: str
     narrow = tuple(replace(one, maximum=half) if one.name == name else one for one in own.parameters)
     found = check_limits(run, replace(own, parameters=narrow))
     assert found.outcome is Outcome.REFUSED
-    assert found.text.startswith(f"{own.device} does not take {name} ")
+    assert found.text.startswith(f"{own.device} does not accept these limits: {name} ")
     assert key in found.remedy
     if name == "speed_limit":
-        assert "10 rad/s, it takes 0 to 5 rad/s" in found.text
+        assert "10 rad/s (allowed: 0 to 5 rad/s)" in found.text

@@ -260,5 +260,5 @@ def test_a_preset_names_plug_ins_that_exist(name: str) -> None:
 def test_an_unknown_preset_suggests_the_nearest() -> None:
     with pytest.raises(ConfigError, match="did you mean koul-rigid"):
         presets.load("koul-rgid")
-    with pytest.raises(ConfigError, match=r"there is no preset 'xyz'.*choose one of: chawda-linear"):
+    with pytest.raises(ConfigError, match=r"unknown preset 'xyz'.*choose one of: chawda-linear"):
         presets.text("xyz")
