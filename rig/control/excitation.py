@@ -81,7 +81,8 @@ class Multisine:
             object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64).reshape(-1))
         if not (math.isfinite(self.period_s) and self.period_s > 0.0):
             raise ConfigError(
-                f"period_s = {self.period_s!r} s is not a period", remedy="give a time above zero"
+                f"period_s = {self.period_s!r} s is not a period: it must be above 0 and finite",
+                remedy="give a time above zero",
             )
         n = len(self.lines_hz)
         if n == 0 or len(self.amplitudes) != n or len(self.phases) != n:
@@ -320,7 +321,8 @@ class Multisine:
     def _divided(self, by: Complexes) -> Multisine:
         if not (np.isfinite(by) & (by != 0.0)).all():
             raise ConfigError(
-                "the impedance is zero or not a number at some line", remedy="check the model at every line"
+                "the impedance is zero or not a number at some line",
+                remedy="check that the model's impedance is finite and not zero at every line",
             )
         return self.through(1.0 / by)
 
@@ -365,13 +367,14 @@ def _spectrum(spectrum: Spectrum, lines: Floats) -> Floats:
     if isinstance(spectrum, str):
         if spectrum not in ("flat", "mass"):
             raise ConfigError(
-                f"there is no spectrum {spectrum!r}", remedy="choose flat, mass, or give amplitudes"
+                f"unknown spectrum {spectrum!r}", remedy="choose flat or mass, or give amplitudes"
             )
         return np.ones_like(lines) if spectrum == "flat" else lines / lines[-1]
     amplitudes = np.array(spectrum, dtype=np.float64).reshape(-1)
     if len(amplitudes) != len(lines) or not (amplitudes >= 0.0).all() or not amplitudes.any():
         raise ConfigError(
-            f"{len(amplitudes)} amplitudes for {len(lines)} lines, or one below zero, or none above",
+            f"{len(amplitudes)} amplitudes for {len(lines)} lines; there must be one for each line, "
+            "none below zero, at least one above",
             remedy="give one amplitude for each line",
         )
     return amplitudes
@@ -386,12 +389,15 @@ def _sized(shape: Multisine, spectrum: Spectrum, rms: float | None, peak: float 
         raise ConfigError("both an rms and a peak are given", remedy="give one of them")
     if rms is None and peak is None:
         if isinstance(spectrum, str):
-            raise ConfigError("the excitation has no size", remedy="give its rms or its peak (N·m or N)")
+            raise ConfigError(
+                "the size of the excitation is missing", remedy="give its rms or its peak (N·m or N)"
+            )
         return shape
     wanted, has = (rms, shape.rms) if rms is not None else (peak, shape.peak)
     assert wanted is not None
     if not (math.isfinite(wanted) and wanted > 0.0):
         raise ConfigError(
-            f"an excitation of size {wanted!r} is not possible", remedy="give a number above zero"
+            f"the size of the excitation is {wanted!r}; it must be a finite number above zero",
+            remedy="give a number above zero",
         )
     return shape.scaled(wanted / has)

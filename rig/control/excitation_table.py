@@ -126,21 +126,20 @@ class ExcitationTable:
             value = getattr(self, name)
             if not least <= value <= most:
                 raise ConfigError(
-                    f"an excitation by the device cannot have {name} = {value}",
+                    f"{name} = {value} is out of range for an excitation by the device",
                     remedy=f"choose {name} from {least} to {most}",
                 )
         if self.phases not in PHASES:
-            raise ConfigError(
-                f"there are no phases {self.phases!r}", remedy=f"choose one of {', '.join(PHASES)}"
-            )
+            raise ConfigError(f"unknown phases {self.phases!r}", remedy=f"choose one of {', '.join(PHASES)}")
         if int(self.harmonics[-1]) > (self.period - 1) // 2:
             raise ConfigError(
-                f"line {int(self.harmonics[-1])} in a period of {self.period} ticks cannot be played",
+                f"the excitation's line {int(self.harmonics[-1])} is beyond half of its period of "
+                f"{self.period} ticks",
                 remedy=f"end the band below harmonic {(self.period + 1) // 2}",
             )
         if self.lines * self.amplitude > MOST_SUM:
             raise ConfigError(
-                f"{self.lines} lines of {self.amplitude / 2**LINE_BITS:g} quanta are beyond any amplifier",
+                f"{self.lines} lines of {self.amplitude / 2**LINE_BITS:g} quanta each are too large for the device",
                 remedy="choose a smaller excitation",
             )
 

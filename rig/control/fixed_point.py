@@ -161,7 +161,8 @@ def design_biquad(
     wanted = float(sum(a)) * one
     if not (at_rest > 0 and abs(a1) < one + a2 and abs(a2) < one) or abs(at_rest / wanted - 1.0) > TOLERANCE:
         raise ConfigError(
-            f"in coefficients of {form}, 1 + a1 + a2 = {wanted:.4g} LSB becomes {at_rest}: another filter",
+            f"in coefficients of {form}, 1 + a1 + a2 = {wanted:.4g} LSB is rounded to {at_rest}, "
+            "which changes the filter",
             remedy=more_bits,
         )
     if unit_gain:

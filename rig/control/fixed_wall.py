@@ -179,7 +179,8 @@ def design_wall(
     for name, value in gains.items():
         if abs(math.ldexp(whole[name], -shift) - value) > PRECISION * value:
             raise ConfigError(
-                f"{name} is {value:.3g} quanta per LSB, which {shift} fractional bits hold as {whole[name]} only",
+                f"{name} is {value:.3g} quanta per LSB, which {shift} fractional bits can represent "
+                f"only as {whole[name]}",
                 remedy="raise it, or take a velocity with fewer fractional bits",
             )
     return FixedWall(
@@ -209,7 +210,7 @@ def _greatest_shift(gains: tuple[float, ...], added: float, velocity: Format) ->
         if max(whole) <= GAIN_GREATEST and largest + _nearest(added, shift) + 2**shift <= GREATEST:
             return shift
     raise ConfigError(
-        "the wall's sums leave 64 bits", remedy="choose a softer wall or a velocity of a shorter word"
+        "the wall's sums exceed 64 bits", remedy="choose a softer wall or a velocity of a shorter word"
     )
 
 

@@ -78,12 +78,13 @@ class Compensation:
     def __post_init__(self) -> None:
         if not (0.0 <= self.up < math.inf and 0.0 <= self.down < math.inf):
             raise ConfigError(
-                f"friction levels of {self.up!r} and {self.down!r} are not possible",
+                f"friction levels of {self.up!r} and {self.down!r} are not valid: they must be finite "
+                "and not negative",
                 remedy="give numbers that are not negative",
             )
         if not 0.0 < self.dead_band < math.inf:
             raise ConfigError(
-                f"a dead band of {self.dead_band!r} is not a speed",
+                f"the dead band of {self.dead_band!r} is not a valid speed: it must be finite and above zero",
                 remedy="give a speed above the noise of the velocity estimate (dead_band_of)",
             )
         if not 0.0 <= self.share < 1.0:

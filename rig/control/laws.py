@@ -47,4 +47,4 @@ def get(name: str) -> Law:
     found = plugins.load("rig.laws", "law", name, lambda part: isinstance(part, Law))
     if found is not None:
         return cast("Law", found)
-    raise ConfigError(f"there is no law {name!r}", remedy=f"choose one of: {', '.join(names())}")
+    raise ConfigError(f"unknown law {name!r}", remedy=f"choose one of: {', '.join(names())}")

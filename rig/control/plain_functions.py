@@ -153,9 +153,9 @@ def compiled(
 def unknown_name(what: str, noun: str, name: str, known: Iterable[str]) -> ConfigError:
     """The error of a name that is not among the known ones, with the closest of them."""
     close = get_close_matches(name, list(known), n=1)
-    choice = f"it has {', '.join(known)}" if list(known) else "it has none"
+    choice = f"it has {', '.join(known)}" if list(known) else "none is defined"
     return ConfigError(
-        f"{what} has no {noun} {name!r}", remedy=f"did you mean {close[0]}?" if close else choice
+        f"{what}: unknown {noun} {name!r}", remedy=f"did you mean {close[0]}?" if close else choice
     )
 
 
@@ -163,7 +163,9 @@ def _check_names(what: str, noun: str, names: Iterable[str], taken: Sequence[str
     seen: set[str] = set(taken)
     for name in names:
         if not name.isidentifier() or iskeyword(name) or name.startswith("_"):
-            raise ConfigError(f"{what}: {noun} {name!r} is no name", remedy="use letters, digits and _")
+            raise ConfigError(
+                f"{what}: {noun} {name!r} is not a valid name", remedy="use letters, digits and _"
+            )
         if name in seen:
             why = f"stands for what every p has: {', '.join(taken)}" if name in taken else "is there twice"
             raise ConfigError(f"{what}: {noun} {name!r} {why}", remedy="choose another name")
@@ -173,24 +175,30 @@ def _check_names(what: str, noun: str, names: Iterable[str], taken: Sequence[str
 def _arguments(form: Form, what: str, function: Callable[..., float], memory: Sequence[str]) -> list[str]:
     """Names of the function's arguments, each of them one that the form knows."""
     if not inspect.isfunction(function) or inspect.iscoroutinefunction(function):
-        raise ConfigError(f"{what} is not a plain function", remedy="decorate one that is made by def")
+        raise ConfigError(
+            f"{what} is not a plain function", remedy="decorate a function that is defined by def"
+        )
     known = {name: meaning for name, (meaning, _) in form.quantities.items()}
     known |= {MEMORY: "what it remembers", PARAMETERS: "its parameters"}
     for argument in inspect.signature(function).parameters.values():
         where = f"{what} ({_place(function)}): argument {argument.name!r}"
         if argument.kind is not argument.POSITIONAL_OR_KEYWORD or argument.default is not argument.empty:
             raise ConfigError(
-                f"{where} is not a plain one", remedy="write its name alone: numbers come as parameters"
+                f"{where} must be positional, without a default",
+                remedy="write only its name; other numbers are given as parameters",
             )
         if argument.name not in known:
             close = get_close_matches(argument.name, known, n=1)
             choice = "; ".join(f"{name}: {meaning}" for name, meaning in known.items())
             raise ConfigError(
-                f"{where} is nothing that it is given",
+                f"{where} is not among the arguments that are passed",
                 remedy=f"did you mean {close[0]}?" if close else f"choose from {choice}",
             )
         if argument.name == MEMORY and not memory:
-            raise ConfigError(f"{where} has no names", remedy='say what it keeps: memory=("previous",)')
+            raise ConfigError(
+                f"{where} is used, but no memory is declared",
+                remedy='declare the values that it stores: memory=("previous",)',
+            )
     return list(inspect.signature(function).parameters)
 
 
@@ -224,25 +232,31 @@ def _compiled(
     returned = dispatcher.nopython_signatures[0].return_type
     if returned not in (numba.float64, numba.float32, numba.int64, numba.int32):
         optional = isinstance(returned, numba.types.Optional | numba.types.NoneType)
-        how = "returns nothing on one of its ways" if optional else f"returns {returned}"
-        raise ConfigError(
-            f"{what} ({_place(function)}) {how}", remedy="return a number from every way through it"
-        )
+        how = "returns no value on one of its paths" if optional else f"returns {returned}"
+        raise ConfigError(f"{what} ({_place(function)}) {how}", remedy="return a number on every path")
     return dispatcher
 
 
 _FRAME = ("Failed in", "During", "raised from", "File", "- ", "There are")  # lines that say where, not what
 # What the compiler says, and what that means here: the first that is found.
 _REASONS: tuple[tuple[str, str, str], ...] = (
-    (r"NameError: name '(\w+)' is not defined", "there is no {0}", _NUMBERS),
-    (r"Untyped global name '(\w+)'", "{0} is nothing that compiled code can use", _NUMBERS),
+    (r"NameError: name '(\w+)' is not defined", "the name {0} is not defined", _NUMBERS),
+    (r"Untyped global name '(\w+)'", "{0} cannot be used in compiled code", _NUMBERS),
     (
         r"Only accept returning of array|NRT required but not enabled",
-        "it makes an array, a list or a text, and nothing may be allocated while a rig is moved",
-        "keep single numbers, in memory those that must last",
+        "it creates an array, a list or a text, and memory must not be allocated while a rig moves",
+        "use single numbers; store those that must last in memory",
     ),
-    (r"Cannot unify (\S+) and (\S+) for '(\w+)", "{2} is once {0} and once {1}", "let it be a number always"),
-    (r"No definition for lowering .*Parameters", "it sets a parameter", "keep what changes in memory"),
+    (
+        r"Cannot unify (\S+) and (\S+) for '(\w+)",
+        "{2} is {0} in one place and {1} in another",
+        "make it a number on every path",
+    ),
+    (
+        r"No definition for lowering .*Parameters",
+        "it assigns to a parameter",
+        "store values that change in memory",
+    ),
 )
 
 

@@ -35,7 +35,7 @@ def _form(everywhere: bool) -> Form:
         kind="law",
         quantities={
             "penetration": ("depth inside the wall (rad or m)", "penetration"),
-            "velocity": ("its rate as estimated (rad/s or m/s), positive inwards", "velocity"),
+            "velocity": ("estimated velocity (rad/s or m/s), positive inwards", "velocity"),
             "elapsed_s": (
                 "time since the call before (s)",
                 f"elapsed_ticks * parameters[{GIVEN.index('tick_s')}]",

@@ -263,13 +263,13 @@ class ControllerState:
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise _other_version(f"{error!r}") from error
         if not made.estimator.fits() or not made.law.fits():
-            raise _other_version("its memory has another size")
+            raise _other_version("its memory has a different size")
         return made
 
 
 def _other_version(how: str) -> RecordingError:
     return RecordingError(
-        f"a saved controller of another version: {how}",
+        f"the saved state of the controller is of another version: {how}",
         remedy="replay the recording with the version that its header names",
     )
 
@@ -277,7 +277,7 @@ def _other_version(how: str) -> RecordingError:
 def _record(dtype: np.dtype[Any], values: Mapping[str, Any]) -> Record:
     differing = set(dtype.names or ()) ^ set(values)
     if differing:
-        raise _other_version(f"{', '.join(sorted(differing))} on one side only")
+        raise _other_version(f"{', '.join(sorted(differing))} in only one of them")
     record = np.zeros(1, dtype=dtype)
     for name, value in values.items():
         record[name] = value

@@ -81,10 +81,10 @@ class Verdict:
     """Verdict and numbers of one hit, in the units of the rig; None where a number is not measurable."""
 
     kind: Annotated[Kind, Quantity("", "verdict")]
-    reasons: Annotated[tuple[str, ...], Quantity("", "why it is that verdict")]
+    reasons: Annotated[tuple[str, ...], Quantity("", "reasons of the verdict")]
     felt: Annotated[float | None, Quantity("velocity", "rms velocity in the tail, 30 to 500 Hz")]
     felt_floor: Annotated[
-        float, Quantity("velocity", "what one count reads that toggles as often as in the tail")
+        float, Quantity("velocity", "velocity reading of one count that toggles as often as in the tail")
     ]
     heard: Annotated[float, Quantity("effort", "rms ripple of the effort in the tail, above 30 Hz")]
     moved: Annotated[
@@ -107,14 +107,16 @@ class Verdict:
     saturated_fraction_in_tail: Annotated[
         float, Quantity("1", "share of ticks in the tail with a clipped effort")
     ]
-    late_ticks: Annotated[int, Quantity("1", "ticks whose command came late")]
+    late_ticks: Annotated[int, Quantity("1", "ticks with a late command")]
     gaps: Annotated[int, Quantity("1", "gaps in the samples")]
     lost_samples: Annotated[int, Quantity("1", "samples lost in them")]
-    longest_gap: Annotated[int, Quantity("1", "most samples lost in a row from the first contact on")]
+    longest_gap: Annotated[
+        int, Quantity("1", "largest number of successive lost samples from the first contact on")
+    ]
     lost_fraction: Annotated[float, Quantity("1", "share of samples lost from the first contact on")]
     late_fraction: Annotated[float, Quantity("1", "share of late ticks from the first contact on")]
     current_observed: Annotated[
-        int, Quantity("1", "windows of 10 ms in which the measured current was seen to follow the active one")
+        int, Quantity("1", "windows of 10 ms in which the measured current followed the active one")
     ]
     ticks: Annotated[int, Quantity("1", "ticks of the trial")]
 
@@ -317,7 +319,7 @@ def _times(count: int, noun: str) -> str:
 
 
 _TEXTS: dict[Objection, Callable[[np.void, Thresholds], str]] = {
-    Objection.TOO_SHORT: lambda n, _: f"only {n['ticks']} ticks of trial",
+    Objection.TOO_SHORT: lambda n, _: f"only {n['ticks']} ticks in the trial",
     Objection.NEVER_TOUCHED: lambda n, _: (
         "the wall was never touched"
         if n["toggles"] < TOGGLES
@@ -327,15 +329,15 @@ _TEXTS: dict[Objection, Callable[[np.void, Thresholds], str]] = {
     Objection.GONE: lambda _, __: "the wall was not touched in the tail",
     Objection.TOUCHED_LATE: lambda _, __: "the first contact lies in the tail",
     Objection.GAPS: lambda n, thresholds: (
-        f"from contact on, {percent(n['lost_fraction'])} of the samples lost "
-        f"(limit {percent(thresholds.lost_fraction)}), {n['longest_gap']} in a row "
-        f"(limit {thresholds.longest_gap}): the link or this computer was late"
+        f"from contact on, {percent(n['lost_fraction'])} of the samples lost (limit "
+        f"{percent(thresholds.lost_fraction)}), {n['longest_gap']} in a row (limit "
+        f"{thresholds.longest_gap}): the link or this computer was too slow"
     ),
     Objection.LATE: lambda n, thresholds: (
         f"from contact on, {percent(n['late_fraction'])} late ticks (limit {percent(thresholds.late_fraction)}): "
         "close other programs, or lower the rate"
     ),
-    Objection.SLEW_BOUND: lambda n, _: f"the slew limit bound in {_times(n['slew_bound_ticks'], 'tick')}",
+    Objection.SLEW_BOUND: lambda n, _: f"the slew limit acted in {_times(n['slew_bound_ticks'], 'tick')}",
     Objection.OVERRULED: lambda n, _: (
         f"the device overruled the law in {_times(n['overruled_ticks'], 'tick')}"
     ),
@@ -350,12 +352,13 @@ _TEXTS: dict[Objection, Callable[[np.void, Thresholds], str]] = {
     Objection.HEARD: lambda n, thresholds: f"heard {n['heard']:.3g} above {thresholds.heard_effort:.3g}",
     Objection.MOVED: lambda n, thresholds: f"moved {n['moved']:.3g} above {thresholds.moved:.3g}",
     Objection.CURRENT: lambda n, _: (
-        f"the measured current was not the one that was set in {_times(n['current_differs'], 'window')} of 10 ms, and "
-        f"that not the commanded one in {_times(n['other_current_ticks'], 'tick')}: "
-        "described delay, motor leads, amplifier, sensor"
+        "the measured current differed from the set current in "
+        f"{_times(n['current_differs'], 'window')} of 10 ms, and the set current from the commanded "
+        f"one in {_times(n['other_current_ticks'], 'tick')}: check described delay, motor leads, "
+        "amplifier and sensor"
     ),
     Objection.LEFT: lambda _, __: (
-        "the hand left the calm wall before the end and did not come back: ask to stay in it"
+        "the hand left the calm wall before the end and did not return: ask the person to stay in the wall"
     ),
-    Objection.THROWN: lambda _, __: "the wall threw the hand out, and it did not come back",
+    Objection.THROWN: lambda _, __: "the wall threw the hand out, and the hand did not return",
 }

@@ -166,7 +166,8 @@ def own_inputs(
     """
     if not (math.isfinite(dt) and dt > 0.0):
         raise ConfigError(
-            f"dt = {dt!r} s is not a sampling period", remedy="give the time between two samples in s"
+            f"dt = {dt!r} s is not a sampling period: it must be above 0 and finite",
+            remedy="give the time between two samples in s",
         )
     _check_resolution(resolution)
     held, steps = _counts_and_steps(counts, elapsed, edge_time)
@@ -188,12 +189,12 @@ def inputs(
     edges = real_numbers(edge_time, EDGE_TIME, "s")
     if edges.shape != whole.shape:
         raise ConfigError(
-            f"{len(whole)} counts, but edge_time of shape {edges.shape}", remedy="give one each"
+            f"{len(whole)} counts, but edge_time has shape {edges.shape}", remedy="give one for each count"
         )
     age = time_s - edges
     if not (age >= -FUTURE_S).all():  # also finds NaN
         raise ConfigError(
-            "an edge_time is later than its sample or not a number",
+            "an edge_time is later than its sample, or not a number",
             remedy="give seconds from the first sample, and -inf where no edge is known",
         )
     return whole, np.clip(age, 0.0, OLDEST_EDGE_S), steps
@@ -208,9 +209,14 @@ def _counts_and_steps(
         return held, np.ones(len(held), np.int64)
     steps = whole_numbers(elapsed, ELAPSED).astype(np.int64)
     if len(steps) != len(held):
-        raise ConfigError(f"{len(held)} counts, but {len(steps)} values of elapsed", remedy="give one each")
+        raise ConfigError(
+            f"{len(held)} counts, but {len(steps)} values of elapsed", remedy="give one for each count"
+        )
     if len(steps) and steps.min() < 1:
-        raise ConfigError("elapsed has a value below 1: time stands still", remedy=FROM_SECONDS)
+        raise ConfigError(
+            "elapsed has a value below 1: each sample must be at least one period after the one before",
+            remedy=FROM_SECONDS,
+        )
     return held, steps
 
 
@@ -242,4 +248,7 @@ def update_all(
 
 def _check_resolution(resolution: float) -> None:
     if not (math.isfinite(resolution) and resolution != 0.0):
-        raise ConfigError(f"resolution = {resolution!r} is not the travel of a count", remedy="give rad or m")
+        raise ConfigError(
+            f"resolution = {resolution!r} is not a travel per count: it must be finite and not 0",
+            remedy="give rad or m per count",
+        )

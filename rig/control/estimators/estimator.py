@@ -97,7 +97,7 @@ class Estimator(Shown):
             if name not in known:
                 choice = ", ".join(known) or "none"
                 raise ConfigError(
-                    f"estimator {self.name} has no parameter {name!r}", remedy=f"its parameters: {choice}"
+                    f"estimator {self.name}: unknown parameter {name!r}", remedy=f"its parameters: {choice}"
                 )
         values = {
             name: self._checked(setting, given.get(name, setting.default)) for name, setting in known.items()

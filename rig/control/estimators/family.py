@@ -45,4 +45,4 @@ def get(name: str) -> Estimator:
     found = plugins.load("rig.estimators", "estimator", name, lambda part: isinstance(part, Estimator))
     if found is not None:
         return cast("Estimator", found)
-    raise ConfigError(f"there is no estimator {name!r}", remedy=f"choose one of: {', '.join(names())}")
+    raise ConfigError(f"unknown estimator {name!r}", remedy=f"choose one of: {', '.join(names())}")

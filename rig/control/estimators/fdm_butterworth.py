@@ -60,7 +60,7 @@ def low_pass(name: str, order: int, cutoff_hz: float, period_s: float) -> list[l
     if cutoff_hz >= nyquist_hz:
         raise ConfigError(
             f"estimator {name}: cutoff_hz = {cutoff_hz:g} Hz is not below Nyquist {nyquist_hz:g} Hz",
-            remedy=f"choose a lower one, usually {0.2 * nyquist_hz:g} Hz, or raise velocity_rate",
+            remedy=f"choose a lower cutoff_hz, usually {0.2 * nyquist_hz:g} Hz, or raise velocity_rate",
         )
     sections = butterworth.low_pass(order, cutoff_hz, 1.0 / period_s)
     dc_gain = 1.0
@@ -80,7 +80,7 @@ def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> l
     order = settings["order"]
     if order != int(order):
         raise ConfigError(
-            f"estimator fdm-butterworth: order = {order:g} is not whole", remedy="choose 1, 2, … 8"
+            f"estimator fdm-butterworth: order = {order:g} must be a whole number", remedy="choose 1, 2, … 8"
         )
     sections = low_pass("fdm-butterworth", int(order), settings["cutoff_hz"], period_s)
     return [value for b0, b1, b2, _, a1, a2 in sections for value in (b0, b1, b2, a1, a2)]
@@ -95,7 +95,7 @@ ESTIMATOR = Estimator(
     ints=fdm.INTS,
     settings=(
         Setting("cutoff_hz", 200.0, 0.1, 1e6, "Hz", "-3 dB frequency of the low pass"),
-        Setting("order", 2, 1, HIGHEST_ORDER, "1", "of the low pass, a whole number"),
+        Setting("order", 2, 1, HIGHEST_ORDER, "1", "order of the low pass, a whole number"),
     ),
     design=design,
 )

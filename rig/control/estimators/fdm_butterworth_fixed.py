@@ -92,7 +92,7 @@ def biquad(settings: Mapping[str, Any], period_s: float) -> Biquad:
     for name in ("coefficient_bits", "state_bits", "word_bits"):
         if settings[name] != int(settings[name]):
             raise ConfigError(
-                f"estimator fdm-butterworth-fixed: {name} = {settings[name]:g} is not whole",
+                f"estimator fdm-butterworth-fixed: {name} = {settings[name]:g} must be a whole number",
                 remedy="give a whole number of bits",
             )
     state = Format(int(settings["word_bits"]), int(settings["state_bits"]))
@@ -134,7 +134,9 @@ ESTIMATOR = Estimator(
             "word_bits", 32, 4, WIDEST, "bit", "length of their saturating words, sign and fraction included"
         ),
         Choice("rounding", "nearest", ROUNDINGS, "how each output is rounded to its word"),
-        Choice("numerator", "unit-gain", NUMERATORS, "exact gain at rest, or coefficients as they round"),
+        Choice(
+            "numerator", "unit-gain", NUMERATORS, "exact gain at rest, or each coefficient rounded by itself"
+        ),
     ),
     design=design,
 )

@@ -51,7 +51,9 @@ ROUNDING_MARGIN = 1e-9
 SETTINGS: tuple[Setting | Choice, ...] = (
     Setting("band", 1.0, 0.1, 1e6, "counts", "largest distance of a sample from the line"),
     Setting("window_limit", 16.0, 1.0, LONGEST, "velocity periods", "longest window"),
-    Choice("stop", "first", STOPS, "window before the first that fails, or the longest that passes"),
+    Choice(
+        "stop", "first", STOPS, "window: the last before the first that fails, or the longest that passes"
+    ),
 )
 
 

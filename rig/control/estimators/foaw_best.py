@@ -90,7 +90,12 @@ ESTIMATOR = Estimator(
     ints=foaw.INTS,
     settings=(
         *foaw.SETTINGS,
-        Choice("anchor", "lsq", ANCHORS, "where the line stands: least squares, newest sample, as printed"),
+        Choice(
+            "anchor",
+            "lsq",
+            ANCHORS,
+            "intercept of the line: least squares, through the newest sample, or as printed in the paper",
+        ),
     ),
     design=design,
 )

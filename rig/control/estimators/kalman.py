@@ -263,7 +263,7 @@ def _intensity(
     if bandwidth_hz >= 0.5 / period_s:
         raise ConfigError(
             f"estimator kalman: bandwidth_hz = {bandwidth_hz:g} Hz is not below Nyquist {0.5 / period_s:g} Hz",
-            remedy="choose a lower one or raise velocity_rate",
+            remedy="choose a lower bandwidth_hz, or raise velocity_rate",
         )
     return float((2.0 * math.pi * bandwidth_hz * period_s) ** (2 * order) * r)
 
@@ -289,8 +289,18 @@ ESTIMATOR = Estimator(
             "density of white jerk (double: of acceleration, position²/s³)",
         ),
         Choice("noise", "integral", ("integral", "printed"), "covariance of the process noise"),
-        Choice("variance", "rounding", tuple(VARIANCES), "of the measurement: Δ²/12, or the paper's Δ²/3"),
-        Choice("gain", "recursive", ("recursive", "steady"), "covariance carried along, or its limit"),
+        Choice(
+            "variance",
+            "rounding",
+            tuple(VARIANCES),
+            "variance of the measurement: Δ²/12, or the paper's Δ²/3",
+        ),
+        Choice(
+            "gain",
+            "recursive",
+            ("recursive", "steady"),
+            "gain: recursive, with the covariance updated in each step, or steady, its limit",
+        ),
         Choice("fading", "none", FADINGS, "estimate of the innovations' variance"),
         Setting("fading_window", 16.0, 1.0, LONGEST_MEMORY, "samples", 'memory of fading = "window"'),
         Setting("forgetting", 0.95, 0.0, 1.0, "1", 'weight ρ of the past for fading = "stf"'),

@@ -148,7 +148,13 @@ def multipliers(settings: Mapping[str, Any], estimator: str = "levant") -> tuple
         )
     if gains == "hba" and not levant_regions.in_hba(mu1, mu2):
         raise _outside(
-            estimator, gains, mu1, mu2, "≥", levant_regions.hba_mu1(mu2), "mu2 above 2 (more is easier)"
+            estimator,
+            gains,
+            mu1,
+            mu2,
+            "≥",
+            levant_regions.hba_mu1(mu2),
+            "mu2 above 2 (the larger, the smaller the least mu1)",
         )
     if gains == "lfba" and not levant_regions.in_lfba(mu1, mu2):
         raise _outside(estimator, gains, mu1, mu2, ">", levant_regions.lfba_mu1(mu2), "a larger mu2")
@@ -161,7 +167,7 @@ def _outside(
     way_out = f"mu1 {relation} {needed:.5g}, or {other}" if math.isfinite(needed) else other
     return ConfigError(
         f"estimator {estimator}: mu1 = {mu1:g}, mu2 = {mu2:g} lie outside the region {gains!r}",
-        remedy=f"choose {way_out}; or gains = 'custom', which checks nothing",
+        remedy=f"choose {way_out}; or gains = 'custom', which is not checked",
     )
 
 
@@ -193,8 +199,8 @@ SETTINGS: tuple[Setting | Choice, ...] = (
     Choice("gains", "levant", (*levant_regions.NAMED_GAINS, "hba", "lfba", "custom"), "μ1 and μ2: named or given"),
     Setting("mu1", 0.0, 0.0, 1e3, "1", "α/C, for gains hba, lfba and custom"),
     Setting("mu2", 0.0, 0.0, 1e3, "1", "λ/√C, for gains hba, lfba and custom"),
-    Choice("discretisation", "implicit", SCHEMES, "how the sign at zero is solved; the explicit ones chatter"),
-    Choice("output", "u", OUTPUTS, "velocity: u follows at once, u1 is its integrator, smoother and later"),
+    Choice("discretisation", "implicit", SCHEMES, "discretisation of the sign at zero; the explicit ones chatter"),
+    Choice("output", "u", OUTPUTS, "u, which follows at once, or u1, its integrator, smoother and later"),
 )  # fmt: skip
 
 ESTIMATOR = Estimator(

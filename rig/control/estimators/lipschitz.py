@@ -114,7 +114,8 @@ def _checked(time_s: Floats, position: Floats, sines: int) -> tuple[Floats, Floa
         )
     if not (np.isfinite(t).all() and np.isfinite(y).all() and (np.diff(t) > 0).all()):
         raise ConfigError(
-            "times must increase, and times and positions be finite", remedy="cut the bad rows out"
+            "the times do not increase, or a time or position is not finite",
+            remedy="remove the rows with bad values",
         )
     if sines < 1 or len(t) < 10 * sines:
         raise ConfigError(

@@ -103,7 +103,7 @@ def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> l
 
 ESTIMATOR = Estimator(
     name="optimal",
-    summary="chord as long as the noise that shows requires: smallest worst-case error",
+    summary="chord of adaptive length, chosen by the observed noise: smallest worst-case error",
     source="Seeber and Haimovich, Automatica 148 (2023); Aldana-López et al., arXiv 2404.05863",
     update=update,
     floats=2 * (foaw.LONGEST + 1),
@@ -114,7 +114,7 @@ ESTIMATOR = Estimator(
             "C, largest acceleration to follow; identify it from a hit of your rig",
         ),
         Setting("noise", 0.5, 0.01, 1e6, "counts", "largest error of a sample; an ideal encoder has half a count"),
-        Setting("window_limit", 32.0, 2.0, foaw.LONGEST, "velocity periods", "longest chord, whatever C and noise say"),
+        Setting("window_limit", 32.0, 2.0, foaw.LONGEST, "velocity periods", "upper bound of the chord's length"),
     ),
     design=design,
 )  # fmt: skip

@@ -38,7 +38,10 @@ _FROM_DATES = (
     f"times = (times - times[0]) / numpy.timedelta64(1, 's'); {_STEPS}"
 )
 _REMEDIES = {
-    (COUNTS, "b"): "give the encoder's counts; of the levels of channels A and B, count the edges first",
+    (
+        COUNTS,
+        "b",
+    ): "give the encoder's counts; if these are the levels of channels A and B, count the edges first",
     (COUNTS, "M"): "give the column of counts; times belong in elapsed",
     (COUNTS, "m"): "give the column of counts; times belong in elapsed",
     (ELAPSED, "b"): FROM_SECONDS,
@@ -46,8 +49,9 @@ _REMEDIES = {
     (ELAPSED, "m"): _FROM_DATES,
 }
 _FRACTION = {
-    COUNTS: "of positions in rad or m, give quantise(positions, resolution); of counts that were scaled, averaged or "
-    "interpolated, give the encoder's own, each a whole number",
+    COUNTS: "for positions in rad or m, give quantise(positions, resolution); for counts that were "
+    "scaled, averaged or interpolated, give the original counts of the encoder, each a whole "
+    "number",
     ELAPSED: FROM_SECONDS,
 }
 
@@ -81,7 +85,7 @@ def whole_numbers(values: ArrayLike, what: str, also: tuple[str, ...] = ()) -> N
     missing = np.flatnonzero(np.isnan(array))
     if len(missing):
         remedy = FROM_SECONDS if what == ELAPSED else _without_missing(values, also)
-        raise ConfigError(f"{what} has no number at {_indices(missing, len(array))}", remedy=remedy)
+        raise ConfigError(f"{what} is not a number at {_indices(missing, len(array))}", remedy=remedy)
     parts = np.flatnonzero((array != np.trunc(array)) | np.isinf(array))
     if len(parts):
         raise ConfigError(
@@ -178,9 +182,11 @@ def _check_direction(counts: Ints, steps: Ints, elapsed: Ints, bits: int) -> Non
     if len(wrong):
         at = int(wrong[0]) + 1
         raise ConfigError(
-            f"counts[{at}] is {counts[at]} after {counts[at - 1]}, {elapsed[at]} periods earlier, where the speed "
-            f"before gives {expected[at - 1]:+.4g} counts: half of the range of a {bits} bit counter apart, or more",
-            remedy="give the counter's width, sample it more often, or estimate both sides of a gap by themselves",
+            f"counts[{at}] is {counts[at]} after {counts[at - 1]}, {elapsed[at]} periods earlier, "
+            f"where the previous speed predicts {expected[at - 1]:+.4g} counts: the difference is "
+            f"half of the range of a {bits} bit counter, or more",
+            remedy="give the counter's width, sample it more often, or estimate the two sides of a gap "
+            "separately",
         )
 
 
@@ -191,8 +197,8 @@ def _check_jumps(values: NDArray[Any], counts: Ints, steps: Ints) -> None:
     if len(wide):
         at = int(wide[0]) + 1
         raise ConfigError(
-            f"counts[{at}] is {values[at]} after {values[at - 1]}, more than half of all that the counts span "
-            f"({span}): the counter wraps, or was reset",
+            f"counts[{at}] is {values[at]} after {values[at - 1]}, more than half of the range of all "
+            f"counts ({span}): the counter wraps, or was reset",
             remedy="give the bits of the counter, such as width=16; one that wraps at N counts: "
             "numpy.unwrap(counts, period=N); if the handle moved so far in one sample, width=32",
         )
@@ -217,7 +223,7 @@ def _floats_if_missing(values: ArrayLike, what: str) -> NDArray[Any]:
             return np.array([int(value) for value in array], np.int64)
         except OverflowError:
             raise ConfigError(
-                f"{what} has a value beyond ±2^63", remedy="give what a counter of at most 64 bits holds"
+                f"{what} has a value beyond ±2^63", remedy="give values that fit into 64 bits"
             ) from None
     return np.array([np.nan if _is_missing(value) else float(value) for value in array])
 
@@ -258,8 +264,8 @@ def _without_missing(values: ArrayLike, also: tuple[str, ...]) -> str:
     if EDGE_TIME in also:
         given.append(f"edge_time=numpy.asarray(edge_time)[kept] - dt * {start}")
     return (
-        f"leave them out and state the gaps: counts = {number}; kept = numpy.flatnonzero(numpy.isfinite(counts)); "
-        f"sample = {sample}; give {', '.join(given)}"
+        f"leave these samples out, and state the gaps: counts = {number}; kept = "
+        f"numpy.flatnonzero(numpy.isfinite(counts)); sample = {sample}; give {', '.join(given)}"
     )
 
 

@@ -136,12 +136,12 @@ def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> l
 
 
 UNEVENNESS = Setting(
-    "unevenness", 0.0, 0.0, 2.0, "count", "by how much a gap between edges may exceed one count"
+    "unevenness", 0.0, 0.0, 2.0, "count", "share by which a gap between edges may exceed one count"
 )
 
 ESTIMATOR = Estimator(
     name="period",
-    summary="time between the last two encoder edges, decaying while none comes",
+    summary="one count over the time between the last two edges, decaying while no edge comes",
     source="M/T method (Ohmae et al. 1982, cited second-hand) over one period",
     update=update,
     floats=FLOATS,

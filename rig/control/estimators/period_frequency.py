@@ -98,7 +98,8 @@ def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> l
     periods = math.ceil(settings["window_s"] / period_s * (1.0 - 1e-9))
     if periods > LONGEST:
         raise ConfigError(
-            f"estimator period-frequency: window_s = {settings['window_s']:g} s is {periods} velocity periods",
+            f"estimator period-frequency: window_s = {settings['window_s']:g} s spans {periods} "
+            f"velocity periods, more than {LONGEST}",
             remedy=f"choose at most {LONGEST} periods, {LONGEST * period_s:g} s",
         )
     return [*period.design(settings, resolution, period_s), float(periods)]
@@ -113,7 +114,7 @@ ESTIMATOR = Estimator(
     ints=SAMPLES + 2 * SLOTS,
     settings=(
         Setting(
-            "window_s", 1e-3, 1e-6, 1.0, "s", "least time between the two edges at speed, in whole periods"
+            "window_s", 1e-3, 1e-6, 1.0, "s", "shortest time between the two edges, rounded to whole periods"
         ),
         period.UNEVENNESS,
     ),

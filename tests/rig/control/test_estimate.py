@@ -153,14 +153,14 @@ def test_edge_times_count_lost_samples() -> None:
 # --- what cannot be meant ---------------------------------------------------------------------------------
 
 WRONG = {
-    "unknown estimator": ({"name": "fmd"}, "no estimator 'fmd'"),
-    "unknown setting": ({"cutof": 3.0}, "has no parameter 'cutof'"),
+    "unknown estimator": ({"name": "fmd"}, "unknown estimator 'fmd'"),
+    "unknown setting": ({"cutof": 3.0}, "unknown parameter 'cutof'"),
     "setting out of range": ({"cutoff_hz": -1.0}, "out of range"),
     "no period": ({"dt": 0.0}, "not a sampling period"),
-    "no resolution": ({"resolution": 0.0}, "not the travel"),
+    "no resolution": ({"resolution": 0.0}, "not a travel per count"),
     "floats as counts": ({"counts": [0.1, 0.2]}, "not a whole number.*quantise"),
     "table of counts": ({"counts": [[1, 2]]}, "2 dimensions"),
-    "edges of another length": ({"edge_time": [0.0]}, "3 counts, but edge_time of shape"),
+    "edges of another length": ({"edge_time": [0.0]}, "3 counts, but edge_time has shape"),
     "edge in the future": ({"edge_time": [0.0, 0.0, 1.0]}, "later than its sample"),
     "edges as dates": ({"edge_time": np.zeros(3, "M8[ns]")}, "holds dates"),
     "edge that is no number": ({"edge_time": [0.0, 0.0, math.nan]}, "not a number"),

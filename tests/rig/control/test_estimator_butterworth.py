@@ -89,5 +89,5 @@ def test_an_order_out_of_range_is_refused(order: int) -> None:
 
 
 def test_an_order_and_a_half_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"order = 2\.5 is not whole"):
+    with pytest.raises(ConfigError, match=r"order = 2\.5 must be a whole number"):
         butterworth(order=2.5)

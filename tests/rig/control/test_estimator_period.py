@@ -303,7 +303,7 @@ def test_the_row_shows_over_how_many_periods_it_looks() -> None:
 
 def test_a_window_beyond_the_memory_is_refused() -> None:
     with pytest.raises(
-        ConfigError, match=r"window_s = 0\.2 s is 400 velocity periods.*at most 256 periods, 0\.128 s"
+        ConfigError, match=r"window_s = 0\.2 s spans 400 velocity periods.*at most 256 periods, 0\.128 s"
     ):
         prepare("period-frequency", window_s=0.2)
     assert prepare("period-frequency", window_s=1e-6).parameters[3] == 1.0

@@ -73,7 +73,7 @@ def test_every_estimator_keeps_them_as_plain_python_too() -> None:
 
 
 def test_an_unknown_name_lists_the_known_ones() -> None:
-    with pytest.raises(ConfigError, match=r"no estimator 'fmd'.*fdm, fdm-butterworth"):
+    with pytest.raises(ConfigError, match=r"unknown estimator 'fmd'.*fdm, fdm-butterworth"):
         estimators.get("fmd")
 
 
@@ -94,9 +94,9 @@ def test_a_broken_plug_in_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_an_unknown_setting_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(ConfigError, match=r"fdm-butterworth has no parameter 'cutof'.*cutoff_hz"):
+    with pytest.raises(ConfigError, match=r"fdm-butterworth: unknown parameter 'cutof'.*cutoff_hz"):
         estimators.get("fdm-butterworth").prepare({"cutof": 200.0}, RESOLUTION, PERIOD)
-    with pytest.raises(ConfigError, match=r"fdm has no parameter 'cutoff_hz'.*none"):
+    with pytest.raises(ConfigError, match=r"fdm: unknown parameter 'cutoff_hz'.*none"):
         estimators.get("fdm").prepare({"cutoff_hz": 200.0}, RESOLUTION, PERIOD)
 
 

@@ -106,7 +106,7 @@ def test_coefficients_that_round_the_gain_at_rest_to_zero_are_refused() -> None:
 def test_rounding_that_makes_another_filter_is_refused() -> None:
     """1 + a1 + a2 is the square of the cut-off; here it has no bit left."""
     with pytest.raises(
-        ConfigError, match=r"1 \+ a1 \+ a2 = 0\.\d+ LSB becomes -?\d.*another filter.*more coeff"
+        ConfigError, match=r"1 \+ a1 \+ a2 = 0\.\d+ LSB is rounded to -?\d.*changes the filter.*more coeff"
     ):
         low_pass(1e-3, bits=10)
     low_pass(1e-3, bits=24)

@@ -53,7 +53,7 @@ def test_other_parameters_make_another_law_and_leave_this_one_alone(stiffening: 
     softer = stiffening.with_parameters(quadratic=0.0)
     assert reactions(softer, [0.01], stiffness=100.0).tolist() == pytest.approx([1.0])
     assert reactions(stiffening, [0.01], stiffness=100.0).tolist() == pytest.approx([11.0])
-    with pytest.raises(ConfigError, match=r"no parameter 'quadratc'; did you mean quadratic\?"):
+    with pytest.raises(ConfigError, match=r"unknown parameter 'quadratc'; did you mean quadratic\?"):
         stiffening.with_parameters(quadratc=0.0)
     with pytest.raises(
         ConfigError, match=r"quadratic = -1 is out of range; give a number, 0 to 1e\+06 N·m/rad²"
@@ -177,21 +177,21 @@ def absent(penetration: float) -> float:
 @pytest.mark.parametrize(
     ("function", "line", "said"),
     [
-        (misspelt, 1, r"p has no number 'stifness'; did you mean stiffness\?"),
-        (forgets, 0, r"memory has no number 'depest'; did you mean deepest\?"),
-        (recalls, 0, r"memory has no number 'depest'; did you mean deepest\?"),
+        (misspelt, 1, r"p: unknown number 'stifness'; did you mean stiffness\?"),
+        (forgets, 0, r"memory: unknown number 'depest'; did you mean deepest\?"),
+        (recalls, 0, r"memory: unknown number 'depest'; did you mean deepest\?"),
         (
             allocates,
             1,
-            r"it makes an array, a list or a text, and nothing may be allocated .*; keep single numbers",
+            r"it creates an array, a list or a text, and memory must not be allocated .*; use single numbers",
         ),
-        (lists, 1, r"it makes an array, a list or a text"),
-        (calls, 1, r"helper is nothing that compiled code can use; .* helpers decorated by numba.njit"),
-        (undefined, 0, r"there is no gain;"),
-        (silent, 0, r"returns nothing on one of its ways; return a number from every way"),
-        (nothing, 0, r"returns nothing on one of its ways"),
+        (lists, 1, r"it creates an array, a list or a text"),
+        (calls, 1, r"helper cannot be used in compiled code; .* helpers decorated by numba.njit"),
+        (undefined, 0, r"the name gain is not defined;"),
+        (silent, 0, r"returns no value on one of its paths; return a number on every"),
+        (nothing, 0, r"returns no value on one of its paths"),
         (says, 0, r"returns .*str.*; return a number"),
-        (sets, 0, r"it sets a parameter; keep what changes in memory"),
+        (sets, 0, r"it assigns to a parameter; store values that change in memory"),
         (imports, 1, r"unsupported opcode \(IMPORT_NAME\) found; use numbers"),
         (absent, 0, r"module 'math' has no attribute 'hypotenuse'"),
     ],
@@ -235,14 +235,20 @@ def remembers(memory: Memory) -> float:
 @pytest.mark.parametrize(
     ("function", "said"),
     [
-        (named, r"argument 'penetraton' is nothing that it is given; did you mean penetration\?"),
+        (
+            named,
+            r"argument 'penetraton' is not among the arguments that are passed; did you mean penetration\?",
+        ),
         (
             unknown,
             r"argument 'colour' is .*; choose from penetration: depth inside the wall \(rad or m\); velocity",
         ),
-        (defaulted, r"argument 'p' is not a plain one; write its name alone"),
-        (starred, r"argument 'penetration' is not a plain one"),
-        (remembers, r"argument 'memory' has no names; say what it keeps: memory=\(\"previous\",\)"),
+        (defaulted, r"argument 'p' must be positional, without a default; write only its name"),
+        (starred, r"argument 'penetration' must be positional, without a default"),
+        (
+            remembers,
+            r"argument 'memory' is used, but no memory is declared; declare .*: memory=\(\"previous\",\)",
+        ),
         (math.sin, r"law 'sin' is not a plain function"),
     ],
 )
@@ -258,12 +264,12 @@ def test_an_argument_that_it_is_not_given_is_refused_with_those_that_it_is(funct
             {"parameters": {"stiffness": 1.0}},
             r"'stiffness' stands for what every p has: stiffness, damping, tick_s",
         ),
-        ({"parameters": {"two words": 1.0}}, r"parameter 'two words' is no name"),
+        ({"parameters": {"two words": 1.0}}, r"parameter 'two words' is not a valid name"),
         ({"parameters": {"gain": math.inf}}, r"gain = inf is out of range"),
         ({"parameters": {"gain": "much"}}, r"gain = 'much' is out of range"),
         ({"memory": ("x", "x")}, r"memory 'x' is there twice"),
-        ({"memory": ("_x",)}, r"memory '_x' is no name"),
-        ({"memory": ("class",)}, r"memory 'class' is no name"),
+        ({"memory": ("_x",)}, r"memory '_x' is not a valid name"),
+        ({"memory": ("class",)}, r"memory 'class' is not a valid name"),
     ],
 )
 def test_names_and_numbers_that_cannot_be_are_refused(given: dict[str, Any], said: str) -> None:

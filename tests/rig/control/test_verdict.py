@@ -308,7 +308,7 @@ def test_a_binding_slew_limit_spoils_a_trial() -> None:
     assert "overruled the law in 3 ticks" in verdict.reasons[0]
     verdict = judge(signals(REST, slew_bound=first(2)), LIMITS)
     assert verdict.kind is Kind.INVALID
-    assert verdict.reasons == ("the slew limit bound in 2 ticks",)
+    assert verdict.reasons == ("the slew limit acted in 2 ticks",)
 
 
 def test_saturation_at_impact_is_reported_and_forgiven() -> None:
@@ -345,7 +345,7 @@ def test_a_trial_without_samples_is_invalid_and_still_a_verdict(count: int) -> N
     verdict = judge(signals(REST[:count]), LIMITS)
     assert verdict.kind is Kind.INVALID
     assert verdict.ticks == count
-    assert verdict.reasons == (f"only {count} ticks of trial",)
+    assert verdict.reasons == (f"only {count} ticks in the trial",)
     json.dumps(plain(verdict), allow_nan=False)
 
 
