@@ -24,11 +24,11 @@ class Contradiction(IntEnum):
     """What cannot be, and the words for it."""
 
     NONE = 0, ""
-    RESTARTED = 1, "it counts its samples anew"
-    CLOCK = 2, "its clock and its sample index went different ways"
-    EDGE = 3, "it dates an edge of the encoder after the sample that has it"
-    MISSED = 4, "it counts more missed ticks than samples are missing"
-    COMMAND = 5, "it names an active command that was not sent, or was sent long before"
+    RESTARTED = 1, "its sample index started again"
+    CLOCK = 2, "its clock and its sample index disagree"
+    EDGE = 3, "the time of an encoder edge is after the sample that contains it"
+    MISSED = 4, "its count of missed ticks is larger than the number of missing samples"
+    COMMAND = 5, "its active command was never sent, or was sent long before"
 
     text: str
 

@@ -60,8 +60,8 @@ def update_of(number: int, block: bytes, values: Sequence[float]) -> bytes:
     """
     if len(block) > BLOCK_BYTES or VALUES_AT + 8 * len(values) > MOST_BYTES:
         raise ConfigError(
-            f"{len(block) // ENTRY_BYTES} parameters on the device and {len(values)} on the host do not fit a "
-            "running loop",
+            f"{len(block) // ENTRY_BYTES} parameters on the device and {len(values)} on the host are "
+            "too many for a running loop",
             remedy="use a law with fewer parameters",
         )
     head = _HEAD.pack(number, len(block)) + block.ljust(BLOCK_BYTES, b"\0")

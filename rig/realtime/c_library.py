@@ -104,7 +104,7 @@ class CLibrary:
         except (OSError, AttributeError) as error:
             raise ConfigError(
                 f"the {self.name} library {path} does not open: {error}",
-                remedy="remove it: it is built again",
+                remedy="remove this file; it is then built again",
             ) from error
 
     def key(self, command: list[str]) -> str:
@@ -131,7 +131,7 @@ class CLibrary:
         except (OSError, subprocess.TimeoutExpired) as error:
             raise ConfigError(f"the C compiler {command[0]} does not run: {error}", remedy=remedy) from error
         if done.returncode != 0:
-            said = "\n".join((done.stderr or done.stdout).strip().splitlines()[:_SHOWN_LINES])
+            output = "\n".join((done.stderr or done.stdout).strip().splitlines()[:_SHOWN_LINES])
             raise ConfigError(
-                f"the C compiler {command[0]} failed on the {self.name}:\n{said}", remedy=remedy
+                f"the C compiler {command[0]} failed on the {self.name}:\n{output}", remedy=remedy
             )

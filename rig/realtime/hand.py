@@ -99,7 +99,8 @@ class SharedHand:
                 return cls._mapped(file.fileno(), path)
         except OSError as error:
             raise ConfigError(
-                f"{path}: cannot be made: {error.strerror}", remedy="name a file in a directory of your own"
+                f"{path}: cannot be created: {error.strerror}",
+                remedy="give a file in a directory that you may write",
             ) from None
 
     @classmethod
@@ -110,7 +111,8 @@ class SharedHand:
             descriptor = os.open(path, os.O_RDWR | _NO_WAIT)
         except OSError as error:
             raise ConfigError(
-                f"{path}: no hand there: {error.strerror}", remedy="whoever moves it makes the file first"
+                f"{path}: cannot open the file of a driven hand: {error.strerror}",
+                remedy="start the program that moves the hand first: it creates the file",
             ) from None
         try:
             return cls._mapped(descriptor, path)
@@ -127,9 +129,7 @@ class SharedHand:
                 memory.close()
         except (OSError, ValueError):  # a directory, a pipe
             pass
-        raise ConfigError(
-            f"{path} is not the file of a driven hand", remedy="give it a name that nothing else has"
-        )
+        raise ConfigError(f"{path} is not the file of a driven hand", remedy="give another file name")
 
     def move(self, position: float, press: float) -> None:
         """Say where the hand wants to be (rad or m, at the link), and how hard it presses into the wall (N).
@@ -137,7 +137,10 @@ class SharedHand:
         Raises `ConfigError` for what is no number.
         """
         if not (math.isfinite(position) and math.isfinite(press)):
-            raise ConfigError(f"a hand at {position} with {press} N", remedy="give finite numbers")
+            raise ConfigError(
+                f"the hand's position {position} or press {press} N is not finite",
+                remedy="give finite numbers",
+            )
         last = self.read()
         sequence = (0 if last is None else last.sequence) + 1
         self._memory[len(MAGIC) : WISH_END] = _packed(Wish(sequence, position, press))

@@ -171,7 +171,7 @@ def set_bytes(values: ArrayLike) -> bytes:
     numbers = np.ascontiguousarray(values, dtype=np.float64).reshape(-1)
     if len(numbers) > SET_FLOATS:
         raise ConfigError(
-            f"{len(numbers)} parameters for a running loop, which takes {SET_FLOATS}",
+            f"{len(numbers)} parameters for a running loop; it accepts at most {SET_FLOATS}",
             remedy="use a law with fewer parameters",
         )
     if np.isnan(numbers).any():
@@ -251,7 +251,7 @@ def _lock(descriptor: int) -> None:
     while not locks.lock(descriptor):
         if time.monotonic() > deadline:
             raise RigError(
-                "another process holds the parameters of this loop and does not let go",
+                "another process holds the lock of this loop's parameters and does not release it",
                 remedy="end the other `rig set`, and try again",
             )
         time.sleep(0.001)

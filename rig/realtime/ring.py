@@ -141,7 +141,7 @@ class Ring:
             raise
         if ring.peek(VERSION) == 0:
             ring.close()
-            raise RigError(f"{path} is still being made", remedy="try again")
+            raise RigError(f"{path} is still being created", remedy="try again")
         return ring
 
     @property

@@ -191,7 +191,7 @@ def the_loop(pid: int | None = None) -> RunningLoop:
         return loops[0]
     if loops:
         names = ", ".join(str(loop.pid) for loop in loops)
-        raise ConfigError(f"{len(loops)} loops run: {names}", remedy="name one by its `pid`")
+        raise ConfigError(f"{len(loops)} loops run: {names}", remedy="choose one by its `pid`")
     if pid is not None:
         raise _not_here(pid)
     raise ConfigError("no loop runs in real time on this computer", remedy="start one: rig hit --realtime")
@@ -251,8 +251,8 @@ def _not_here(pid: int) -> ConfigError:
     try:
         if not place.may_look(pid):
             return ConfigError(
-                f"process {pid} is not yours to look into",
-                remedy=f"say it as its owner, or: sudo rig stop {pid}",
+                f"process {pid} belongs to another user",
+                remedy=f"run the command as its owner, or: sudo rig stop {pid}",
             )
     except ProcessLookupError:
         return ConfigError(f"there is no process {pid}", remedy="rig stop --list shows what runs")

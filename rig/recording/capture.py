@@ -180,7 +180,7 @@ def _opened(path: Path) -> Iterator[mmap.mmap]:
     with plain_errors("read", path), open_regular(path) as file:
         if not file.read(1):
             raise RecordingError(
-                f"{path} is empty", remedy="its writer ended before it wrote anything; record again"
+                f"{path} is empty", remedy="record again: the writing process ended before it wrote anything"
             )
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             yield data

@@ -102,7 +102,7 @@ def read_counts(
     rows = np.flatnonzero(known)
     if len(rows) < FEWEST:
         raise RecordingError(
-            f"{path} has {len(rows)} samples, and {FEWEST} are needed", remedy="check the columns' names"
+            f"{path} has {len(rows)} samples; at least {FEWEST} are needed", remedy="check the columns' names"
         )
     if seconds is None:
         assert period_s is not None
@@ -117,7 +117,7 @@ def read_counts(
         whole = unwrapped(whole_numbers(exact, COUNTS), width, elapsed)
     except ConfigError as error:
         raise RecordingError(
-            f"{path}: {error.message} (rows without a count left out)", remedy=error.remedy
+            f"{path}: {error.message} (rows without a count are skipped)", remedy=error.remedy
         ) from error
     facts = {
         "file": path.name,
@@ -144,7 +144,7 @@ def refuse_counts(recording: Recording) -> None:
     """Raise `RecordingError` for a recording that has no rig, law and wall."""
     if (facts := counts_facts(recording)) is not None:
         raise RecordingError(
-            f"the recording has counts of {facts['file']} alone, no rig and no wall",
+            f"the recording has only counts of {facts['file']}, without a rig and a wall",
             remedy="use it with `rig show`, `rig recording export`, `rig estimators compare` and `rig estimators tune`",
         )
 
@@ -192,17 +192,24 @@ class SampleGrid:
 
 def _check(resolution: float, time: object, time_unit: str, period_s: float | None) -> None:
     if not (math.isfinite(resolution) and resolution != 0.0):
-        raise ConfigError(f"resolution = {resolution!r} is not the travel of a count", remedy="give rad or m")
+        raise ConfigError(
+            f"resolution = {resolution!r} is not a travel per count: it must be finite and not 0",
+            remedy="give rad or m per count",
+        )
     if time_unit not in UNITS_S:
         raise ConfigError(
             f"time_unit = {time_unit!r} is not a unit of time", remedy=f"choose {', '.join(UNITS_S)}"
         )
     if (time is None) == (period_s is None):
         raise ConfigError(
-            "one of time and period_s is needed", remedy="name the column of times, or give s between rows"
+            "exactly one of time and period_s must be given",
+            remedy="name the column of times, or give s between rows",
         )
     if period_s is not None and not (math.isfinite(period_s) and period_s > 0.0):
-        raise ConfigError(f"period_s = {period_s!r} is not a sampling period", remedy="give seconds above 0")
+        raise ConfigError(
+            f"period_s = {period_s!r} is not a sampling period: it must be above 0 and finite",
+            remedy="give seconds above 0",
+        )
 
 
 def _read(path: Path, wanted: list[str | int], delimiter: str | None) -> list[Any]:
@@ -252,13 +259,14 @@ def _number_of(path: Path, wanted: str | int, names: list[str], columns: int) ->
         if 0 <= wanted < columns:
             return wanted
         raise RecordingError(
-            f"{path} has {columns} columns, no number {wanted}", remedy=f"choose 0 to {columns - 1}"
+            f"{path} has {columns} columns; there is no column number {wanted}",
+            remedy=f"choose 0 to {columns - 1}",
         )
     if names.count(wanted) == 1:
         return names.index(wanted)
     if wanted in names:
         raise RecordingError(
-            f"{path} has several columns {wanted!r}", remedy="give the number of one, from 0"
+            f"{path} has several columns {wanted!r}", remedy="give the number of one of them, counted from 0"
         )
     if not names:
         raise RecordingError(
@@ -304,9 +312,9 @@ def _grid(path: Path, time_s: Floats, rows: Ints) -> SampleGrid:
     if len(back):
         at = int(back[0])
         raise RecordingError(
-            f"{path}: time does not rise in {len(back)} rows, first in data row {rows[at + 1]}: {time_s[at + 1]:.9g} s "
-            f"after {time_s[at]:.9g} s (from the first sample)",
-            remedy="sort the rows; if the stamps are too coarse for the rate, leave time out and give period_s",
+            f"{path}: time does not increase in {len(back)} rows, first in data row {rows[at + 1]}: "
+            f"{time_s[at + 1]:.9g} s after {time_s[at]:.9g} s (from the first sample)",
+            remedy="sort the rows; if the time stamps are too coarse for the rate, omit time and give period_s",
         )
     middle = float(np.median(intervals))
     period_s = float(np.mean(intervals[np.abs(intervals - middle) <= 0.5 * middle]))
@@ -321,7 +329,8 @@ def _grid(path: Path, time_s: Floats, rows: Ints) -> SampleGrid:
             f"{path}: the times are irregular: {len(wrong)} of {len(intervals)} intervals are not a whole number of "
             f"periods of {period_s:.6g} s within {WORST_DEVIATION:.0%} of a period, first before data row "
             f"{rows[at + 1]}: {intervals[at]:.6g} s, {intervals[at] / period_s:.3f} periods",
-            remedy="sample by a steady clock; if only the stamps are irregular, leave time out and give period_s",
+            remedy="sample with a steady clock; if only the time stamps are irregular, omit time and "
+            "give period_s",
         )
     index = np.concatenate(([0], np.cumsum(periods))).astype(np.int64)
     return SampleGrid(index, period_s, float(deviation.max()), float(np.sqrt(np.mean(np.square(deviation)))))

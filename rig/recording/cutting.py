@@ -63,7 +63,7 @@ def cut(
     if missing:
         raise RecordingError(
             f"{missing} ticks are lost between {first_s:.6g} and {last_s:.6g} s",
-            remedy="cut before or after them",
+            remedy="cut before or after the lost ticks",
         )
     header, trailer = recording.header, recording.trailer or {}
     begins = {} if first else header["initial_state"]

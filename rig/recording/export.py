@@ -53,7 +53,9 @@ def export(
     path = Path(path)
     name = format or path.suffix.removeprefix(".").lower()
     if name not in EXPORTERS:
-        raise RecordingError(f"no exporter for {name!r}", remedy=f"the formats are {', '.join(EXPORTERS)}")
+        raise RecordingError(
+            f"unknown export format {name!r}", remedy=f"the formats are {', '.join(EXPORTERS)}"
+        )
     if not isinstance(recording, Recording):
         recording = open_recording(recording)
     if name == "csv":

@@ -35,8 +35,8 @@ _REMEDIES = {
 
 def disk_error(doing: str, path: Path, number: int, reason: str | None = None) -> RecordingError:
     """Error for a refusal of the operating system, or for the reason of `rig.core.regular_file`, with its remedy."""
-    said = reason or os.strerror(number)
-    return RecordingError(f"cannot {doing} {path}: {said}", remedy=_REMEDIES.get(number, ""))
+    cause = reason or os.strerror(number)
+    return RecordingError(f"cannot {doing} {path}: {cause}", remedy=_REMEDIES.get(number, ""))
 
 
 def sha256_of(path: Path) -> str:

@@ -51,9 +51,7 @@ def ledger_of(recording: Recording) -> Ledger:
         The clock of the trailer is invalid.
     """
     if not len(recording):
-        raise RecordingError(
-            "the recording has no rows", remedy="record again: its loop never received a sample"
-        )
+        raise RecordingError("the recording has no rows", remedy="record again: the loop received no sample")
     loop = str((recording.header.get("extra") or {}).get("loop", "host"))
     return ledger(recording.rows, clock_of(recording), period_ns_of(recording), loop)
 

@@ -120,9 +120,9 @@ def check_line_end(path: Path, line: bytes) -> None:
     """Raise `RecordingError` when a line is damaged by nothing but CR LF in place of its line end."""
     if line.endswith(b"\r\n") and object_of(line[:-2] + b"\n") is not None:
         raise RecordingError(
-            f"{path}: its lines end with CR LF instead of LF, so their checksums do not match; an editor, git or a "
-            "transfer has changed them, and nothing else",
-            remedy=f"change them back, sed -i 's/\\r$//' {quote(str(path))}, and copy it as binary (git: -text)",
+            f"{path}: its lines end with CR LF instead of LF, so their checksums do not match; only "
+            "the line ends have changed (by an editor, git or a transfer)",
+            remedy=f"restore them, sed -i 's/\\r$//' {quote(str(path))}, and copy it as binary (git: -text)",
         )
 
 

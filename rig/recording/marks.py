@@ -95,7 +95,7 @@ def with_sync_edges(recording: Recording) -> Recording:
     try:
         edges = sync_edges(recording)
     except RigError as error:
-        _log.warning("%s: no edges of the sync input: %s", recording.path, error)
+        _log.warning("%s: the edges of the sync input cannot be dated: %s", recording.path, error)
         return recording
     listed = [{key: value for key, value in plain(edge).items() if key != "name"} for edge in edges]
     return replace(recording, trailer={**trailer, EDGES_KEY: lossless(listed)})

@@ -133,7 +133,10 @@ def _opened(path: Path) -> Iterator[Any]:
 def _metadata(path: Path, schema: Any) -> dict[bytes, bytes]:
     metadata: dict[bytes, bytes] = schema.metadata or {}
     if not any(key in metadata for key in KEYS):
-        raise RecordingError(f"{path} is not a recording", remedy="it is Parquet that another program wrote")
+        raise RecordingError(
+            f"{path} is not a recording",
+            remedy="the file is Parquet written by another program; give one written by haptic-rig",
+        )
     return metadata
 
 

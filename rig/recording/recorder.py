@@ -278,7 +278,7 @@ class Recorder:
         if self._thread.is_alive():  # it still uses the descriptor: leave it open
             raise RecordingError(
                 f"{self.path}: the disk did not accept the last rows within {timeout_s:g} s",
-                remedy="check the disk in the system's log; the rows written before are in the file",
+                remedy="check the system's log for errors of the disk; the earlier rows are in the file",
             )
         counts = {"rows": self.rows, "blocks": self._blocks}
         counts |= {"ticks": self._ring.get(TICKS), "dropped": self._ring.get(DROPPED)}

@@ -71,7 +71,8 @@ def seal(
     assert capture is not None
     if capture.suffix == SEALED_SUFFIX:  # it would be compared with itself, and removed
         raise RecordingError(
-            f"{capture} is not a capture: it has the name of a sealed recording", remedy="name a .rigcap"
+            f"{capture} is not a capture: its name is that of a sealed recording",
+            remedy="give a .rigcap file",
         )
     names = recording.names
     sealed = recording if truth is None else with_truth(recording, truth)

@@ -98,7 +98,7 @@ def misfit(value: Any, shape: Any, name: str) -> str:
     else:
         fits = isinstance(value, shape)
     if not fits:
-        return f"{name} has a value that no recording has there"
+        return f"{name} has a value that is not valid there"
     return next(filter(None, (misfit(*one) for one in inside)), "")
 
 

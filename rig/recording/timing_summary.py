@@ -119,25 +119,26 @@ class TimingSummary(TimingFacts):
 
     def _count_rows(self) -> list[Row]:
         counts = [(text, self.counts[name]) for name, text in COUNTED.items()]
-        counts.append(("samples that the law did not see", self.passed_over))
+        counts.append(("samples that the law did not use", self.passed_over))
         if self.loop == "host":
-            counts.append(("commands never seen active", self.never_active))
-            counts.append(("commands sent at the end, unanswered", self.unanswered))
+            counts.append(("commands never reported as active", self.never_active))
+            counts.append(("commands sent at the end, without a report", self.unanswered))
         return [Row(text, "not recorded" if count is None else count) for text, count in counts]
 
     def _clock_rows(self) -> list[Row]:
         if self.clock is None or self.clock_sd_ns is None:
             text = (
-                "no clock exchanges are recorded (a run cut off keeps none): sampled and applied are unknown"
+                "no clock exchanges are recorded (an interrupted run stores none): the times sampled "
+                "and applied are unknown"
             )
             return [Row("none", text)]
         rows = [*self.clock.rows(), Row("sampled, applied", f"± {duration(self.clock_sd_ns)} at worst")]
         if self.within_tick:
-            text = "commands arrived within the tick in which they were sent: taken as applied at once"
+            text = "commands arrived within the tick in which they were sent; counted as applied at once"
             rows.append(Row("", f"{self.within_tick} {text}"))
         out = self.stages["transport_out"]
         if out is not None and out.negative:
-            text = "commands seem applied before they were sent: the device ran behind its own clock"
+            text = "commands appear applied before they were sent: the device was late by its own clock"
             rows.append(Row("", f"{out.negative} {text}"))
         return rows
 

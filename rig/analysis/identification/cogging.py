@@ -174,8 +174,8 @@ def pairs_of(
     ways = [_points(time_s, effort, position, sweep, wave, inertia, damping) for sweep in sweeps]
     if len(ways) < 4 or min(len(x) for x, _ in ways) == 0:
         raise IdentificationError(
-            "fewer than two pairs of sweeps moved",
-            remedy="see that nothing holds the handle, and allow more effort",
+            "the handle moved in fewer than two pairs of sweeps",
+            remedy="keep everything off the handle, and allow more effort",
         )
     return list(zip(ways[::2], ways[1::2], strict=True))
 
@@ -186,7 +186,8 @@ def common_range(pairs: Sequence[Pair], period: float) -> tuple[float, float]:
     low, high = max(float(x.min()) for x in ways), min(float(x.max()) for x in ways)
     if high - low < LEAST_PERIODS * period:
         raise IdentificationError(
-            f"the sweeps cover {high - low:.4g} of a period of {period:.4g}: its harmonics cannot be told apart",
+            f"the sweeps cover {high - low:.4g} of a period of {period:.4g}, which is too little to "
+            "separate its harmonics",
             remedy="widen the window of positions, or give rig.cogging.period if it is shorter",
         )
     return low, high

@@ -98,7 +98,10 @@ def find_band(lines_hz: Floats, found: Floats) -> Band:
             end = later
 
     def why(place: int) -> str:
-        return f"coherence {smooth[place]:.2f} at {lines_hz[place]:.4g} Hz, {LEAST_COHERENCE:g} is the least"
+        return (
+            f"coherence {smooth[place]:.2f} at {lines_hz[place]:.4g} Hz, at least {LEAST_COHERENCE:g} "
+            "is needed"
+        )
 
     return Band(
         first=first,
@@ -120,7 +123,8 @@ def check_excited(runs: Sequence[ExcitedRun], resolution: float) -> tuple[Band, 
     """
     if len(runs) < 2:
         raise IdentificationError(
-            "one realisation has no coherence and no interval", remedy="use two or more, six are usual"
+            "coherence and confidence interval cannot be computed from one realisation",
+            remedy="use two or more realisations; six are usual",
         )
     for run in runs:
         _check_size(run, resolution)
@@ -129,11 +133,11 @@ def check_excited(runs: Sequence[ExcitedRun], resolution: float) -> tuple[Band, 
     if band.lines < LEAST_LINES:
         coherent = int(np.sum(found >= LEAST_COHERENCE))
         raise IdentificationError(
-            f"the motion does not follow the excitation: {coherent} of {len(found)} lines have a coherence of "
-            f"{LEAST_COHERENCE:g} or more (the median line {np.median(found):.2f}), and {LEAST_LINES} neighbours that "
-            "have it are the least",
-            remedy="keep hands off the handle, allow more effort (rig.limits.effort) or speed (rig.limits.speed), or "
-            "use an encoder of more counts",
+            f"the motion does not follow the excitation: {coherent} of {len(found)} lines have a "
+            f"coherence of {LEAST_COHERENCE:g} or more (median {np.median(found):.2f}); at least "
+            f"{LEAST_LINES} neighbouring lines are needed",
+            remedy="keep hands off the handle, allow more effort (rig.limits.effort) or speed "
+            "(rig.limits.speed), or use an encoder with more counts",
         )
     for run in runs:
         _check_drift(run, band)
@@ -144,9 +148,10 @@ def check_explained(unexplained: float) -> None:
     """Refuse a fit that leaves too much of the motion (share, rms) unexplained."""
     if not unexplained <= LARGEST_UNEXPLAINED:
         raise IdentificationError(
-            f"the model leaves {100 * unexplained:.0f} % of the motion unexplained, "
-            f"{100 * LARGEST_UNEXPLAINED:.0f} % is the most",
-            remedy="look for a second mode, backlash or a loose part: no shorter band is explained either",
+            f"the model leaves {100 * unexplained:.0f} % of the motion unexplained; at most "
+            f"{100 * LARGEST_UNEXPLAINED:.0f} % are allowed",
+            remedy="check for a second mode, backlash or a loose part: the model does not fit a "
+            "narrower band either",
         )
 
 
@@ -154,9 +159,10 @@ def _check_size(run: ExcitedRun, resolution: float) -> None:
     rms = float(run.level_position().std())
     if rms < LEAST_MOTION_COUNTS * resolution:
         raise IdentificationError(
-            f"the handle moved {rms / resolution:.1f} counts rms, {LEAST_MOTION_COUNTS:g} are the least",
-            remedy="increase the excitation, or use an encoder of more counts; else friction holds the handle, or the "
-            "motor is not connected",
+            f"the handle moved {rms / resolution:.1f} counts rms; at least {LEAST_MOTION_COUNTS:g} "
+            "are needed",
+            remedy="increase the excitation, or use an encoder with more counts; if this does not help, "
+            "friction holds the handle, or the motor is not connected",
         )
 
 
@@ -173,7 +179,7 @@ def _check_drift(run: ExcitedRun, band: Band) -> None:
     change = period_change(run, band.chosen)
     if change > MOST_DRIFT:
         raise IdentificationError(
-            f"the motion at the median line changes by {100 * change:.0f} % from one period to the next, "
-            f"{100 * MOST_DRIFT:.0f} % is the most",
+            f"the motion at the median line changes by {100 * change:.0f} % from one period to the "
+            f"next; at most {100 * MOST_DRIFT:.0f} % are allowed",
             remedy="keep hands off the handle, and allow more effort (rig.limits.effort)",
         )

@@ -99,8 +99,8 @@ def fit_ripple(free: Sequence[Pair], loaded: Sequence[Pair], *, period: float, m
     load = from_scatter(float(each[:, -1].mean()), each[:, -1])
     if not abs(load.value) > load.ci95:
         raise IdentificationError(
-            f"the load was measured as {load.text()}: it is lost in the friction, and the ripple with it",
-            remedy="hang a larger mass, at a longer arm",
+            f"the load was measured as {load.text()}: it is masked by the friction, and so is the ripple",
+            remedy="hang a larger mass, or use a longer arm",
         )
     intervals = [from_scatter(float(column.mean()), column) for column in each.T]
     cosine, sine = intervals[:most_order], intervals[most_order:-1]

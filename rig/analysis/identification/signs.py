@@ -144,8 +144,8 @@ def stiction_warning(breakaway: float, sliding: float) -> str | None:
     if not breakaway > STICKS * sliding:
         return None
     return (
-        f"stiction: it takes {breakaway:.3g} to get away and {sliding:.3g} to keep sliding; Coulomb friction alone "
-        "would take the same"
+        f"stiction: breaking away needs {breakaway:.3g} and sliding needs {sliding:.3g}; with Coulomb "
+        "friction alone both would be equal"
     )
 
 
@@ -238,26 +238,29 @@ def _warnings(pushes: list[Push], moved: list[Push], sign: int, scale: float) ->
     found: list[str] = []
     if not moved:
         most = max((push.breakaway for push in pushes), default=0.0)
-        found.append(f"nothing moved, up to {most:.3g}: is the motor connected, is the handle blocked?")
-    elif sign == 0:
-        found.append("some pushes moved the handle along, some against: is somebody holding it?")
-    elif len(moved) < len(pushes):
-        found.append(f"{len(pushes) - len(moved)} of {len(pushes)} pushes moved nothing")
-    if sign == -1:
         found.append(
-            "a positive effort lowers the position: encoder or motor are connected the other way round"
+            f"the handle did not move, up to {most:.3g}: check that the motor is connected and the "
+            "handle is free"
         )
+    elif sign == 0:
+        found.append(
+            "some pushes moved the handle in their direction, some against it: take all hands off the handle"
+        )
+    elif len(moved) < len(pushes):
+        found.append(f"{len(pushes) - len(moved)} of {len(pushes)} pushes did not move the handle")
+    if sign == -1:
+        found.append("a positive effort lowers the position: encoder or motor are connected in reverse")
     if math.isfinite(scale) and not 1.0 / SAME_SCALE <= scale <= SAME_SCALE:
         found.append(
-            f"the handle answers like {scale:.2g} times the inertia described: check the torque constant, the ratio "
-            "and the decoding of the encoder"
+            f"the response to pushes shows {scale:.2g} times the described inertia: check the torque "
+            "constant, the ratio and the decoding of the encoder"
         )
     turned = [push.inertia for push in moved if push.after_reversal and math.isfinite(push.inertia)]
     going_on = [push.inertia for push in moved[1:] if not push.after_reversal and math.isfinite(push.inertia)]
     if turned and going_on and max(turned) < LOOSE * min(going_on):
         found.append(
-            f"backlash: right after a reversal the motor moves {_median(turned) / _median(going_on):.2g} times the "
-            "inertia that it moves when it goes on"
+            "backlash: right after a reversal the apparent inertia is "
+            f"{_median(turned) / _median(going_on):.2g} times that of motion in one direction"
         )
     return found
 

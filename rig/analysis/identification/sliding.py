@@ -119,10 +119,10 @@ def fit_sliding(
     rising = velocity > 0.0
     if rising.sum() < 2 or (~rising).sum() < 2 or len(np.unique(np.round(velocity, 12))) < 3:
         raise IdentificationError(
-            f"{int(rising.sum())} pieces slid up and {int((~rising).sum())} down at the speed that was asked for, two "
-            "each way are the least, at two speeds",
-            remedy="see that nothing holds it; a wider window of positions makes the strokes longer, and a higher "
-            "`rate` their servo stiffer",
+            f"{int(rising.sum())} pieces slid up and {int((~rising).sum())} down at the requested "
+            "speed; at least two in each direction are needed, at two speeds",
+            remedy="keep everything off the handle; a wider window of positions makes the strokes "
+            "longer, and a higher `rate` makes their servo stiffer",
         )
     matrix = np.column_stack([rising, -(~rising).astype(np.float64), velocity])
     solution = np.linalg.lstsq(matrix, level, rcond=None)[0]
@@ -149,7 +149,8 @@ def fit_sliding(
     if fit.scatter > LARGEST_SCATTER * largest:
         raise IdentificationError(
             f"the effort of sliding scatters by {fit.scatter:.3g} about a line of up to {largest:.3g}",
-            remedy="slide more slowly, so that the servo follows; see the picture for a part that catches",
+            remedy="slide more slowly, so that the servo follows; the picture shows positions at which "
+            "a part catches",
         )
     return fit
 

@@ -242,7 +242,7 @@ def same_lines(runs: Sequence[ExcitedRun]) -> ExcitedRun:
     """Return the first of runs that have rate, period and lines in common; `ConfigError` if they have not."""
     if not runs:
         raise ConfigError(
-            "there are no runs to estimate an impedance from", remedy="excite the rig at least once"
+            "no runs are given, so an impedance cannot be estimated", remedy="excite the rig at least once"
         )
     first = runs[0]
     for run in runs[1:]:
@@ -252,7 +252,7 @@ def same_lines(runs: Sequence[ExcitedRun]) -> ExcitedRun:
             or not np.array_equal(run.bins, first.bins)
         ):
             raise ConfigError(
-                "runs of different rate, period or lines",
-                remedy="estimate an impedance from each kind by itself",
+                "the runs have different rates, periods or lines",
+                remedy="estimate an impedance from each kind of run separately",
             )
     return first

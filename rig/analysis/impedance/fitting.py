@@ -91,7 +91,8 @@ def fit(
     names = tuple(dict.fromkeys(terms))
     if not names or set(names) - {"inertia", "damping", "stiffness"}:
         raise ConfigError(
-            f"terms {', '.join(names) or 'none'}", remedy="choose among inertia, damping and stiffness"
+            f"the terms to fit are {', '.join(names) or 'none'}",
+            remedy="choose among inertia, damping and stiffness",
         )
     part = impedance.within(band)
     z = part.z - _at(part, impedance, subtract)
@@ -99,7 +100,7 @@ def fit(
     sound = np.isfinite(z) & np.isfinite(weights)
     if 2 * int(sound.sum()) < len(names):
         raise ConfigError(
-            f"{int(sound.sum())} lines for {len(names)} numbers",
+            f"only {int(sound.sum())} lines are usable to fit {len(names)} numbers",
             remedy="measure more lines, or widen the band",
         )
     s: Complexes = np.asarray(2j * np.pi * part.lines_hz[sound], dtype=np.complex128)
@@ -134,7 +135,8 @@ def _at(part: Impedance, whole: Impedance, subtract: Complexes | RigidRig | None
     values = np.asarray(subtract, dtype=np.complex128)
     if values.shape != whole.z.shape:
         raise ConfigError(
-            f"{values.size} values to subtract from {len(whole.z)} lines", remedy="give one for each line"
+            f"{values.size} values to subtract from {len(whole.z)} lines",
+            remedy="give one value for each line",
         )
     return values[np.searchsorted(whole.lines_hz, part.lines_hz)]
 

@@ -72,8 +72,8 @@ class ExcitedRun:
             channel = getattr(self, name)
             if channel.shape != (samples,):
                 raise ConfigError(
-                    f"{name} has shape {channel.shape}, {self.periods} periods of {self.period_samples} samples are "
-                    f"{samples}",
+                    f"{name} has shape {channel.shape}; {self.periods} periods of "
+                    f"{self.period_samples} samples need {samples}",
                     remedy="cut the record to whole periods",
                 )
             if not np.isfinite(channel).all():

@@ -104,7 +104,9 @@ def welch(
     spectra = [_Spectra.of(run, settings) for run in runs]
     grid = spectra[0].frequency
     if any(len(one.frequency) != len(grid) for one in spectra):
-        raise ConfigError("runs of different length", remedy="give transform_samples, or runs of one length")
+        raise ConfigError(
+            "the runs have different lengths", remedy="give transform_samples, or runs of one length"
+        )
     low, high = float(first.lines_hz[0]), float(first.lines_hz[-1])
     inside = (grid >= low * (1.0 - 1e-9)) & (grid <= high * (1.0 + 1e-9))
     if not inside.any():

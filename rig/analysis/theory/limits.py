@@ -203,7 +203,7 @@ def _lowest_stiffness(lifted: Lifted) -> float:
 def _dampings(given: Sequence[float] | Vector) -> Vector:
     b = np.asarray(given, float).ravel()
     if not np.isfinite(b).all():
-        raise ConfigError("a damping is not finite", remedy="give dampings as numbers")
+        raise ConfigError("a damping is not a finite number", remedy="give finite dampings")
     return b
 
 

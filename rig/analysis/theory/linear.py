@@ -99,11 +99,11 @@ def realise(
     """
     found = _watched(estimators.get(name), tuple(settings.items()), period_s, resolution)
     if isinstance(found, str):
-        said = ", ".join(f"{key} = {value}" for key, value in settings.items())
+        settings_text = ", ".join(f"{key} = {value}" for key, value in settings.items())
         raise NotLinearError(
-            f"estimator {name}{f' ({said})' if said else ''} is not linear: {found}",
+            f"estimator {name}{f' ({settings_text})' if settings_text else ''} is not linear: {found}",
             reason=found,
-            remedy="linear theory takes fdm, fdm-butterworth, kalman without fading, and whatever else is linear; "
+            remedy="use a linear estimator, such as fdm, fdm-butterworth or kalman without fading; "
             "simulate the others",
         )
     return found
@@ -162,13 +162,13 @@ def _settled_response(probe: _Probe) -> tuple[int, Vector]:
 def _nonlinearity(probe: _Probe, rest: int, h: Vector) -> str:
     """Why h is not the whole truth about the estimator; empty for a linear one."""
     if not np.isfinite(h).all() or not h.any():
-        return "it answers an impulse with nothing or with what is no number"
+        return "its response to an impulse is zero or not a number"
     length = len(h)
     others = (
-        (rest, 1, 0, "a single count and a large impulse are answered differently"),
-        (rest, -IMPULSE // 3, 0, "impulses of different size are answered differently"),
-        (rest, IMPULSE, PLACE, "the place of an impulse matters"),
-        (rest + LATER, IMPULSE, 0, "the time of an impulse matters"),
+        (rest, 1, 0, "the response to a single count differs from that to a large impulse"),
+        (rest, -IMPULSE // 3, 0, "the response is not proportional to the size of an impulse"),
+        (rest, IMPULSE, PLACE, "the response depends on the position of an impulse"),
+        (rest + LATER, IMPULSE, 0, "the response depends on the time of an impulse"),
     )
     for at, size, place, reason in others:
         if not _near(h, probe.impulse(rest=at, length=length, size=size, place=place), SAME):
@@ -176,7 +176,7 @@ def _nonlinearity(probe: _Probe, rest: int, h: Vector) -> str:
     motion = _wandering(min(length, WANDERING))
     after = probe.motion(np.concatenate([np.zeros(rest, np.int64), motion]))[rest:]
     if not _near(np.convolve(motion, h)[: len(motion)], after, SAME):
-        return "the answer to a motion is not the sum of its answers to the parts of it"
+        return "the response to a motion is not the sum of the responses to its parts"
     return ""
 
 
@@ -231,7 +231,7 @@ def _realised(name: str, h: Vector, period_s: float) -> Realisation:
             break
     if best is None or best.error > ACCEPTED:
         raise ConfigError(
-            f"estimator {name}: its answer to an impulse is that of no small state space",
+            f"estimator {name}: its impulse response cannot be realised by a small state space",
             remedy="choose a higher cut-off or a lower order; or simulate",
         )
     return best

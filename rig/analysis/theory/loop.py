@@ -220,7 +220,7 @@ def _hand(operator: str | Operator | None, model: RigModel) -> Operator | None:
         return None
     if operator not in GRIPS:
         raise ConfigError(
-            f"there is no grip {operator!r}", remedy=f"choose one of: {', '.join((NO_OPERATOR, *GRIPS))}"
+            f"unknown grip {operator!r}", remedy=f"choose one of: {', '.join((NO_OPERATOR, *GRIPS))}"
         )
     return GRIPS[operator]
 
@@ -230,11 +230,14 @@ def _controller(subject: Subject, scheme: Scheme | None) -> Controller:
         experiment = subject.experiment
         return (experiment if scheme is None else scheme.applied(experiment)).controller
     if scheme is None:
-        raise ConfigError("a rig without an experiment has no scheme", remedy="give one, like dual:20k/2k")
+        raise ConfigError(
+            "a rig without an experiment has no scheme of its own, and none is given",
+            remedy="give a scheme, like dual:20k/2k",
+        )
     if scheme.position_rate % scheme.velocity_rate:
         raise ConfigError(
             f"scheme {scheme.text}: {scheme.position_rate} Hz is not a multiple of {scheme.velocity_rate} Hz",
-            remedy="choose rates that divide",
+            remedy="choose a position rate that is a multiple of the velocity rate",
         )
     estimator = scheme.estimator or "fdm-butterworth"
     return Controller(
@@ -254,7 +257,7 @@ def _check_fixed_rates(controller: Controller) -> None:
         raise NotLinearError(
             f"a velocity rate of {slow} Hz below {controller.slow_below:g} rad/s or m/s is not linear",
             reason=f"its velocity rate is {slow} Hz below {controller.slow_below:g} rad/s or m/s",
-            remedy=f"ask for both rates by themselves: {controller.velocity_rate} and {slow} Hz; or simulate",
+            remedy=f"analyse the two rates separately: {controller.velocity_rate} and {slow} Hz; or simulate",
         )
 
 

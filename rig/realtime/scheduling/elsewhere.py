@@ -45,7 +45,7 @@ def obtained(host: RealtimeRequest, *, virtual: bool = False) -> Iterator[Realti
     """
     if host.realtime == "enforce" and not virtual:
         raise RealtimeError(
-            'host.realtime = "enforce", and only Linux schedules in real time',
-            remedy='set host.realtime = "try": the board that runs the law keeps the time',
+            'host.realtime = "enforce" needs Linux: this system has no real-time scheduling',
+            remedy='set host.realtime = "try": with the law on the board, the board\'s timer sets the timing',
         )
     yield Realtime(host, virtual=virtual)

@@ -120,10 +120,10 @@ def of_idle(number: int, root: Path = ROOT) -> Check | None:
         if not idle_driver(root):
             return None
         return _refused(
-            IDLE, "idle processors sleep deeply: there is no /dev/cpu_dma_latency here (a container?)"
+            IDLE, "idle processors sleep deeply: /dev/cpu_dma_latency does not exist (in a container?)"
         )
     return _refused(
         IDLE,
-        f"idle processors sleep deeply: /dev/cpu_dma_latency does not open ({os.strerror(number)})",
+        f"idle processors sleep deeply: /dev/cpu_dma_latency cannot be opened ({os.strerror(number)})",
         LOG_IN_AGAIN + RULES_COMMAND,
     )

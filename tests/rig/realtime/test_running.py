@@ -99,7 +99,7 @@ def test_the_only_loop_needs_no_name_and_of_several_one_must_be_named(
         both = mine(one.pid, two.pid)
         for loops, said in (
             ([], "no loop runs in real time"),
-            (both, rf"2 loops run: {both[0].pid}, {both[1].pid}; name one by its `pid`"),
+            (both, rf"2 loops run: {both[0].pid}, {both[1].pid}; choose one by its `pid`"),
         ):
             monkeypatch.setattr(running, "running", lambda loops=loops: loops)
             with pytest.raises(ConfigError, match=said):
@@ -128,7 +128,8 @@ print([loop.pid for loop in running.running()])
             [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
         )
         assert done.stdout.splitlines() == [
-            f"process {os.getpid()} is not yours to look into; say it as its owner, or: sudo rig stop {os.getpid()}",
+            f"process {os.getpid()} belongs to another user; run the command as its owner, or: "
+            f"sudo rig stop {os.getpid()}",
             "[]",
         ], done.stderr
         assert ring.get(control_words.STOP) == 0
@@ -150,7 +151,7 @@ sys.exit(rig.cli.run(["stop"]))
                 [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
             )
             assert done.returncode == 0
-            assert f"process {other.pid} may run one too" in done.stderr
+            assert f"process {other.pid} may run a loop too" in done.stderr
             assert other.pid not in running.hidden()  # root sees all
         finally:
             other.kill()

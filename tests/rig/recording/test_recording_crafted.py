@@ -161,4 +161,4 @@ def test_a_whole_number_of_a_range_fits_it(value: Any) -> None:
 
 @pytest.mark.parametrize("value", [0, 10**15, 1e-300, 2.5, math.inf, math.nan, "20000", None])
 def test_nothing_else_does_and_nobody_walks_through_the_range_to_find_that(value: Any) -> None:
-    assert misfit(value, range(1, 10**15), "rate") == "rate has a value that no recording has there"
+    assert misfit(value, range(1, 10**15), "rate") == "rate has a value that is not valid there"

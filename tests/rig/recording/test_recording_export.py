@@ -149,7 +149,7 @@ def test_the_format_may_differ_from_the_suffix(tmp_path: Path, recording: Record
 
 def test_impossible_exports_are_one_clear_line(tmp_path: Path, recording: Recording) -> None:
     with pytest.raises(
-        RecordingError, match=r"no exporter for 'xlsx'; the formats are csv, xy, parquet, mat, mcap"
+        RecordingError, match=r"unknown export format 'xlsx'; the formats are csv, xy, parquet, mat, mcap"
     ):
         export(recording, tmp_path / "trial.xlsx")
     with pytest.raises(RecordingError, match="make the directory first"):
