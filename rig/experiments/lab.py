@@ -112,8 +112,9 @@ def hit(
     repeats = changes.get("trial.repeats", loaded.trial.repeats)
     if repeats != 1:
         raise ConfigError(
-            f"trial.repeats = {repeats!r}, and this gives one result",
-            remedy="say repeats=1, and call it in a loop; for several hits of one device, give it as device",
+            f"trial.repeats = {repeats!r}: this function returns a single result, so it must be 1",
+            remedy="give repeats=1, and call it in a loop; for several hits of one device, pass the "
+            "open device",
         )
     law, estimator = _own(given, changes)
     own = {one.name: given[one.name] for one in fields(HitRequest) if one.name in given}
@@ -418,8 +419,9 @@ def _own(options: Mapping[str, Any], changes: dict[str, Any]) -> tuple[Law | Non
     for part, kind, decorator in ((law, Law, "law"), (estimator, Estimator | str, "estimator")):
         if part is not None and not isinstance(part, kind):
             raise ConfigError(
-                f"{decorator}: {type(part).__name__} is none",
-                remedy=f"give a name, or a function under @rig.{decorator}(…)",
+                f"{decorator} must be a name or a part made by @rig.{decorator}(…), and is a "
+                f"{type(part).__name__}",
+                remedy=f"give a name, or a function decorated by @rig.{decorator}(…)",
             )
     return law, None if isinstance(estimator, str) else estimator
 
@@ -450,7 +452,8 @@ def _refuse_what_is_not_installed(law: Law | None, estimator: Estimator | None) 
             known = False
         if part is not None and not known:
             raise ConfigError(
-                f"{part.name} is known to this program alone: no other process can run it, and no later one resume it",
+                f"{part.name} is defined in this program only: other processes cannot run it, and a "
+                "later program cannot resume it",
                 remedy=f'install it in a package with the entry point {part.name} in the group "{group}", or leave '
                 "out scheduler and directory",
             )

@@ -103,7 +103,10 @@ def impedance(
     if url is None:
         return measuring.measure_impedance(loaded, signal=signal, **shared)
     if signal != "count":
-        raise ConfigError(f"signal = {signal!r}: a device records counts", remedy='say signal="count"')
+        raise ConfigError(
+            f"signal = {signal!r} cannot be used with a device, which records counts only",
+            remedy='say signal="count"',
+        )
     device = OnDevice(
         url=url,
         recordings=output,

@@ -178,9 +178,10 @@ class _Draft:
 
     def text(self) -> str:
         lines = [
-            f"# {self.name}, made by rig experiment new. Values are at the hand, in SI units. Where each is from:",
+            f"# {self.name}, made by rig experiment new. Values are at the hand, in SI units. The "
+            "source of each:",
             "# [data sheet]  as given",
-            "# [computed]    from what was given",
+            "# [computed]    from the given values",
             "# [assumed]     not known: rig identify measures it",
             "# [chosen]      for a first hit",
         ]
@@ -261,7 +262,7 @@ def _describe(draft: _Draft, a: DataSheets) -> None:
 
 def _masses(draft: _Draft, a: DataSheets, ratio: float) -> float:
     """Set the masses that move, and return their sum at the hand."""
-    draft.set("[assumed] nothing gives between motor and hand", {"rig.mechanics.structure": "rigid"})
+    draft.set("[assumed] no elasticity between motor and hand", {"rig.mechanics.structure": "rigid"})
     if a["mechanism"] == "linear-motor":
         draft.set(
             "[data sheet] all that slides",
@@ -303,12 +304,13 @@ def _peak_current(a: DataSheets) -> tuple[float, str]:
     peak = a.get("peak_current")
     if peak is not None and peak > most:
         raise ConfigError(
-            f"peak_current = {peak:g} A is more than {profile.name} gives",
+            f"peak_current = {peak:g} A is above the maximum of {profile.name}",
             remedy=f"give at most {most:g} A, and set it in the amplifier",
         )
     if profile.drive == "voltage" and not {"winding_resistance", "supply_voltage"} <= a.keys():
         raise ConfigError(
-            f"{profile.name} closes no current loop: winding_resistance and supply_voltage decide its current",
+            f"{profile.name} has no current loop, so winding_resistance and supply_voltage, which "
+            "determine its current, must be given",
             remedy="give both",
         )
     limit, source = (
@@ -421,9 +423,9 @@ def _prepare_hit(draft: _Draft) -> None:
     least = LEAST_FRICTIONS * friction + 2.0 * quantum
     if least > nominal:
         raise PlanError(
-            f"the motor gives {nominal:.3g} {draft.unit('trial.effort')} continuously at the hand, and it takes "
-            f"{least:.3g} to push against friction of {friction:.3g}",
-            remedy="take a larger motor or ratio, or less friction",
+            f"the motor gives {nominal:.3g} {draft.unit('trial.effort')} continuously at the hand; at "
+            f"least {least:.3g} are needed to push against friction of {friction:.3g}",
+            remedy="choose a larger motor or ratio, or reduce the friction",
         )
     push = min(max(PUSH_SHARE * nominal, PUSH_FRICTIONS * friction), nominal)
     push = max(push, least)
@@ -479,7 +481,7 @@ def _provisional(draft: _Draft, push: float) -> Experiment:
     nominal_force = keys["rig.limits.nominal_effort"] / radius
     draft.set("[chosen]", {"rig.limits.speed": _digits(LIMIT_M_S / radius)})
     draft.set(
-        "[chosen] above any step between two ticks: it binds only when something is wrong",
+        "[chosen] above any step between two ticks: it acts only when something is wrong",
         {
             "rig.limits.slew": _digits(
                 2.0 * keys["rig.limits.effort"] * keys["controller.position_rate"], math.ceil
@@ -513,7 +515,9 @@ def _suit_encoder(draft: _Draft, x: Experiment) -> None:
     """Filter the velocity of a coarse encoder more, whose counts are steps of it, and judge no single count."""
     toggles = TOGGLING_COUNTS * x.rig.encoder.resolution * x.rig.mechanics.handle_radius
     if toggles > x.verdict.moved:
-        draft.set("[computed] one and a half counts: less is not measured", {"verdict.moved": toggles})
+        draft.set(
+            "[computed] one and a half counts: smaller motion cannot be measured", {"verdict.moved": toggles}
+        )
     stiffness = motor_push(x) / (REST_COUNTS * x.rig.encoder.resolution)
     wall_hz = math.sqrt(stiffness / homing.inertia(x)) / (2.0 * math.pi)
     wanted = _digits(max(CUTOFF_OVER_WALL * wall_hz, LEAST_CUTOFF_HZ))

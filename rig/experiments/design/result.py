@@ -209,7 +209,7 @@ class Design(Shown, Drawn):
             for left in (margin.worst, *margin.alone[:most])
         ]
         wall = f"K {'≥' if margin.capped else '='} {margin.stiffness:.4g} at B = {margin.damping:.3g}"
-        caption = f"what is left of {wall}: in the worst sample, then one change at a time"
+        caption = f"remaining margin of {wall}: in the worst sample, then with one change at a time"
         return Table(("change", "left", "by linear theory"), rows, caption)
 
     def as_mapping(self) -> dict[str, Any]:
@@ -281,7 +281,7 @@ class Design(Shown, Drawn):
 
     def _held_out_text(self) -> str:
         if self.held_out is None:
-            return "the experiment's own scheme is the one"
+            return "the experiment's own scheme is the recommended one"
         mean, low, high = self.held_out.interval
         shown = (
             "better"
@@ -306,10 +306,11 @@ class Design(Shown, Drawn):
         first = margin.spoils_first
         alone = f"{'≥ ' if first.capped else ''}{first.share:.0%}"
         if first.capped and first.theory is not None:
-            alone += f" ({first.theory:.0%} by linear theory: the push ends before a wall fails)"
+            alone += f" ({first.theory:.0%} by linear theory: the push is too weak to make a wall fail)"
         return (
-            f"at B = {margin.damping:.3g} {'≥ ' if margin.worst.capped else ''}{written(margin.secured, 3)} of "
-            f"{'≥ ' if margin.capped else ''}{written(margin.stiffness, 3)} "
-            f"{self._unit('stiffness')} are left on the worst of {margin.samples} rigs within 20 %, "
-            f"{margin.worst.change}; first spoilt by {first.change}, which alone leaves {alone}"
+            f"at B = {margin.damping:.3g} "
+            f"{'≥ ' if margin.worst.capped else ''}{written(margin.secured, 3)} of "
+            f"{'≥ ' if margin.capped else ''}{written(margin.stiffness, 3)} {self._unit('stiffness')} "
+            f"remain on the worst of {margin.samples} rigs within 20 %, {margin.worst.change}; most "
+            f"sensitive to {first.change}, which alone leaves {alone}"
         )

@@ -22,9 +22,9 @@ A scheme without a single stable wall is never recommended: where no scheme has 
 **As good as a paper's scheme** is one that reaches, to a rung of the search, the paper's scheme in K at B = 0, peak and
 range of B, each (`OF_A_PAPER`). On the rig of Chawda et al. it also reaches it in the four rows of their Table I
 (`OF_TABLE_ONE`): K-width to a rung, B-width to the column, the largest fidelity error (less is better) to `NEGLIGIBLE`,
-all three of the impedances that all realisations together give, and no more numbers to tune. That *none of the listed
-set is as good* is said only of all of it (`rig.experiments.design.whole`): every scheme but the paper's own is either
-measured whole, or missed a measure in a hit without which it cannot reach it.
+all three of the impedances that all realisations together give, and no more numbers to tune. *None of the listed set
+is as good* is stated only for the whole set (`rig.experiments.design.whole`): every scheme but the paper's own is
+either measured whole, or missed a measure in a hit without which it cannot reach it.
 
 **Margin** (`rig.experiments.design.margin`): at the damping of the wished wall, or else of the peak, the lowest limit
 of K on rigs with all identified parameters drawn together from ±20 %, in every hand, over the limit on the described
@@ -214,9 +214,9 @@ def refuse_unmet(wishes: Wishes, shares: Sequence[Mapping[str, float]]) -> None:
     binds = min(reached, key=lambda name: reached[name])
     among = "of those that fulfil the other wishes" if beside and len(shares[0]) > 1 else "of them"
     raise UnmetError(
-        f"none of {len(shares)} schemes fulfils the wishes: {wishes.asked(binds)} binds; the best {among} comes to "
-        f"{reached[binds]:.2g} of it",
-        remedy="ask for less of it, allow higher rates (`most_rate`), or list other schemes (`scheme`)",
+        f"none of {len(shares)} schemes fulfils the wishes: the limiting one is "
+        f"{wishes.asked(binds)}; the best {among} reaches {reached[binds]:.2g} of it",
+        remedy="relax this wish, allow higher rates (`most_rate`), or list other schemes (`scheme`)",
     )
 
 

@@ -188,8 +188,8 @@ class _Search:
         if best.measures.stiffness <= 0.0:
             lowest = search_for(x, schemes=[one.candidate.scheme for one in finalists]).lowest
             raise NoStableWallError(
-                f"none of {len(candidates)} schemes has a stable wall from K = {lowest:.4g} on that is neither "
-                "felt, heard nor moved and whose damping is rendered",
+                f"none of {len(candidates)} schemes has a stable wall at K = {lowest:.4g} or above "
+                "that is neither felt, heard nor moved and whose damping is rendered",
                 remedy="push harder (`effort`, `operator`), allow more (`felt`, `heard`, `moved`), or use a finer "
                 "encoder",
             )

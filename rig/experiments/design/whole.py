@@ -91,7 +91,7 @@ class PaperSchemes:
             schemes = tuple(map(Scheme.parse, PAPERS_SCHEMES))
             return cls(schemes=schemes, measures=(*OF_A_PAPER, *OF_TABLE_ONE))
         raise ConfigError(
-            f"{rig} is the rig of no paper (`paper`)",
+            f"{rig} is not the rig of a paper, so `paper` cannot be used",
             remedy=f"choose one of {', '.join((*KOUL, PAPERS_RIG))}, or leave it out",
         )
 

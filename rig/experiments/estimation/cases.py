@@ -188,13 +188,15 @@ def counts_case(
     true = real_numbers(velocity, "velocity", "rad/s or m/s")
     if true.shape != held.shape or not np.isfinite(true).all():
         raise ConfigError(
-            f"{len(held)} counts, but velocities of shape {true.shape}, {int(np.isfinite(true).sum())} of them finite",
-            remedy="give one finite number each",
+            f"{len(held)} counts, but the true velocities have shape {true.shape}, "
+            f"{int(np.isfinite(true).sum())} of them finite",
+            remedy="give one finite velocity for each count",
         )
     judged = time_s >= settle_s
     if not judged.any():
         raise ConfigError(
-            f"{len(held)} samples last {len(held) * dt:g} s, and {settle_s:g} s are left to settle",
+            f"{len(held)} samples last {len(held) * dt:g} s, not longer than the settling time of "
+            f"{settle_s:g} s",
             remedy="give more samples, or a shorter settle_s",
         )
     return Case(
@@ -253,8 +255,8 @@ def recording_case(recording: Recording, rate_hz: float | None = None, *, name: 
         )
     if len(recording) < FEWEST_SAMPLES:
         raise ConfigError(
-            f"the recording has {len(recording)} samples, and {FEWEST_SAMPLES} are needed",
-            remedy="choose another one",
+            f"the recording has {len(recording)} samples; at least {FEWEST_SAMPLES} are needed",
+            remedy="choose a longer recording",
         )
     index = recording.column("sample_index") - recording.column("sample_index")[0]
     period = index // divider
@@ -268,8 +270,9 @@ def recording_case(recording: Recording, rate_hz: float | None = None, *, name: 
         judged = judged & (time_s >= time_s[0] + REFERENCE_END_S) & (time_s <= time_s[-1] - REFERENCE_END_S)
     if not judged.any():
         raise ConfigError(
-            f"the recording has {time_s[-1]:.3g} s, and the ends of {REFERENCE_END_S:g} s are not judged",
-            remedy="choose a longer one",
+            f"the recording lasts {time_s[-1]:.3g} s, of which {REFERENCE_END_S:g} s at each end are "
+            "not judged",
+            remedy="choose a longer recording",
         )
     return Case(
         name=name,

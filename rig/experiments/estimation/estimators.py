@@ -51,7 +51,8 @@ class Variant:
             key, equals, value = part.partition("=")
             if not equals:
                 raise ConfigError(
-                    f"{text}: {part!r} has no value", remedy="write NAME:setting=value,setting=value"
+                    f"{text}: {part!r} has no value: expected setting=value",
+                    remedy="write NAME:setting=value,setting=value",
                 )
             try:
                 settings[key.strip()] = float(value)

@@ -103,7 +103,7 @@ class Tuning(Shown):
 
     def toml(self) -> str:
         """Fragment of an experiment's file: estimator and settings, with what they were tuned for."""
-        said = {each.setting: f"  # within 10 %: {shown_range(each)}" for each in self.ranges}
+        comments = {each.setting: f"  # within 10 %: {shown_range(each)}" for each in self.ranges}
         lines = [
             f"# Tuned for {self.objective} on {self.case} ({self.reference}) at {self.after.rate_hz:g} Hz,",
             f"# {self.after.resolution:g} a count: {self.objective_start:.4g} before, {self.objective_best:.4g} now.",
@@ -114,7 +114,7 @@ class Tuning(Shown):
         ]
         for name, value in self.settings.items():
             text = f'"{value}"' if isinstance(value, str) else f"{value!r}"
-            lines.append(f"{name} = {text}{said.get(name, '')}")
+            lines.append(f"{name} = {text}{comments.get(name, '')}")
         return "\n".join(lines) + "\n"
 
 
@@ -156,7 +156,7 @@ def tune_estimator(
     """
     if objective not in OBJECTIVES:
         raise ConfigError(
-            f"there is no objective {objective!r}", remedy=f"choose one of: {', '.join(OBJECTIVES)}"
+            f"unknown objective {objective!r}", remedy=f"choose one of: {', '.join(OBJECTIVES)}"
         )
     search = _TuningWalk(estimators.get(estimator), case, OBJECTIVES[objective], dict(settings or {}))
     search.open(free)
@@ -259,8 +259,8 @@ class _TuningWalk:
                 self.axes.append(axis)
         if not self.axes:
             raise ConfigError(
-                f"estimator {self.estimator.name} has nothing to tune here",
-                remedy="choose another estimator, or other choices of this one",
+                f"estimator {self.estimator.name} has no tunable setting here",
+                remedy="choose another estimator, or other settings of this one",
             )
 
     def begin(self, setting: Setting) -> float:

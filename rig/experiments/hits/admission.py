@@ -137,5 +137,5 @@ def _check_verified(request: HitRequest, device: FramedDevice) -> None:
     raise ConfigError(
         f"the polarity of motor and encoder of {device.dictionary.device} is not verified",
         remedy="check them with the power stage limited (push the handle: position must rise; a positive effort must "
-        "move it the same way), put the handle at position zero, and say `verified`: the count there becomes zero",
+        "move it the same way), put the handle at position zero, and give `verified`: the count there becomes 0",
     )

@@ -272,7 +272,8 @@ def compare(
     chosen = default_entries(experiment) if entries is None else tuple(entries)
     if not chosen or not offsets or not all(0.0 <= offset < 1.0 for offset in offsets):
         raise ConfigError(
-            "nothing to compare", remedy="name a scheme and offsets of the encoder from 0 to below 1 count"
+            "no scheme or no encoder offset is given",
+            remedy="give at least one scheme, and encoder offsets from 0 to below 1 count",
         )
     if experiment.trial.kind != "constant-effort":
         raise ConfigError(

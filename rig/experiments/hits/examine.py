@@ -134,7 +134,7 @@ class ExaminationRequest:
     realtime: Annotated[
         bool, Keyword("Examine a simulated rig, as a process behind a port.", group="Device")
     ] = False
-    seconds: Annotated[float, Ge(0.1), Le(600.0), Keyword("How long to measure.")] = SECONDS
+    seconds: Annotated[float, Ge(0.1), Le(600.0), Keyword("Time of the measurement.")] = SECONDS
 
 
 def examine(question: ExaminationRequest, on_progress: Progress = lambda what, share: None) -> Examination:
@@ -230,6 +230,6 @@ def _measured(
         return measure_link(device, seconds, rate, realtime=realtime, progress=progress)
 
 
-@question("real-time scheduling", 'host.realtime = "enforce" demands it: no run begins without')
+@question("real-time scheduling", 'required by host.realtime = "enforce": without it no run begins')
 def _not_scheduled(error: RealtimeError) -> Check:
     return answers.refused(error.message, error.remedy)

@@ -78,7 +78,7 @@ def identified_values(
     if not on_board:
         beside = x.rig.amplifier.set_point_ticks(1.0 / rate)  # counted by itself, at any rate
         ticks = max(0, dynamics.delay_ticks - beside)
-        whole = f"whole ticks at {rate} Hz; delay {dynamics.delay_s.text('s')} in all"
+        whole = f"whole ticks at {rate} Hz; total delay {dynamics.delay_s.text('s')}"
         found.put("rig.simulation.computation_delay_ticks", ticks, whole, "dynamics")
     if cogging is not None:
         _put_cogging(found, cogging, x.rig.cogging, ripple, unit("effort"))
@@ -96,7 +96,7 @@ def _put_cogging(
     orders = sorted({*map_.orders, *shares})
     efforts = _by_order(map_.orders, map_.cogging.cosine, map_.cogging.sine)
     cosine, sine = _columns(orders, efforts)
-    certain = f"certain, of those looked for; others have less than {map_.unseen:.2g} {effort}"
+    certain = f"significant harmonics among those searched; others have less than {map_.unseen:.2g} {effort}"
     for key, value, words in (
         ("period", map_.period, "as described, or a turn of the motor"),
         ("orders", orders, certain),

@@ -109,9 +109,9 @@ class IdentifyRequest(FreeRigRequest):
         handle.
     """
 
-    realisations: Annotated[int, Keyword("How many times the rig is excited, each with other phases.")] = 6
+    realisations: Annotated[int, Keyword("Number of excitations, each with other phases.")] = 6
     period_s: Annotated[float, Keyword("Period of the excitation (s).", names=("--period",))] = 0.5
-    seed: Annotated[int, Ge(0), Keyword("Of the phases of the excitation. [0]", group="Experiment")] = 0
+    seed: Annotated[int, Ge(0), Keyword("Seed of the phases of the excitation. [0]", group="Experiment")] = 0
     cogging: Annotated[
         int | None,
         Keyword(
@@ -129,14 +129,18 @@ class IdentifyRequest(FreeRigRequest):
     def __post_init__(self) -> None:
         if self.mass_kg is not None and self.cogging is None:
             raise ConfigError(
-                "a mass tells ripple in sweeps for cogging", remedy="give the highest harmonic, too"
+                "ripple is measured with a mass in the sweeps for cogging, which are not requested",
+                remedy="also give the highest harmonic of cogging",
             )
         for name, value in (("mass", self.mass_kg), ("arm", self.arm_m)):
             if value is not None and not (0.0 < value < math.inf):
-                raise ConfigError(f"the {name} is {value:g}", remedy="give one above zero, in kg or m")
+                raise ConfigError(
+                    f"the {name} is {value:g}, which must be above zero",
+                    remedy="give it in kg or m, above zero",
+                )
         if self.realisations < 2:
             raise ConfigError(
-                f"{self.realisations} realisation is too few for an interval",
+                f"{self.realisations} realisation is too few for a confidence interval",
                 remedy="use 2 or more; 6 are usual",
             )
         if self.cogging is not None and not 1 <= self.cogging <= MOST_ORDER:
@@ -146,7 +150,8 @@ class IdentifyRequest(FreeRigRequest):
             )
         if not 0.1 <= self.period_s <= 10.0:
             raise ConfigError(
-                f"the period of the excitation is {self.period_s:g} s", remedy="choose 0.1 to 10 s"
+                f"the period of the excitation is {self.period_s:g} s, outside of 0.1 to 10 s",
+                remedy="choose 0.1 to 10 s",
             )
 
 
@@ -235,7 +240,10 @@ def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None
     free = without_end_mass(request)
     url = request.url or "sim://"
     if request.mass_kg is not None and ask is None and not url.startswith("sim:"):
-        raise ConfigError("nobody is asked to hang the mass on the rig", remedy="give a function that asks")
+        raise ConfigError(
+            "a mass must be hung on the rig, but no function that asks for it is given",
+            remedy="give a function that asks the operator",
+        )
     with ExitStack() as stack:
         device = stack.enter_context(devices.open_device(url, config.rig_model(still(free))))
         refuse_unverified(device, verified=request.verified)
@@ -251,8 +259,8 @@ def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None
                 refuse(plan.checks)
             except PlanError as error:
                 if not device.link.clock.virtual and _stated_rate(request) is None:
-                    carried = f"computer and link carry {base.controller.position_rate} Hz now"
-                    error.remedy = f"{carried}: free the computer of other work; {error.remedy}"
+                    carried = f"computer and link now support {base.controller.position_rate} Hz"
+                    error.remedy = f"{carried}: end other programs on the computer; {error.remedy}"
                 raise
             refuse(link_checks(base, device.dictionary.position_rate_maximum, device.link.bytes_per_second))
             with plain_errors("make", output):
@@ -290,15 +298,19 @@ def _doubts(x: Experiment, found: Identification, drift: float, repeated: int) -
     """Say what of a result may be wrong by more than its interval, or is not known at all."""
     dynamics, damping = found.dynamics, found.sliding.damping
     if repeated:
-        yield f"{repeated} motions were measured again: lost or late samples had spoiled them"
+        yield f"{repeated} motions were measured again: they had lost or late samples"
     if drift > DOUBTFUL_DRIFT:
         yield (
-            f"the motion at the median line changed by {100 * drift:.0f} % from one period to the next, where "
-            f"{100 * DOUBTFUL_DRIFT:.0f} % are usual at most: see that nothing touches the handle, and identify again"
+            f"the motion at the median line changed by {100 * drift:.0f} % from one period to the "
+            f"next, where {100 * DOUBTFUL_DRIFT:.0f} % are usual at most: keep everything off the "
+            "handle, and identify again"
         )
     if damping.ci95 > damping.value:
         value = damping.text(_unit(x, "damping"))
-        yield f"the viscous damping, {value}, cannot be distinguished from zero: friction and counts hide it"
+        yield (
+            f"the viscous damping, {value}, cannot be distinguished from zero: it is masked by "
+            "friction and by the encoder's resolution"
+        )
     elastic = dynamics.mode_above_hz is not None or x.rig.mechanics.structure == "two-mass"
     if dynamics.mode is None and elastic:
         yield (
@@ -578,12 +590,12 @@ def _stated_rate(request: IdentifyRequest) -> Any:
 def _check_signs(signs: SignCheck) -> None:
     if signs.sign != 1:
         raise IdentificationError(
-            "; ".join(signs.warnings) or "the pushes say nothing",
+            "; ".join(signs.warnings) or "the pushes give no result",
             remedy="turn rig.encoder.sign, or swap two wires; then identify again",
         )
     if not signs.ok:
         raise IdentificationError(
-            "; ".join(signs.warnings) or "the pushes tell no inertia",
+            "; ".join(signs.warnings) or "the pushes do not show the inertia",
             remedy="correct rig.amplifier.effort_per_ampere, rig.encoder or rig.mechanics; then identify again",
         )
 

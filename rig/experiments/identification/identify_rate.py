@@ -88,8 +88,8 @@ def judge_rate(x: Experiment, measurement: LinkMeasurement, rate_hz: int) -> Rat
     reasons = []
     if silence_s > LIFETIME_SHARE * lifetime_s:
         reasons.append(
-            f"the loop was silent for {1e3 * silence_s:.3g} ms (round trip {1e3 * late_s:.3g} ms in 99.9 % of all "
-            f"cases), allowed {1e3 * LIFETIME_SHARE * lifetime_s:.3g} ms: half of a command's lifetime"
+            f"the loop sent nothing for {1e3 * silence_s:.3g} ms (round trip {1e3 * late_s:.3g} ms in 99.9 % of all "
+            f"cases); allowed are {1e3 * LIFETIME_SHARE * lifetime_s:.3g} ms, half of a command's lifetime"
         )
     if pace.lost_share > LOST_MARGIN * MOST_LOST_SHARE:
         reasons.append(
@@ -110,11 +110,10 @@ def _refused(
         slower = (choice.rate_hz >> number for number in range(1, choice.rate_hz.bit_length()))
         slower = (rate for rate in slower if rate >= LEAST_RATE_HZ)
         carried = next((rate for rate in slower if not judge_rate(x, measurement, rate).reason), None)
-        carry = f"{carried} Hz" if carried else f"not even {LEAST_RATE_HZ} Hz"
+        carry = f"{carried} Hz" if carried else f"less than {LEAST_RATE_HZ} Hz"
         remedy = (
-            "free the computer of other work, or grant real-time scheduling (`rig doctor` says how): computer and link "
-            f"carry {carry} now, and an identification needs {SLOWEST_HZ} Hz or more"
+            "end other programs on the computer, or grant real-time scheduling (`rig doctor` shows "
+            f"how): computer and link now support {carry}, and an identification needs {SLOWEST_HZ} "
+            "Hz or more"
         )
-    return PlanError(
-        f"an identification at {choice.rate_hz} Hz would not end: {choice.reason}", remedy=remedy
-    )
+    return PlanError(f"an identification at {choice.rate_hz} Hz would fail: {choice.reason}", remedy=remedy)

@@ -58,8 +58,8 @@ class DisagreementPlan:
         ):
             if value != linear:
                 raise PlanError(
-                    f"wall.{key} = {value!r}: linear theory has nothing to say about it",
-                    remedy=f"compare a wall with wall.{key} = {linear!r}",
+                    f"wall.{key} = {value!r} is not covered by linear theory",
+                    remedy=f"set wall.{key} = {linear!r}",
                 )
         check_values("dampings", self.map.dampings, "damping", rising=True)
         for scheme in self.map.schemes:
@@ -363,5 +363,5 @@ def _cells(part: CauseShare) -> list[str]:
 
 
 def _spoken(causes: Mapping[str, float]) -> str:
-    said = ", ".join(f"{cause} {_percent(share)}" for cause, share in causes.items())
-    return f": {said}" if said else ""
+    parts = ", ".join(f"{cause} {_percent(share)}" for cause, share in causes.items())
+    return f": {parts}" if parts else ""

@@ -75,7 +75,7 @@ class Judging:
     band_hz: Annotated[
         tuple[float, float] | None,
         Keyword(
-            "Lines that count for verdict and fidelity (Hz). [all]",
+            "Band of the lines used for verdict and fidelity (Hz). [all]",
             "", ("--judged-band",), _JUDGEMENT, "band", "LOW:HIGH",
         ),
     ] = None  # fmt: skip
@@ -83,7 +83,10 @@ class Judging:
         float,
         Ge(0.0),
         Le(10.0),
-        Keyword("Deviations by which a line's Re Z must be below zero to fail.", group=_JUDGEMENT),
+        Keyword(
+            "Number of standard deviations by which Re Z of a line must be below zero to fail.",
+            group=_JUDGEMENT,
+        ),
     ] = Z_SCORE
     residual_threshold: Annotated[
         float,
@@ -321,7 +324,7 @@ def measure_on_device(
     asked = [one for group in prepared(experiment, walls, schemes, excitation) for one in group]
     if any(one.excitation.channel != "motor" for one in asked):
         raise PlanError(
-            "a device has no second actuator that this program could drive",
+            'excitation.channel is not "motor": this program cannot drive a second actuator of a device',
             remedy='set excitation.channel = "motor"',
         )
     refuse_excitations(asked)
@@ -368,7 +371,8 @@ def prepared(
     for stiffness, damping in walls or ():
         if not (np.isfinite(stiffness) and np.isfinite(damping) and stiffness >= 0.0 and damping >= 0.0):
             raise ConfigError(
-                f"a wall of K = {stiffness:g}, B = {damping:g}", remedy="give numbers that are not negative"
+                f"the wall has K = {stiffness:g} and B = {damping:g}, which must be finite and not negative",
+                remedy="give finite numbers that are not negative",
             )
     return groups
 
@@ -448,7 +452,7 @@ def recorded_impedance(
     walls = {(Scheme.of(one).text, one.wall.stiffness, one.wall.damping) for one in experiments}
     if len(walls) != 1:
         raise ConfigError(
-            f"recordings of {len(walls)} walls, where those of one are needed",
+            f"the recordings are of {len(walls)} walls; recordings of a single wall are needed",
             remedy="give the recordings of one result of rig.impedance",
         )
     runs = [

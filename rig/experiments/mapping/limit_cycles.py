@@ -204,11 +204,11 @@ def _row(tally: Tally) -> Row:
         )
 
     parts = [said(tally.sinusoids, "sinusoids")] if tally.sinusoids.walls else []
-    parts += [said(tally.others, "that are no sinusoid")] if tally.others.walls else []
+    parts += [said(tally.others, "that are not sinusoidal")] if tally.others.walls else []
     parts += [said(tally.alone, "of these whose cycle is alone")] if tally.alone.walls else []
-    parts += [f"{tally.both_rest} rest, as friction can hold them"] if tally.both_rest else []
-    parts += [f"{tally.only_predicted} rest against the prediction"] if tally.only_predicted else []
-    parts += [f"{tally.only_simulated} cycle without a prediction"] if tally.only_simulated else []
+    parts += [f"{tally.both_rest} rest, as predicted (friction can hold them)"] if tally.both_rest else []
+    parts += [f"{tally.only_predicted} rest although a cycle is predicted"] if tally.only_predicted else []
+    parts += [f"{tally.only_simulated} cycle although none is predicted"] if tally.only_simulated else []
     return Row("with friction" if tally.friction else "without friction", "; ".join(parts))
 
 
@@ -231,7 +231,8 @@ def limit_cycles(
     for stiffness, damping in walls or ():
         if not (stiffness > 0.0 and damping >= 0.0):
             raise PlanError(
-                f"a wall of K = {stiffness:g} and B = {damping:g}",
+                f"the wall has K = {stiffness:g} and B = {damping:g}; K must be above zero, and B at "
+                "least zero",
                 remedy="choose a stiffness above zero and a damping of at least zero",
             )
     bare = replace(experiment, trial=replace(experiment.trial, kind="constant-effort"))

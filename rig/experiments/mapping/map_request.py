@@ -41,15 +41,17 @@ class MapRequest:
                 "and the uniform ones of its rates; at B = 0 uniform ones, 100 Hz to 50 kHz]",
                 "", ("--scheme",), "Experiment", "scheme", "SCHEME"),
     ] = ()  # fmt: skip
-    way: Annotated[Way, Keyword("How K is searched.", names=("--search",))] = "ladder"
-    ratio: Annotated[float, Keyword("Between two stiffnesses.")] = 1.06
+    way: Annotated[Way, Keyword("Method of the search for K.", names=("--search",))] = "ladder"
+    ratio: Annotated[float, Keyword("Ratio between two stiffnesses.")] = 1.06
     offsets: Annotated[
-        Text, Keyword("Places of zero in its encoder cell (count). [0.1,0.6; a device has one]")
+        Text, Keyword("Offsets of position zero within an encoder count (count). [0.1,0.6; on a device one]")
     ] = ""
-    repeats: Annotated[int, Ge(1), Le(10_000), Keyword("Of each series.", group="Experiment")] = 1
+    repeats: Annotated[int, Ge(1), Le(10_000), Keyword("Repeats of each series.", group="Experiment")] = 1
     judged: Annotated[
         Literal["true", "recorded"] | None,
-        Keyword("Whose signals decide: what a rig records, as for a single hit, or the simulation's truth. [recorded]",
+        Keyword(
+            "Signals that are judged: those that a rig records, or the true ones of the simulation. "
+            "[recorded]",
                 names=("--judge",)),
     ] = None  # fmt: skip
 

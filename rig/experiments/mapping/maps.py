@@ -195,14 +195,14 @@ def read_plan(directory: Path) -> tuple[MapPlan | FrequencyPlan, str]:
     with plain_errors("read", path):
         text = read_regular(path, TABLE_BYTES)
     try:
-        told = json.loads(text)
-        if told["version"] == VERSION:
-            kind = FrequencyPlan if told["work"].endswith(f":{run_column.__name__}") else MapPlan
-            return kind.from_mapping(told["plan"], str(path)), str(told["device"])
+        saved = json.loads(text)
+        if saved["version"] == VERSION:
+            kind = FrequencyPlan if saved["work"].endswith(f":{run_column.__name__}") else MapPlan
+            return kind.from_mapping(saved["plan"], str(path)), str(saved["device"])
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise RecordingError(f"{path} is damaged: {error!r}", remedy="run the map's command again") from None
     raise RecordingError(
-        f"{path} is of version {told['version']}, and this haptic-rig reads {VERSION}",
+        f"{path} is of version {saved['version']}, and this haptic-rig reads {VERSION}",
         remedy="read it with the version that wrote it",
     )
 

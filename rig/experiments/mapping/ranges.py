@@ -117,9 +117,10 @@ def search_for(
     possible = highest_stiffness(experiment)
     if highest is not None and highest > possible * (1.0 + 1e-9):
         raise PlanError(
-            f"a stiffness of {highest:g} (`stiffness`): in walls above {possible:.4g} the push rests less than "
-            f"{max(1.0, experiment.trial.minimum_rest_counts):g} counts deep",
-            remedy=f"at most {possible:.4g}; or push harder (`effort`, `operator` firm), or lower "
+            f"a stiffness of {highest:g} (`stiffness`) is too high: in walls above {possible:.4g} the "
+            f"push comes to rest less than {max(1.0, experiment.trial.minimum_rest_counts):g} counts "
+            "deep",
+            remedy=f"choose at most {possible:.4g}; or push harder (`effort`, `operator` firm), or lower "
             "trial.minimum_rest_counts: the handle may then leave the wall",
         )
     top = possible if highest is None else highest
@@ -139,7 +140,8 @@ def search_for(
         return StiffnessSearch(way=way, lowest=lowest, highest=top, ratio=ratio)
     except ValueError as error:
         raise PlanError(
-            f"{error} (`stiffness`, `ratio`)", remedy="choose bounds and a ratio that make some rungs"
+            f"{error} (`stiffness`, `ratio`)",
+            remedy="choose bounds and a ratio that give at least two stiffnesses",
         ) from None
 
 

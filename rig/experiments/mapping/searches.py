@@ -42,7 +42,7 @@ def check_values(
 ) -> None:
     """Refuse the values of an axis of a map: none, one of them twice, or numbers not within 0 ≤ value < below."""
     if not values:
-        raise PlanError(f"no {name} (`{option}`): nothing to map", remedy="give at least one")
+        raise PlanError(f"{name} (`{option}`): the list is empty", remedy="give at least one")
     twice = next((value for value, times in Counter(values).items() if times > 1), None)
     if twice is not None:
         raise PlanError(f"{name} (`{option}`): {twice} is given twice", remedy="give each once")
@@ -78,7 +78,9 @@ def bounds_of(text: str, name: str) -> tuple[float, float]:
     try:
         low, high = (float(part) for part in text.split(":"))
     except ValueError:
-        raise ConfigError(f"{name} {text}: no range", remedy="write it as LOW:HIGH, like 10:1000") from None
+        raise ConfigError(
+            f"{name} {text}: not a range", remedy="write it as LOW:HIGH, like 10:1000"
+        ) from None
     return low, high
 
 

@@ -126,22 +126,25 @@ def cooling_s(rms_effort: float, nominal_effort: float, duration_s: float) -> fl
 
 def _stopped(stop: BaseException, where: Next, journal: Path | None) -> StoppedError:
     """Say how far a session came; series are done in their order."""
-    said = stop.message if isinstance(stop, StoppedError) else "stopped; the effort is zero"
+    reason = stop.message if isinstance(stop, StoppedError) else "stopped; the effort is zero"
     kept = f"{where.series - 1} of {where.total} series are done" + (
-        f" and kept in {journal}" if journal else ""
+        f" and stored in {journal}" if journal else ""
     )
-    error = StoppedError(f"{said}; {kept}", remedy="the same command resumes from there" if journal else "")
+    error = StoppedError(f"{reason}; {kept}", remedy="the same command resumes from there" if journal else "")
     error.recording = getattr(stop, "recording", None)
     return error
 
 
 def _check(plan: MapPlan) -> None:
     if plan.judged != "recorded":
-        raise PlanError("a device records what it records, not the truth", remedy="say `judge` recorded")
+        raise PlanError(
+            "`judge` = true needs the true signals of a simulation; a device records only measured ones",
+            remedy="give `judge` = recorded",
+        )
     if len(plan.offsets) != 1:
         raise PlanError(
-            f"{len(plan.offsets)} encoder offsets: on a device zero lies where it lies",
-            remedy="give one offset; repeats take their place",
+            f"{len(plan.offsets)} encoder offsets are given: on a device the offset cannot be chosen",
+            remedy="give one offset, and use repeats instead",
         )
 
 
@@ -200,7 +203,7 @@ class _Hits:
         error = RigError(
             f"{ATTEMPTS} hits at K = {asked.stiffness:.4g}, B = {asked.damping:.4g} were invalid: "
             f"{'; '.join(reasons) or recorded.kind}; the effort is zero",
-            remedy="remove this cause; the same command resumes after the last whole series",
+            remedy="remove this cause; the same command resumes after the last complete series",
         )
         error.recording = left.path
         raise error

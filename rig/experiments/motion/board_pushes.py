@@ -126,8 +126,8 @@ def _at_rest(device: FramedDevice, x: Experiment, reference_count: int) -> float
 
 def _restless() -> IdentificationError:
     return IdentificationError(
-        "the handle does not rest, so that a push would show nothing",
-        remedy="see that nobody holds it and that nothing pulls it, then check again",
+        "the handle does not rest, so the result of a push would be meaningless",
+        remedy="take all hands off the handle and remove what pulls it, then check again",
     )
 
 

@@ -58,7 +58,7 @@ class FreeRigRequest(RigRequest):
     """Which rig is to move with a free handle, and where; the wall and the trial of it are not used."""
 
     verified: Annotated[
-        bool, Keyword("On a real rig: a push of the wrong sign can hurt nothing.", group="Device")
+        bool, Keyword("On a real rig: a push of the wrong sign cannot do harm.", group="Device")
     ] = False
 
 
@@ -68,8 +68,9 @@ def refuse_unverified(device: FramedDevice, *, verified: bool) -> None:
         return
     raise ConfigError(
         f"the polarity of motor and encoder of {device.dictionary.device} is not verified, so it does not arm",
-        remedy="see that nothing can be hurt by a push of the wrong sign, put the handle at position zero, and say "
-        "`verified`: the first pushes check the signs and end after a few counts whatever they are",
+        remedy="make sure that a push of the wrong sign cannot do harm, put the handle at position "
+        "zero, and give `verified`: the first pushes check the signs, and end after a few counts "
+        "in any case",
     )
 
 
@@ -79,8 +80,8 @@ def position_now(device: FramedDevice, x: Experiment, reference_count: int) -> f
     limits = x.rig.limits
     if not limits.position_minimum < at < limits.position_maximum:
         raise PlanError(
-            f"the handle stands at {at:.4g} {unit_of('position', x.rig.motion)}, outside of its window",
-            remedy="move it inside by hand",
+            f"the handle is at {at:.4g} {unit_of('position', x.rig.motion)}, outside of its window",
+            remedy="move it into the window by hand",
         )
     return at
 
@@ -153,7 +154,9 @@ def whole(recording: Recording, rows: NDArray[np.void]) -> NDArray[np.void]:
     report is late.
     """
     if len(rows) < 2:
-        raise TimingError(f"{recording.path}: {len(rows)} samples of the motion", remedy="measure it again")
+        raise TimingError(
+            f"{recording.path}: the motion has only {len(rows)} samples", remedy="measure it again"
+        )
     rate = int(recording.header["experiment"]["controller"]["position_rate"])
     apart = np.diff(rows["sample_index"])
     longest, lost = int(apart.max()) - 1, int((apart - 1).sum())
@@ -163,14 +166,14 @@ def whole(recording: Recording, rows: NDArray[np.void]) -> NDArray[np.void]:
         raise TimingError(
             f"{recording.path}: {100 * share:.2g} % of the samples are missing, up to {longest} in a row; allowed are "
             f"{100 * MOST_LOST_SHARE:g} % and {LONGEST_FILLED} in a row",
-            remedy=f"free the computer of other work, or choose `rate` {slower}, at which the longest gap is "
-            f"{math.floor(longest * slower / rate)} samples",
+            remedy=f"end other programs on the computer, or choose `rate` {slower}, at which the longest "
+            f"gap is {math.floor(longest * slower / rate)} samples",
         )
     late = float(np.mean((rows["flags"] & RowFlag.LATE) != 0))
     if late > LATE_SHARE and recording.header["extra"].get("loop") != "device":
         raise TimingError(
             f"{recording.path}: {100 * late:.1f} % of the ticks were late, allowed are {100 * LATE_SHARE:g} %",
-            remedy=f"free the computer of other work, or choose `rate` {rate // 2}",
+            remedy=f"end other programs on the computer, or choose `rate` {rate // 2}",
         )
     return _filled(rows) if lost else rows
 
@@ -254,10 +257,13 @@ def advice(silence_s: float, rate_hz: int) -> str:
     """What to do after a run that such a silence of the computer or the link spoiled, at a rate (Hz)."""
     bearing = bearing_rate(silence_s)
     if SLOWEST_HZ <= bearing < rate_hz:
-        return f"choose `rate` {bearing}: half of its commands' lifetime is the {1e3 * silence_s:.3g} ms of silence"
+        return (
+            f"choose `rate` {bearing}: half of its commands' lifetime covers the {1e3 * silence_s:.3g} ms "
+            "without a command"
+        )
     return (
-        f"free the computer of other work, or grant real-time scheduling (`rig doctor` says how): no rate from "
-        f"{SLOWEST_HZ} Hz up bears {1e3 * silence_s:.3g} ms of silence"
+        f"end other programs on the computer, or grant real-time scheduling (`rig doctor` shows how): no rate from "
+        f"{SLOWEST_HZ} Hz up tolerates {1e3 * silence_s:.3g} ms without a command"
     )
 
 

@@ -246,8 +246,8 @@ def judged(x: Experiment, signs: SignCheck) -> tuple[Check, ...]:
         _check(
             "motion",
             len(moved) == PUSHES,
-            f"{len(moved)} of {PUSHES} pushes of at most {most:.3g} {effort} moved the handle",
-            "see that nothing touches the handle, then check again; a contact of motor or encoder may be loose",
+            f"only {len(moved)} of {PUSHES} pushes of at most {most:.3g} {effort} moved the handle",
+            "keep everything off the handle, then check again; a contact of motor or encoder may be loose",
         ),
         _check(
             "direction",
@@ -257,16 +257,19 @@ def judged(x: Experiment, signs: SignCheck) -> tuple[Check, ...]:
             else "a positive effort lowers the position"
             if signs.sign == -1
             else "some pushes moved the handle along, some against",
-            "motor or encoder are connected the other way round: swap two wires, or turn rig.encoder.sign"
+            "motor or encoder are connected in reverse: swap two wires, or change the sign of "
+            "rig.encoder.sign"
             if signs.sign == -1
-            else "see that nobody holds the handle, then check again",
+            else "take all hands off the handle, then check again",
         ),
         _check(
             "size",
             len(sizes) > 0 and 1.0 / SAME_SCALE <= signs.scale <= SAME_SCALE,
-            f"the handle answers like {signs.scale:.2g} times the inertia described; up to {SAME_SCALE:g} is borne",
-            "check the torque constant, the ratio and the decoding of the encoder (a half or a quarter: it counts two "
-            "or four for one; twice: half of the effort), and that nobody holds the handle",
+            f"the response to pushes shows {signs.scale:.2g} times the described inertia; a factor of "
+            f"up to {SAME_SCALE:g} is accepted",
+            "check the torque constant, the ratio and the decoding of the encoder (a half or a "
+            "quarter: it counts two or four for one; twice: half of the effort), and that no hand "
+            "holds the handle",
         ),
         Check(
             "delay",
@@ -282,22 +285,25 @@ def _not_moved(x: Experiment, signs: SignCheck, most: float, coulomb: float, eff
     seen = max((push.seen for push in signs.pushes), default=0.0)
     text = f"nothing moved, up to {most:.3g} {effort}"
     if (hidden := observable_check(x)).outcome is not Outcome.OK:
-        bears = " if the rig bears it, or free the mechanism" if hidden.changes else ""
+        bears = " if the rig tolerates it, or free the mechanism" if hidden.changes else ""
         return _check("motion", False, f"not observed: {text}; {hidden.text}", f"{hidden.remedy}{bears}")
     if seen > 0.5 * x.rig.encoder.resolution:
         return _check(
             "motion",
             False,
-            f"the count goes to and fro by one, up to {most:.3g} {effort}: a channel of the encoder is dead",
+            f"the count alternates between two values, up to {most:.3g} {effort}: a channel of the "
+            "encoder is dead",
             "check both channels of the encoder and their wires",
         )
     times = f", {most / coulomb:.2g} times the described friction" if coulomb > 0.0 else ""
     return _check(
         "motion",
         False,
-        f"{text}{times}: the motor is dead, the encoder is dead, or the handle is blocked or rubs more than that",
-        "move the handle by hand: if the position follows (`rig device show URL`), check the motor's leads and the "
-        "amplifier's supply, or describe its friction (rig.mechanics.motor_coulomb); if not, the encoder's",
+        f"{text}{times}: the motor or the encoder is dead, or the handle is blocked or its friction "
+        "is larger than that",
+        "move the handle by hand: if the position follows (`rig device show URL`), check the motor's "
+        "leads and the amplifier's supply, or enter its friction (rig.mechanics.motor_coulomb); if "
+        "not, check the encoder's wires and supply",
     )
 
 

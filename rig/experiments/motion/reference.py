@@ -58,7 +58,7 @@ SAME_COUNTS = 2  # by which the distance of two indices may be wrong: each is la
 BOTH = 2.25  # distances that a travel must hold for a second index behind the switch
 FOLLOWS = 0.05  # of a way, by which the handle may end short of it
 LOOK_S, HAND_S = 0.02, 120.0
-BLOCKED = "see that nothing stands in the travel, a stop before the switch or a hand"
+BLOCKED = "remove obstacles from the travel, such as a stop before the switch, or a hand"
 
 Tell = Callable[[str], None]
 
@@ -67,7 +67,7 @@ Tell = Callable[[str], None]
 class ReferenceRequest(FreeRigRequest):
     """Which rig is to find its reference, and how; by hand nothing has to be verified."""
 
-    by_hand: Annotated[bool, Keyword("Somebody moves the handle; the motor stays off.")] = False
+    by_hand: Annotated[bool, Keyword("Move the handle by hand; the motor stays off.")] = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,11 +105,13 @@ class FoundReference:
     def rows(self) -> list[Row]:
         """Return it for people."""
         unit = unit_of("position", self.motion)
-        between = "not measured: the travel holds one" if self.index_counts is None else self.index_counts
+        between = (
+            "not measured: the travel contains one index" if self.index_counts is None else self.index_counts
+        )
         return [
             Row("position zero", self.reference_count, "count"),
             Row("index", self.index_count, "count"),
-            Row("to the next index", between, "" if self.index_counts is None else "count"),
+            Row("distance to the next index", between, "" if self.index_counts is None else "count"),
             *([] if self.switch_position is None else [Row("limit switch", self.switch_position, unit)]),
             Row("handle", self.position, unit),
             *(Row("recording", str(path)) for path in self.recordings),
@@ -235,7 +237,8 @@ class _IndexSearch:
         if self._reference.limit_switch == "none":
             raise ConfigError(
                 f"{x.rig.name} has no limit switch to move to (rig.reference.limit_switch)",
-                remedy="move the handle by hand: `by_hand`; the travel holds one index, which is then enough",
+                remedy="move the handle by hand: `by_hand`; this is enough, since the travel contains "
+                "one index",
             )
         refuse(link_checks(still(x), device.dictionary.position_rate_maximum, device.link.bytes_per_second))
         refuse_unverified(device, verified=self._verified)
@@ -269,7 +272,7 @@ class _IndexSearch:
         for _ in range(round(1.0 / LOOK_S)):
             if found := self._device.states(LOOK_S):
                 return found[-1]
-        raise IdentificationError("the device shows no STATE", remedy="update its firmware")
+        raise IdentificationError("the device sends no STATE", remedy="update its firmware")
 
     def _name(self, what: str) -> Path:
         return free_name(self._output, f"{self._x.rig.name}-reference-{what}")
@@ -306,8 +309,8 @@ class _IndexSearch:
 
     def _short(self, way: float) -> IdentificationError:
         return IdentificationError(
-            f"the handle ended {way:.3g} {unit_of('position', self._x.rig.motion)} short of its way",
-            remedy="see that nobody holds it, and that nothing stands in its travel; or raise homing.effort",
+            f"the handle stopped {way:.3g} {unit_of('position', self._x.rig.motion)} before its target",
+            remedy="take all hands off the handle and remove obstacles from its travel; or raise homing.effort",
         )
 
     def _seek(self) -> None:
@@ -322,10 +325,11 @@ class _IndexSearch:
             self.recordings.append(end.recording)
             return
         raise IdentificationError(
-            f"no limit switch within a travel of {self._travel:.4g} {unit_of('position', self._x.rig.motion)} towards "
-            f"the {self._reference.limit_switch}",
-            remedy="check rig.reference.limit_switch and travel, the board's setting of the switch, and that the "
-            "handle presses it; a stop before it, or a hand, holds the handle back as well",
+            f"no limit switch was found within a travel of {self._travel:.4g} "
+            f"{unit_of('position', self._x.rig.motion)} towards the {self._reference.limit_switch}",
+            remedy="check rig.reference.limit_switch and travel, the board's setting of the switch, and "
+            "that the handle presses it; a stop before it, or a hand, can hold the handle back "
+            "too",
         )
 
     def _leave(self) -> tuple[int, int]:
@@ -338,8 +342,8 @@ class _IndexSearch:
                 pressed = np.flatnonzero(rows["inputs"] & int(Input.LIMIT_SWITCH))
                 return int(rows["count"][pressed[-1] if len(pressed) else 0]), before
         raise IdentificationError(
-            "the limit switch stays pressed on the way from it",
-            remedy="its wire is broken, or it stands at the other end (rig.reference.limit_switch)",
+            "the limit switch still shows pressed after the handle moved away from it",
+            remedy="its wire is broken, or the switch is at the other end (rig.reference.limit_switch)",
         )
 
     # ------------------------------------------------------------------ by hand
@@ -370,9 +374,11 @@ class _IndexSearch:
                 second = self._one_more(before + 1)
                 self._check_distance(first, second)
                 return first, switch, abs(second - first)
+        missing = "the limit switch" if switched and switch is None else "an index"
         raise IdentificationError(
-            f"{'the limit switch' if switched and switch is None else 'an index'} was not seen within {HAND_S:g} s",
-            remedy="move the handle as told; else check the wires and the board's settings of index and limit switch",
+            f"{missing} was not seen within {HAND_S:g} s",
+            remedy="move the handle as the instruction says; if it was moved so, check the wires and "
+            "the board's settings of index and limit switch",
         )
 
     # ------------------------------------------------------------------ judging
@@ -384,11 +390,11 @@ class _IndexSearch:
         if passed == 1:
             return seen.index_count
         raise IdentificationError(
-            "no index came within the distance of two"
+            "no index was seen within twice the distance between two"
             if passed == 0
-            else f"{passed} indices came where one must be",
-            remedy="check the index's wire, the board's setting of it, and rig.encoder.counts_per_revolution; move on "
-            "without turning back"
+            else f"{passed} indices were seen where exactly one is expected",
+            remedy="check the index's wire, the board's setting of it, and "
+            "rig.encoder.counts_per_revolution; then move the handle without turning back"
             if passed == 0
             else "noise on the index's wire, or a wrong rig.encoder.counts_per_revolution or decoding",
         )
@@ -399,21 +405,22 @@ class _IndexSearch:
         if self._reference.limit_switch == "none":
             if way < 0:
                 raise IdentificationError(
-                    "the index was passed in the wrong direction", remedy="move the handle as told"
+                    "the index was passed in the wrong direction",
+                    remedy="move the handle as the instruction says",
                 )
             return
         if not NEAR * self._every <= way <= (1.0 - NEAR) * self._every:
             raise IdentificationError(
-                f"the index lies {way} counts from the limit switch, of {self._every} between two: on another day the "
-                "one before it or behind it may come first",
-                remedy="move the switch by about half of the way between two indices",
+                f"the index lies {way} counts from the limit switch, of {self._every} between two: at "
+                "another start the one before or after it may be seen first",
+                remedy="move the switch by about half of the distance between two indices",
             )
 
     def _check_distance(self, first: int, second: int) -> None:
         between = abs(second - first)
         if abs(between - self._every) > SAME_COUNTS:
             raise IdentificationError(
-                f"from one index to the next are {between} counts, and {self._every} are described",
+                f"the distance between two indices is {between} counts; described are {self._every}",
                 remedy="a pulse was lost or doubled by noise, or the encoder has lost counts; or correct "
                 "rig.encoder.counts_per_revolution, decoding or rig.reference.index_distance",
             )

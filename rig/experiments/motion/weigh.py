@@ -71,7 +71,10 @@ class WeighRequest(FreeRigRequest):
     def __post_init__(self) -> None:
         for name, value in (("mass", self.mass_kg), ("arm", self.arm_m), ("gravity", self.gravity)):
             if value is not None and not (0.0 < value < math.inf):
-                raise ConfigError(f"the {name} is {value:g}", remedy="give one above zero, in kg, m or m/s²")
+                raise ConfigError(
+                    f"the {name} is {value:g}, which must be above zero",
+                    remedy="give it in kg, m or m/s², above zero",
+                )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,7 +183,8 @@ def weigh(request: WeighRequest, ask: Ask) -> Weighing:
     if measured.low <= 0.0:
         effort = unit_of("effort", x.rig.motion)
         raise IdentificationError(
-            f"the weight of {weight:.3g} {effort} was measured as {measured.text(effort)}: it is lost in the friction",
+            f"the weight of {weight:.3g} {effort} was measured as {measured.text(effort)}: it is "
+            "masked by the friction",
             remedy="hang a larger mass, or slide more slowly (homing.speed)",
         )
     return Weighing(
@@ -204,13 +208,13 @@ def refuse_load(x: Experiment, weight: float) -> None:
     for bound, what, remedy in (
         (
             limits.nominal_effort,
-            "the motor bears for hours, rig.limits.nominal_effort",
-            "hang a smaller mass, or the same at a shorter arm",
+            "the motor can hold continuously (rig.limits.nominal_effort)",
+            "hang a smaller mass, or use a shorter arm",
         ),
         (
             STILL_SHARE * limits.effort,
-            "a device lets a still handle bear, a fifth of rig.limits.effort",
-            "hang a smaller mass, or raise rig.limits.effort while nobody holds the handle",
+            "a device allows while the handle does not move (a fifth of rig.limits.effort)",
+            "hang a smaller mass, or raise rig.limits.effort while no hand holds the handle",
         ),
     ):
         if needed > bound:
@@ -241,7 +245,7 @@ def hung(
         return stack.enter_context(devices.open_device(url, model))
     ask(
         f"hang {mass_kg:g} kg on it at {arm:g} m, and hold it near the middle of the travel; let go "
-        "when the motor bears it, and take it again at the end, when the motor lets go"
+        "when the motor holds it, and hold it again at the end, before the motor releases it"
     )
     return device
 

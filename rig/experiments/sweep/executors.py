@@ -71,7 +71,7 @@ def executor_for(scheduler: str | None, workers: int | None) -> Executor:
         return Threads(workers)
     if workers is not None:
         raise ConfigError(
-            "a scheduler decides on its workers itself",
+            "scheduler and workers are both given: a scheduler chooses its workers itself",
             remedy="give either a scheduler or a number of workers",
         )
     found: Executor = extras.load("executors", "dask")(scheduler)
@@ -106,7 +106,7 @@ def _plain(value: Any) -> Any:
         return dict(value)
     if hasattr(value, "tolist"):
         return value.tolist()
-    raise TypeError(f"JSON cannot hold a {type(value).__name__}")
+    raise TypeError(f"a {type(value).__name__} cannot be written as JSON")
 
 
 def _units(result: Any, name: str) -> int:
@@ -126,7 +126,7 @@ class Threads:
     def __init__(self, workers: int | None = None) -> None:
         """Start one thread for each core that this process may use, unless a number is given."""
         if workers is not None and workers < 1:
-            raise ConfigError(f"{workers} workers cannot do anything", remedy="give 1 or more")
+            raise ConfigError(f"workers = {workers} is out of range", remedy="give 1 or more")
         self._workers = workers or len(processors())
         self._waiting: queue.SimpleQueue[tuple[Future[Any], Callable[..., Any], Any] | None]
         self._waiting = queue.SimpleQueue()

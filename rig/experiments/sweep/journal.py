@@ -133,7 +133,7 @@ class Journal:
         if there is None or "sweep" not in there:
             raise RecordingError(
                 f"{self.path} is not the journal of a sweep, or its first line is damaged",
-                remedy="name another file, or remove this one to start anew",
+                remedy="name another file, or remove this one to start again",
             )
         _refuse_another(self.path, there, json.loads(json.dumps(header)))
         end = self._read_results(len(first), {key: index for index, key in enumerate(keys)})
@@ -184,12 +184,14 @@ def _refuse_another(path: Path, there: dict[str, Any], here: dict[str, Any]) -> 
     """Raise `ConfigError` that says what differs when a journal's header is not ours."""
     if (there["sweep"], there.get("plan")) == (here["sweep"], here["plan"]):
         return
-    said = [text for key in here if key != "plan" for text in _differences(there.get(key), here[key], key)]
-    said = said or ["a task after the first"]
-    more = ["…"] if len(said) > SHOWN_DIFFERENCES else []
+    differences = [
+        text for key in here if key != "plan" for text in _differences(there.get(key), here[key], key)
+    ]
+    differences = differences or ["a task after the first"]
+    more = ["…"] if len(differences) > SHOWN_DIFFERENCES else []
     raise ConfigError(
-        f"{path} belongs to another plan: {'; '.join(said[:SHOWN_DIFFERENCES] + more)}",
-        remedy="give the same options as then, name another journal, or remove this one to start anew",
+        f"{path} belongs to another plan: {'; '.join(differences[:SHOWN_DIFFERENCES] + more)}",
+        remedy="give the same options as before, name another journal, or remove this one to start again",
     )
 
 

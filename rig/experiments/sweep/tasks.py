@@ -166,7 +166,10 @@ def _open(tasks: Sequence[Task], journal: Path | None, name: str | None = None) 
     works = [task.work_name if name is None else name for task in tasks]
     local = next((work for work in works if name is None and "<" in work), None)
     if local is not None:
-        raise ValueError(f"{local} is not a function of a module: neither a journal nor a worker can name it")
+        raise ValueError(
+            f"{local} is not defined at the top level of a module, so a journal or a worker cannot "
+            "refer to it"
+        )
     work, code = ", ".join(dict.fromkeys(works)), code_version()
     digest = sha256(as_json([work, code]).encode())
     for task, of_task in zip(tasks, works, strict=True):
@@ -182,7 +185,7 @@ def _raise_what_ended(
     """Raise the error of a sweep that did not run to its end."""
     total, failure, interruption = len(tasks), coordinator.failure, coordinator.interruption
     so_far = f"{len(results)} of {total} tasks are done" + (
-        "" if journal is None else f" and kept in {journal}"
+        "" if journal is None else f" and stored in {journal}"
     )
     if failure is not None:
         index, why = failure

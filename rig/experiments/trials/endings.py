@@ -30,8 +30,8 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
     EndReason.STOPPED: (StoppedError, "stopped{stopper}; the effort is zero", ""),
     EndReason.HEARTBEAT_MISSED: (
         StoppedError,
-        "the supervising program fell silent, so the loop stopped; the effort is zero",
-        "look for what blocked it",
+        "the supervising program sent no heartbeat, so the loop stopped; the effort is zero",
+        "find what blocked the supervising program",
     ),
     EndReason.LINK_CLOSED: (
         LinkLostError,  # which one, `rig.devices.failures` says
@@ -40,50 +40,53 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
     ),
     EndReason.LINK_SILENT: (
         LinkLostError,
-        "the device at {url} fell silent during the run; it cuts the effort by itself",
-        "check cable, power and the load of this computer: rig doctor --url {url} measures both",
+        "no more data from the device at {url} during the run; the device cuts the effort by itself",
+        "check cable, power and the load of this computer: rig doctor --url {url} measures link and load",
     ),
     EndReason.LINK_DELAYED: (
         LinkLostError,
-        "the link to {url} held commands back for longer than they live; the effort went to zero",
-        "look for a hub, a cable or other traffic on the bus: rig doctor --url {url} measures the way there and back",
+        "the link to {url} delayed commands beyond their lifetime; the effort went to zero",
+        "check hub, cable and other traffic on the bus: rig doctor --url {url} measures the round trip",
     ),
     EndReason.DEVICE_FAULT: (DeviceFaultError, "device fault: {fault}", "{fault_remedy}"),
     EndReason.DEVICE_CONTRADICTS: (
         DeviceFaultError,
-        "the device at {url} contradicts itself: {contradiction}; the effort went to zero",
+        "the device at {url} sends contradictory data: {contradiction}; the effort went to zero",
         "restart the device; if it happens again, check its power supply and update its firmware",
     ),
     EndReason.DEVICE_RESTARTED: (
         DeviceFaultError,
-        "the device at {url} restarted during the run: position zero is not where it was; the effort is zero",
+        "the device at {url} restarted during the run, so its position zero has changed; the effort is zero",
         "check its power supply and cables, put the handle at position zero, and start again",
     ),
     EndReason.NONFINITE: (
         LawError,
-        "the law gave a value that is not finite; the effort went to zero",
+        "the law returned a value that is not finite; the effort went to zero",
         "check the law, the estimator and their parameters",
     ),
     EndReason.LAW_RAISED: (
         LawError,
         "the law raised {cause}; the effort went to zero",
-        "correct the law: a kernel must not raise",
+        "correct the law: it must not raise an exception",
     ),
     EndReason.STUCK: (
         LawError,
-        "the loop was told to stop and does not return; nothing more is sent, and the device cuts the effort by itself",
-        "correct the law or the estimator: it must return at once; then start again, since this one still runs",
+        "the loop did not end after a stop request: the law or the estimator does not return; no "
+        "more commands are sent, and the device cuts the effort by itself",
+        "correct the law or the estimator so that it returns at once; then restart the program, in "
+        "which this loop still runs",
     ),
     EndReason.DEVICE_ENDED: (
         GuardError,
-        "the law on the device ended the run, at position {position} with velocity {velocity}, and the host's, in "
-        "other arithmetic, did not: window, speed limit or start; the effort is zero",
+        "the law on the device ended the run at position {position} with velocity {velocity} "
+        "(window, speed limit or start), but the same law on the host, in other arithmetic, did not; "
+        "the effort is zero",
         "check the wall, rig.limits and [homing]; see device_host_agreement in the recording's trailer",
     ),
     EndReason.OVERRUN: (
         OverrunError,
-        'a tick came more than one period late, and host.overrun = "stop"; the effort went to zero',
-        '{slower}relieve this computer (rig doctor says how), or set host.overrun = "skip"',
+        'a tick was more than one period late, and host.overrun = "stop"; the effort went to zero',
+        '{slower}reduce the load of this computer (rig doctor shows how), or set host.overrun = "skip"',
     ),
     EndReason.OUT_OF_WINDOW: (
         GuardError,
@@ -93,19 +96,21 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
     ),
     EndReason.ENERGY: (
         GuardError,
-        "the motor gave the handle {energy} J, more than the {energy_limit} J of rig.limits.energy; the effort went to "
-        "zero",
-        "take a softer or more damped wall, or raise rig.limits.energy if no hand is in danger",
+        "the motor gave the handle {energy} J, more than rig.limits.energy = {energy_limit} J; the "
+        "effort went to zero",
+        "choose a softer or more damped wall, or raise rig.limits.energy if no hand is in danger",
     ),
     EndReason.VIOLENT: (
         GuardError,
-        "the effort oscillated {oscillations} times in a row between zero and its limit, each within {oscillation_s} s "
-        "of the one before, and rig.limits.oscillations allows fewer; the effort went to zero",
-        "take a softer or more damped wall; rig.limits.oscillations = 0 switches this off in an automated trial",
+        "the effort oscillated {oscillations} times in succession between zero and its limit, each "
+        "within {oscillation_s} s of the one before: the number at which rig.limits.oscillations "
+        "ends the run; the effort went to zero",
+        "choose a softer or more damped wall; in an automated trial rig.limits.oscillations = 0 "
+        "disables this check",
     ),
     EndReason.CURRENT_DIFFERS: (
         GuardError,
-        "the measured current was not the one that was set, over 10 ms; the effort went to zero",
+        "the measured current differed from the set current over 10 ms; the effort went to zero",
         "check, in this order, rig.amplifier.set_point_delay_s and lag_s against the amplifier, current_quantum_a "
         "against the steps of its set-point, motor leads, supply, and the current sensor with its sign and scale "
         "(current_monitor = false: nothing is measured)",
@@ -113,21 +118,24 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
     EndReason.LIMIT_SWITCH: (
         GuardError,
         "the limit switch was pressed at position {position}, or its wire is broken; the effort went to zero",
-        "move the handle back into its travel; if the switch stood where none should be reached, find the reference "
-        "again (`rig device reference`), else mend the wire",
+        "move the handle back into its travel; if the switch is pressed within the position window, "
+        "find the reference again (`rig device reference`); if the handle is not at the switch, "
+        "repair its wire",
     ),
     EndReason.UNMOVED: (
         GuardError,
-        "the encoder is dead or the rig is blocked: by now the motor would have brought the free handle to half of "
-        "rig.limits.speed, and the count stands still at position {position}; the effort went to zero",
-        "check the encoder and its wires, and that nothing holds the handle; if it is friction that holds it, describe "
-        "that (`rig identify` measures it)",
+        "the encoder is dead or the handle is blocked: a free handle would have reached half of "
+        "rig.limits.speed, but the count does not change at position {position}; the effort went to "
+        "zero",
+        "check the encoder and its wires, and that nothing holds the handle; if friction holds it, "
+        "enter the friction in the experiment (`rig identify` measures it)",
     ),
     EndReason.HOMING_FAILED: (
         GuardError,
-        "the start was not reached in time; the effort went to zero",
-        "free the handle; if friction holds it, describe the friction (`rig identify` measures it), and "
-        "`rig experiment plan` names the homing.stiffness and homing.effort that arrive",
+        "homing did not reach the start in time; the effort went to zero",
+        "free the handle; if friction holds it, enter the friction in the experiment (`rig identify` "
+        "measures it); `rig experiment plan` then shows the homing.stiffness and homing.effort that "
+        "are needed",
     ),
 }
 
@@ -174,7 +182,7 @@ def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np
         "why": os.strerror(errno) if errno else "no error number",
         "cause_of_loss": loss.cause,
         "loss_remedy": loss.remedy,
-        "fault": named.text if named else "it did not say which",
+        "fault": named.text if named else "it did not report which",
         "fault_remedy": named.remedy if named else "read its fault log",
         "contradiction": end.contradiction,
         "stopper": end.stopper,

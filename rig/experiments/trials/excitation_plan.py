@@ -55,8 +55,9 @@ def excitation_checks(experiment: Experiment) -> list[Check]:
             if check.name not in most or not check.value <= most[check.name].value:
                 most[check.name] = check
     remedies = {
-        "effort": "reduce the excitation (excitation.rms), or take a softer wall",
-        "position": "reduce the excitation, begin the band higher (excitation.low_hz), or take a stiffer wall",
+        "effort": "reduce the excitation (excitation.rms), or choose a softer wall",
+        "position": "reduce the excitation, raise the lower end of the band (excitation.low_hz), or choose a "
+        "stiffer wall",
         "velocity": "reduce the excitation",
     }
     stability = _stability_checks(x, loop)
@@ -84,7 +85,7 @@ def _rendered_check(found: Peak, motion: Motion) -> Check:
         found.name,
         found.holds,
         f"{found.value:.3g} {unit_of(found.quantity, motion)}, limit {found.limit:g}",
-        "the effort will be clipped: reduce the excitation, or take a softer wall",
+        "the effort will be clipped: reduce the excitation, or choose a softer wall",
         Outcome.WARNING,
     )
 
@@ -108,7 +109,7 @@ def _stability_checks(x: Experiment, loop: LinearLoop) -> list[Check]:
             "stability",
             radius < 1.0,
             f"spectral radius {radius:.4f} by linear theory, both sides of the wall",
-            "the guard may end the run; friction may save it",
+            "the guard may end the run; friction may prevent this",
             Outcome.WARNING,
         )
     ]
@@ -147,4 +148,4 @@ def _heat_checks(x: Experiment) -> list[Check]:
     if x.excitation.channel != "motor":
         return []
     seconds = x.excitation.realisations * config.excitation_s(x)[0]
-    return [heat_check(x, multisine_of(x).rms, seconds, "reduce the excitation, or its length")]
+    return [heat_check(x, multisine_of(x).rms, seconds, "reduce the excitation, or shorten it")]

@@ -279,7 +279,8 @@ def record_of(recording: Recording, x: Experiment) -> ExcitedRun:
     saved = recording.header["initial_state"]["law"]
     if x.trial.kind != "excitation" or saved["name"] != "excited":
         raise RecordingError(
-            f"a recording of kind {x.trial.kind} with the law {saved['name']}, where nothing excites",
+            f"the recording is of kind {x.trial.kind} with the law {saved['name']}, and contains no "
+            "excitation",
             remedy="record one with rig impedance measure --url",
         )
     rows = recording.rows[recording.rows["phase"] == Phase.TRIAL]
@@ -288,8 +289,10 @@ def record_of(recording: Recording, x: Experiment) -> ExcitedRun:
     lost = int(rows["elapsed_ticks"].sum()) - len(rows) if len(rows) else 0
     if len(rows) < ticks or lost:
         raise RecordingError(
-            f"{len(rows)} of {ticks} samples of an excited run are there, {lost} were lost: its periods are not whole",
-            remedy=f"measure this realisation again; on a busy host, at {x.controller.position_rate // 2} Hz",
+            f"the excited run has {len(rows)} of {ticks} samples ({lost} were lost), so its periods "
+            "are incomplete",
+            remedy="measure this realisation again; if the host is busy, choose a rate of "
+            f"{x.controller.position_rate // 2} Hz",
         )
     rows = rows[:ticks]
     parameters = np.array(saved["parameters"], dtype=np.float64)

@@ -140,14 +140,16 @@ def identification_plan(
             "excitation over friction",
             Outcome.OK if multisine.rms >= HARD * coulomb else Outcome.WARNING,
             f"{multisine.rms:.3g} {effort} rms, Coulomb friction {coulomb:.3g}",
-            "the inertia will be some per cent too large: allow more effort, speed or way",
+            "the inertia will be some per cent too large: allow more effort, speed or travel",
         ),
     )  # fmt: skip
     if cogging is not None:
         sweeps = cogging_sweeps(x, cogging)[1]
         way, most = sweeps[0].velocity * (sweeps[0].end_s - sweeps[0].begin_s), abs(sweeps[0].velocity)
         settings += (
-            Step("sweeps", f"{len(sweeps)} slow ways of {way:.3g} {position} at {most:.3g} {speed} or less, both ways",
+            Step("sweeps",
+                f"{len(sweeps)} slow sweeps of {way:.3g} {position} at {most:.3g} {speed} or less, in "
+                "both directions",
                  sweeps[-1].end_s + SWEEP_REST_S),
         )  # fmt: skip
         checks += (_repeatable(x), _whole_period(x, way - 2.0 * SETTLE_S * most))
@@ -162,7 +164,7 @@ def loaded_plan(plan: Plan, x: Experiment, most_order: int, weight: float) -> Pl
     sags = (weight + coulomb_of(x) + x.rig.cogging.crest) / servo_of(x, slow_rate(x))[0]
     step = Step(
         "loaded sweeps",
-        f"{len(sweeps)} ways again, with {weight:.3g} {effort} hung on the rig",
+        f"{len(sweeps)} sweeps again, with {weight:.3g} {effort} hung on the rig",
         sweeps[-1].end_s + SWEEP_REST_S,
     )
     sag = _check(
@@ -180,8 +182,8 @@ def _follows(x: Experiment, limit: float) -> Check:
     return limited(
         "friction under the strokes",
         held <= limit,
-        f"friction holds the handle {held:.3g} {unit} behind a servo at {x.controller.position_rate} Hz, limit "
-        f"{limit:.3g}",
+        f"friction keeps the handle {held:.3g} {unit} behind the set point of a servo at "
+        f"{x.controller.position_rate} Hz, limit {limit:.3g}",
         f"choose `rate` {enough} or more, raise homing.damping, or widen the window",
     )
 
@@ -192,9 +194,9 @@ def _counts(x: Experiment, travel: float) -> Check:
     return limited(
         "counts of a stroke",
         counts >= LEAST_STROKE_COUNTS,
-        f"a stroke has {counts:.0f} counts, least {LEAST_STROKE_COUNTS}",
-        f"widen the window of positions to {0.5 * wider / TRAVEL_SHARE:.3g} {_unit(x, 'position')} or more, or take a "
-        "finer encoder",
+        f"a stroke has {counts:.0f} counts, at least {LEAST_STROKE_COUNTS} are needed",
+        f"widen the window of positions to {0.5 * wider / TRAVEL_SHARE:.3g} {_unit(x, 'position')} or "
+        "more, or use a finer encoder",
     )
 
 
@@ -204,9 +206,9 @@ def _moves(x: Experiment, rms: float) -> Check:
     return limited(
         "counts of the excitation",
         counts >= LEAST_MOTION_COUNTS,
-        f"{counts:.2g} counts rms without friction, least {LEAST_MOTION_COUNTS:g}",
-        f"take an encoder of {math.ceil(2.0 * LEAST_MOTION_COUNTS / counts)} times the counts, or allow more effort "
-        "(rig.limits.effort, rig.limits.nominal_effort)",
+        f"{counts:.2g} counts rms without friction, at least {LEAST_MOTION_COUNTS:g} are needed",
+        f"use an encoder with {math.ceil(2.0 * LEAST_MOTION_COUNTS / counts)} times the counts, or "
+        "allow more effort (rig.limits.effort, rig.limits.nominal_effort)",
     )
 
 
@@ -217,7 +219,7 @@ def _repeatable(x: Experiment) -> Check:
     return Check(
         "position zero",
         Outcome.REFUSED,
-        "is where the handle happens to stand: a map of cogging would be of no use after the next start",
+        "is the position of the handle at the start: a map of cogging would be wrong after the next start",
         "wire the encoder's index, with a limit switch where the motor turns more than once, and describe it in "
         "[rig.reference]",
     )
@@ -238,8 +240,10 @@ def cogging_period(x: Experiment) -> float:
         return x.rig.cogging.period
     if x.rig.motion == "linear":
         raise ConfigError(
-            "rig.cogging.period is not given: nothing tells after which way the motor's cogging repeats",
-            remedy="give it: the pitch of a linear motor's magnets, or what a turn of its pinion moves",
+            "rig.cogging.period is not given, so the travel after which the motor's cogging repeats "
+            "is unknown",
+            remedy="give rig.cogging.period: the pitch of a linear motor's magnets, or the travel for "
+            "one turn of the pinion",
         )
     return 2.0 * math.pi / x.rig.encoder.ratio
 
@@ -481,7 +485,8 @@ def excitation(x: Experiment, seed: int, period_s: float, inertia: float, realis
     top = min(HIGHEST_HZ, HIGHEST_SHARE * x.controller.position_rate)
     if top < 2.0 * LOWEST_HZ:
         raise ConfigError(
-            f"a loop of {x.controller.position_rate} Hz excites up to {top:.3g} Hz: too low to tell an inertia",
+            f"a loop of {x.controller.position_rate} Hz excites up to {top:.3g} Hz, which is too low "
+            "to identify an inertia",
             remedy=f"choose a rate of {math.ceil(2.0 * LOWEST_HZ / HIGHEST_SHARE)} Hz or more",
         )
     count = max(2, round(LINES_PER_OCTAVE * math.log2(top / LOWEST_HZ)))
@@ -555,10 +560,10 @@ def observable_check(x: Experiment) -> Check:
     return finding(
         "pushes of rig device check",
         most >= OBSERVABLE * held,
-        f"at most {most:.3g} {effort}, described friction, weight and cogging {held:.3g}; a dead motor shows from "
-        f"{OBSERVABLE:g} times that on",
+        f"at most {most:.3g} {effort}, described friction, weight and cogging {held:.3g}; a dead "
+        f"motor is detectable from {OBSERVABLE:g} times that on",
         _observable_limits(x),
-        "take a stronger motor, or free the mechanism",
+        "use a stronger motor, or reduce the friction of the mechanism",
         Outcome.WARNING,
     )
 

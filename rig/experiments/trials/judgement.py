@@ -31,7 +31,7 @@ FINISHED = "finished"  # what the trailer of a whole run says
 THREW_OUT = {  # reasons of a trailer: what the wall did to the handle
     "out_of_window": "the wall threw the handle out of its window or beyond the speed limit",
     "energy": "the wall gave the hand more energy than rig.limits.energy",
-    "violent": "the wall oscillated: the effort alternated between nothing and its limit",
+    "violent": "the wall oscillated: the effort alternated between zero and its limit",
 }
 THROWN_OUT = {Fault.POSITION_WINDOW.name, Fault.OVER_SPEED.name, Fault.RUNAWAY.name}
 
@@ -145,16 +145,16 @@ class Verdicts:
 def _observed(windows: int) -> str:
     """What is known of the motor's current: a dead motor shows only where there was a current to be missed."""
     if windows == 0:
-        return "not observed: not measured, or too small beside the sensor's noise"
-    return f"followed the command, seen in {windows} × 10 ms"
+        return "not checked: not measured, or too small compared with the sensor's noise"
+    return f"followed the command, in {windows} windows of 10 ms"
 
 
 def _scale_text(motion: MotionBalance | None) -> str:
     """What effort and motion say of the encoder's scale, or that they say nothing."""
     if motion is None:
-        return "not observed: the effort that moves the handle is not known"
+        return "not checked: the effort that moves the handle is unknown"
     if motion.ratio is None:
-        return "not observed: too little motion before or after the contact"
+        return "not checked: too little motion before or after the contact"
     return f"{motion.ratio:.2f} times that before the contact, by effort and motion"
 
 
@@ -211,8 +211,9 @@ def judge(recording: Recording, experiment: Experiment) -> Judgement:
     if motion is not None and motion.changed:
         early = (
             Kind.INVALID,
-            f"the encoder's scale changed in the trial: the motion that the effort makes is {motion.ratio:.2g} times "
-            f"that before the contact, {1.0 / FACTOR:.2g} to {FACTOR:g} are allowed; check encoder, coupling and cable",
+            f"the encoder's scale changed in the trial: the same effort makes {motion.ratio:.2g} "
+            f"times as much motion as before the contact, allowed are {1.0 / FACTOR:.2g} to "
+            f"{FACTOR:g}; check encoder, coupling and cable",
         )
     overruling = early
     if early is None and experiment.trial.kind == "excitation":
@@ -322,7 +323,7 @@ def ended_early(recording: Recording) -> tuple[Kind, str] | None:
     """
     if (facts := cut_facts(recording)) is not None:
         return Kind.INVALID, f"a part of a trial: its verdict is that of {facts['recording']}"
-    reason = (recording.trailer or {}).get("reason", "the recording breaks off")
+    reason = (recording.trailer or {}).get("reason", "the recording is incomplete: it ends without a reason")
     phases = recording.rows["phase"]
     if reason == FINISHED and (phases == Phase.FREE).any() and not (phases == Phase.TRIAL).any():
         return FALSE_START

@@ -95,7 +95,7 @@ def change_wall(
     """
     meant = {_key(name): value for name, value in changes.items()}
     if not meant:
-        raise ConfigError("nothing to change", remedy=f"give one of {_allowed()}, as KEY=VALUE")
+        raise ConfigError("no parameter to change is given", remedy=f"give one of {_allowed()}, as KEY=VALUE")
     loop = running.the_loop(pid)
     with running.opened(loop) as ring:
         number, experiment = _post(ring, meant)
@@ -127,7 +127,9 @@ def parameter_set(experiment: Experiment, *, current_quantum_a: float, reference
 def _key(name: str) -> str:
     section, _, leaf = name.strip().rpartition(".")
     if section not in ("", SECTION) or leaf not in CHANGEABLE:
-        raise ConfigError(f"{name} does not change while a loop runs", remedy=f"what may: {_allowed()}")
+        raise ConfigError(
+            f"{name} cannot change while a loop runs", remedy=f"parameters that may change: {_allowed()}"
+        )
     return f"{SECTION}.{leaf}"
 
 
@@ -141,12 +143,12 @@ def _post(ring: Ring, changes: Mapping[str, Any]) -> tuple[int, Experiment]:
         info, word = ring.info_and_word()
         if "experiment" not in info or "current_quantum_a" not in info:
             raise RigError(
-                "the loop does not say which experiment it runs", remedy="change it from its own program"
+                "the loop does not report which experiment it runs", remedy="change it from its own program"
             )
         if info.get("law"):
             raise ConfigError(
-                "the law of this loop was given by its program, which alone knows its parameters",
-                remedy="change it from there",
+                "the law of this loop is defined in its own program: its parameters are unknown here",
+                remedy="change them in that program",
             )
         running_now = config.experiment_from_mapping(info["experiment"], "the running experiment")
         _check_sides(running_now)
@@ -166,14 +168,17 @@ def _post(ring: Ring, changes: Mapping[str, Any]) -> tuple[int, Experiment]:
         number = ring.replace(values, partial(_info_with, info, experiment, changes), word)
         if number:
             return number, experiment
-    raise RigError("others keep changing the same wall", remedy="let one of them do it")
+    raise RigError(
+        "other programs keep changing the same wall", remedy="let only one program change the wall"
+    )
 
 
 def _check_sides(experiment: Experiment) -> None:
     """Refuse a wall whose spring acts on both sides: no place is free of it, and each change would be a jump."""
     if experiment.wall.law in BILATERAL:
         raise PlanError(
-            f"the spring of a {experiment.wall.law} wall acts on both sides: it does not change while it runs",
+            f"the spring of a {experiment.wall.law} wall acts on both sides, so it cannot change "
+            "while it runs",
             remedy="end the run and start it with the other wall",
         )
 

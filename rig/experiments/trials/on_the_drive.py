@@ -11,8 +11,8 @@ from rig.experiments.trials.planned import limited
 NAME = "wall on the drive"
 SPARE = 1.01  # of gains that are proposed, for their rounding
 STANDS_FOR_NO_DRIVE = (
-    "simulated with the law of the host, at its rate and with its estimator: a drive that renders the wall itself has "
-    "others, and is not what this shows"
+    "simulated with the law of the host, at its rate and with its estimator; a drive that renders "
+    "the wall itself has its own, so its result will differ"
 )
 
 
@@ -45,12 +45,12 @@ def fits(experiment: Experiment, dictionary: Dictionary) -> list[Check]:
         return []
     most = [told.get(name) for name in ("drive_wall_stiffness", "drive_wall_damping")]
     if not all(isinstance(value, int | float) for value in most):
-        why = told.get("drive_wall", "it is no drive behind a bridge")
+        why = told.get("drive_wall", "it is not a drive behind a bridge")
         return [
             Check(
                 NAME,
                 Outcome.REFUSED,
-                f"{dictionary.device} renders no wall itself: {why}",
+                f"{dictionary.device} cannot render a wall itself: {why}",
                 'choose controller.arithmetic = "float32", or let the host run the law (controller.loop = "host")',
             )
         ]

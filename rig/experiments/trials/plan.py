@@ -56,8 +56,8 @@ from rig.experiments.trials.planned import (
 from rig.firmware.tick_budget import BOARD, INTEGERS, named_budget
 
 STANDS_FOR_DEVICE = (
-    "simulated with the law of the host, in float64: it stands for that of the device, which has no more delay and "
-    "rounds to a quantum or two"
+    "simulated with the law of the host, in float64: it represents that of the device, which has no "
+    "more delay and differs by one or two quanta"
 )
 
 
@@ -159,7 +159,7 @@ def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: flo
         limited(
             "device rate",
             rate <= rate_maximum,
-            f"the law asks for {rate} Hz, and the device runs at most at {rate_maximum} Hz",
+            f"the law needs {rate} Hz, and the device supports at most {rate_maximum} Hz",
             f"choose `rate` {rate_maximum} or less",
         )
     ]
@@ -172,7 +172,7 @@ def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: flo
             limited(
                 "link capacity",
                 needed <= usable,
-                f"samples at {rate} Hz need {needed / 1e3:.1f} kB/s, and the link carries {usable / 1e3:.1f} kB/s",
+                f"samples at {rate} Hz need {needed / 1e3:.1f} kB/s; the link's capacity is {usable / 1e3:.1f} kB/s",
                 f"choose `rate` {possible} or less, or a faster link",
             )
         )
@@ -221,7 +221,7 @@ def _link_ticks(x: Experiment, round_trip_s: float | None) -> tuple[int, str]:
         return described, "rig.simulation.computation_delay_ticks"
     return ticks_late(
         0.0, rate, x.host.pacing
-    ), "assumed, the least that a link can give: `rig doctor` measures it"
+    ), "assumed, the smallest possible for a link: `rig doctor` measures it"
 
 
 def _batch_check(x: Experiment, usable: float) -> Check:
@@ -236,7 +236,7 @@ def _batch_check(x: Experiment, usable: float) -> Check:
         "link capacity",
         needed <= usable,
         f"{needed / 1e3:.1f} kB/s for every tick at {x.controller.position_rate} Hz, "
-        f"the link carries {usable / 1e3:.1f} kB/s",
+        f"the link's capacity is {usable / 1e3:.1f} kB/s",
         remedy,
     )
 
@@ -263,12 +263,12 @@ def device_checks(run: PreparedRun, dictionary: Dictionary) -> list[Check]:
             Check(
                 "law on the device",
                 Outcome.REFUSED,
-                f"{dictionary.device} ({dictionary.firmware}) runs no law of its own",
+                f"{dictionary.device} ({dictionary.firmware}) cannot run the law itself",
                 f'{simulated}; or let the host run it (controller.loop = "host")',
             ),
         ]
     narrow = [
-        f"{name} = {value:g} (it takes {info.minimum:g} to {info.maximum:g})"
+        f"{name} = {value:g} (allowed: {info.minimum:g} to {info.maximum:g})"
         for name, value in run.parameters.items()
         if name in LAW_NAMES
         and (info := dictionary.parameter(name)) is not None
@@ -279,10 +279,10 @@ def device_checks(run: PreparedRun, dictionary: Dictionary) -> list[Check]:
         Check(
             "law on the device",
             Outcome.REFUSED if narrow else Outcome.OK,
-            f"{dictionary.device} does not have {'; '.join(narrow)}"
+            f"{dictionary.device} does not support {'; '.join(narrow)}"
             if narrow
             else f"{dictionary.device} runs it in {ARITHMETIC_WORDS[arithmetic]}",
-            "choose another rate, estimator or arithmetic, or a firmware that has it",
+            "choose another rate, estimator or arithmetic, or a firmware that supports it",
         ),
         *on_the_drive.fits(experiment, dictionary),
     ]
@@ -390,7 +390,8 @@ def _watch_checks(x: Experiment) -> list[Check]:
             limited(
                 "energy",
                 work <= energy,
-                f"the push gives up to {work:.2g} J, a count left and entered again {leak:.2g} J; limit {energy:g}",
+                f"the push gives up to {work:.2g} J, leaving and entering one count {leak:.2g} J; "
+                f"limit {energy:g}",
                 "raise rig.limits.energy, push less or start closer",
             )
         )
@@ -422,7 +423,14 @@ def human_limit_checks(x: Experiment, *, real: bool = False) -> list[Check]:
             f"the effort may reach {limits.effort:g} {unit}, {limits.effort / limits.nominal_effort:.3g} times the "
             "nominal effort, with a person at the handle (rig.limits.override_stall = true)"
         )
-        return [Check("human limits", Outcome.WARNING, text, "remove it unless the study needs those peaks")]
+        return [
+            Check(
+                "human limits",
+                Outcome.WARNING,
+                text,
+                "remove override_stall unless the study needs those peaks",
+            )
+        ]
     return [
         Check(
             "human limits", Outcome.OK, f"at most {limits.effort:g} {unit}, no more than the nominal effort"
@@ -436,7 +444,10 @@ def _saturating(x: Experiment) -> str:
         x.trial.kind == "human"
         and push_at_rest(x) * (1.0 + x.operator.press_modulation) < x.rig.limits.effort
     ):
-        return "expected for a moment at impact, and a verdict looks at the end; to avoid it push less or start closer"
+        return (
+            "expected briefly at impact; the verdict judges the end of the push; to avoid it push "
+            "less or start closer"
+        )
     return "the hit will saturate; push less or start closer"
 
 
@@ -448,7 +459,7 @@ def _wall_checks(x: Experiment) -> list[Check]:
             Check(
                 "stiffness",
                 Outcome.REFUSED,
-                "0: nothing would stop the handle",
+                "0: no wall would stop the handle",
                 "choose wall.stiffness above 0",
             )
         ]
@@ -538,9 +549,9 @@ def _let_go_check(x: Experiment) -> Check:
     return limited(
         "after the wall",
         inside,
-        f"the hand goes on to {end:.3g} {unit_of('position', x.rig.motion)}, "
-        f"window {limits.position_minimum:g} … {limits.position_maximum:g}",
-        "press less, or with a stiffer hand",
+        f"the hand continues to {end:.3g} {unit_of('position', x.rig.motion)}, window "
+        f"{limits.position_minimum:g} … {limits.position_maximum:g}",
+        "press less, or choose a stiffer grip",
     )
 
 

@@ -16,7 +16,7 @@ from rig.core.shown import Shown
 ARITHMETIC_WORDS = {
     "fixed": "integers",
     "float32": "float32",
-    "drive": "float32, but for the wall, which its drive renders",
+    "drive": "float32, except for the wall, which its drive renders",
 }
 
 
@@ -77,7 +77,10 @@ def check_positive(named: Mapping[str, float | None]) -> None:
     """Raise `PlanError` for an argument that is given and is not a finite number above zero."""
     for name, value in named.items():
         if value is not None and not 0.0 < value < math.inf:
-            raise PlanError(f"{value:g} (`{name}`) is out of range", remedy="give a finite number above 0")
+            raise PlanError(
+                f"`{name}` = {value:g} is out of range: it must be finite and above 0",
+                remedy="give a finite number above 0",
+            )
 
 
 def heat_check(x: Experiment, effort: float, seconds: float, remedy: str) -> Check:

@@ -26,7 +26,7 @@ def prepared_on(
         if law is None:
             refuse_real_time('controller.loop = "host"')
         else:
-            refuse_real_time("a motion or law that no board has", "do this on a Linux computer")
+            refuse_real_time("a motion or law that boards do not have", "do this on a Linux computer")
     return controller.prepared(
         experiment,
         current_quantum_a=device.dictionary.current_quantum_a,

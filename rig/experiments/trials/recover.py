@@ -117,16 +117,19 @@ def recover(paths: Iterable[str | Path], *, progress: Progress | None = None) ->
 def _recover(capture: Path) -> Recovered:
     try:
         with _alone(capture) as alone:
-            user = None if alone else "another process writes it"
+            user = None if alone else "another process is writing it"
             user = user or _user_of(capture)
             if user is not None:
                 return Recovered(
-                    capture, CaptureState.IN_USE, reason=f"{user}; recover it when that has ended"
+                    capture, CaptureState.IN_USE, reason=f"{user}; recover it when that process has ended"
                 )
             recording = open_recording(capture)
             fresh = recording.complete and time.time() - capture.stat().st_mtime < SEALING_S
             if fresh:
-                reason = f"it ended just now, its run may be sealing it; try again in {SEALING_S:g} s"
+                reason = (
+                    "the recording has just ended and its run may still be sealing it; try again in "
+                    f"{SEALING_S:g} s"
+                )
                 return Recovered(capture, CaptureState.IN_USE, reason=reason)
             sealed = seal(recording).path or capture
             _remove_drafts(sealed)
@@ -193,7 +196,7 @@ def _user_of(capture: Path) -> str | None:
             continue
         with suppress(OSError):
             if Path(named).samefile(capture):
-                return f"process {loop.pid} writes it"
+                return f"process {loop.pid} is writing it"
     return None
 
 
@@ -203,4 +206,7 @@ def failed(results: Iterable[Recovered]) -> RecordingError | None:
     if not broken:
         return None
     names = ", ".join(str(result.capture) for result in broken)
-    return RecordingError(f"not recovered: {names}", remedy="see why above; the captures are untouched")
+    return RecordingError(
+        f"some captures were not recovered: {names}",
+        remedy="see the reasons above; the captures are unchanged",
+    )

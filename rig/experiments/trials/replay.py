@@ -137,7 +137,8 @@ def _run(
         replay_rows(bundle.arguments(), recorded, replayed, sets)
     except Exception as error:
         raise LawError(
-            f"the law or the estimator raised {error!r}", remedy="correct it, since a kernel must not raise"
+            f"the law or the estimator raised {error!r}",
+            remedy="correct it: a kernel must not raise an exception",
         ) from error
 
 
@@ -146,11 +147,11 @@ def _rows(recording: Recording) -> NDArray[np.void]:
     if len(recording.rows) and recording.rows["tick"][0] != began:
         raise RecordingError(
             f"the recording begins at tick {recording.rows['tick'][0]}",
-            remedy="its first block is lost: it has no replay",
+            remedy="its first block is lost, so it cannot be replayed",
         )
     if not np.array_equal(recording.rows["tick"], began + np.arange(len(recording.rows))):
         raise RecordingError(
-            "ticks are missing in the middle of the recording", remedy="it has no exact replay"
+            "ticks are missing in the middle of the recording", remedy="it cannot be replayed exactly"
         )
     rows = np.zeros(len(recording.rows), dtype=ROW)
     for column in COLUMNS:
@@ -172,9 +173,10 @@ def _controller(recording: Recording, changes: Mapping[str, Any] | None, law: La
     initial, facts = recording.header["initial_state"], cut_facts(recording)
     if facts is not None and (not initial or (facts["first_tick"] and (changes or law))):
         raise RecordingError(
-            "the recording is a cut that begins in the middle of a trial, where no other law or estimator ever was"
+            "the recording is a cut that begins in the middle of a trial: another law or estimator "
+            "would start without its state"
             if initial
-            else "the recording is a cut from one that has no replay up to there",
+            else "the recording is a cut from one that cannot be replayed up to that place",
             remedy=f"replay the recording that it was cut from: {facts['recording']}",
         )
     if not changes:

@@ -47,13 +47,13 @@ class Settings(TypedDict, total=False):
     ]
     friction_compensation: Annotated[float, _key("controller.friction_compensation")]
     effort: Annotated[
-        float, _key("trial.effort", "Constant push of the motor, nobody at the handle (N·m or N).")
+        float, _key("trial.effort", "Constant push of the motor, without a hand at the handle (N·m or N).")
     ]
-    start: Annotated[float, _key("trial.start", "Where the handle is released (rad or m).")]
+    start: Annotated[float, _key("trial.start", "Position at which the handle is released (rad or m).")]
     duration_s: Annotated[float, _key("trial.duration_s", "Length of the push (s).", "--duration")]
     release_s: Annotated[float, _key("trial.release_s")]
     minimum_rest_counts: Annotated[float, _key("trial.minimum_rest_counts")]
-    seed: Annotated[int, Ge(0), _key("trial.seed", "Of the simulation's sensor noise.")]
+    seed: Annotated[int, Ge(0), _key("trial.seed", "Seed of the simulation's sensor noise.")]
     operator: Literal["none", "relaxed", "normal", "firm"]
     changes: Mapping[str, Any]
 
@@ -70,7 +70,7 @@ class WallSettings(Settings, total=False):
 class HitSettings(WallSettings, total=False):
     """And how often it is hit."""
 
-    repeats: Annotated[int, Ge(1), Le(100_000), _key("trial.repeats", "How many hits.")]
+    repeats: Annotated[int, Ge(1), Le(100_000), _key("trial.repeats", "Number of hits.")]
 
 
 def _excitation(key: str, help: str) -> Keyword:
@@ -98,7 +98,7 @@ class ExcitationSettings(TypedDict, total=False):
     amplitude: Annotated[
         float, _excitation("rms", "Rms effort of the excitation (N·m or N). [10 × Coulomb friction]")
     ]
-    seed: Annotated[int, Ge(0), Keyword("Of the phases.", "excitation.seed", group="Experiment")]
+    seed: Annotated[int, Ge(0), Keyword("Seed of the phases.", "excitation.seed", group="Experiment")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,7 +150,7 @@ def changes_of(options: Mapping[str, Any], known: type) -> dict[str, Any]:
         if name not in names:
             close = get_close_matches(name, names, n=1)
             remedy = f"did you mean {close[0]}?" if close else f"choose one of: {', '.join(names)}"
-            raise ConfigError(f"there is no setting {name!r}", remedy=remedy)
+            raise ConfigError(f"unknown setting {name!r}", remedy=remedy)
         if name == "operator":
             changes |= _pushed_by(str(value))
         elif name in keys:

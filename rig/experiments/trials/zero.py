@@ -31,9 +31,9 @@ def position_zero(device: FramedDevice, x: Experiment) -> int:
             return 0
         else:
             raise DeviceRefusedError(
-                f"{device.dictionary.device} does not know where it is: rig.reference.index is set, and its index "
-                "has not been found since the device started or lost counts",
-                remedy="`rig device reference` finds it; without an index (rig.reference.index = false, limit_switch = "
-                '"none") position zero is where the handle stands',
+                f"the position zero of {device.dictionary.device} is unknown: rig.reference.index is "
+                "set, and the index has not been found since the device started or lost counts",
+                remedy="`rig device reference` finds it; without an index (rig.reference.index = false, "
+                'limit_switch = "none") position zero is the present position of the handle',
             )
     return device.reference_count

@@ -142,7 +142,7 @@ def test_a_rig_that_hardly_rubs_rolls_out_before_the_next_push(tmp_path: Path) -
 
 def test_a_board_that_runs_no_law_is_refused_at_rest_with_what_to_flash(tmp_path: Path) -> None:
     host, device = board(law_maximum=0)
-    with pytest.raises(PlanError, match="runs no law of its own") as refused:
+    with pytest.raises(PlanError, match="cannot run the law itself") as refused:
         pulse(host, X, recording=tmp_path / "pulse.rigcap", verified=True, reference_count=0)
     assert "firmware" in refused.value.remedy
     assert not device.log

@@ -131,7 +131,7 @@ def test_a_rate_of_the_device_is_the_hosts_only(loop: str, rate: int) -> None:
 def test_a_device_without_a_law_is_refused_with_what_to_do() -> None:
     _, check = device_checks(prepared(ON_DEVICE), device(law=(0, 0)))
     assert check.outcome is Outcome.REFUSED
-    assert "board (1) runs no law of its own" in check.text
+    assert "board (1) cannot run the law itself" in check.text
     assert "rig firmware" in check.remedy
     _, simulated = device_checks(prepared(ON_DEVICE), replace(device(law=(0, 0)), simulated=True))
     assert "firmware=1" in simulated.remedy
@@ -144,11 +144,11 @@ def test_a_device_that_has_less_of_the_law_is_refused_by_the_name_of_what_it_lac
     assert (good.outcome, good.text) == (Outcome.OK, "board runs it in float32")
     _, integers = device_checks(prepared(ON_DEVICE), device(law=(0, 1)))
     assert integers.outcome is Outcome.REFUSED
-    assert "law = 2 (it takes 0 to 1)" in integers.text
+    assert "law = 2 (allowed: 0 to 1)" in integers.text
     _, short = device_checks(
         prepared(EXCITED, law=excitation_run.excited_law(EXCITED)), device(excitation_period=(2, 1000))
     )
-    assert "excitation_period = 2000 (it takes 2 to 1000)" in short.text
+    assert "excitation_period = 2000 (allowed: 2 to 1000)" in short.text
 
 
 def test_the_link_must_carry_every_tick() -> None:
@@ -213,7 +213,7 @@ def test_a_change_that_the_device_does_not_take_is_refused_before_it_is_posted()
     info = {"experiment": config.as_mapping(ON_DEVICE), "current_quantum_a": 0.001}
     ring = SimpleNamespace(info_and_word=lambda: (info, 0), get=lambda word: 0, replace=lambda *_: 7)
     assert live._post(ring, {"wall.stiffness": 250.0})[0] == 7
-    with pytest.raises(PlanError, match="do not change while the law runs on the device"):
+    with pytest.raises(PlanError, match="cannot change while the law runs on the device"):
         live._post(ring, {"wall.pull": "allow"})
     info["experiment"] = config.as_mapping(RIGID)
     assert live._post(ring, {"wall.pull": "allow"})[0] == 7

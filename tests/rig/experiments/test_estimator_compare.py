@@ -77,11 +77,14 @@ def test_a_narrow_counter_and_lost_samples_are_taken_as_estimate_takes_them() ->
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"velocity": [0.0, 1.0]}, r"3 counts, but velocities of shape \(2,\), 2 of them finite"),
-        ({"velocity": [0.0, 1.0, np.nan]}, r"3 counts, but velocities of shape \(3,\), 2 of them finite"),
-        ({"settle_s": 1.0}, "3 samples last 0.003 s, and 1 s are left to settle"),
+        ({"velocity": [0.0, 1.0]}, r"3 counts, but the true velocities have shape \(2,\), 2 of them finite"),
+        (
+            {"velocity": [0.0, 1.0, np.nan]},
+            r"3 counts, but the true velocities have shape \(3,\), 2 of them finite",
+        ),
+        ({"settle_s": 1.0}, "3 samples last 0.003 s, not longer than the settling time of 1 s"),
         ({"counts": [0, 1.5, 2]}, "is not a whole number"),
-        ({"resolution": 0.0}, "is not the travel of a count"),
+        ({"resolution": 0.0}, "is not a travel per count"),
         ({"dt": -1.0}, "is not a sampling period"),
     ],
 )
@@ -179,7 +182,7 @@ def test_settings_that_a_rate_does_not_allow_are_reported_not_raised() -> None:
     (found,) = compare_estimators([hit(1000)], [Variant("fdm-butterworth", {"cutoff_hz": 700.0})]).scores
     assert "Nyquist" in found.refused
     assert math.isnan(found.rms)
-    with pytest.raises(ConfigError, match="no estimator 'fmd'"):
+    with pytest.raises(ConfigError, match="unknown estimator 'fmd'"):
         compare_estimators([hit(1000)], [Variant("fmd")])
 
 
@@ -329,9 +332,9 @@ def test_the_fragment_is_an_experiment_that_runs_with_these_settings(tmp_path: P
 @pytest.mark.parametrize(
     ("name", "changes", "text"),
     [
-        ("fdm", {}, "nothing to tune"),
-        ("fmd", {}, "no estimator 'fmd'"),
-        ("fdm-butterworth", {"objective": "beauty"}, "no objective 'beauty'.*rms"),
+        ("fdm", {}, "no tunable setting"),
+        ("fmd", {}, "unknown estimator 'fmd'"),
+        ("fdm-butterworth", {"objective": "beauty"}, "unknown objective 'beauty'.*rms"),
         ("fdm-butterworth", {"free": ["cutof"]}, "no number 'cutof'.*cutoff_hz"),
         ("fdm-butterworth", {"settings": {"cutoff_hz": 5000.0}}, "Nyquist"),
     ],

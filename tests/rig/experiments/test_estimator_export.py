@@ -41,8 +41,8 @@ VARIANTS = [
 REFUSED = {
     "period": "time of each encoder edge",
     "period-frequency": "time of each encoder edge",
-    "optimal": "written for the host alone",
-    "foaw-levant": "written for the host alone",
+    "optimal": "exists on the host only",
+    "foaw-levant": "exists on the host only",
     "kalman": "only the steady gain",
 }
 
@@ -145,7 +145,7 @@ def test_two_of_them_may_stand_in_one_file(tmp_path: Path) -> None:
 
 
 def test_a_case_of_another_rig_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="sine has 1e-06 a count at 2000 Hz, the rig"):
+    with pytest.raises(ConfigError, match="sine has 1e-06 per count at 2000 Hz, but the rig has"):
         written(Variant("fdm"), tmp_path, case=signal_case(SIGNALS["sine"], 2000.0, 1e-6))
 
 

@@ -313,7 +313,7 @@ def test_ripple_of_the_effort_is_told_by_sweeps_with_a_mass_and_kept_in_the_file
 @pytest.mark.parametrize(
     ("experiment", "changes", "words"),
     [
-        (COMPLIANT, {}, "position zero: is where the handle happens to stand"),
+        (COMPLIANT, {}, "position zero: is the position of the handle at the start"),
         (COMPLIANT, INDEXED | {"rig.cogging.period": 0.9}, "period of cogging"),
     ],
 )
@@ -328,7 +328,7 @@ def test_a_map_that_would_be_of_no_use_is_refused_before_anything_moves(
 @pytest.mark.parametrize(
     ("changes", "mass_kg", "words"),
     [
-        ({}, 0.6, "more than the 0.286 N·m that the motor bears for hours"),
+        ({}, 0.6, "more than the 0.286 N·m that the motor can hold continuously"),
         (
             {"rig.limits.position_minimum": -0.4, "rig.limits.position_maximum": 0.4, "homing.damping": 0.1},
             0.35,
@@ -360,7 +360,7 @@ def test_ripple_that_was_not_looked_for_stays_as_it_was_described(compliant: Any
 
 
 def test_a_mass_needs_sweeps_and_a_real_rig_somebody_who_hangs_it(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="a mass tells ripple in sweeps"):
+    with pytest.raises(ConfigError, match="ripple is measured with a mass in the sweeps"):
         IdentifyRequest(experiment=COMPLIANT, mass_kg=0.1)
     with pytest.raises(ConfigError, match="the arm is 0"):
         IdentifyRequest(experiment=COMPLIANT, cogging=4, mass_kg=0.1, arm_m=0.0)
@@ -483,7 +483,7 @@ def test_pushes_raise_no_false_alarm_wherever_zero_lies_between_two_counts(exper
 
 
 def test_pushes_of_a_wrong_sign_move_as_little(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Motor or encoder the other way round: a few hundred counts at most, then a refusal with a remedy."""
+    """Motor or encoder the connected in reverse: a few hundred counts at most, then a refusal with a remedy."""
     believed = config.rig_model(CHAWDA)
     device, _ = make_device(
         believed, None
@@ -493,7 +493,7 @@ def test_pushes_of_a_wrong_sign_move_as_little(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(
         identifying.devices, "open_device", lambda url, model: FramedDevice(MemoryLink(device))
     )
-    with pytest.raises(IdentificationError, match="other way round") as caught:
+    with pytest.raises(IdentificationError, match="connected in reverse") as caught:
         identified(CHAWDA, tmp_path)
     assert "rig.encoder.sign" in caught.value.remedy
     (path,) = tmp_path.glob("*.parquet")
@@ -513,7 +513,7 @@ def test_a_rig_of_another_scale_is_refused_before_it_is_excited(
         "open_device",
         lambda url, model: FramedDevice(MemoryLink(SimulatedDevice(heavy))),
     )
-    with pytest.raises(IdentificationError, match="times the inertia described"):
+    with pytest.raises(IdentificationError, match="times the described inertia"):
         identified(CHAWDA, tmp_path)
     assert len(list(tmp_path.glob("*.parquet"))) == 1
 
@@ -548,7 +548,7 @@ def test_a_plan_that_is_refused_moves_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"realisations": 1}, "too few for an interval"),
+        ({"realisations": 1}, "too few for a confidence interval"),
         ({"period_s": 0.01}, "period"),
         ({"changes": {"controller.position_rate": 50, "controller.velocity_rate": 50,
                       "controller.parameters.cutoff_hz": 5.0, "verdict.lowpass_hz": 20.0,

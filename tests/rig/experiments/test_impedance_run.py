@@ -323,20 +323,26 @@ def test_a_recording_of_it_is_replayed_and_measured_again(on_device: Any) -> Non
     assert banded.judgement.passivity.band_hz == (10.0, 50.0)
     assert not np.any(replay(recording).rows["effort_sent"] != recording.rows["effort_sent"])
     broken = replace(recording, rows=recording.rows[:-500])
-    with pytest.raises(RecordingError, match="not whole"):
+    with pytest.raises(RecordingError, match="incomplete"):
         record_of(broken, experiment_of(broken))
 
 
 def test_recordings_of_no_wall_or_of_two_are_no_measurement(on_device: Any, tmp_path: Path) -> None:
     x, result = on_device
-    with pytest.raises(ConfigError, match="recordings of 0 walls, where those of one are needed"):
+    with pytest.raises(
+        ConfigError, match="the recordings are of 0 walls; recordings of a single wall are needed"
+    ):
         rig.read_impedance([])
     (other,) = rig.impedance(
         x, [(5e3, 10.0)], url="sim://", output=tmp_path, excitation={"realisations": 1, "seed": 5}
     )
-    with pytest.raises(ConfigError, match="recordings of 2 walls, where those of one are needed"):
+    with pytest.raises(
+        ConfigError, match="the recordings are of 2 walls; recordings of a single wall are needed"
+    ):
         rig.read_impedance([*result.recordings, *other.recordings])
-    with pytest.raises(ConfigError, match="signal = 'truth': a device records counts"):
+    with pytest.raises(
+        ConfigError, match="signal = 'truth' cannot be used with a device, which records counts only"
+    ):
         rig.impedance(x, url="sim://", signal="truth")
 
 
@@ -345,7 +351,7 @@ def test_a_trial_where_nothing_excites_has_no_record(on_device: Any) -> None:
     recording = open_recording(result.recordings[0])
     header = json.loads(json.dumps(recording.header))
     header["initial_state"]["law"]["name"] = "spring-damper"
-    with pytest.raises(RecordingError, match="nothing excites"):
+    with pytest.raises(RecordingError, match="contains no excitation"):
         record_of(replace(recording, header=header), experiment_of(recording))
 
 
@@ -394,7 +400,7 @@ def test_a_realisation_with_lost_samples_is_measured_again_and_both_recordings_s
 
 def test_what_ends_a_run_but_is_no_fault_of_the_wall_is_an_error(tmp_path: Path) -> None:
     x = config.override(CHAWDA, {"excitation.channel": "motor", **FAST, "homing.timeout_s": 0.05})
-    with pytest.raises(GuardError, match="start was not reached"):
+    with pytest.raises(GuardError, match="did not reach the start"):
         list(measure_on_device(x, OnDevice(url="sim://", recordings=tmp_path), walls=[(10e3, 10.0)]))
 
 

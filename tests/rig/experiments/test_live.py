@@ -133,11 +133,15 @@ def test_any_sequence_of_changes_ends_where_all_of_them_at_once_would(
 @pytest.mark.parametrize(
     ("changes", "error", "said"),
     [
-        ({"controller.estimator": "kalman"}, ConfigError, "what may: wall.stiffness, wall.damping"),
-        ({"wall.side": -1}, ConfigError, "wall.side does not change while a loop runs"),
-        ({"wall.law": "bilateral"}, ConfigError, "does not change while a loop runs"),
-        ({"stifness": 3.0}, ConfigError, "does not change while a loop runs"),
-        ({}, ConfigError, "nothing to change"),
+        (
+            {"controller.estimator": "kalman"},
+            ConfigError,
+            "parameters that may change: wall.stiffness, wall.damping",
+        ),
+        ({"wall.side": -1}, ConfigError, "wall.side cannot change while a loop runs"),
+        ({"wall.law": "bilateral"}, ConfigError, "cannot change while a loop runs"),
+        ({"stifness": 3.0}, ConfigError, "cannot change while a loop runs"),
+        ({}, ConfigError, "no parameter to change is given"),
         ({"stiffness": -1.0}, ConfigError, r"wall.stiffness.*-1"),
         ({"stiffness": "hard"}, ConfigError, "wall.stiffness"),
         ({"pull": "sometimes"}, ConfigError, "wall.pull"),
@@ -168,8 +172,8 @@ def test_a_bilateral_wall_is_not_changed_while_it_runs(loop: str) -> None:
 @pytest.mark.parametrize(
     ("info", "said"),
     [
-        ({}, "does not say which experiment"),
-        (info_of(law=True), "was given by its program"),
+        ({}, "does not report which experiment"),
+        (info_of(law=True), "is defined in its own program"),
         (info_of(experiment=EXPERIMENT) | {"experiment": {"wall": {}}}, "the running experiment"),
     ],
 )

@@ -166,10 +166,10 @@ def test_a_capture_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
         before = path.read_bytes()
         found = one(tmp_path)
         assert (found.outcome, path.read_bytes()) == (CaptureState.IN_USE, before)
-        assert "another process writes it" in found.reason
+        assert "another process is writing it" in found.reason
     found = one(tmp_path)  # whole, but so young that its run may be about to seal it
     assert (found.outcome, path.exists()) == (CaptureState.IN_USE, True)
-    assert "ended just now" in found.reason
+    assert "has just ended" in found.reason
     os.utime(path, (1e9, 1e9))
     assert one(tmp_path).outcome == CaptureState.SEALED
 
@@ -185,7 +185,7 @@ def test_a_recording_that_a_loop_names_as_its_own_is_left_alone(
         ring.put(LOOP_DONE, 1)
         other, trial = recover(["."])
         assert (other.outcome, trial.outcome) == (CaptureState.SEALED, CaptureState.IN_USE)
-        assert f"process {os.getpid()} writes it" in trial.reason
+        assert f"process {os.getpid()} is writing it" in trial.reason
     assert one(tmp_path).outcome == CaptureState.SEALED
 
 
@@ -207,7 +207,7 @@ def test_the_command_says_what_the_crash_cost(tmp_path: Path, capsys: pytest.Cap
     code, out, err = run(capsys, tmp_path)
     assert code == 0, err
     assert out == f"{tmp_path}/trial.parquet: {ROWS} rows, {ROWS / RATE:.3g} s, at most 1 s lost\n"
-    assert run(capsys, tmp_path)[1] == "nothing to recover: every recording there is sealed\n"
+    assert run(capsys, tmp_path)[1] == "nothing to recover: all recordings are sealed\n"
 
 
 def test_the_command_for_machines_and_its_exit_code(

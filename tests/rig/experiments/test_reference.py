@@ -138,7 +138,7 @@ def test_a_new_host_takes_the_reference_from_the_device_until_it_is_lost(
     tmp_path: Path,
 ) -> None:
     with powered_up(MARKED) as device:
-        with pytest.raises(DeviceRefusedError, match="does not know where it is") as refused:
+        with pytest.raises(DeviceRefusedError, match=r"position zero of .* is unknown") as refused:
             position_zero(device, MARKED)
         assert "rig device reference" in refused.value.remedy
         found = reference(device, MARKED, output=tmp_path, verified=True)
@@ -146,7 +146,7 @@ def test_a_new_host_takes_the_reference_from_the_device_until_it_is_lost(
         device.link.device.inject_fault(Fault.ENCODER)  # type: ignore[attr-defined]
         other = FramedDevice(device.link)
         other.configure({})  # clears the fault
-        with pytest.raises(DeviceRefusedError, match="does not know where it is"):
+        with pytest.raises(DeviceRefusedError, match=r"position zero of .* is unknown"):
             position_zero(other, MARKED)
 
 
@@ -172,11 +172,11 @@ def test_swapped_motor_leads_end_it_before_the_search(tmp_path: Path) -> None:
 
 
 BROKEN = {
-    "no switch": ({"switch_way": 0}, "no limit switch within"),
-    "a broken wire of the switch": ({"switch_count": 10**9}, "stays pressed"),
-    "no index": ({"index_counts": 0}, "no index came"),
-    "noise on the index": ({"index_counts": EVERY // 4}, "indices came where one must be"),
-    "a lost count": ({"index_counts": EVERY - 40}, f"{EVERY - 40} counts, and {EVERY} are described"),
+    "no switch": ({"switch_way": 0}, "no limit switch was found within"),
+    "a broken wire of the switch": ({"switch_count": 10**9}, "still shows pressed"),
+    "no index": ({"index_counts": 0}, "no index was seen"),
+    "noise on the index": ({"index_counts": EVERY // 4}, "indices were seen where exactly one is expected"),
+    "a lost count": ({"index_counts": EVERY - 40}, f"{EVERY - 40} counts; described are {EVERY}"),
     "a switch beside the index": (
         {"switch_count": -int(0.31 / (2 * np.pi / 40000))},
         "from the limit switch",
@@ -235,7 +235,7 @@ def test_a_handle_that_is_held_in_the_search_is_let_go_at_once(x: Experiment, tm
                 find(device, x, tmp_path, tell=hold)
         finally:
             parameters[COULOMB] = MARKED.rig.mechanics.motor_coulomb
-        assert "a stop before the switch or a hand" in error.value.remedy
+        assert "a stop before the switch, or a hand" in error.value.remedy
         (search,) = tmp_path.glob("*switch*.parquet")
         rows = open_recording(search).rows
         assert rows["effort_sent"][-1] == 0.0
@@ -326,10 +326,10 @@ def test_an_index_alone_is_enough_where_the_travel_holds_one(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("key", "value", "said"),
     [
-        ("limit_switch", "none", "may hold more than one index"),
+        ("limit_switch", "none", "may contain more than one index"),
         ("index", False, 'must be "none" without an index'),
-        ("travel", 0.7, "must hold an index behind the switch for certain"),
-        ("travel", 0.5, "not be less than the position window"),
+        ("travel", 0.7, "must be long enough to contain an index beyond the switch"),
+        ("travel", 0.5, "be at least the position window"),
         ("index_distance", 1e-4, "must be at least 16 counts"),
     ],
 )

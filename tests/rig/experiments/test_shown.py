@@ -142,7 +142,7 @@ def test_each_has_its_picture_which_is_saved_as_its_name_ends(
     assert drawn["column"]._repr_png_().startswith(b"\x89PNG")
     assert drawn["replay"].save(tmp_path / "a.svg").read_bytes().startswith(b"<?xml")
     assert drawn["replay"].save(str(tmp_path / "a.pdf")).read_bytes().startswith(b"%PDF")
-    with pytest.raises(ConfigError, match="a Plan has no picture; give a hit"):
+    with pytest.raises(ConfigError, match="a Plan cannot be drawn; give a hit"):
         rig.plot(results["plan"])
 
 

@@ -575,7 +575,7 @@ def test_a_device_that_ends_a_run_and_says_no_fault_is_an_error_with_a_remedy() 
     end = LoopEnd(EndReason.DEVICE_FAULT, None, dict.fromkeys(COUNTERS, 0))
     error = error_of(end, "sim://", FaultReport(0, "NONE", "no fault", "", 0, 0, []), np.zeros(0, ROW))
     assert error is not None
-    assert error.message == "device fault: it did not say which"
+    assert error.message == "device fault: it did not report which"
     assert error.remedy
 
 

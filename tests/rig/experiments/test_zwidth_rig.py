@@ -122,7 +122,7 @@ def test_who_declines_ends_the_session_and_the_same_plan_goes_on(tmp_path: Path)
 
     person = Person(patience=of_first_series + 1)
     with pytest.raises(
-        StoppedError, match=r"1 of 2 series are done and kept in .*journal.*resumes from there"
+        StoppedError, match=r"1 of 2 series are done and stored in .*journal.*resumes from there"
     ):
         zwidth_on_rig(planned(), person.session(tmp_path / "b"), journal=journal)
     assert len(person.told) == of_first_series + 1, "nothing moves once somebody has declined"
@@ -213,7 +213,7 @@ def test_a_hit_that_says_nothing_three_times_ends_the_session_with_the_reason(tm
     person = Person()
     rungs = StiffnessSearch(lowest=400.0, highest=420.0, ratio=1.5)
     plan = planned({"rig.limits.slew": 200.0}, dampings=(0.0,), search=rungs)
-    with pytest.raises(RigError, match=r"3 hits at K = 400, B = 0 were invalid.*slew limit bound") as caught:
+    with pytest.raises(RigError, match=r"3 hits at K = 400, B = 0 were invalid.*slew limit acted") as caught:
         zwidth_on_rig(plan, person.session(tmp_path))
     assert not isinstance(caught.value, StoppedError)
     assert [asked.attempt for asked in person.asked] == [1, 2, 3]
@@ -289,11 +289,11 @@ def test_a_real_device_of_unverified_polarity_is_not_moved(tmp_path: Path, real_
 @pytest.mark.parametrize(
     ("plan", "text"),
     [
-        ({"judged": "true"}, "`judge` recorded"),
+        ({"judged": "true"}, "`judge` = recorded"),
         ({"offsets": (0.1, 0.6)}, "2 encoder offsets"),
         (
             {"schemes": (Scheme.parse("dual:5k/1k"), Scheme.parse("uniform:20k"))},
-            r"scheme uniform:20k.*asks for 20000 Hz, and the device runs at most at 8000 Hz.*`rate` 8000",
+            r"scheme uniform:20k.*needs 20000 Hz, and the device supports at most 8000 Hz.*`rate` 8000",
         ),
         (
             {"search": StiffnessSearch(lowest=0.1, highest=10.0, ratio=2.0)},
