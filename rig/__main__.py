@@ -1,4 +1,4 @@
-"""``rig``, and ``python -m rig``: a stop is said before anything else is loaded."""
+"""``rig``, and ``python -m rig``: `rig stop` sends the stop request before anything else is imported."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def main() -> None:
 
 
 def asked_to_stop(arguments: list[str]) -> list[memories.LoopMemory] | None:
-    """Do what ``rig stop`` must do at once, and return what it goes on with; of any other command line, None."""
+    """Request the stop at once if the command is ``rig stop``, and return its loops; None for another command."""
     if arguments[:1] != ["stop"]:
         return None
     process = [word for word in arguments[1:] if word not in ("--json", "-q", "--quiet")]

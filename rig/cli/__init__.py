@@ -88,7 +88,7 @@ def _run(arguments: list[str], obj: object) -> int:  # noqa: PLR0911  (one exit 
         _refuse_empty(arguments)
         if not hasattr(sys.modules["rig"], "_NAMES") and arguments[:1] != ["stop"]:
             raise wrong_package("rig") or ConfigError(
-                "the package rig is not complete", remedy="install it again"
+                "files of the package rig are missing", remedy="install it again"
             )
         result = rig.main(args=arguments, prog_name="rig", standalone_mode=False, obj=obj)
         return result if isinstance(result, int) else 0
@@ -109,7 +109,7 @@ def _run(arguments: list[str], obj: object) -> int:  # noqa: PLR0911  (one exit 
     except SystemExit:  # click's answer to a broken pipe
         if _reader_has_gone():
             return 0  # nothing to complain about
-        return _incomplete("a pipe broke")
+        return _incomplete("a reader closed the pipe")
     except OSError as error:
         return _incomplete(str(error.strerror or error))
     except Exception as error:
@@ -135,15 +135,15 @@ def _refuse_empty(arguments: list[str]) -> None:
         name, equals, value = word.partition("=")
         if not word or (name.startswith("--") and equals and not value):
             raise ConfigError(
-                f"nothing is given {f'for {name}' if word else f'after {before}'}",
+                f"no value is given {f'for {name}' if word else f'after {before}'}",
                 remedy="give a value, or leave the option out",
             )
 
 
 def _reader_has_gone() -> bool:
-    """Whether nobody reads standard output any more."""
+    """Return True if standard output is a pipe whose reader has closed it."""
     if sys.platform == "win32":
-        return True  # no question there tells; click says it of nothing else
+        return True  # it cannot be queried there, and click raises this error for nothing else
     else:
         output = select.poll()
         output.register(1, 0)
@@ -151,7 +151,7 @@ def _reader_has_gone() -> bool:
 
 
 def _incomplete(why: str) -> int:
-    click.echo(f"rig: {why}: what was printed may be incomplete", err=True)
+    click.echo(f"rig: {why}: the output above may be incomplete", err=True)
     return 74
 
 
@@ -162,4 +162,4 @@ def _report(error: RigError, arguments: list[str]) -> None:
         click.echo(f"rig: {for_terminal(message)}", err=True)
     click.echo(f"rig: {for_terminal(str(error))}", err=True)
     if error.recording is not None:
-        click.echo(f"rig: what was recorded until then: {error.recording}", err=True)
+        click.echo(f"rig: the recording up to that point: {error.recording}", err=True)

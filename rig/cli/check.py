@@ -31,9 +31,9 @@ def check(request: FreeRigRequest, as_json: bool) -> None:
     if not as_json:
         effort, position = (unit_of(name, x.rig.motion) for name in ("effort", "position"))
         click.echo(
-            f"this moves the motor: {NO_HANDS}; {PUSHES} pushes of at most {most_push(x):.3g} {effort}, "
-            f"{push_way(x):.3g} {position} and {1e3 * energy_of(x):.2g} mJ each; a first run "
-            "compiles before they begin",
+            f"this moves the motor: {NO_HANDS}; {PUSHES} pushes of at most {most_push(x):.3g} "
+            f"{effort}, {push_way(x):.3g} {position} and {1e3 * energy_of(x):.2g} mJ each; the first "
+            "run compiles code before the pushes begin",
             err=True,
         )
     found = check_rig_moves(request)

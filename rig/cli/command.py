@@ -32,7 +32,7 @@ json_option = option("--json", "as_json", group=RESULT, is_flag=True, help="Prin
 
 
 def quiet() -> bool:
-    """Whether the command that runs was told ``-q``."""
+    """Return True if the running command was given ``-q``."""
     context = click.get_current_context(silent=True)
     return context is not None and bool(context.meta.get(_QUIET))
 
@@ -47,7 +47,7 @@ class GroupedCommand(click.Command):
     Parameters
     ----------
     quiet
-        Whether it takes ``-q``: one that talks with somebody does not.
+        True if the command accepts ``-q``; a dialogue does not.
     """
 
     def __init__(self, *arguments: Any, quiet: bool = True, **more: Any) -> None:
@@ -60,7 +60,8 @@ class GroupedCommand(click.Command):
                     is_flag=True,
                     expose_value=False,
                     callback=_be_quiet,
-                    help="Print warnings and errors alone (and JSON, with --json): the exit code says the rest.",
+                    help="Print warnings and errors only (and JSON, with --json); the exit code gives "
+                    "the result.",
                 )
             )
 

@@ -17,9 +17,9 @@ EXPECTED = {"hit": 120}  # kernels that a command compiles first; tests/benchmar
 
 
 class CompilingNotice:
-    """Says while kernels are being compiled how many are, and how long the rest will take where that is known.
+    """Shows how many kernels are compiled so far, and the remaining time if it is known.
 
-    `expected` is how many the command compiles with an empty cache, 0 for a command that nobody has counted.
+    `expected` is how many the command compiles with an empty cache; 0: unknown.
     """
 
     def __init__(self, expected: int = 0) -> None:
@@ -30,7 +30,7 @@ class CompilingNotice:
         self._thread = threading.Thread(target=self._show, daemon=True)
 
     def __call__(self, busy: bool) -> None:
-        """Be told by `rig.realtime.compiling`."""
+        """Show or hide the notice; `rig.realtime.compiling` calls it when a compilation begins and ends."""
         now = time.monotonic()
         if busy:
             self._began = now
@@ -42,7 +42,7 @@ class CompilingNotice:
             self._spent_s += now - self._began
 
     def _show(self) -> None:
-        text = "compiling what this run needs, once for this version and machine"
+        text = "compiling the code of this run (once per version and machine)"
         terminal = sys.stderr.isatty()
         if not terminal:
             click.echo(f"{text} …", err=True)

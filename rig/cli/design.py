@@ -48,25 +48,39 @@ ON_RIG_COLUMNS, ON_RIG_RATIO = 3, 1.06  # of the map on a rig: dampings, and sti
 @options.file_argument
 @options.rig_option()
 @options.operator_option(
-    "Who pushes: a hand (relaxed, normal, firm), or none: the motor. [as FILE says; a built-in rig: normal]"
+    "Grip of the simulated hand that pushes (relaxed, normal, firm), or none: the motor pushes. [as "
+    "in FILE; a built-in rig: normal]"
 )
 @options.effort_option
 @options.set_option
-@options.seed_option("Of everything random.")
+@options.seed_option("Seed of all random numbers.")
 @option(
-    "--goal", group=WISHES, type=click.Choice(GOALS), default="area", show_default=True, help="What decides."
+    "--goal",
+    group=WISHES,
+    type=click.Choice(GOALS),
+    default="area",
+    show_default=True,
+    help="Measure by which schemes are ranked.",
 )
 @option(
     "--must-be-stable",
     group=WISHES,
     is_flag=True,
-    help="The wall of -K and -B, or the experiment's, must be.",
+    help="Require that the wall of -K and -B (or of the experiment) is stable.",
 )
 @option(
-    "-K", "--stiffness", group=WISHES, type=float, help="Of the wall that must be stable (N·m/rad or N/m)."
+    "-K",
+    "--stiffness",
+    group=WISHES,
+    type=float,
+    help="Stiffness of the wall that must be stable (N·m/rad or N/m).",
 )
 @option(
-    "-B", "--damping", group=WISHES, type=float, help="Of the wall that must be stable (N·m·s/rad or N·s/m)."
+    "-B",
+    "--damping",
+    group=WISHES,
+    type=float,
+    help="Damping of the wall that must be stable (N·m·s/rad or N·s/m).",
 )
 @option("--felt", group=WISHES, type=float, help="Largest rms velocity in the tail (m/s at the handle).")
 @option("--heard", group=WISHES, type=float, help="Largest rms ripple of the effort (N at the handle).")
@@ -89,43 +103,44 @@ ON_RIG_COLUMNS, ON_RIG_RATIO = 3, 1.06  # of the map on a rig: dampings, and sti
     "--loop",
     group=ALLOWED,
     type=click.Choice(["host", "device", "both"]),
-    help="Where the law may run. [as the experiment says]",
+    help="Where the law may run. [as in the experiment]",
 )
 @option(
     "--round-trip",
     group=ALLOWED,
     type=float,
     metavar="S",
-    help="Of the link, for a law on this computer (s).",
+    help="Round trip of the link, for a law on this computer (s).",
 )
 @option(
     "--board",
     group=ALLOWED,
     default=BOARD,
     show_default=True,
-    help="Board whose processor's cycles count, with a law on the device.",
+    help="Board for which cycles are counted when the law runs on the device.",
 )
-@option("--link", group=ALLOWED, type=float, metavar="BYTES/S", help="What the link carries. [any rate]")
-@options.scheme_option("a listed set of some hundred", ALLOWED)
+@option("--link", group=ALLOWED, type=float, metavar="BYTES/S", help="Capacity of the link. [unlimited]")
+@options.scheme_option("a built-in list of some hundred", ALLOWED)
 @option(
     "--paper",
     group=RESULT,
     is_flag=True,
-    help="Hold all of the set against the schemes of the rig's own paper, too, in each of its measures.",
+    help="Also compare the whole set with the schemes of the paper that describes the rig, in each "
+    "measure of that paper.",
 )
 @options.workers_option
 @options.scheduler_option
-@options.url_option("simulates without a link")
+@options.url_option("simulate, without a link")
 @options.verified_option
-@options.confirm_option(CONFIRM, "each hit; no with a simulated device")
-@options.output_option(None, "Write the recommended [controller] section into this file, too.", "section")
+@options.confirm_option(CONFIRM, "each hit; no for a simulated device")
+@options.output_option(None, "Also write the recommended [controller] section to this file.", "section")
 @option(
     "--directory",
     group=RESULT,
     type=click.Path(path_type=Path),
     default=Path("designs"),
     show_default=True,
-    help="Where a directory of each design is kept, to resume from.",
+    help="Directory that stores each design, to resume from.",
 )
 @options.plot_options()
 @options.json_option
@@ -236,8 +251,8 @@ def _wall(
     if not must:
         if (stiffness, damping) != (None, None):
             raise ConfigError(
-                "-K and -B are of a wall that must be stable",
-                remedy="say --must-be-stable, too, or drop them",
+                "-K and -B have no effect: they describe the wall of --must-be-stable, which is not given",
+                remedy="add --must-be-stable, or drop -K and -B",
             )
         return None
     wall = {"wall.stiffness": stiffness, "wall.damping": damping}
@@ -245,7 +260,9 @@ def _wall(
         experiment, {key: value for key, value in wall.items() if value is not None}
     ).wall
     if walled.stiffness == 0.0:
-        raise ConfigError("a wall of K = 0 is none", remedy="choose -K above 0")
+        raise ConfigError(
+            "the stiffness -K of the wall is 0: it must be above 0", remedy="give -K a value above 0"
+        )
     return walled.stiffness, walled.damping
 
 
@@ -264,13 +281,17 @@ def _places(experiment: Experiment, url: str | None, asked: dict[str, Any]) -> t
         )
     given = [f"--{name.replace('_', '-')}" for name in names if asked[name] is not None]
     if given:
-        raise ConfigError(f"{given[0]}: the device says itself what it allows", remedy="drop it, or --url")
+        raise ConfigError(
+            f"{given[0]} is given together with --url: the device at the URL reports this limit itself",
+            remedy=f"drop {given[0]}, or drop --url",
+        )
     load_device(url)
     allowed = {place.loop: place for place in places_of(url, experiment, asked["board"])}
     wanted = tuple(allowed) if loop == "both" else (loop or experiment.controller.loop,)
     if not set(wanted) <= set(allowed):
         raise ConfigError(
-            f"{url} runs no law of its own", remedy="say --loop host, or flash a firmware that does"
+            f"the device at {url} cannot run the law itself",
+            remedy="give --loop host, or flash a firmware that runs the law",
         )
     return tuple(allowed[one] for one in wanted)
 

@@ -13,7 +13,7 @@ from rig.views.site import build_site
 
 @command()
 @option("--open/--no-open", "opened", default=True, help="Show the first page in the browser.")
-@option("--strict", is_flag=True, help="Warnings are errors, and so are links into nothing.")
+@option("--strict", is_flag=True, help="Treat warnings and broken links as errors.")
 @options.output_option("site", "Directory of the site.", "directory")
 @options.json_option
 def docs(opened: bool, strict: bool, directory: Path, as_json: bool) -> None:
@@ -28,4 +28,4 @@ def docs(opened: bool, strict: bool, directory: Path, as_json: bool) -> None:
     else:
         output.show(built.items())
     if opened and click.launch(str(built.index)) != 0:
-        output.note(f"no browser opened: look at {built.index}")
+        output.note(f"no browser could be opened: open {built.index}")

@@ -15,7 +15,7 @@ from rig.experiments.hits.examine import ExaminationRequest, examine
 
 @command()
 @options.request_options(ExaminationRequest, options.experiment_options)
-@click.option("--print-udev", is_flag=True, help="Print udev rules for rigs, and do nothing else.")
+@click.option("--print-udev", is_flag=True, help="Print udev rules for rigs, and exit.")
 @options.json_option
 def doctor(request: ExaminationRequest, print_udev: bool, as_json: bool) -> None:
     """Examine what this machine and a link can do, with the remedy for what they cannot; changes nothing.
@@ -43,6 +43,8 @@ def doctor(request: ExaminationRequest, print_udev: bool, as_json: bool) -> None
         found.error.reported = as_json
         raise found.error
     if found.armable is False:
-        refused = PlanError("the wall of this experiment must not be armed here", remedy=found.remedy)
+        refused = PlanError(
+            "the wall of this experiment must not be armed on this computer and link", remedy=found.remedy
+        )
         refused.reported = as_json
         raise refused

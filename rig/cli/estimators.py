@@ -1,4 +1,4 @@
-"""``rig estimators``: what there is, how good each is on which motion, and which settings suit a motion."""
+"""``rig estimators``: list them, compare them on motions, and tune their settings."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ DEFAULT_RATE = "2k"
 VARIANT_HELP = "NAME, or NAME:setting=value,setting=value."
 
 resolution_option = option(
-    "--resolution", type=float, default=DEFAULT_RESOLUTION, show_default=True, help="m a count."
+    "--resolution", type=float, default=DEFAULT_RESOLUTION, show_default=True, help="Resolution: m per count."
 )
 
 
@@ -69,7 +69,7 @@ def _facts(name: str, case: Case, hertz: int) -> dict[str, Any]:
         "summary": each.summary,
         "source": each.source,
         "delay_s": scored.delay_s,
-        "delay_at": f"{hertz} Hz, 5 Hz sine, {DEFAULT_RESOLUTION:g} m a count, default settings",
+        "delay_at": f"{hertz} Hz, 5 Hz sine, {DEFAULT_RESOLUTION:g} m per count, default settings",
         "refused": scored.refused,
         "parameters": [_setting(s) for s in each.settings],
     }
@@ -79,9 +79,15 @@ def _facts(name: str, case: Case, hertz: int) -> dict[str, Any]:
 @click.argument("recordings", nargs=-1, type=values.RECORDING)
 @options.signal_option("signals", help=f"Reference signal. [{DEFAULT_SIGNAL}]", multiple=True)
 @option("--rate", "rates", help=f"Velocity rates. [{DEFAULT_RATES}; of a recording: its own]")
-@option("--resolution", "resolutions", multiple=True, type=float, help=f"m a count. [{DEFAULT_RESOLUTION:g}]")
+@option(
+    "--resolution",
+    "resolutions",
+    multiple=True,
+    type=float,
+    help=f"Resolution: m per count. [{DEFAULT_RESOLUTION:g}]",
+)
 @options.estimator_option(f"{VARIANT_HELP} [all]", names=("chosen",), multiple=True)
-@option("--time/--no-time", "timed", default=True, help="Also measure ns a sample.")
+@option("--time/--no-time", "timed", default=True, help="Also measure the time per sample (ns).")
 @options.picture_options("Draw them.", default=True, place="estimators.png")
 @options.json_option
 def compare(
@@ -130,9 +136,9 @@ def compare(
     "--objective",
     default="rms",
     show_default=True,
-    help="rms, delay-corrected-rms or rms+delay: see the guide.",
+    help="Objective: rms, delay-corrected-rms or rms+delay; the guide explains them.",
 )
-@option("--free", multiple=True, help="Number to tune. [all that have an effect]")
+@option("--free", multiple=True, help="Setting to tune. [all that have an effect]")
 @options.output_option(None, "TOML to write. [NAME-tuned.toml]", "target")
 @options.overwrite_option
 @options.json_option
@@ -156,7 +162,7 @@ def tune(
     variant = Variant.parse(estimator)
     path = target or Path(f"{variant.estimator}-tuned.toml")
     if path.exists() and not overwrite:
-        raise ConfigError(f"{path} exists", remedy="choose another with -o, or say --overwrite")
+        raise ConfigError(f"{path} exists", remedy="choose another file with -o, or add --overwrite")
     if recording is None:
         case = _signal_case(signal, _rate(rate or DEFAULT_RATE), resolution)
     else:
@@ -176,13 +182,15 @@ def tune(
 @command()
 @click.argument("estimator", type=values.ESTIMATOR)
 @click.argument("recording", required=False, type=values.RECORDING)
-@options.rig_option("that of RECORDING, or koul-compliant")
+@options.rig_option("the rig of RECORDING, else koul-compliant")
 @options.set_option
 @options.signal_option(
     default=DEFAULT_SIGNAL, show_default=True, help="Motion of the test, without RECORDING."
 )
-@option("--costs/--no-costs", default=True, help="Count what a call costs, where the tools are installed.")
-@options.output_option(None, "Header to write; its test goes beside it. [NAME.h]", "target")
+@option(
+    "--costs/--no-costs", default=True, help="Count the cycles of a call, if the cross compiler is installed."
+)
+@options.output_option(None, "Header to write; its test is written beside it. [NAME.h]", "target")
 @options.overwrite_option
 @options.json_option
 def export(
@@ -254,8 +262,8 @@ def _said(p: dict[str, Any]) -> str:
 def _headline(case: Case) -> str:
     position, velocity = (unit_of(q, case.motion) for q in ("position", "velocity"))
     return (
-        f"{click.style(case.name, bold=True)} at {case.rate_hz:g} Hz, {abs(case.resolution):.4g} {position} a count; "
-        f"truth: {case.reference}, {case.speed_rms:.3g} {velocity} rms"
+        f"{click.style(case.name, bold=True)} at {case.rate_hz:g} Hz, {abs(case.resolution):.4g} "
+        f"{position} per count; truth: {case.reference}, {case.speed_rms:.3g} {velocity} rms"
     )
 
 
@@ -283,7 +291,7 @@ def _cells(score: Score) -> list[str]:
 def _rate(text: str) -> int:
     rates = _rates(text)
     if len(rates) != 1:
-        raise ConfigError(f"--rate {text}: one rate is needed", remedy="write 2k or 2000")
+        raise ConfigError(f"--rate {text}: expected a single rate", remedy="write 2k or 2000")
     return rates[0]
 
 
@@ -293,9 +301,12 @@ def _rates(text: str) -> list[int]:
 
 def _signal_case(name: str, rate_hz: int, resolution: float) -> Case:
     if name not in SIGNALS:
-        raise ConfigError(f"there is no signal {name!r}", remedy=f"choose one of: {', '.join(SIGNALS)}")
+        raise ConfigError(f"unknown signal {name!r}", remedy=f"choose one of: {', '.join(SIGNALS)}")
     if not (math.isfinite(resolution) and resolution > 0.0):
-        raise ConfigError(f"--resolution {resolution:g}: not above zero", remedy="give m a count, like 1e-6")
+        raise ConfigError(
+            f"--resolution {resolution:g} must be above 0",
+            remedy="give a value above 0, in m per count, like 1e-6",
+        )
     return signal_case(SIGNALS[name], rate_hz, resolution)
 
 

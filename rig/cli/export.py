@@ -20,7 +20,7 @@ from rig.recording.export import export as write
     "kind",
     group=RESULT,
     type=click.Choice(tuple(EXPORTERS)),
-    help="Of TARGET. [as its name ends]",
+    help="Format of TARGET. [from the ending of its name]",
 )
 @options.overwrite_option
 @options.json_option

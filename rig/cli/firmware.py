@@ -37,7 +37,7 @@ board_option = option(
     "--board",
     default=DEFAULT_BOARD,
     show_default=True,
-    help="Name or directory of the board; list: all of them.",
+    help="Name or directory of the board; list: list all boards.",
 )
 pins_option = option(
     "--set",
@@ -60,13 +60,13 @@ pins_option = option(
 )
 @click.option(
     "--amplifier",
-    help="In place of the rig's rig.amplifier.profile; rig firmware amplifiers lists them.",
+    help="Amplifier profile, instead of the rig's rig.amplifier.profile; rig firmware amplifiers lists them.",
 )
 @click.option(
     "--check-port",
     "for_check",
     is_flag=True,
-    help="Build the program that tries the board's port out, in place of the firmware.",
+    help="Build the program that tests the board's port, instead of the firmware.",
 )
 @options.output_option("firmware", "Directory of the image.", "directory")
 @options.json_option
@@ -174,9 +174,12 @@ def info(source: str, as_json: bool) -> None:
 @click.option(
     "--drive",
     type=click.Path(path_type=Path, file_okay=False),
-    help="Where the board's drive is mounted. [found]",
+    help="Where the board's drive is mounted. [searched]",
 )
-@options.url_option("the board shows its drive already; else a device that is not armed shall show it")
+@options.url_option(
+    "the board is already in its boot loader; else: URL of a disarmed device, which restarts into "
+    "its boot loader"
+)
 @options.json_option
 def flash(image: Path, drive: Path | None, url: str | None, as_json: bool) -> None:
     """Copy an image (.uf2) to a board that shows its drive, and wait until the board has started it.
@@ -189,10 +192,10 @@ def flash(image: Path, drive: Path | None, url: str | None, as_json: bool) -> No
         output.print_json(done)
         return
     click.echo(
-        f"the drive at {done.drive} took the image: {done.board}, {done.firmware}, for the rig {done.rig}. "
-        "Check that it runs: rig firmware info URL"
+        f"the drive at {done.drive} took the image: {done.board}, {done.firmware}, for the rig "
+        f"{done.rig}. Next, check that it runs: rig firmware info URL"
     )
-    click.echo("next: rig device list lists it; then rig firmware selftest URL")
+    click.echo("next: rig device list (it must appear there); then rig firmware selftest URL")
 
 
 @command()

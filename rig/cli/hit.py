@@ -125,7 +125,7 @@ class Artist:
 
 def _print_result(result: Any, picture: str | None, changed: list[str]) -> None:
     if result.cleared_fault:
-        click.echo(f"rig: the device had a fault latched, now cleared: {result.cleared_fault}", err=True)
+        click.echo(f"rig: a latched fault of the device was cleared: {result.cleared_fault}", err=True)
     click.echo(hit_output.headline(result.experiment))
     if changed:
         click.echo(f"  in effect: {', '.join(changed)}")
@@ -136,8 +136,8 @@ def _say_gate(gate: Gate) -> None:
     """Say what speaks against arming where it is armed all the same: a simulated rig, or --arm-anyway."""
     if gate.armable:
         return
-    why = "--arm-anyway" if gate.forced and not gate.simulated else "a real rig would be refused"
-    click.echo(f"rig: arming although ({why}): {gate.text}", err=True)
+    why = "--arm-anyway" if gate.forced and not gate.simulated else "a real rig would refuse to arm"
+    click.echo(f"rig: arming despite the warning ({why}): {gate.text}", err=True)
 
 
 def _show_what_was_recorded(error: RigError, artist: Artist, *, quiet: bool) -> None:

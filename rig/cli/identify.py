@@ -32,19 +32,19 @@ from rig.views.plots.identify import draw_identification
     "loop_rate",
     group=EXPERIMENT,
     metavar="HZ",
-    help="Of the loop while it moves, not of the file that is written: 1k. The excitation ends at 0.15 of it. In real "
-    "time the measured link decides unless given.",
+    help="Rate of the loop during identification (not written to the file): 1k. The excitation ends "
+    "at 0.15 of this rate. [in real time: from the measured link]",
 )
 @option(
     "--weight",
     "mass_kg",
     type=float,
     metavar="KG",
-    help="Calibrate the effort instead: slow strokes without and with this mass hung on the rig. With --cogging: "
-    "also sweep with it, for the ripple of the effort.",
+    help="Calibrate the effort instead, by slow strokes without and with this mass (kg) hung on the "
+    "rig. With --cogging: also sweep with the mass, to measure the ripple of the effort.",
 )
 @option("--arm", "arm_m", type=float, metavar="M", help="Lever arm of the mass. [radius of the handle]")
-@option("--plan", "only_plan", is_flag=True, help="List and check what would be done; touches no device.")
+@option("--plan", "only_plan", is_flag=True, help="List and check the planned motions; opens no device.")
 @options.output_option(None, "Experiment file to write (TOML).", "file_out")
 @options.plot_options("Draw data, fit and residual.")
 @options.json_option
@@ -62,15 +62,15 @@ def identify(
 
     Moves the free handle, without its end mass: small pushes that stop after a few counts whatever the signs are, slow
     strokes at constant speeds, and excitation by random-phase multisines. FILE or --rig describes the rig as far as it
-    is known; limits of effort, speed and window in it are kept, and checked before anything moves. Every motion is
+    is known; its limits of effort, speed and window are observed, and checked before anything moves. Every motion is
     recorded. Keep hands off the handle.
 
-    With --cogging ORDER it also maps the motor's effort over position, both ways, so that friction stands apart. The
-    map needs a zero that an encoder's index gives ([rig.reference]); it is kept in the file ([rig.cogging]).
+    With --cogging ORDER it also maps the motor's effort over position, in both directions to separate friction. The
+    map needs a position zero from the encoder's index ([rig.reference]); it is written to the file ([rig.cogging]).
 
-    With --weight it measures effort_per_ampere alone, by a known mass that a person hangs on the rig when told. With
-    both it sweeps once more with the mass at the end, which tells the ripple of the motor's effort: a share of it that
-    varies with place, and in sweeps without a mass looks like friction that does.
+    With --weight it measures only effort_per_ampere, with a known mass that the operator hangs on the rig when asked.
+    With both it sweeps once more at the end with the mass, to measure the ripple of the motor's effort: a variation
+    with position that looks like varying friction in sweeps without a mass.
     """
     if file_out is not None and file_out.exists() and file_out.is_dir():
         raise ConfigError(f"{file_out} is a directory", remedy="give the name of a file, such as rig.toml")
@@ -78,8 +78,9 @@ def identify(
     if (mass_kg is not None or arm_m is not None) and (request.cogging is None or mass_kg is None):
         if mass_kg is None or only_plan or file_out is not None:
             raise ConfigError(
-                "--weight KG with --arm M weighs; it has no --plan, and writes no file",
-                remedy="put the effort_per_ampere that it names into your file",
+                "a calibration by weight needs --weight, and cannot be combined with --plan or --output",
+                remedy="give --weight KG (with --arm M) without them, and copy the printed "
+                "effort_per_ampere into your file",
             )
         weighing = WeighRequest(
             experiment=request.experiment,
@@ -124,7 +125,7 @@ def _ask(text: str) -> None:
     """Have a person do something, and wait for Enter."""
     click.echo(f"  {text}; then press Enter", err=True)
     if not sys.stdin.readline():
-        raise ConfigError("nobody pressed Enter: the input has ended", remedy="run it in a terminal")
+        raise ConfigError("standard input ended before Enter was pressed", remedy="run it in a terminal")
 
 
 def _plan(request: IdentifyRequest) -> Plan:
@@ -174,9 +175,7 @@ def _print(found: Identification, picture: str | None, written: Path | None) -> 
         pairs.append(("experiment", str(written)))
     output.print_pairs(pairs)
     if not found.simulated:
-        click.echo(
-            "  The signs of this rig are checked: --verified may be said of it until somebody rewires it."
-        )
+        click.echo("  The signs of this rig are checked: use --verified with it until the wiring changes.")
 
 
 def _count(found: Identification) -> int:
@@ -194,7 +193,7 @@ def _sign_pairs(found: Identification) -> list[tuple[str, str]]:
         ("signs", "a positive effort raises the position"),
         (
             "scale",
-            f"the handle answers pushes like {signs.scale:.2g} times the inertia described",
+            f"the response to pushes shows {signs.scale:.2g} times the described inertia",
         ),
         ("breakaway", f"up {signs.breakaway_up:.3g}, down {signs.breakaway_down:.3g} {unit['effort']}"),
     ]
@@ -215,7 +214,7 @@ def _cogging_pairs(found: Identification) -> list[tuple[str, str]]:
     if map_ is None:
         return []
     if not map_.orders:
-        return [("cogging", f"no harmonic of {map_.unseen:.2g} {unit['effort']} or more")]
+        return [("cogging", f"no harmonic above {map_.unseen:.2g} {unit['effort']}")]
     least, most = map_.stiffness
     position = unit_of("position", found.experiment.rig.motion)
     return [
@@ -232,9 +231,14 @@ def _ripple_pairs(found: Identification) -> list[tuple[str, str]]:
     if found.cogging is None:
         return []
     if ripple is None:
-        return [("ripple", "not told from friction that varies with place; a mass tells it (--weight KG)")]
+        return [
+            (
+                "ripple",
+                "not separable from friction that varies with position; measure it with a mass (--weight KG)",
+            )
+        ]
     if not ripple.orders:
-        return [("ripple", f"no harmonic of {100 * ripple.unseen:.2g} % of the effort or more")]
+        return [("ripple", f"no harmonic above {100 * ripple.unseen:.2g} % of the effort")]
     each = zip(ripple.orders, ripple.amplitude, ripple.phase, strict=True)
     return [
         (
@@ -264,7 +268,7 @@ def _dynamics_pairs(found: Identification) -> list[tuple[str, str]]:
         highest, above = dynamics.lines_hz[-1], dynamics.mode_above_hz
         text = f"none up to {highest:g} Hz: one rigid body explains the motion as well"
         if above is not None:
-            text = f"one above the band: by its compliance, an anti-resonance near {above:.3g} Hz"
+            text = f"one above the band: its compliance puts an anti-resonance near {above:.3g} Hz"
         pairs.append(("mode", text))
     else:
         pairs += [

@@ -33,26 +33,26 @@ CONFIRM = ("each", "no")
 @options.rig_option(options.EXCITED_PRESET)
 @options.walls_options(
     "Stiffness of the walls. [the experiment's, and the bare rig]",
-    "Damping of the walls: as many, or one for all.",
+    "Damping of the walls: one value for each stiffness, or one for all.",
 )
 @options.scheme_option("the experiment's")
 @options.set_option
-@option("--bare", is_flag=True, help="Measure the rig without a wall (too).")
+@option("--bare", is_flag=True, help="Also measure the rig without a wall (alone, if no wall is given).")
 @option(
     "--method",
     type=click.Choice(["periodic", "welch"]),
     default="periodic",
     show_default=True,
-    help="Of the spectra.",
+    help="Method of estimating the spectra.",
 )
 @options.judge_option
 @keyword_options(ExcitationSettings)
 @gathered_options(Judging, "judging")
-@options.url_option("simulates, with an actuator beside the motor")
+@options.url_option("simulate, with an actuator beside the motor")
 @options.realtime_option("A simulated device (sim://) as a process, in real time.")
 @options.verified_option
 @options.arm_anyway_option
-@options.confirm_option(CONFIRM, "each run; no with a simulated device")
+@options.confirm_option(CONFIRM, "each run; no for a simulated device")
 @options.output_option("impedances", "Directory of tables and picture.", "directory")
 @options.plot_options("Draw magnitude, phase and real part.")
 @options.expect_option(("passive", "not-passive"))
@@ -93,8 +93,8 @@ def measure(
         )
     elif realtime or verified or arm_anyway or confirm:
         raise ConfigError(
-            "--realtime, --verified, --arm-anyway and --confirm are for a device",
-            remedy="say --url too, or leave them out",
+            "--realtime, --verified, --arm-anyway and --confirm need a device (--url), which is not given",
+            remedy="add --url, or drop these options",
         )
     shared: dict[str, Any] = {
         "walls": walls, "schemes": parsed, "method": method, "judging": judging, "watch": _progress(as_json)
@@ -121,7 +121,7 @@ def measure(
     if results and not measured:
         error = GuardError(
             f"the guard ended every run: {results[0].ended}",
-            remedy="take a softer wall or a smaller excitation",
+            remedy="choose a softer wall or a smaller excitation",
         )
         error.reported = as_json
         raise error
@@ -140,8 +140,8 @@ def _walls(experiment: Experiment, stiffness: str | None, damping: str | None, b
     b = (own.damping,) if damping is None else numbers_of(damping, "--damping")
     if len(k) != len(b) and 1 not in (len(k), len(b)):
         raise ConfigError(
-            f"{len(k)} stiffnesses and {len(b)} dampings do not pair",
-            remedy="give as many of both, or a single one of either",
+            f"{len(k)} stiffnesses and {len(b)} dampings cannot be paired",
+            remedy="give equally many of both, or a single value of one",
         )
     n = max(len(k), len(b))
     walls = list(zip(k if len(k) == n else k * n, b if len(b) == n else b * n, strict=True))
@@ -225,7 +225,10 @@ def _effective(fidelity: Fidelity, stiffness: str, damping: str) -> list[tuple[s
     """Effective stiffness and damping with the lines that they are means over."""
     low, high = fidelity.effective_band_hz
     if fidelity.effective_lines < EFFECTIVE_LINES:
-        text = f"not stated: {fidelity.effective_lines} lines up to {high:g} Hz, {EFFECTIVE_LINES} are needed"
+        text = (
+            f"not computed: {fidelity.effective_lines} lines up to {high:g} Hz, at least "
+            f"{EFFECTIVE_LINES} are needed"
+        )
         return [("effective K, B", text)]
     lines = f"{fidelity.effective_lines} lines, {low:g} to {high:g} Hz"
     return [
@@ -244,11 +247,12 @@ def _no_port(result: ImpedanceResult) -> list[tuple[str, str]]:
     return [
         (
             "",
-            "encoder and handle are two places: the phase between them is no test (simulated: --judge true)",
+            "not tested: encoder and handle are on different masses, so the phase is not that of one "
+            "point (in simulation: --judge true)",
         )
     ]
 
 
 def _with(value: float, deviation: float, unit: str, percent: float = math.nan) -> str:
-    asked = "" if math.isnan(percent) else f", {percent:.1f} % of what was asked for"
+    asked = "" if math.isnan(percent) else f", {percent:.1f} % of the requested value"
     return f"{value:.4g} ± {deviation:.2g} {unit}{asked}"

@@ -31,7 +31,7 @@ from rig.views.plots.zwidth_frequency import draw_frequency_map
 @options.rig_option(options.EXCITED_PRESET)
 @options.set_option
 @options.walls_options(
-    "Stiffnesses of the grid. [60, to a share of what linear theory calls stable]",
+    "Stiffnesses of the grid. [60, up to a share of the limit of linear theory]",
     "Dampings of the grid. [16, likewise]",
 )
 @options.scheme_option("the paper's four estimators")
@@ -158,7 +158,7 @@ def _search_line(name: str, search: GridSearch, found: FrequencyMap) -> tuple[st
 
 def _print_common(table: TableOne) -> None:
     if not table.points:
-        click.echo("  no wall with damping is held by all: there is no common fidelity")
+        click.echo("  no wall with damping is passive with all schemes: there is no common fidelity")
         return
     rows: list[tuple[str, ...]] = [
         (
@@ -177,25 +177,30 @@ def _notes(table: TableOne) -> list[str]:
     notes = []
     widths = [row.widths.together for row in table.rows]
     if any(width.stiffness_capped or width.damping_capped for width in widths):
-        notes.append("≥: the grid ends before the region does")
+        notes.append("≥: the region extends beyond the grid")
     if any(width.islands for width in widths):
         notes.append(
-            "islands: passive walls beyond one that is not; they do not count (hatched in the picture)"
+            "islands: passive walls beyond a wall that is not passive; they do not count (hatched in "
+            "the picture)"
         )
     if len(table.comparable) < len(table.rows):
-        notes.append("a scheme that holds no wall with damping takes no part in the fidelity at common walls")
+        notes.append("schemes without a passive damped wall are left out of the fidelity at common walls")
     if table.points:
         notes.append(
             "fidelity at: the first common walls by K·B to the last, and the mean of all; over realisations"
         )
     if any(row.search.above for row in table.rows):
         notes.append(
-            "boundary search, above: at so many dampings it ends on an island, beyond the connected region"
+            "boundary search: the number above is how many dampings ended on an island, beyond the "
+            "connected region"
         )
     if any(width.gaps for width in widths):
-        notes.append("there are dampings below a B-width whose softest wall is not passive")
+        notes.append("at some dampings below a B-width the softest wall is not passive")
     if table.realisations == 1:
-        notes.append("one realisation: its variance does not see what friction does alike in each period")
+        notes.append(
+            "one realisation: its variance does not contain the effects of friction that repeat in "
+            "each period"
+        )
     return notes
 
 

@@ -19,13 +19,22 @@ from rig.recording.export import export
 @option("--count", required=True, help="Column of counts: its name, or its number from 0.")
 @option("--time-column", "time", help="Column of times: its name, or its number from 0.")
 @option("--time-unit", default="s", show_default=True, type=click.Choice(tuple(UNITS_S)), help="Of times.")
-@option("--period", type=float, help="s between two rows, instead of --time-column.")
-@option("--width", type=int, help="Bits of the counter, if it wraps at fewer than 32.")
-@option("--resolution", type=float, required=True, help="rad or m a count; negative if counts fall.")
+@option("--period", type=float, help="Time between two rows (s), instead of --time-column.")
+@option("--width", type=int, help="Width of the counter in bits, if it wraps at fewer than 32.")
 @option(
-    "--motion", type=click.Choice(("rotary", "linear")), default="rotary", show_default=True, help="rad or m."
+    "--resolution",
+    type=float,
+    required=True,
+    help="Travel per count (rad or m); negative if counts fall while the position rises.",
 )
-@option("--delimiter", help="Between columns. [semicolon, tab or comma, as the first line has it]")
+@option(
+    "--motion",
+    type=click.Choice(("rotary", "linear")),
+    default="rotary",
+    show_default=True,
+    help="Unit of the position: rad or m.",
+)
+@option("--delimiter", help="Separator of the columns. [semicolon, tab or comma, as in the first line]")
 @options.output_option(None, "Recording to write. [FILE.parquet]", "target")
 @options.overwrite_option
 @options.json_option

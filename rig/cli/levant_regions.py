@@ -24,6 +24,5 @@ def levant_regions(picture: options.PictureOption, as_json: bool) -> None:
         output.print_json({**picture.facts(), **computed.as_mapping()})
         return
     mu1, mu2 = crossing()
-    click.echo(
-        f"{'' if picture.drawn is None else f'{picture.drawn}: '}HBA and LFBA cross at mu1 = {mu1:.4f}, mu2 = {mu2:.4f}"
-    )
+    place = f"{picture.drawn}: " if picture.drawn else ""
+    click.echo(f"{place}HBA and LFBA cross at mu1 = {mu1:.4f}, mu2 = {mu2:.4f}")

@@ -18,8 +18,8 @@ from rig.experiments.mapping.searches import numbers_of
 @options.file_argument
 @options.rig_option()
 @options.walls_options(
-    "Stiffnesses of walls to look at. [¼, ½ and ¾ of K_max by linear theory]",
-    "Dampings of walls to look at, with --stiffness. [0, ¼, ½ and ¾ of B_max]",
+    "Stiffnesses of the walls. [¼, ½ and ¾ of K_max by linear theory]",
+    "Dampings of the walls, with --stiffness. [0, ¼, ½ and ¾ of B_max]",
 )
 @options.scheme_option("the experiment's and the uniform ones of its rates")
 @options.set_option
@@ -37,13 +37,11 @@ def limit_cycles(
     """Predict how the encoder's quantum makes walls oscillate, by describing functions, and simulate the same walls.
 
     Amplitude (counts of the encoder's side) and frequency, with Coulomb friction and without, of walls that a constant
-    push holds half-way between two counts, where they buzz most; nobody holds the handle. Predicted beside simulated,
-    and how far they are apart. `rig.theory.limit_cycle` predicts one wall in a few milliseconds.
+    push holds half-way between two counts, where they oscillate most; no hand holds the handle. Prints predicted and
+    simulated values and their difference. `rig.theory.limit_cycle` predicts one wall in a few milliseconds.
     """
     if (stiffness is None) != (damping is None):
-        raise ConfigError(
-            "a wall is a stiffness and a damping", remedy="give --stiffness and --damping, or neither"
-        )
+        raise ConfigError("only one of --stiffness and --damping is given", remedy="give both, or neither")
     experiment = config.override(
         options.chosen_experiment(file, preset), options.changes(None, sets, cutoff=cutoff)
     )

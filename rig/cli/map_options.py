@@ -13,13 +13,13 @@ hit_experiment_options = options.added(
     options.file_argument,
     options.rig_option(),
     options.operator_option(
-        "Who pushes: a simulated hand (relaxed, normal, firm), or none: the motor, with the end mass. "
-        "[as FILE says; a built-in rig: normal in simulation, as it says on a device]"
+        "Grip of the simulated hand that pushes (relaxed, normal, firm), or none: the motor pushes, "
+        "with the end mass. [as in FILE; a built-in rig: normal in simulation, its own on a device]"
     ),
     options.effort_option,
     options.set_option,
     options.cutoff_option,
-    options.seed_option("Of everything random."),
+    options.seed_option("Seed of all random numbers."),
 )
 """Whose walls are hit: the arguments of `chosen`."""
 
@@ -54,7 +54,7 @@ def chosen(
     experiment = config.override(experiment, changes)
     if effort is not None and experiment.trial.kind == "human":
         raise ConfigError(
-            f"--effort {effort:g}: a person pushes here ({experiment.operator.grip}), not the motor",
-            remedy="say --operator none too, or drop --effort",
+            f"--effort {effort:g} has no effect: a hand pushes ({experiment.operator.grip}), not the motor",
+            remedy="add --operator none, or drop --effort",
         )
     return experiment

@@ -55,7 +55,7 @@ def new(file: Path, overwrite: bool, as_json: bool, **given: str | None) -> None
     asks = not as_json and sys.stdin is not None and sys.stdin.isatty() and not _is_complete(given)
     if file.exists() and not overwrite:
         if not asks or not click.confirm(f"{file} exists. Overwrite it?"):
-            raise ConfigError(f"{file} exists", remedy="give another name, or --overwrite")
+            raise ConfigError(f"{file} exists", remedy="give another name, or add --overwrite")
         overwrite = True
     known = questions()
     answers = {name: known[name].read(_flag(name), text) for name, text in given.items() if text is not None}
@@ -110,4 +110,4 @@ def _print(made: NewRig) -> None:
     click.echo(f"{made.path}: {made.experiment.headline()}")
     output.show([Row("assumed" if number == 0 else "", f"{one.key} = {one.value}: {one.reason}")
                  for number, one in enumerate(made.assumed)])  # fmt: skip
-    click.echo("  Replace what is assumed by what you know; rig identify measures most of it.")
+    click.echo("  Replace the assumed values by known ones; rig identify measures most of them.")

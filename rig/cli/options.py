@@ -49,7 +49,7 @@ file_argument = click.argument("file", required=False, type=values.EXPERIMENT_FI
 
 
 def rig_option(default: str = DEFAULT_PRESET, *, given: bool = False) -> Callable[[F], F]:
-    """Which rig; `given`: the command gets the default, else it knows that nothing was said."""
+    """Add --rig; with `given` the command gets the default, else None when the option is not given."""
     more: dict[str, Any] = {"default": default, "show_default": True} if given else {}
     help = "Built-in rig or TOML file." + ("" if given or not default else f" [{default}]")
     return option(
@@ -64,8 +64,8 @@ class CommandSettings(HitSettings, total=False):
     cutoff: Annotated[
         SchemeCutoff,
         Keyword(
-            "Cut-off of schemes that state none: the same share of each velocity rate, or the same in Hz. "
-            "[as-in-the-paper]",
+            "Cut-off of schemes without one of their own: the same share of each velocity rate, or "
+            "the same in Hz. [as-in-the-paper]",
             "controller.scheme_cutoff",
             group="Experiment",
         ),
@@ -101,7 +101,11 @@ class Hertz(click.ParamType):  # type: ignore[type-arg]  # click before 8.4 cann
         except ConfigError:
             rate = 0
         if "/" in value or not self._lowest <= rate <= self._highest:
-            self.fail(f"{value!r} is no rate from {self._lowest} to {self._highest} Hz, like 2k", param, ctx)
+            self.fail(
+                f"{value!r} is not a rate: give one from {self._lowest} to {self._highest} Hz, like 2k",
+                param,
+                ctx,
+            )
         return rate
 
 
@@ -139,7 +143,7 @@ def operator_option(help: str) -> Callable[[F], F]:
 effort_option = keyword_options(CommandSettings, "effort")
 set_option = option(
     "--set", "sets", group=EXPERIMENT, multiple=True, metavar="KEY=VALUE",
-    help="Any other key of the experiment: --set wall.pull=allow.",
+    help="Set any other key of the experiment: --set wall.pull=allow.",
 )  # fmt: skip
 
 
@@ -160,8 +164,9 @@ def signal_option(*names: str, help: str, **more: Any) -> Callable[[F], F]:
 
 judge_option = option(
     "--judge", "judged", type=click.Choice(["true", "recorded"]),
-    help="Whose signals decide: what a rig records, as for a single hit, or the simulation's truth. "
-    "[recorded; a map of impedances of a rig with two masses: true]",
+    help=
+        "Signals that are judged: those that a rig records, or the true ones of the simulation. "
+        "[recorded; impedance maps of a rig with two masses: true]",
 )  # fmt: skip
 
 
@@ -186,15 +191,15 @@ arm_anyway_option = option(
     "--arm-anyway",
     group=DEVICE,
     is_flag=True,
-    help="Arm a real rig although its link, as measured, makes this wall dangerous; `rig doctor` says why.",
+    help="Arm a real rig although the measured link makes this wall dangerous; `rig doctor` explains why.",
 )
 
 across_option = option(
     "--across",
     multiple=True,
     metavar="KEY",
-    help="A key of the protocol, like trial.posture, or a section, in which sessions may differ although it can decide "
-    "a result; the report lists their values. Can be repeated.",
+    help="Key or section of the protocol, like trial.posture, that may differ between sessions "
+    "although it can change the result; the report lists the values. Can be repeated.",
 )
 
 
@@ -221,14 +226,14 @@ workers_option = option("--workers", type=click.IntRange(1, 1024), help="Threads
 scheduler_option = option(
     "--scheduler", metavar="tcp://HOST:PORT", help="Run on a Dask cluster (haptic-rig[cluster])."
 )
-overwrite_option = option("--overwrite", group=RESULT, is_flag=True, help="Replace files that are there.")
+overwrite_option = option("--overwrite", group=RESULT, is_flag=True, help="Replace existing files.")
 
 
 def expect_option(verdicts: tuple[str, ...]) -> Callable[[F], F]:
     """For scripts: end with a code of its own unless the verdict is this one; several can be given."""
     return option(
         "--expect", "expected", group=RESULT, multiple=True, type=click.Choice(verdicts),
-        help="End with exit code 17 unless the verdict is this one (repeat it: one of these).",
+        help="End with exit code 17 unless the verdict is this one (repeat the option to accept several).",
     )  # fmt: skip
 
 
@@ -280,7 +285,7 @@ class PictureOption:
         except Exception as error:  # a picture has many ways to fail, and the numbers are to come
             output.no_picture(error)
             if self.path is not None:
-                other = RecordingError(f"no picture: {error}", remedy="leave --output out")
+                other = RecordingError(f"no picture: {error}", remedy="drop --output")
                 self.failure = error if isinstance(error, RigError) else other
 
     def facts(self) -> dict[str, Any]:
@@ -299,7 +304,7 @@ def picture_options(help: str, *, default: bool, place: str) -> Callable[[F], F]
         def called(*, plot: bool, path: Path | None, ending: str | None, **others: Any) -> Any:
             if path is not None and ending is not None and path.suffix.lower() != f".{ending}":
                 raise ConfigError(
-                    f"--output {path} and --format {ending} are two formats", remedy="leave one of them out"
+                    f"--output {path} and --format {ending} name different formats", remedy="drop one of them"
                 )
             picture = PictureOption(plot or path is not None, path, ending)
             result = function(picture=picture, **others)
@@ -307,7 +312,7 @@ def picture_options(help: str, *, default: bool, place: str) -> Callable[[F], F]
 
         return added(
             _plot_option(help, default),
-            format_option("Of the picture. [as its name ends, or png]", None),
+            format_option("Format of the picture. [from the ending of its name, or png]", None),
             output_option(None, f"Draw it into this file. [{place}]", "path"),
         )(called)  # type: ignore[return-value]
 
@@ -323,7 +328,7 @@ experiment_options = added(
     rate_option("Position rate and velocity rate: 20k/2k; uniform: 1k."),
     estimator_option(),
     keyword_options(CommandSettings, "loop", "effort"),
-    operator_option("Who pushes: a person's hand (relaxed, normal, firm), or none: the motor alone."),
+    operator_option("Grip of the hand that pushes (relaxed, normal, firm), or none: the motor pushes."),
     keyword_options(CommandSettings, "start", "duration_s", "repeats", "seed"),
     set_option,
 )
@@ -331,7 +336,7 @@ experiment_options = added(
 
 
 free_rig_options = added(file_argument, rig_option(), set_option)
-"""The same of a rig that nobody holds."""
+"""The experiment of a rig without a hand at the handle, with its changes."""
 
 
 def request_options(request: type, which: Callable[[F], F]) -> Callable[[F], F]:
@@ -401,7 +406,8 @@ def changes(rate: str | None = None, sets: tuple[str, ...] = (), **named: Any) -
         key, equals, value = text.partition("=")
         if not equals or not key.strip():
             raise ConfigError(
-                f"--set {text}: no value", remedy="write --set key=value, like --set wall.pull=allow"
+                f"--set {text}: no value is given",
+                remedy="write it as --set key=value, like --set wall.pull=allow",
             )
         changed[key.strip()] = _value(value.strip())
     return changed
@@ -427,7 +433,7 @@ def parse_rate(text: str) -> tuple[int, int]:
 
 
 def _value(text: str) -> Any:
-    """Read a TOML value; text that is none is taken as a string, so that quotes may be left out."""
+    """Read a TOML value; other text is a string, so that quotes may be left out."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:

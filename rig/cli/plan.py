@@ -19,18 +19,19 @@ from rig.firmware.tick_budget import BOARD
 @command()
 @options.experiment_options
 @options.realtime_option("Plan what runs in real time: the [realtime] variant.")
-@options.url_option("no link, so no delay but what the file describes")
+@options.url_option("no link: only the delays in the file")
 @option(
     "--round-trip",
     type=float,
     metavar="S",
-    help="Of the link, with the drive's behind a bridge, as rig doctor measures it (s). [one tick]",
+    help="Round trip of the link as rig doctor measures it, behind a bridge with that of the drive "
+    "(s). [one tick]",
 )
 @option(
     "--board",
     default=BOARD,
     show_default=True,
-    help="Board whose processor's time for a tick counts, with a law on the device.",
+    help="Board for which the time of a tick is computed when the law runs on the device.",
 )
 @options.json_option
 def plan(

@@ -81,7 +81,7 @@ class SweepBar(_Bar):
         if progress.damaged and not self._told_damage:
             self._told_damage = True
             click.echo(
-                f"rig: {progress.damaged} damaged lines in the journal: their tasks run again", err=True
+                f"rig: the journal has {progress.damaged} damaged lines; their tasks run again", err=True
             )
         self._show(progress.fraction, self.text(progress))
 

@@ -31,7 +31,7 @@ def recover(paths: tuple[Path, ...], as_json: bool) -> None:
         facts = None if error is None else output.error_facts(error)
         output.print_json({"captures": results, "error": facts})
     elif not results:
-        click.echo("nothing to recover: every recording there is sealed")
+        click.echo("nothing to recover: all recordings are sealed")
     else:
         for result in results:
             click.echo(_line(result))
@@ -55,13 +55,13 @@ def _bar(*, quiet: bool) -> Iterator[Callable[[int, int, Path], None] | None]:
 def _line(result: Recovered) -> str:
     if result.recording is None:
         return f"{result.capture}: {result.outcome}: {result.reason}"
-    said = [f"{result.rows:,} rows, {result.duration_s:.3g} s"]
+    parts = [f"{result.rows:,} rows, {result.duration_s:.3g} s"]
     if result.rows_lost:
-        said.append(f"{result.rows_lost:,} rows in the middle are damaged")
+        parts.append(f"{result.rows_lost:,} rows in the middle are damaged")
     if result.complete:
-        said.append("complete")
+        parts.append("complete")
     elif result.lost_at_most_s is None:
-        said.append("the end of the simulation is missing")
+        parts.append("the end of the simulation is missing")
     if result.lost_at_most_s:
-        said.append(f"at most {result.lost_at_most_s:.3g} s lost")
-    return f"{result.recording}: {', '.join(said)}"
+        parts.append(f"at most {result.lost_at_most_s:.3g} s lost")
+    return f"{result.recording}: {', '.join(parts)}"

@@ -19,7 +19,7 @@ from rig.views.plots.replay import draw_replay
 @command()
 @click.argument("recording", type=values.RECORDING)
 @options.wall_options
-@options.rate_option("Another velocity rate T2; T1 is the recording's.", "T1/T2")
+@options.rate_option("Another velocity rate T2; T1 remains that of the recording.", "T1/T2")
 @options.estimator_option()
 @options.set_option
 @options.picture_options("Draw recorded and replayed.", default=False, place="RECORDING-replay.png")

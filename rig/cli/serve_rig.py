@@ -19,14 +19,14 @@ from rig.realtime.scheduling import Realtime
 @option(
     "--rate",
     type=options.Hertz(50, 20_000),
-    help="Rate that the device advertises, 50 to 4000 Hz, to 20000 Hz with --firmware. [1000]",
+    help="Highest rate that the device reports: 50 to 4000 Hz, with --firmware up to 20000 Hz. [1000]",
 )
 @click.option(
     "--firmware",
     is_flag=True,
-    help="The device can run the law: it is the firmware, compiled for this machine.",
+    help="Serve the firmware, compiled for this machine: it can run the law itself.",
 )
-@options.seed_option("Of the sensor noise.", default=0, show_default=True)
+@options.seed_option("Seed of the sensor noise.", default=0, show_default=True)
 @options.json_option
 def serve(preset: str, rate: int | None, firmware: bool, seed: int, as_json: bool) -> None:
     """Run a simulated rig in real time behind a pseudo-terminal; prints the port to open. Ctrl-C ends it."""

@@ -28,14 +28,14 @@ from rig.session.planning.plan import CellPlan, StudyPlan
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("!!", "yellow"), "refused": ("no", "red")}
 DEVICE_CHECKS = (
-    "rig.session.engine.device_checks:device_checks"  # nobody who checks without --url waits for a loop
+    "rig.session.engine.device_checks:device_checks"  # a check without --url does not import the loop
 )
 MOST_ORDERS = 24  # participants whose order is printed; --json has all
 
 
 @command()
 @click.argument("file", required=False, type=click.Path(path_type=Path))
-@click.option("--template", metavar="NAME", help="Which one; --list lists them. [first-steps]")
+@click.option("--template", metavar="NAME", help="Template; --list lists them. [first-steps]")
 @click.option("--list", "listed", is_flag=True, help="List the templates, and write nothing.")
 @options.json_option
 def new(file: Path | None, template: str | None, listed: bool, as_json: bool) -> None:
@@ -59,8 +59,8 @@ def new(file: Path | None, template: str | None, listed: bool, as_json: bool) ->
         )
         return
     click.echo(f"{path}: {templates.template_subject(name)}")
-    click.echo(f"  for editors: {beside or f'{templates.SCHEMA}, which was there and stays'}")
-    click.echo(f"  see what it will do: rig session check {path}")
+    click.echo(f"  for editors: {beside or f'{templates.SCHEMA} (it existed and is unchanged)'}")
+    click.echo(f"  check the planned session: rig session check {path}")
 
 
 @command()
@@ -75,28 +75,30 @@ def schema(as_json: bool) -> None:
 @click.option(
     "--participants",
     type=click.IntRange(1, 10_000),
-    help="How many will come. [as FILE says]",
+    help="Number of participants. [as in FILE]",
 )
 @click.option(
     "--study",
     type=click.Path(path_type=Path),
-    help="Directory of the participants, whose finished sessions say how long people take. [sessions/TITLE]",
+    help="Directory of the participants; durations are estimated from their finished sessions. "
+    "[sessions/TITLE]",
 )
-@options.url_option("rate and link of no device are checked")
+@options.url_option("without: the rate and link of a device are not checked")
 @click.option(
     "--unblind",
     is_flag=True,
-    help="Show the order of the searches too, though the operator is blinded: for who never sits at the console.",
+    help="Show the order of the searches although the operator is blinded; only for people who never "
+    "operate a session.",
 )
 @options.json_option
 def check(
     file: Path, participants: int | None, study: Path | None, url: str | None, unblind: bool, as_json: bool
 ) -> None:
-    """Say what the protocol FILE will do, and check it; nothing moves.
+    """Show what the protocol FILE will do, and check it; nothing moves.
 
-    Trials, time, heat of the motor, the order of every participant, who sees what; and every wall that a rule may ask
-    for against the limits of the rig and against linear theory. Anybody may run it: where the operator is blinded, the
-    order is left out.
+    Shows trials, time, heat of the motor, the order of each participant and who sees what, and compares every wall that
+    a search rule may reach with the limits of the rig and with linear theory. If the operator is blinded, the order is
+    left out, so the operator may run it too.
 
     Exits with an error when something is refused.
     """
@@ -127,7 +129,7 @@ def _print(plan: StudyPlan, *, unblind: bool) -> None:
     output.print_pairs(
         [
             ("session", f"{plan.runs} searches in {plan.blocks} blocks"),
-            ("trials", f"{_number(plan.trials)}{practice}; repeated ones come on top"),
+            ("trials", f"{_number(plan.trials)}{practice}; repeated trials are added"),
             ("time", f"{_minutes(plan.session_s)} min"),
             *((f"  {name}", f"{_minutes(part)} min") for name, part in plan.duration_s.items()),
             ("one trial", _trial(plan)),
@@ -136,15 +138,16 @@ def _print(plan: StudyPlan, *, unblind: bool) -> None:
                 "on disk",
                 f"{in_words(plan.trial_bytes)} a trial, {in_words(plan.disk_bytes.likely)} a participant",
             ),
-            ("a rehearsal", f"some {_minutes(plan.rehearsal_s)} min of computing, roughly"),
+            ("a rehearsal", f"about {_minutes(plan.rehearsal_s)} min of computing"),
             *(("hidden from", who) for who in plan.hidden),
         ]
     )
     _print_cells(plan)
     if plan.blinded and not unblind:
         click.echo(
-            "\nThe order of the searches is not shown: the operator is blinded, and would know each wall's condition. "
-            "Who plans the study and never sits at the console sees it with --unblind."
+            "\nThe order of the searches is not shown: the operator is blinded, and it would reveal "
+            "the condition of each wall. The person who plans the study and never operates a session "
+            "can show it with --unblind."
         )
     else:
         _print_orders(plan)
@@ -157,8 +160,9 @@ def _print(plan: StudyPlan, *, unblind: bool) -> None:
 def _print_cells(plan: StudyPlan) -> None:
     stiffness, damping = unit_of("stiffness", plan.motion), unit_of("damping", plan.motion)
     table = _table(
-        f"Searches: K in {stiffness}, B in {damping}. By linear theory, which knows no friction and no encoder: the "
-        "largest stable K of a free handle and of one in a hand, in brackets how many levels lie above",
+        f"Searches: K in {stiffness}, B in {damping}. By linear theory, without friction and encoder: "
+        "the largest stable K of a free handle and of one in a hand; in brackets the number of "
+        "levels above it",
         left=("condition", "rule"),
         right=("B", "levels", "free", "in hand", "limit expected", "trials"),
     )
@@ -236,7 +240,7 @@ def _taken(plan: StudyPlan) -> Iterator[tuple[str, str]]:
         sessions = f"{plan.taken.sessions} finished session{'s' if plan.taken.sessions > 1 else ''}"
         yield (
             "times of people",
-            f"medians of {plan.taken.trials} trials in {sessions}, not those of the protocol",
+            f"medians of {plan.taken.trials} trials in {sessions}, instead of the times in the protocol",
         )
 
 

@@ -41,26 +41,27 @@ _device_options = options.added(
         "--lossy-anyway",
         group=DEVICE,
         is_flag=True,
-        help="Begin although this computer or the link spoils nearly every trial.",
+        help="Begin although this computer or the link is expected to make nearly every trial invalid.",
     ),
     option(
         "--hand",
         type=click.Choice(["simulated", "keyboard"]),
         default="simulated",
         show_default=True,
-        help="Who moves the handle of a simulated rig: its script, or keys (left, right: a step; down, up: five; home: "
-        "back; end: into the wall). The mouse moves it on a page: `rig console`.",
+        help="What moves the handle of a simulated rig: its script, or keys (left, right: one step; "
+        "down, up: five steps; home: back; end: into the wall). To move it with the mouse, use "
+        "the page of `rig console`.",
     ),
     option(
         "--lsl", is_flag=True, help="Stream samples and markers by Lab Streaming Layer (haptic-rig[lsl])."
     ),
-    options.url_option("as the log says, or simulates the rig"),
-    options.realtime_option("A rehearsal in real time."),
+    options.url_option("the device in the log, else simulate the rig"),
+    options.realtime_option("Run the rehearsal in real time."),
     options.verified_option,
     options.arm_anyway_option,
     options.json_option,
 )
-"""Of a session's rig and console."""
+"""Settings of the session's rig and console."""
 _REHEARSAL = "Rehearsal"
 
 
@@ -75,31 +76,34 @@ _REHEARSAL = "Rehearsal"
 @click.option(
     "--row",
     type=click.IntRange(min=0),
-    help="Participant's row of the order, from 0. [the number in CODE, less one]",
+    help="Participant's row in the order of conditions, from 0. [the number in CODE minus one]",
 )
-@option("--rehearse", group=_REHEARSAL, is_flag=True, help="With a simulated person, in virtual time.")
+@option(
+    "--rehearse", group=_REHEARSAL, is_flag=True, help="Rehearse with a simulated person, in virtual time."
+)
 @option(
     "--threshold",
     "thresholds",
     group=_REHEARSAL,
     multiple=True,
     metavar="CONDITION=K",
-    help="Where half of this person's verdicts are stable. [judges as the program does]",
+    help="Stiffness at which half of the simulated person's verdicts are stable. [judges as the "
+    "program does]",
 )
-@option("--spread", group=_REHEARSAL, type=float, help="How gradually verdicts change over stiffness. [15]")
-@option("--lapse-rate", group=_REHEARSAL, type=float, help="Share of verdicts that are turned round. [0]")
+@option("--spread", group=_REHEARSAL, type=float, help="How gradually verdicts change with stiffness. [15]")
+@option("--lapse-rate", group=_REHEARSAL, type=float, help="Share of verdicts that are inverted. [0]")
 @option(
     "--people-sd",
     group=_REHEARSAL,
     type=float,
     help="Spread of people about --threshold, which it needs: standard deviation of ln(threshold) over codes. [0]",
 )
-@option("--again", group=_REHEARSAL, is_flag=True, help="Delete the one that is there and begin anew.")
+@option("--again", group=_REHEARSAL, is_flag=True, help="Delete the existing rehearsal and begin a new one.")
 @click.option(
     "--other-protocol",
     is_flag=True,
-    help="Begin although the protocol is not that of the study's earlier sessions; the analysis then needs --across. "
-    "[a terminal asks]",
+    help="Begin although the protocol differs from the study's earlier sessions; the analysis then "
+    "needs --across. [ask, on a terminal]",
 )
 @_device_options
 def run(
@@ -135,13 +139,14 @@ def run(
     known = {name: value for name, value in given.items() if value is not None}
     if not rehearse and (thresholds or realtime or again or known):
         raise ConfigError(
-            "--threshold, --spread, --lapse-rate, --people-sd, --again and --realtime belong to a rehearsal",
-            remedy="add --rehearse; a person's session is in real time as it is",
+            "--threshold, --spread, --lapse-rate, --people-sd, --again and --realtime need "
+            "--rehearse, which is not given",
+            remedy="add --rehearse, or drop them (a session with a person always runs in real time)",
         )
     if rehearse and hand != "simulated":
         raise ConfigError(
-            "--hand belongs to a session with a person",
-            remedy="leave it out; a rehearsal has no console",
+            "--hand has no effect in a rehearsal",
+            remedy="drop --hand: a simulated person moves the handle",
         )
     person = rehearsal.Person(thresholds=rehearsal.thresholds_of(thresholds), **known) if rehearse else None
     runner = _runner(url, realtime or not rehearse, verified, arm_anyway, lossy_anyway)
@@ -178,12 +183,12 @@ def run(
 @click.option(
     "--other-device",
     is_flag=True,
-    help="Continue on another device than before; the analysis reports it.",
+    help="Continue on another device than before; the analysis reports the change.",
 )
 @click.option(
     "--drop-damaged-line",
     is_flag=True,
-    help="Set a damaged last line of the log aside first; its bytes are kept beside it.",
+    help="First move a damaged last line of the log to a file beside it.",
 )
 @_device_options
 def resume(
@@ -200,14 +205,14 @@ def resume(
     lsl: bool,
     as_json: bool,
 ) -> None:
-    """Resume the session in DIRECTORY, whatever ended it: Ctrl-C, kill -9, a power cut, an unplugged rig.
+    """Resume the session in DIRECTORY after any end: Ctrl-C, kill -9, a power cut, an unplugged rig.
 
-    It resumes where it took place: without --url on the device of the log. A real rig needs --verified again: somebody
-    has looked at its signs, and the handle is at zero.
+    Without --url it uses the device in the log. A real rig needs --verified again: the signs of motor and encoder are
+    checked, and the handle is at position zero.
     """
     if drop_damaged_line and (directory / LOG).is_file():
         kept = set_damaged_line_aside(directory / LOG)
-        found = "no line is damaged" if kept is None else f"the damaged line is in {kept} now"
+        found = "no line is damaged" if kept is None else f"the damaged line was moved to {kept}"
         click.echo(f"rig: {found}", err=True)
     person, place = sessions.rehearsed(directory), sessions.took_place(directory)
     runner = _runner(
@@ -231,7 +236,7 @@ def resume(
 @click.argument("directory", type=click.Path(path_type=Path))
 @click.option("--log", "with_log", is_flag=True, help="List the events, numbered.")
 @click.option(
-    "--unblind", is_flag=True, help="Show conditions and walls too; the records themselves with --json."
+    "--unblind", is_flag=True, help="Also show conditions and walls; --json prints the records themselves."
 )
 @options.json_option
 def show(directory: Path, with_log: bool, unblind: bool, as_json: bool) -> None:
@@ -282,22 +287,22 @@ def _when(at_s: float) -> tuple[str, str]:
 
 @command()
 @click.argument("directory", type=click.Path(path_type=Path))
-@click.argument("said", nargs=-1, required=True, metavar="[EVENT] VALUE")
+@click.argument("words", nargs=-1, required=True, metavar="[EVENT] VALUE")
 @click.option("--trial", type=int, help="Correct this trial instead of EVENT.")
-@click.option("--why", required=True, help="Reason for the correction, kept with it.")
+@click.option("--why", required=True, help="Reason for the correction; it is stored with it.")
 @options.json_option
-def amend(directory: Path, said: tuple[str, ...], trial: int | None, why: str, as_json: bool) -> None:
+def amend(directory: Path, words: tuple[str, ...], trial: int | None, why: str, as_json: bool) -> None:
     """Correct the log in DIRECTORY: the verdict of a trial, whether a trial counts, a note, an answer.
 
     With --trial N, VALUE is another verdict, or void: the trial does not count (counts takes that back). EVENT is a
     number of `rig session show --log`. Nothing is erased: the correction is an event of its own.
     """
-    value = said[-1]
-    numbers = [int(text) for text in said[:-1] if text.isdecimal()]
-    if len(said) != (2 if trial is None else 1) or len(numbers) != len(said) - 1:
+    value = words[-1]
+    numbers = [int(text) for text in words[:-1] if text.isdecimal()]
+    if len(words) != (2 if trial is None else 1) or len(numbers) != len(words) - 1:
         raise ConfigError(
-            f"{' '.join(said)!r} is no correction",
-            remedy="give --trial N VALUE, or EVENT VALUE: an event's number and what it reads instead, in quotes",
+            f"{' '.join(words)!r} is not a correction: expected an event's number and its new value",
+            remedy="give --trial N VALUE, or EVENT VALUE, with VALUE in quotes",
         )
     event = numbers[0] if trial is None else event_of_trial(directory, trial, value)
     written = amend_event(directory, event, value, why)
@@ -318,7 +323,7 @@ def _agrees_to_other_protocol(
         sessions.compare_with_study(load_walls(protocol), code, study, person)
     except ChangedProtocolError as error:
         click.echo(f"rig: {output.for_terminal(error.message)}", err=True)
-        return click.confirm("Begin all the same? The analysis then needs --across.", err=True)
+        return click.confirm("Begin anyway? The analysis then needs --across.", err=True)
     return False
 
 
@@ -342,10 +347,11 @@ def _runner(
 def _console(hand: str) -> DeskFor:
     """Return what makes the desk at the operator's terminal; refuses a process without a terminal."""
 
-    def desk(*about: Any) -> Desk:  # only when somebody may sit there: what is wrong with a code comes first
+    def desk(*about: Any) -> Desk:  # made when the session begins: an invalid code is reported first
         if sys.platform == "win32":
             raise ConfigError(
-                "a session at a terminal needs Linux or macOS", remedy="rehearse it: --rehearse"
+                "a session at a terminal needs Linux or macOS, and this system is neither",
+                remedy="rehearse with --rehearse, or run the session on Linux or macOS",
             )
         else:
             return at_console(hand="keyboard" if hand == "keyboard" else None)(*about)

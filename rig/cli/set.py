@@ -19,7 +19,7 @@ from rig.experiments.trials import live
     type=click.FloatRange(0.0, 3600.0),
     default=10.0,
     show_default=True,
-    help="How long to watch for the loop to take it over (s).",
+    help="How long to wait until the loop uses the new values (s).",
 )
 @options.json_option
 def set_(changes: tuple[str, ...], pid: int | None, patience_s: float, as_json: bool) -> None:
@@ -34,7 +34,7 @@ def set_(changes: tuple[str, ...], pid: int | None, patience_s: float, as_json: 
     def posted(number: int) -> None:
         if not as_json:
             output.note(
-                f"parameter set {number}: on its way; it becomes active when the handle is outside the wall"
+                f"parameter set {number} is sent; it becomes active when the handle is outside the wall"
             )
 
     done = live.change_wall(values, pid, patience_s=patience_s, posted=posted)
@@ -46,10 +46,10 @@ def set_(changes: tuple[str, ...], pid: int | None, patience_s: float, as_json: 
         raise error
     if as_json:
         return
-    said = ", ".join(f"{key} = {value}" for key, value in done.changes.items())
+    values_text = ", ".join(f"{key} = {value}" for key, value in done.changes.items())
     end = (
         "active"
         if done.active
-        else "not active yet: the handle stays inside the wall; it will be when it leaves"
+        else "not active yet: the handle is inside the wall; the set becomes active when the handle leaves it"
     )
-    click.echo(f"process {done.pid}, parameter set {done.number}: {said}: {end}")
+    click.echo(f"process {done.pid}, parameter set {done.number}: {values_text}: {end}")

@@ -30,7 +30,7 @@ from rig.views.plots.xy import xy_figure
 
 @command()
 @click.argument("recording", type=values.RECORDING)
-@option("--marks", is_flag=True, help="Also list what happened when: trial, contacts, sync edges.")
+@option("--marks", is_flag=True, help="Also list the times of trial, contacts and sync edges.")
 @options.picture_options("Also draw it.", default=False, place="RECORDING.png, or RECORDING-xy.png")
 @option("--xy", group=RESULT, is_flag=True, help="Draw force over penetration instead of both over time.")
 @options.expect_option(options.VERDICTS)
@@ -98,7 +98,9 @@ def _print(
         Row("device", f"{header['identity'].get('device', '?')} at {header['identity'].get('url', '?')}"),
         Row("position zero", header["identity"].get("reference", "?")),
         Row("law ran on", _where(header)),
-        Row("ended", trailer.get("reason", "not cleanly: the writer died")),
+        Row(
+            "ended", trailer.get("reason", "not cleanly: the writer ended before the recording was complete")
+        ),
         Row("rows", len(opened.rows), note="" if opened.complete else "incomplete"),
         *(Row("lost", str(loss)) for loss in opened.lost),
     ]
@@ -155,7 +157,8 @@ def _agreement(found: dict[str, Any]) -> str:
         + (
             ""
             if found["holds"]
-            else f"; {found['beyond']} by more than {found['bound_quanta']}: not the same law"
+            else f"; {found['beyond']} by more than {found['bound_quanta']}: host and device do not "
+            "run the same law"
         )
     )
 

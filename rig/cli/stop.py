@@ -34,7 +34,7 @@ def stop(asked: list[LoopMemory] | None, pid: int | None, only_list: bool, as_js
     silent = [str(one.loop.pid) for one in stopped if not one.ended]
     if silent:
         error = RigError(
-            f"process {', '.join(silent)} was asked to stop but has not confirmed it",
+            f"process {', '.join(silent)} has not confirmed the stop request",
             remedy=f"cut the motor's power; then kill -9 {' '.join(silent)}, and the device's watchdog takes over",
         )
         error.reported = as_json
@@ -53,7 +53,7 @@ def _show(loops: list[dict[str, Any]], nothing: str, as_json: bool) -> None:
         click.echo(nothing)
     for pid in hidden:
         click.echo(
-            f"rig: process {pid} may run one too, but is not yours to look into: sudo rig stop", err=True
+            f"rig: process {pid} may run a loop too, but belongs to another user: sudo rig stop", err=True
         )
 
 

@@ -33,7 +33,8 @@ TITLES: dict[str, Table] = {
         "zwidth": "rig.cli.zwidth:zwidth",
         "design": "rig.cli.design:design_",
         "theory": (
-            "Compute what theory says of a rig's walls and of an estimator's gains, and where hits differ from it.",
+            "Compute the limits of a rig's walls and of an estimator's gains by theory, and where "
+            "hits differ from them.",
             {
                 "walls": "rig.cli.theory:walls",
                 "disagreement": "rig.cli.disagreement:disagreement",
@@ -42,7 +43,7 @@ TITLES: dict[str, Table] = {
             },
         ),
         "estimators": (
-            "List, compare and tune velocity estimators, and take one out as C.",
+            "List, compare and tune velocity estimators, and export one as C code.",
             {
                 "list": "rig.cli.estimators:list_",
                 "compare": "rig.cli.estimators:compare",
@@ -83,7 +84,7 @@ TITLES: dict[str, Table] = {
     },
     "Hardware": {
         "device": (
-            "List and identify devices; try out the connected rig, and find its position zero.",
+            "List and identify devices; check the connected rig, and find its position zero.",
             {
                 "list": "rig.cli.device:list_",
                 "show": "rig.cli.device:show",

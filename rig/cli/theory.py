@@ -36,7 +36,7 @@ _MEANINGS = {"exact": "exact (rigid rig)"}
     "--damping",
     group=EXPERIMENT,
     type=float,
-    help="Wall damping to look at beside 0 (N·m·s/rad or N·s/m). [the experiment's]",
+    help="Wall damping to analyse, beside 0 (N·m·s/rad or N·s/m). [the experiment's]",
 )
 @options.scheme_option("the experiment's and the uniform ones of its rates")
 @options.operator_option("Hand on the handle: none, relaxed, normal or firm. [the experiment's]")
@@ -83,7 +83,7 @@ def _draw(found: Theory, directory: Path, ending: str) -> Path:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RecordingError(
-            f"cannot make {directory}: {error.strerror or error}", remedy="choose another --output"
+            f"cannot create {directory}: {error.strerror or error}", remedy="choose another --output"
         ) from error
     return draw_theory(found, directory / f"theory-{found.rig}.{ending}")
 
@@ -93,7 +93,7 @@ def _print(found: Theory) -> None:
     if found.operator == "none":
         hand = f"end mass {found.end_mass:g} kg, no hand" if found.end_mass > 0.0 else "no hand"
     else:
-        hand = f"{found.operator} hand (which the bounds leave out)"
+        hand = f"{found.operator} hand (the bounds do not include it)"
     ticks = f"{found.delay_ticks} tick{'' if found.delay_ticks == 1 else 's'}"
     click.echo(
         f"{found.rig}, {hand}: damping of the rig {found.rig_damping:.4g} {damping}, "

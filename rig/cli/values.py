@@ -16,12 +16,12 @@ from rig.core.errors import ConfigError
 
 _PRESETS = Path(__file__).parents[1] / "config" / "presets"
 _PORTS = ("ttyACM*", "ttyUSB*", "cu.usbmodem*")
-GRIPS = ("none", "relaxed", "normal", "firm")  # rig.core.operators.GRIPS and nobody, without its imports
+GRIPS = ("none", "relaxed", "normal", "firm")  # rig.core.operators.GRIPS and none, without its imports
 _RECORDING = (".parquet", ".rigcap")
 
 
 class Named(click.ParamType):  # type: ignore[type-arg]  # click before 8.4 cannot subscript it
-    """Text of which a shell is told the beginnings; what it means is checked by whoever takes it."""
+    """Text with completions for the shell; the command checks its value."""
 
     def __init__(self, name: str, known: Callable[[str], Iterable[str]]) -> None:
         self.name = name
@@ -102,7 +102,7 @@ def _rigs(incomplete: str) -> Iterator[str]:
 
 
 def _schemes(incomplete: str) -> Iterator[str]:
-    """The kind first, then settings, one after each comma; rates are anybody's."""
+    """Yield the kind first, then settings, one after each comma; rates are not completed."""
     begun, comma, _ = incomplete.rpartition(",")
     if not comma:
         yield from ("none", "uniform:", "dual:")

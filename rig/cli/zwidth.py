@@ -30,10 +30,10 @@ from rig.views.plots.zwidth import draw_kmax, draw_zwidth
 @command()
 @map_options.hit_experiment_options
 @gathered_options(MapRequest, "walls")
-@options.url_option("simulates without a link")
+@options.url_option("simulate, without a link")
 @options.realtime_option("A simulated device (sim://) as a process, in real time.")
 @options.verified_option
-@options.confirm_option(CONFIRM, "each hit; no with a simulated device")
+@options.confirm_option(CONFIRM, "each hit; no for a simulated device")
 @map_options.sweep_options
 def zwidth(
     walls: MapRequest,
@@ -105,7 +105,8 @@ def _draw(found: ZWidth, undamped: KMax | None, path: Path) -> Path:
 def _refuse_with_device(workers: int | None, scheduler: str | None) -> None:
     if workers is not None or scheduler is not None:
         raise ConfigError(
-            "a device is hit by one program at a time", remedy="drop --workers and --scheduler, or --url"
+            "--workers and --scheduler are given with --url: a device can be hit by one program only",
+            remedy="drop --workers and --scheduler, or drop --url",
         )
 
 
@@ -113,7 +114,9 @@ def _print(found: ZWidth) -> None:
     experiment = found.plan.experiment
     stiffness, damping = (unit_of(q, experiment.rig.motion) for q in ("stiffness", "damping"))
     by = (
-        "; judged by the simulation's truth, not by what a rig records" if found.plan.judged == "true" else ""
+        "; judged by the true signals of the simulation, not by those that a rig records"
+        if found.plan.judged == "true"
+        else ""
     )
     click.echo(
         f"{experiment.rig.name}, {hit_output.push_text(experiment)}: K in {stiffness}, B in {damping}{by}"
@@ -156,12 +159,12 @@ def _notes(found: ZWidth) -> list[str]:
     notes = [] if found.cutoffs is None else [found.cutoffs]
     if any(b.capped for b in found.boundaries):
         notes.append(
-            "≥ before K: some series reached the highest stiffness before a wall failed; the limit lies above: "
-            "push harder (--effort), which makes another map"
+            "≥ before K: some series reached the highest stiffness before a wall failed, so the "
+            "limit is higher: push harder (--effort; this begins another map)"
         )
     widths = [found.width(number, name) for number in range(len(found.plan.schemes)) for name in CRITERIA]
     if any(width.range_capped for width in widths):
-        notes.append("≥ before B: the map ends before the range of the scheme does")
+        notes.append("≥ before B: the range of the scheme extends beyond the map")
     notes += _holes(found)
     dropped = {
         number: found.width(number, CRITERIA[0]).not_rendered for number in range(len(found.plan.schemes))
@@ -170,13 +173,13 @@ def _notes(found: ZWidth) -> list[str]:
         if dampings:
             label = found.plan.schemes[number].label(found.plan.experiment)
             notes.append(
-                f"{label}: no wall counts from B = {dampings[0]:.3g} on: one encoder count asks for more than the "
-                f"effort limit, which leaves less than {RENDERED:.0%} of the damping; filter the velocity more, or "
-                "sample it more slowly"
+                f"{label}: walls from B = {dampings[0]:.3g} on do not count: one encoder count "
+                f"commands more than the effort limit, so less than {RENDERED:.0%} of the damping is "
+                "rendered; filter the velocity more, or sample it more slowly"
             )
     if any(limit.islands for b in found.boundaries for limit in b.limits):
         notes.append(
-            "there are islands: stiffer walls that are stable beyond one that is not (see the picture)"
+            "there are islands: stable walls that are stiffer than an unstable one (see the picture)"
         )
     if found.of_device_loop:
         notes.append(stands_for_device(found.plan.experiment))

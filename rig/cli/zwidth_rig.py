@@ -63,7 +63,7 @@ class Dialogue:
             return place, maps.map_on_rig(self._plan, place, session)
         except RigError as error:
             if error.recording is None and (place / maps.RECORDINGS).exists():
-                click.echo(f"rig: the hits until then are in {place / maps.RECORDINGS}", err=True)
+                click.echo(f"rig: the hits so far are in {place / maps.RECORDINGS}", err=True)
             raise
 
     def _agrees(self, asked: Next) -> bool:
@@ -88,7 +88,7 @@ class Dialogue:
         if self._confirm == "no":
             _say(f"  {text}")
         elif not _asked(f"  {text}   Enter: continue, q: end "):
-            raise StoppedError("ended before the torque pulse; nothing moved")
+            raise StoppedError("ended before the torque pulse; the motor did not move")
 
     def _report(self, asked: Next, done: Measured, valid: bool) -> None:
         kind = done.kind if valid else Kind.INVALID
@@ -112,7 +112,10 @@ def refuse_without_device(verified: bool, confirm: str | None) -> None:
     """Options about a device mean nothing without one."""
     given = [name for name, value in (("--verified", verified), ("--confirm", confirm)) if value]
     if given:
-        raise ConfigError(f"{given[0]} is about a device", remedy="name it with --url, or drop the option")
+        raise ConfigError(
+            f"{given[0]} needs a device, and none is given",
+            remedy=f"give the device with --url, or drop {given[0]}",
+        )
 
 
 def _asked(text: str) -> bool:

@@ -125,7 +125,7 @@ def test_a_damaged_last_line_is_shown_told_and_set_aside(
     assert "--drop-damaged-line" in err
     status, out, err = call(capsys, "resume", str(here), "--drop-damaged-line")
     assert status == 0
-    assert f"the damaged line is in {here / LOG}.damaged-1 now" in err
+    assert f"the damaged line was moved to {here / LOG}.damaged-1" in err
     assert "a damaged line of the log was moved to another file: session.log.damaged-1" in err
     assert "session of P01: complete" in out
     (resumed,) = [event for event in read(here / LOG) if event.kind == "resumed"]
@@ -152,7 +152,7 @@ def test_amend_speaks_of_trials(study: Path, capsys: pytest.CaptureFixture[str])
     call(capsys, "amend", directory, "--trial", "2", "counts", "--why", "not bumped")
     for words in (("3",), ("x", "buzz"), ("3", "4", "buzz"), ("--trial", "2", "7", "buzz")):
         status, _, err = call(capsys, "amend", directory, *words, "--why", "x")
-        assert (status, "is no correction" in err) == (2, True)
+        assert (status, "is not a correction" in err) == (2, True)
 
 
 @pytest.mark.parametrize(
@@ -235,7 +235,7 @@ def test_a_rate_that_the_device_does_not_do_is_refused_before_anything_is_writte
     with patient_host():
         status, _, err = call(capsys, "run", str(path), "P01", *realtime)
     assert status == 2
-    assert "asks for 20000 Hz, and the device runs at most at 4000 Hz" in err
+    assert "needs 20000 Hz, and the device supports at most 4000 Hz" in err
     assert "rehearse in virtual time" in err
     assert not (tmp_path / "all").exists()
 

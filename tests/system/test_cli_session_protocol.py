@@ -66,7 +66,9 @@ def test_a_blinded_operator_who_checks_the_plan_learns_no_order(run: Any, tmp_pa
     hidden = blind in ("both", "operator")
     _, out, _ = run("session", "check", "study.toml")
     assert ("A: " in out, "participant   blocks" in out) == (not hidden, not hidden)
-    assert ("Who plans the study and never sits at the console sees it with --unblind" in out) == hidden
+    assert (
+        "The person who plans the study and never operates a session can show it with --unblind" in out
+    ) == hidden
     _, unblinded, _ = run("session", "check", "study.toml", "--unblind")
     assert "A: " in unblinded
     told = json.loads(run("session", "check", "study.toml", "--json")[1])

@@ -32,7 +32,7 @@ def test_it_says_what_the_maps_of_a_hand_would_speak_of(run: Any) -> None:
         code, out, _ = run("theory", "walls", "--no-plot", "--scheme", "uniform:20k", *more)
         assert code == 0
         assert "--operator normal" not in out
-    assert "normal hand (which the bounds leave out)" in out
+    assert "normal hand (the bounds do not include it)" in out
 
 
 def test_rates_are_compared_with_the_same_filter_if_asked_and_a_difference_is_printed(run: Any) -> None:

@@ -140,7 +140,7 @@ def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(run: Any, tmp_pa
     assert process.returncode == 130
     assert out == ""
     assert re.search(
-        r"stopped; [1-5] of 6 tasks are done and kept in maps/.*the same command resumes from there", err
+        r"stopped; [1-5] of 6 tasks are done and stored in maps/.*the same command resumes from there", err
     )
 
     (journal,) = tmp_path.glob("maps/*/journal")

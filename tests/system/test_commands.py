@@ -112,7 +112,7 @@ ROWS = (
     Row("compare", "--rig koul-rigid --duration 0.2 --set verdict.tail_s=0.05",
         "start outcomes rig motion wall cutoffs picture", "encoder offsets", (
         ("--scheme none --scheme none", 2, "named twice"),
-        ("--set trial.repeats=3", 2, "has no noise"), ("--scheme triple:20k", 2, "no such kind of sampling"),
+        ("--set trial.repeats=3", 2, "has no noise"), ("--scheme triple:20k", 2, "unknown kind of sampling"),
     ), "recordings/*.png"),
     Row("zwidth", f"{TINY} --search bisection --ratio 3",
         "rig motion trial schemes search offsets repeats judged hits invalid cutoffs note experiment "
@@ -121,9 +121,9 @@ ROWS = (
         ("-B 0:1:0", 2, "a count of 1"),
         ("-B x", 2, "--damping 'x' is not a list"), ("--offsets 1", 2, "--offsets"),
         ("--ratio 1", 2, "ratio of 1 between rungs"), ("--url sim:// --judge true", 2, "not the truth"),
-        ("--verified", 2, "--verified is about a device"),
+        ("--verified", 2, "--verified needs a device"),
         ("-K 10:1e9", 2, "--effort"), ("--url sim:// --workers 2", 2, "one program at a time"),
-        ("--operator firm --effort 0.2", 2, "a person pushes here"),
+        ("--operator firm --effort 0.2", 2, "has no effect: a hand pushes"),
         ("--url sim:// --offsets 0.1,0.2", 2, "2 encoder offsets"), ("--operator strong", 2, "relaxed"),
     ), "maps/*/hits.parquet"),
     Row("design",
@@ -142,7 +142,7 @@ ROWS = (
         ("--scheme uniform:10k,estimator=levant -B 0.1", 2, "is not linear"),
     ), "maps/*/walls.parquet"),
     Row("theory limit-cycles", "--scheme uniform:20k -K 400 -B 0.6", "rig walls tallies", "without friction", (
-        ("-K 10", 2, "give --stiffness and --damping, or neither"), ("-K 0 -B 1", 2, "above zero"),
+        ("-K 10", 2, "give both, or neither"), ("-K 0 -B 1", 2, "above zero"),
         ("-K x -B 1", 2, "is not a list of numbers"),
         ("--scheme uniform:20k,estimator=levant", 2, "is not linear"),
     )),
@@ -153,13 +153,13 @@ ROWS = (
     Row("estimators compare", "--rate 2k --estimator fdm-butterworth:cutoff_hz=100,order=1 --no-time",
         "cases variants scores picture", "2000 Hz", (
         ("--signal square", 2, "choose one of"), ("--rate 2q", 2, "not a whole number of Hz"),
-        ("--resolution -1", 2, "not above zero"), ("--estimator fdm:cutoff", 2, "has no value"),
+        ("--resolution -1", 2, "must be above 0"), ("--estimator fdm:cutoff", 2, "has no value"),
         (NO_FILE, 9, NO_FILE),
     ), "estimators.png"),
     Row("estimators tune", "fdm-butterworth --free cutoff_hz --overwrite",
         "estimator case reference objective settings objective_start objective_best ranges before after "
         "evaluations toml", "within 10 %", (
-        ("fdm", 2, "nothing to tune"), ("fdm-butterworth --rate 1k,2k", 2, "one rate is needed"),
+        ("fdm", 2, "nothing to tune"), ("fdm-butterworth --rate 1k,2k", 2, "expected a single rate"),
         ("fdm-butterworth --objective beauty", 2, "choose one of"), ("fdm-butterworth -o mine.toml", 2, "exists"),
     ), "fdm-butterworth-tuned.toml"),
     Row("estimators export", "kalman:gain=steady --rig koul-rigid --no-costs --overwrite",
@@ -193,7 +193,7 @@ ROWS = (
         "directory code row ended stopped trials counted invalid by_machine aborted outside blocks "
         "blocks_done resume messages invalid_trials events", "complete", (("directory", 9, "directory"),)),
     Row("session amend", "P01 --trial 2 void --why bumped", "number corrects value why", "void",
-        (("P01 x buzz --why x", 2, "is no correction"),)),
+        (("P01 x buzz --why x", 2, "is not a correction"),)),
     Row("session analyse", "P01 --no-report -o analysis",
         "title rehearsed messages units measure seed include_marked conditions participants answers trials "
         "runs of_participants over_participants paired mixed agreements psychometrics slopes blocks tables "

@@ -44,7 +44,7 @@ VIOLENT = {"wall.stiffness": 1200.0, "wall.damping": 0.5}
             {"rig.limits.energy": 0.02},
             RowFlag.ENERGY,
             "energy",
-            r"gave the handle 0\.0\d+ J, more than the 0\.02 J",
+            r"gave the handle 0\.0\d+ J, more than rig\.limits\.energy = 0\.02 J",
         ),
     ],
 )

@@ -30,7 +30,7 @@ class Cluster:
             self._dask = import_module("distributed")
         except ImportError as error:
             raise ConfigError(
-                "a Dask cluster needs the package distributed, which is not here",
+                "a Dask cluster needs the package distributed, which is not installed",
                 remedy="install it: pip install 'haptic-rig[cluster]'",
             ) from error
         self._scheduler = scheduler
@@ -58,8 +58,8 @@ class Cluster:
         if isinstance(error, CancelledError):
             raise self._lost() from error
         if isinstance(error, self._dask.KilledWorker):
-            ended = f"it ended every worker that tried it, {error.allowed_failures + 1} in all"
-            return Failure(ended, "look into the log of a worker", str(error))
+            ended = f"it ended every worker that ran it ({error.allowed_failures + 1} workers)"
+            return Failure(ended, "see the log of a worker", str(error))
         why = error.__cause__ or error
         return Failure(  # before our code ran: it cannot be imported, or takes other arguments
             f"{self._scheduler} cannot run this ({type(why).__name__}: {' '.join(str(why).split())})",
@@ -79,9 +79,11 @@ class Cluster:
             )
         except (OSError, ValueError, TypeError) as error:  # TimeoutError is an OSError
             raise ConfigError(
-                f"no Dask scheduler answers at {self._scheduler} ({type(error).__name__}: {error})",
+                f"no reply from a Dask scheduler at {self._scheduler} ({type(error).__name__}: {error})",
                 remedy="start one with `dask scheduler` and name its address, like tcp://10.0.0.5:8786",
             ) from error
 
     def _lost(self) -> RigError:
-        return RigError(f"the Dask scheduler at {self._scheduler} is gone", remedy="start it again")
+        return RigError(
+            f"the connection to the Dask scheduler at {self._scheduler} was lost", remedy="start it again"
+        )

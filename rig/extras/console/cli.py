@@ -19,10 +19,10 @@ from rig.core import program
     "hosts",
     multiple=True,
     metavar="NAME:PORT",
-    help="Another name under which a browser reaches this page: the local end of an ssh tunnel.",
+    help="Another host name under which a browser reaches this page, such as the local end of an ssh tunnel.",
 )
 @options.verified_option
-@click.option("--own", is_flag=True, help="Look only at runs that are started on this page.")
+@click.option("--own", is_flag=True, help="Show only runs that are started on this page.")
 @options.output_option("recordings", "Directory of the recordings.")
 @options.json_option
 def console(
@@ -30,9 +30,9 @@ def console(
 ) -> None:
     """See and touch a rig in the browser: a live scope, the wall's sliders, a handle to drag, STOP.
 
-    Prints one URL to open; whoever has it may operate. Without a rig it offers the simulated one. It looks at any loop
-    that runs on this computer in real time, and starts runs itself, each in a process of its own. A real rig is armed
-    only after a word typed in this terminal. Ctrl-C ends the console and what it started.
+    Prints one URL to open; a browser with this URL may operate. Without a rig it offers the simulated one. It shows any
+    loop that runs on this computer in real time, and starts runs itself, each in its own process. A real rig is armed
+    only after a word typed in this terminal. Ctrl-C ends the console and the runs that it started.
 
     From another computer: ssh -L 8765:127.0.0.1:8765 HOST, and rig console --port 8765 there.
     """

@@ -49,7 +49,7 @@ def _bridge_options(numbers: click.IntRange, default: int, called: str) -> Calla
         click.option(
             "--describe",
             is_flag=True,
-            help="Print an experiment file to start from, with what the drive tells of itself.",
+            help="Print an experiment file to start from, with the values that the drive reports.",
         ),
         options.json_option,
     )
@@ -69,7 +69,7 @@ def _run(url: DeviceUrl, preset: str, *, describe: bool, as_json: bool) -> None:
 @click.argument("place", metavar="PORT")
 @_bridge_options(click.IntRange(1, 127), 1, "id")
 @click.option(
-    "--baud", type=click.IntRange(300, 20_000_000), help="Of a serial adapter that has one. [921600]"
+    "--baud", type=click.IntRange(300, 20_000_000), help="Baud rate, for a serial adapter. [921600]"
 )
 def moteus(place: str, preset: str, drive: int, baud: int | None, describe: bool, as_json: bool) -> None:
     """Run the bridge to a moteus; prints the port to open. Ctrl-C ends it.
@@ -88,7 +88,8 @@ def moteus(place: str, preset: str, drive: int, baud: int | None, describe: bool
     "--endpoints",
     type=click.Path(exists=True, dir_okay=False),
     required=True,
-    help="The maker's flat_endpoints.json of the drive's firmware: the numbers of its parameters.",
+    help="The manufacturer's flat_endpoints.json for the drive's firmware: it has the numbers of the "
+    "parameters.",
 )
 def odrive(place: str, preset: str, drive: int, endpoints: str, describe: bool, as_json: bool) -> None:
     """Run the bridge to an ODrive; prints the port to open. Ctrl-C ends it.

@@ -17,20 +17,26 @@ from rig.extras.lsl.serve import serve
 
 
 @command()
-@click.option("--pid", type=click.IntRange(1), help="Process whose loops to follow. [any of yours]")
-@click.option("--rate", type=options.Hertz(1, 1_000_000), help="Samples a second at most. [every tick]")
-@click.option("--name", default="haptic-rig", show_default=True, help="First word of the streams' names.")
+@click.option(
+    "--pid", type=click.IntRange(1), help="Process (PID) whose loops are streamed. [any process of yours]"
+)
+@click.option(
+    "--rate", type=options.Hertz(1, 1_000_000), help="Largest number of samples per second. [every tick]"
+)
+@click.option("--name", default="haptic-rig", show_default=True, help="Prefix of the streams' names.")
 @click.option(
     "--open-early",
     "expected",
     nargs=2,
     type=(click.Choice(["rotary", "linear"]), float),
     metavar="MOTION HZ",
-    help="Open the samples' stream before the first loop: its motion and position rate.",
+    help="Open the stream of samples before the first loop starts, for this motion and position rate.",
 )
-@click.option("--blind", is_flag=True, help="No marker says anything of the wall.")
-@click.option("--once", is_flag=True, help="End with the first loop.")
-@click.option("--markers", is_flag=True, help="Also send markers from standard input, until that ends.")
+@click.option("--blind", is_flag=True, help="Send no marker that reveals the wall.")
+@click.option("--once", is_flag=True, help="Exit when the first loop ends.")
+@click.option(
+    "--markers", is_flag=True, help="Also send each line of standard input as a marker, until the input ends."
+)
 @options.json_option
 def lsl(
     pid: int | None,
@@ -46,8 +52,8 @@ def lsl(
 
     Two streams: "NAME samples" has position, velocity, penetration, effort sent, effort applied and phase, each sample
     at its own time on LSL's clock; "NAME markers" has JSON texts: phases, contacts, edges of the sync input, and what a
-    session says. A loop is only looked at: no receiver can slow it. Whoever plots effort over penetration sees the
-    stiffness; --blind concerns the markers.
+    session reports. Loops are only read: no receiver can slow them. A plot of effort over penetration reveals the
+    stiffness; --blind concerns only the markers.
 
     --markers reads lines like {"at": NS, "marker": {"mark": "stimulus"}}; at is on CLOCK_MONOTONIC, or left out.
     --json prints a line for each stream and loop, the last with what was sent.
@@ -73,6 +79,6 @@ def lsl(
         click.echo(json.dumps({"served": plain(served)}))
         return
     click.echo(
-        f"{served.loops} loops, {served.samples} samples, {served.markers} markers sent; {served.lost} rows came "
-        "too late to be seen"
+        f"{served.loops} loops, {served.samples} samples, {served.markers} markers sent; "
+        f"{served.lost} rows were overwritten before they were read"
     )

@@ -42,7 +42,7 @@ PAPERS = {paper.name: paper for paper in (KOUL, CHAWDA)}
 @options.output_option(
     "reproductions", "Directory of the report, and of the journal to resume from.", "directory"
 )
-@options.plot_options("Write the pictures beside the report, too.", default=False)
+@options.plot_options("Also write the pictures beside the report.", default=False)
 @options.json_option
 def reproduce(
     paper: str, quick: bool, impacts: bool, directory: Path, workers: int | None, plot: str, as_json: bool

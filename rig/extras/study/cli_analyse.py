@@ -30,21 +30,24 @@ _FEW = 3  # participants: each is printed
     type=click.Choice(list(MEASURES)),
     default="rule",
     show_default=True,
-    help="How limits are defined in what is printed: by the search rule, or as K50 by the person's or the automatic "
-    "verdicts, whatever rule asked. All are computed.",
+    help="Definition of the printed limits: by the search rule, or as K50 of the person's or of the "
+    "automatic verdicts. All three are computed.",
 )
-@click.option("--hashes/--no-hashes", default=True, help="Compare recordings with the hashes in the logs.")
+@click.option(
+    "--hashes/--no-hashes", default=True, help="Verify the recordings against the hashes in the logs."
+)
 @options.across_option
 @click.option(
     "--include-marked",
     is_flag=True,
-    help="Let limits count that their verdicts do not show: of searches that ended by `most` before they had their "
-    "turns, outside of their own interval, or not between a wall judged stable and one that was not.",
+    help="Also count limits that their verdicts do not support: searches that ended by `most` before "
+    "enough turns, limits outside of their own interval, or not between a wall judged stable and "
+    "one judged not stable.",
 )
-@options.seed_option("Of the bootstraps.", OWN, default=0, show_default=True)
+@options.seed_option("Seed of the bootstraps.", OWN, default=0, show_default=True)
 @click.option("--report/--no-report", default=True, help="Draw pictures and write the report, one HTML file.")
 @options.output_option(None, "Directory of tables, pictures and report. [analysis, in DIR]", "out")
-@options.format_option("Of the pictures beside the report, which has its own.", "svg")
+@options.format_option("Format of the pictures beside the report, which contains its own.", "svg")
 @options.json_option
 def analyse(
     places: tuple[Path, ...],

@@ -22,15 +22,17 @@ from rig.extras.study.study import read_study
     "--bids",
     type=click.Path(path_type=Path),
     metavar="OUT",
-    help="As a BIDS-motion dataset in this new directory.",
+    help="Write a BIDS-motion dataset to this new directory.",
 )
 @click.option(
     "--csv",
     type=click.Path(path_type=Path),
     metavar="OUT",
-    help="As CSV, a file for each trial and a table of them.",
+    help="Write CSV: a file for each trial and a table of the trials.",
 )
-@click.option("--mat", type=click.Path(path_type=Path), metavar="OUT", help="The same for MATLAB and Octave.")
+@click.option(
+    "--mat", type=click.Path(path_type=Path), metavar="OUT", help="Write the same for MATLAB and Octave."
+)
 @click.option(
     "--every",
     type=click.IntRange(1),
@@ -64,7 +66,7 @@ def export(
     recordings that are missing or were changed since are left out and named.
     """
     if bids is None and csv is None and mat is None:
-        raise ConfigError("nothing to write", remedy="say --bids OUT, --csv OUT or --mat OUT")
+        raise ConfigError("no format is given", remedy="give --bids OUT, --csv OUT or --mat OUT")
     with CountBar("reading", plain=as_json) as bar:
         study = read_study(paths, across=across, watch=bar.watch)
     written: dict[str, Any] = {}
@@ -83,7 +85,7 @@ def export(
         option for option, value in (("--author NAME", authors), ("--licence TEXT", licence)) if not value
     ]
     if bids is not None and unsaid:
-        click.echo(f"whoever is given the data will ask: {' and '.join(unsaid)}", err=True)
+        click.echo(f"the dataset does not state: {' and '.join(unsaid)}", err=True)
     for message in study.messages:
         click.echo(message)
     for one in written.values():

@@ -493,13 +493,13 @@ def _confusions(axes: Any, table: Agreement) -> None:
     axes.set_yticks(range(len(table.classes)), table.classes, fontsize=8)
     axes.set_xlabel("automatic verdict", fontsize=9)
     weights = "" if table.weights == "none" else f", {table.weights} weights"
-    told = (
+    kappa_text = (
         "not defined"
         if table.kappa is None
         else f"{table.kappa:.2f}"
         + (", no interval" if table.low is None else f" ({_number(table.low)} … {_number(table.high)})")
     )
-    axes.set_title(f"{table.name}, n = {table.trials}\nκ{weights} = {told}", fontsize=9)
+    axes.set_title(f"{table.name}, n = {table.trials}\nκ{weights} = {kappa_text}", fontsize=9)
 
 
 # ------------------------------------------------------------------------------------------------- order and fatigue

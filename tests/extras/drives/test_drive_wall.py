@@ -287,13 +287,13 @@ def test_a_wall_that_no_motion_confirms_fades_though_there_is_no_push() -> None:
 @pytest.mark.parametrize(
     ("key", "value", "says"),
     [
-        ("wall.pull", "clamp", "nothing clamps its wall"),
-        ("wall.damping_on", "entry", "it damps both ways"),
+        ("wall.pull", "clamp", "the drive does not clamp its wall"),
+        ("wall.damping_on", "entry", "the drive damps in both directions"),
         ("wall.law", "bilateral", "a spring and a damper beyond a bound"),
-        ("controller.velocity_rate", 500, "it has one rate"),
-        ("controller.prediction", "extrapolate", "holds no velocity"),
-        ("controller.slow_velocity_rate", 500, "it has one rate"),
-        ("controller.estimator", "kalman", "its own filter gives the velocity"),
+        ("controller.velocity_rate", 500, "has a single rate"),
+        ("controller.prediction", "extrapolate", "does not hold the velocity"),
+        ("controller.slow_velocity_rate", 500, "has a single rate"),
+        ("controller.estimator", "kalman", "the drive computes the velocity by its own filter"),
         ("controller.friction_compensation", 0.5, "a spring and a damper beyond a bound"),
     ],
 )
@@ -355,7 +355,7 @@ def test_a_device_that_is_no_bridge_refuses() -> None:
     run = controller.prepared(walled())
     simulated = describe(rig_model(run.experiment), "a board", 1000, 8000, 2)
     reasons = " ".join(check.text for check in refused(device_checks(run, simulated)))
-    assert "no drive behind a bridge" in reasons
+    assert "not a drive behind a bridge" in reasons
 
 
 # ---------------------------------------------------------------------- a trial, and its recording

@@ -27,6 +27,6 @@ def test_a_log_has_what_is_done_and_what_is_left_where_that_is_known(
     monkeypatch.setattr(sys.modules[CompilingNotice.__module__], "LINE_S", 0.05)
     monkeypatch.setitem(compiling._count, "kernels", 20)
     first, second, *_ = shown(60, capsys)
-    assert first == "compiling what this run needs, once for this version and machine …"
+    assert first == "compiling the code of this run (once per version and machine) …"
     assert second == "still compiling: 20 kernels in 0 s, about 1 s left"
     assert shown(0, capsys)[1] == shown(20, capsys)[1] == "still compiling: 20 kernels in 0 s"
