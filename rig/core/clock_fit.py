@@ -145,7 +145,7 @@ class ClockFit:
             return found
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise RecordingError(
-                f"the clock fit is invalid ({error!r})",
+                f"the clock fit in the recording is invalid ({error!r})",
                 remedy="read it with the version that wrote it",
             ) from error
 
@@ -173,8 +173,9 @@ def fit_clock(exchanges: NDArray[np.void], *, drift_prior_ppm: float = DRIFT_PRI
     usable = exchanges[_possible(exchanges)]
     if not len(usable):
         raise RigError(
-            f"none of {len(exchanges)} clock exchanges can be used",
-            remedy="exchange stamps while the link works; report it if the device's stamps run backwards",
+            f"none of {len(exchanges)} clock exchanges is usable",
+            remedy="check that the link works, then measure again; if the device's time stamps run "
+            "backwards, report a fault of the firmware",
         )
     points = _Points.of(usable)
     keep = _not_slow(points, np.ones(len(usable), bool))
@@ -183,8 +184,8 @@ def fit_clock(exchanges: NDArray[np.void], *, drift_prior_ppm: float = DRIFT_PRI
     if line.least_drift_ppm > IMPOSSIBLE_PPM:
         raise RigError(
             f"the device's clock is off by {line.least_drift_ppm * 1e-4:.2g} % against this computer's",
-            remedy="a simulated board: this computer has no time for it, end other work; a real one: its firmware "
-            "declares a wrong unit of time, report it",
+            remedy="simulated board: end other programs, this computer is too busy to simulate it; real "
+            "board: its firmware states a wrong unit of time, report it",
         )
     for _ in range(ROUNDS):
         allowed = OFF_LINE * line.scale * _sigma(points, keep)

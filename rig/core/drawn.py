@@ -50,7 +50,7 @@ def plot(result: object) -> Picture:
         if issubclass(kind, Drawn) and kind.__name__ in known:
             return Picture(extras.load("pictures", kind.__name__)(result))
     raise ConfigError(
-        f"a {type(result).__name__} has no picture",
+        f"a {type(result).__name__} cannot be drawn",
         remedy="give a hit, a recording or a column of it, a replay, a comparison, a map, an impedance, an "
         "identification, a design or a theory",
     )

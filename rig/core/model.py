@@ -97,14 +97,18 @@ class Amplifier:
     effort_per_ampere: Annotated[
         float, Gt(0), Quantity("effort/A", "torque constant times transmission ratio")
     ]
-    effort_limit: Annotated[float, Gt(0), Quantity("effort", "what the motor can give at most (stall)")]
+    effort_limit: Annotated[float, Gt(0), Quantity("effort", "largest effort of the motor (stall)")]
     lag_s: Annotated[float, Ge(0), Lt(0.1), Quantity("s", "first-order electrical lag; 0 for none")] = 0.0
     current_quantum_a: Annotated[
         float, Gt(0), Quantity("A", "one step of the current command and of its measurement")
     ] = 0.001
     drive: Annotated[
         Literal["current", "voltage"],
-        Quantity("", "current loop, or open voltage (PWM) drive, whose back-EMF brakes through the lag"),
+        Quantity(
+            "",
+            "current: closed current loop; voltage: open voltage (PWM) drive, whose back-EMF brakes "
+            "with the lag",
+        ),
     ] = "current"
     back_emf_damping: Annotated[
         float,
@@ -112,19 +116,22 @@ class Amplifier:
         Quantity("damping", "k_t²/R at the link: braking of a steady motion under voltage drive"),
     ] = 0.0
     current_monitor: Annotated[
-        bool, Quantity("", "whether the device measures the motor's current; it is compared with the one set")
+        bool, Quantity("", "the device measures the motor's current, which is compared with the set current")
     ] = True
     current_noise_a: Annotated[
-        float, Ge(0), Quantity("A", "rms noise of the current sensor, its quantum apart")
+        float, Ge(0), Quantity("A", "rms noise of the current sensor, without its quantisation")
     ] = 0.0
     profile: Annotated[
-        str, MinLen(1), Quantity("", "what it is: a name that `rig firmware amplifiers` lists")
+        str, MinLen(1), Quantity("", "name of the amplifier's profile, from `rig firmware amplifiers`")
     ] = "generic"
     set_point_delay_s: Annotated[
         float,
         Ge(0),
         Lt(0.01),
-        Quantity("s", "from a set-point to the amplifier's answer (a PWM's period); whole ticks, rounded up"),
+        Quantity(
+            "s",
+            "delay from a set-point to the amplifier's response (one PWM period); rounded up to whole ticks",
+        ),
     ] = 0.0
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
@@ -160,19 +167,23 @@ class Cogging:
         Gt(0),
         Quantity(
             "position",
-            "after which it repeats: a turn of the motor, as the link sees it, or a pitch of magnets",
+            "travel after which the cogging repeats: one turn of the motor, at the link, or the "
+            "pitch of the magnets",
         ),
     ] = None
-    orders: Annotated[tuple[int, ...], Quantity("", "harmonics of the period that there are")] = ()
-    cosine: Annotated[tuple[float, ...], Quantity("effort", "of each harmonic, at position zero")] = ()
+    orders: Annotated[tuple[int, ...], Quantity("", "numbers of the harmonics that are present")] = ()
+    cosine: Annotated[
+        tuple[float, ...],
+        Quantity("effort", "amplitude of each harmonic's cosine, in phase with position zero"),
+    ] = ()
     sine: Annotated[
-        tuple[float, ...], Quantity("effort", "of each harmonic, a quarter of its wave farther on")
+        tuple[float, ...], Quantity("effort", "amplitude of each harmonic's sine, a quarter of a wave later")
     ] = ()
     ripple_cosine: Annotated[
-        tuple[float, ...], Quantity("1", "share by which the motor's effort varies, of each harmonic")
+        tuple[float, ...], Quantity("1", "relative variation of the motor's effort, cosine of each harmonic")
     ] = ()
     ripple_sine: Annotated[
-        tuple[float, ...], Quantity("1", "the same, a quarter of its wave farther on")
+        tuple[float, ...], Quantity("1", "relative variation of the motor's effort, sine of each harmonic")
     ] = ()
     minimum: Annotated[
         float | None, Quantity("position", "lower end of the range in which this was measured")
@@ -248,7 +259,7 @@ class Encoder:
     ratio: Annotated[float, Gt(0), Quantity("1", "encoder revolutions for one revolution of the link")] = 1.0
     quantum: Annotated[float | None, Quantity("m", "travel for one count of a linear encoder")] = None
     offset: Annotated[
-        float, Ge(0), Lt(1), Quantity("count", "where position zero lies between two edges (simulation)")
+        float, Ge(0), Lt(1), Quantity("count", "place of position zero between two edges (simulation)")
     ] = 0.5
     sign: Annotated[Literal[-1, 1], Quantity("1", "-1 when counts fall while the position rises")] = 1
 
@@ -278,21 +289,27 @@ class Reference:
 
     index: Annotated[bool, Quantity("", "the encoder has an index, and it is wired")] = False
     position: Annotated[
-        float, Quantity("position", "of the index; with a limit switch, of the first one on the way from it")
+        float,
+        Quantity(
+            "position", "position of the index; with a limit switch, of the first index on the way from it"
+        ),
     ] = 0.0
     limit_switch: Annotated[
         Literal["none", "minimum", "maximum"],
         Quantity(
-            "", "end of the travel at which there is one; normally closed, so that a broken wire is pressed"
+            "",
+            "end of the travel with a limit switch; normally closed, so that a broken wire reads as pressed",
         ),
     ] = "none"
     travel: Annotated[
-        float | None, Gt(0), Quantity("position", "way of the handle from stop to stop; needed with an index")
+        float | None,
+        Gt(0),
+        Quantity("position", "travel of the handle from stop to stop; needed with an index"),
     ] = None
     index_distance: Annotated[
         float | None,
         Gt(0),
-        Quantity("position", "from an index to the next; left out: one turn of a rotary encoder"),
+        Quantity("position", "distance from one index to the next; left out: one turn of a rotary encoder"),
     ] = None
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
@@ -319,7 +336,10 @@ class Simulation:
         float | None, Quantity("position", "where the handle rests at power-up; left out: 0")
     ] = None
     inner_step_s: Annotated[
-        float, Gt(0), Le(1e-3), Quantity("s", "longest step of the plant; it always divides a tick")
+        float,
+        Gt(0),
+        Le(1e-3),
+        Quantity("s", "longest integration step of the plant; a tick is a whole number of steps"),
     ] = 5e-5
     computation_delay_ticks: Annotated[
         int, Ge(0), Le(100), Quantity("1", "whole ticks between a command and its effort")
@@ -339,7 +359,7 @@ class Operator:
 
     grip: Annotated[
         Literal["relaxed", "normal", "firm"],
-        Quantity("", "how the handle is held; gives every number of the operator that is not set by itself"),
+        Quantity("", "grip of the handle; it decides every operator parameter that is not set"),
     ]
     pads_mass: Annotated[float, Ge(0), Quantity("kg", "finger pads, which move with the handle")]
     pads_stiffness: Annotated[float, Ge(0), Quantity("N/m", "pads between handle and hand")]

@@ -40,7 +40,7 @@ def wrong_package(package: str) -> ConfigError | None:
     others = sorted(set(metadata.packages_distributions().get(package, ())) - {distribution})
     place = spec.origin or ", ".join(spec.submodule_search_locations or ())
     return ConfigError(
-        f"the package {package} in {place} is not that of {distribution}"
-        + (f", but of {' and '.join(others)}, which was installed over it" if others else ""),
+        f"the package {package} in {place} does not belong to {distribution}"
+        + (f", but to {' and '.join(others)}, which was installed over it" if others else ""),
         remedy=f"{pip} uninstall -y {' '.join([*others, distribution])}; {pip} install {distribution}",
     )

@@ -23,7 +23,9 @@ _registered: list[
 def registered(group: str, built_in: Container[str], name: str, part: Any) -> Iterator[None]:
     """Have a part found by its name meanwhile, in all threads; `ConfigError` if a built-in one has that name."""
     if name in built_in:
-        raise ConfigError(f"{name!r} is the name of a built-in one", remedy='give yours another: name="…"')
+        raise ConfigError(
+            f"{name!r} is already the name of a built-in", remedy='choose another name: name="…"'
+        )
     entry = (group, name, part)
     _registered.append(entry)
     try:
@@ -68,5 +70,5 @@ def load(group: str, kind: str, name: str, fits: Callable[[Any], bool]) -> Any:
     except (Exception, SystemExit) as error:  # a third party's module may raise anything
         raise ConfigError(f"{where} does not load: {error!r}", remedy=remedy) from error
     if not fits(part):
-        raise ConfigError(f"{where} is no {kind} but {type(part).__name__}", remedy=remedy)
+        raise ConfigError(f"{where} must be a {kind}, and is a {type(part).__name__}", remedy=remedy)
     return part

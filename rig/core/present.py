@@ -86,13 +86,13 @@ def plain(value: Any, not_finite: Callable[[float], Any] = lambda _: None) -> An
         return inner(value.as_mapping())
     if is_dataclass(value) and not isinstance(value, type):
         return {name: inner(getattr(value, name)) for name in _names(type(value))}
-    raise TypeError(f"JSON cannot hold a {type(value).__name__}")
+    raise TypeError(f"a {type(value).__name__} cannot be written as JSON")
 
 
 def _key(key: Any) -> str:
     key = key.value if isinstance(key, Enum) else key
     if not isinstance(key, str | int):
-        raise TypeError(f"a key in JSON is text, not {type(key).__name__}")
+        raise TypeError(f"a key in JSON must be text, and is a {type(key).__name__}")
     return str(key)
 
 

@@ -58,17 +58,20 @@ def check_rig(model: RigModel, device: Dictionary) -> Check:
         )
     untold = ", ".join(name for name in wanted if name not in theirs)
     text = f"{device.device}, of the same scales and limits as {model.name}"
-    return Check("rig of the device", Outcome.OK, f"{text}; it does not tell {untold}" if untold else text)
+    return Check("rig of the device", Outcome.OK, f"{text}; it does not report {untold}" if untold else text)
 
 
 def _other_settings(model: RigModel, device: Dictionary) -> list[str]:
     """Pins and scales that the experiment names and the board was not built with; a simulated device has no board."""
-    told = {info.name: info.value for info in device.settings}
-    wanted = {**{name: value for name, value in _inputs(model).items() if name in told}, **dict(model.board)}
+    of_device = {info.name: info.value for info in device.settings}
+    wanted = {
+        **{name: value for name, value in _inputs(model).items() if name in of_device},
+        **dict(model.board),
+    }
     return [
-        f"{name} of its board is {told.get(name, 'not told')} there and {value} here"
+        f"{name} of its board is {of_device.get(name, 'not reported')} there and {value} here"
         for name, value in wanted.items()
-        if told.get(name) != value
+        if of_device.get(name) != value
     ]
 
 

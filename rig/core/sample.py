@@ -95,14 +95,15 @@ COLUMNS: tuple[Column, ...] = (
     Column("tick", "<i8", "1", "number of this step of the law, from 0"),
     Column("sample_index", "<i8", "1", "device's sample index, extended to 64 bits"),
     Column("elapsed_ticks", "<i8", "1", "samples since the previous row; above 1 the ones between were lost"),
-    Column("phase", "<i8", "1", "what the loop was doing (rig.core.sample.Phase)"),
+    Column("phase", "<i8", "1", "phase of the run (rig.core.sample.Phase)"),
     Column("device_time", "<i8", "ns", "device clock when the sample was taken, extended to 64 bits"),
     Column(
         "lateness",
         "<i8",
         "ns",
-        "receipt after the grid of the sample index, against the earliest receipt so far; host-paced: waking after the "
-        "host's grid; law on the device: receipt of its batch, which nobody waits for",
+        "receipt after the grid of the sample index, against the earliest receipt so far; "
+        "host-paced: waking after the host's grid; law on the device: receipt of its batch, for "
+        "which the host does not wait",
     ),
     Column("count", "<i8", "count", "encoder count as the device sent it"),
     Column(
@@ -130,7 +131,8 @@ COLUMNS: tuple[Column, ...] = (
         "effort_applied",
         "<f8",
         "effort",
-        "active effort on the device when the sample was taken; where a drive renders the wall, what the drive told",
+        "active effort on the device when the sample was taken; where a drive renders the wall, the "
+        "effort that the drive reports",
     ),
     Column("current_sent", "<i8", "quantum", "current of effort_sent, in current quanta"),
     Column("current_applied", "<i8", "quantum", "active current on the device, in current quanta"),
@@ -172,7 +174,7 @@ COLUMNS: tuple[Column, ...] = (
     ),
     Column("missed_ticks", "<i8", "1", "device ticks missed since arming"),
     Column("execution_time", "<i8", "ns", "worst execution time of a device tick since arming"),
-    Column("flags", "<i8", "1", "what the loop noticed (rig.core.sample.RowFlag)"),
+    Column("flags", "<i8", "1", "events in this tick (rig.core.sample.RowFlag)"),
     Column(
         "sampled_at",
         "<i8",

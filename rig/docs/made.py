@@ -98,14 +98,12 @@ def _linked(text: str, page: Path, origin: Path, pages: Mapping[Path, Path], pla
         file = (origin.parent / name).resolve()
         if file in pages:
             if words.strip("`").endswith(".md"):
-                raise ValueError(
-                    f"{origin}: the link to {target} is called {words}; call it by what it is about"
-                )
+                raise ValueError(f"{origin}: the link to {target} is called {words}; name it after its topic")
             return f"[{words}]({os.path.relpath(pages[file], page.parent)}{hash_}{anchor})"
         if not file.exists() and file.is_relative_to(EXTRAS):  # the page of an extra that is not installed
             return words
         if not file.exists():
-            raise ValueError(f"{origin}: the link to {target} leads to no file")
+            raise ValueError(f"{origin}: the target {target} of a link does not exist")
         if image and file.suffix in _PICTURES:
             shutil.copyfile(file, place / "images" / file.name)
             return f"![{words}]({os.path.relpath(Path('images') / file.name, page.parent)})"
@@ -244,8 +242,8 @@ def estimator_settings() -> str:
         one = estimators.get(name)
         rows = [_setting(setting) for setting in one.settings]
         head = ("setting", "value", "default", "meaning")
-        said = table(head, rows) if rows else "No settings."
-        parts.append(f"## {name}\n\n{_prose(one.summary)} Source: {_prose(str(one.source))}\n\n{said}")
+        body = table(head, rows) if rows else "No settings."
+        parts.append(f"## {name}\n\n{_prose(one.summary)} Source: {_prose(str(one.source))}\n\n{body}")
     return "\n\n".join(parts)
 
 

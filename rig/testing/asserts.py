@@ -46,24 +46,26 @@ def assert_safe(subject: Subject, *, within_ms: float) -> None:
     if getattr(subject, "recorded", subject) is not None:
         recording = recording_of(subject)
         if not recording.complete or recording.trailer is None:
-            raise AssertionError(f"not safe: the recording breaks off without a reason\n{_where(recording)}")
+            raise AssertionError(
+                f"not safe: the recording is incomplete and has no reason of the end\n{_where(recording)}"
+            )
         _check_rows(recording, within_ms)
     if not hasattr(subject, "rest"):
         return
     rest = subject.rest
     if rest is None:
-        raise AssertionError("not safe: the device says nothing any more, so nobody knows its effort")
+        raise AssertionError("not safe: the device sends no more data, so its effort is unknown")
     if rest.zero_after_s is None or rest.zero_after_s * 1e3 > within_ms:
         after = (
             "was never zero" if rest.zero_after_s is None else f"was zero {rest.zero_after_s * 1e3:.4g} ms"
         )
         raise AssertionError(
-            f"not safe: the effort {after} after the host's last word, allowed are {within_ms:g} ms"
+            f"not safe: the effort {after} after the host's last command; allowed are {within_ms:g} ms"
         )
     if rest.armed:
         raise AssertionError("not safe: the device stayed armed without a host")
     if subject.error is not None and not subject.error.remedy:
-        raise AssertionError(f"not safe: the run ended without saying what to do: {subject.error}")
+        raise AssertionError(f"not safe: the error of the run has no remedy: {subject.error}")
 
 
 def assert_limit(subject: Subject, **most: float) -> None:

@@ -47,7 +47,7 @@ def with_every_frame(
     def every(**given: Any) -> None:
         test(**given)
         if hits.last is None:
-            pytest.fail("a test with rig_every_frame hits through rig_hit, and this one does not")
+            pytest.fail("a test with rig_every_frame must hit by the fixture rig_hit, and this one does not")
         failed: list[tuple[FrameFault, BaseException]] = []
         runs, before = 0, hits.faults.script
         for fault in (one for kind in chosen for way in ways for one in _faults(kind, way, hits)):

@@ -58,7 +58,7 @@ class FaultWords:
             Another kind or direction, or not exactly one of `frame` and `tick`.
         """
         if (frame is None) == (tick is None):
-            raise ConfigError("which frame? give frame = or tick =, and not both", remedy="like frame=60")
+            raise ConfigError("exactly one of frame = and tick = must be given", remedy="like frame=60")
         struck = FrameFault(
             kind=kind_of(kind),
             direction=direction_of(to),
@@ -78,7 +78,7 @@ class FaultWords:
         """
         names = [one.name for one in Fault if one is not Fault.NONE]
         if fault not in names:
-            raise ConfigError(f"there is no fault {fault!r}", remedy=f"one of {', '.join(names)}")
+            raise ConfigError(f"unknown fault {fault!r}", remedy=f"one of {', '.join(names)}")
         self.add(device=(DeviceFault(tick, Fault[fault]),))
 
     def at(self, tick: int, act: Callable[[Any], None]) -> None:
@@ -96,12 +96,12 @@ class FaultWords:
 def kind_of(word: str) -> FaultKind:
     """What happens, by its word; `ConfigError` for another."""
     if word not in KINDS:
-        raise ConfigError(f"{word!r} does not happen to frames", remedy=f"one of {', '.join(KINDS)}")
+        raise ConfigError(f"{word!r} is not a fault of frames", remedy=f"one of {', '.join(KINDS)}")
     return FaultKind(word)
 
 
 def direction_of(to: str) -> Direction:
     """A direction, by who receives; `ConfigError` for another."""
     if to not in DIRECTIONS:
-        raise ConfigError(f"no frame goes to {to!r}", remedy="to='host' or to='device'")
+        raise ConfigError(f"to = {to!r} is not a direction of frames", remedy="to='host' or to='device'")
     return DIRECTIONS[to]

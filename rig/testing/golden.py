@@ -63,7 +63,9 @@ class Golden:
         quoted = quote(f"{self._name}{name and f'.{name}'}", safe="[]=,")
         golden = self._directory / f"{quoted}.parquet"
         if self._update:
-            assert recording.path is not None, "a recording without a file cannot be golden"
+            assert recording.path is not None, (
+                "a recording without a file cannot be compared with a golden recording"
+            )
             golden.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(recording.path, golden)
             return
@@ -72,10 +74,10 @@ class Golden:
                 f"there is no golden recording {golden}: look at {recording.path}, and if it is right, run pytest "
                 "--rig-golden=update and commit the file"
             )
-        said = difference(open_recording(golden), recording, tolerance or {})
-        if said:
+        differences = difference(open_recording(golden), recording, tolerance or {})
+        if differences:
             raise AssertionError(
-                f"{said}\ngolden: {golden}\ntoday:  {recording.path}\n"
+                f"{differences}\ngolden: {golden}\ntoday:  {recording.path}\n"
                 "where today's is right: pytest --rig-golden=update"
             )
 
@@ -88,7 +90,10 @@ def difference(golden: Recording, today: Recording, tolerance: Mapping[str, floa
     names = [name for name in golden.names if name in today.names]
     unknown = [name for name in tolerance if name not in names]
     if unknown:
-        raise RecordingError(f"no column {unknown[0]!r} to tolerate", remedy=f"they are {', '.join(names)}")
+        raise RecordingError(
+            f"a tolerance is given for the unknown column {unknown[0]!r}",
+            remedy=f"the columns are {', '.join(names)}",
+        )
     rows = min(len(golden), len(today))
     apart = {name: _apart(golden, today, name, rows, tolerance.get(name)) for name in names}
     first = min((int(found.argmax()) for found in apart.values() if found.any()), default=rows)

@@ -159,7 +159,7 @@ class Rigs:
     def hands_off(self, text: str) -> None:
         """Have the person agree to a torque pulse, or end all tests."""
         if not self.ask(text):
-            end_all(StoppedError("nobody at the rig agreed to the torque pulse; nothing moved"))
+            end_all(StoppedError("the operator did not agree to the torque pulse; the motor did not move"))
 
     def stop(self) -> None:
         """Zero effort and disarmed, whatever the device was doing. Cannot raise."""
@@ -257,7 +257,8 @@ class Hits:
         if request.device is not None:
             if script is not None:
                 raise ConfigError(
-                    "faults are scripted, and the device is open already", remedy="let rig_hit open its own"
+                    "a script of faults is given, but the device is already open",
+                    remedy="let rig_hit open the device",
                 )
             return _ended(request, request.device, may_end=may_end)
         with self._rigs.device(request.experiment, script) as device:

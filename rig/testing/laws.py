@@ -167,7 +167,8 @@ def check_passive(law: Law | str, wall: Mapping[str, Any]) -> None:
         work = 0.5 * (found[1:] + found[:-1]) * np.diff(depth)
         given = -float(work.sum())
         assert given <= 1e-9 * float(np.abs(work).sum()), (
-            f"gives {given:.3g} J in a cycle {DEPTH:g} deep that lasts {TICKS * tick_s:.3g} s: it drives the handle"
+            f"gives {given:.3g} J in a cycle {DEPTH:g} deep that lasts {TICKS * tick_s:.3g} s: it "
+            "feeds energy into the handle"
         )
 
 

@@ -38,25 +38,27 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "--rig-url",
         default="sim://",
         metavar="URL",
-        help="Where the tests hit: sim:// (each hit has a fresh simulated rig), serial:///dev/ttyACM0, usb://1209:0001.",
+        help="Rig that the tests hit: sim:// (a new simulated rig for each hit), "
+        "serial:///dev/ttyACM0, usb://1209:0001.",
     )
     group.addoption(
         VERIFIED,
         action="store_true",
-        help="The rig of --rig-url may move: encoder and motor signs are checked, the handle is at position zero, and "
-        "nobody's hand is in its way. Typed each time; it counts from no file.",
+        help="The rig of --rig-url may move: encoder and motor signs are checked, the handle is at "
+        "position zero, and no hand is in its way. Must be typed on each command line; it is not "
+        "read from a file.",
     )
     group.addoption(
         "--rig-record",
         choices=("failed", "all", "none"),
         default="failed",
-        help="Recordings that are kept, in rig-recordings: of failed tests, all, none.",
+        help="Recordings to keep in rig-recordings: of failed tests, all, none.",
     )
     group.addoption(
         "--rig-golden",
         choices=("check", "update"),
         default="check",
-        help="Compare with the golden recordings, or replace them by today's.",
+        help="Compare with the golden recordings, or replace them by the present ones.",
     )
 
 
@@ -182,7 +184,7 @@ def rig_serial(rig_experiment: testing.Experiments) -> Iterator[testing.SerialRi
 
 def _skip_on_a_rig(config: pytest.Config, what: str) -> None:
     if not _simulated(config):
-        pytest.skip(f"{what} need a simulated rig, and this is {config.getoption('rig_url')}")
+        pytest.skip(f"{what} need a simulated rig, and the rig is {config.getoption('rig_url')}")
 
 
 # ---------------------------------------------------------------------- hooks
@@ -201,7 +203,7 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> None:
     if marker is None:
         return
     if "rig_hit" not in pyfuncitem.funcargs:
-        pytest.fail(f"a test with {EVERY_FRAME} hits through rig_hit, and this one does not ask for it")
+        pytest.fail(f"a test with {EVERY_FRAME} hits through rig_hit, and this one does not request it")
     hits: Any = pyfuncitem.funcargs["rig_hit"]
     pyfuncitem.obj = testing.with_every_frame(pyfuncitem.obj, hits, marker.args, marker.kwargs.get("to"))
 

@@ -78,7 +78,7 @@ class SerialRig:
             states = device.states(LOOK_S)
             if not states:
                 raise LinkLostError(
-                    f"the rig at {self.path} says nothing", remedy="look whether its process lives"
+                    f"no data from the rig at {self.path}", remedy="check that its process still runs"
                 )
             newest = states[-1]
             return Did(

@@ -90,5 +90,7 @@ def build_site(output: Path, *, strict: bool = False) -> Site:
     )
     if built.returncode:
         said = (built.stderr or built.stdout).strip().splitlines()[-_SHOWN_LINES:]
-        raise RigError("the documents were not built:\n" + "\n".join(said), remedy="mend what is named there")
+        raise RigError(
+            "the documents were not built:\n" + "\n".join(said), remedy="fix the errors in this output"
+        )
     return Site(pages / "index.html", len(list(pages.rglob("*.html"))), time.monotonic() - began)

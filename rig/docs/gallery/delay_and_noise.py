@@ -3,7 +3,7 @@ Delay against noise
 ===================
 
 A motion of 5 Hz to 25 Hz on a coarse encoder: each point is one setting of an estimator. Its delay is that of the best
-match with the truth, its noise what is left of the error then.
+match with the truth, its noise the remaining error.
 """
 
 import matplotlib.pyplot as plt

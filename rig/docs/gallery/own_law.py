@@ -1,6 +1,6 @@
 """
-Laws of one's own
-=================
+Your own laws
+=============
 
 Three surfaces as functions: a linear wall, one that hardens, and one that breaks through. Each is compiled, and
 could be hit as it is.

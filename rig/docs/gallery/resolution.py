@@ -2,8 +2,8 @@
 A finer encoder
 ===============
 
-The same wall hit with more and more lines: ripple of the effort in the last part of the hit, which a person hears, and
-the threshold above which a hit is a limit cycle. Beyond some resolution friction swallows what one count is worth.
+The same wall hit with more and more lines: audible ripple of the effort in the last part of the hit, and the threshold
+above which a hit is a limit cycle. Beyond some resolution friction absorbs the effort of one count.
 """
 
 import matplotlib.pyplot as plt

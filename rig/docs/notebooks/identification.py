@@ -2,13 +2,13 @@
 From an identification to a Z-width
 ===================================
 
-A rig is described by its data sheets, and is not quite like that. It is identified, the file gets the measured numbers,
-and theory and hits say what that changes for its walls.
+The data sheets of a rig are not exact. Here a rig is identified, the measured numbers are written to its file, and
+theory and hits show the effect on its walls.
 """
 
 # %%
-# 1. What is believed, and what is
-# --------------------------------
+# 1. The description and the real rig
+# -----------------------------------
 # The description is ``koul-rigid``; the "real" rig has half as much inertia again and twice the friction. On a bench it
 # would be another machine behind ``--url``.
 

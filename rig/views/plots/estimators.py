@@ -36,7 +36,9 @@ def estimators_figure(comparison: EstimatorComparison) -> Any:
         panels.setdefault((case.name, abs(case.resolution)), []).append(case)
     chosen = list(panels.values())[:PANELS]
     if not chosen or not comparison.variants:
-        raise ConfigError("nothing was compared", remedy="name a signal or a recording, and an estimator")
+        raise ConfigError(
+            "no comparison to draw", remedy="give at least one signal or recording, and one estimator"
+        )
     figure = style.new_figure(width=10.0, height=1.5 + 3.0 * len(chosen))
     rows = figure.subplots(len(chosen), 2, squeeze=False)
     for axes, cases in zip(rows, chosen, strict=True):

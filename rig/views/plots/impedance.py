@@ -37,7 +37,7 @@ def impedance_figure(results: Sequence[ImpedanceResult]) -> Any:
     if not shown:
         raise RecordingError(
             "no impedance to draw: the guard ended every run",
-            remedy="take a softer wall or a smaller excitation",
+            remedy="choose a softer wall or a smaller excitation",
         )
     figure = style.new_figure(9.0, 10.0)
     size, phase, real = figure.subplots(3, 1, sharex=True, height_ratios=(2, 1.4, 1.4))

@@ -63,7 +63,7 @@ def own_style() -> Iterator[None]:
             settings = matplotlib.rc_context()
         except (ImportError, ValueError) as error:  # of a backend in MPLBACKEND that is not installed here
             raise RecordingError(
-                f"matplotlib does not load: {error}", remedy="unset MPLBACKEND, or reinstall matplotlib"
+                f"matplotlib cannot be imported: {error}", remedy="unset MPLBACKEND, or reinstall matplotlib"
             ) from error
         with settings:
             matplotlib.rcdefaults()
@@ -147,15 +147,15 @@ def save(figure: Any, path: Path) -> Path:
     ending = path.suffix.lower().removeprefix(".")
     if ending not in FORMATS:
         raise RecordingError(
-            f"{path} is not a name for a picture",
-            remedy=f"give one that ends in {', '.join('.' + known for known in FORMATS)}",
+            f"{path} does not end in a format of pictures",
+            remedy=f"give a name that ends in {', '.join('.' + known for known in FORMATS)}",
         )
     try:
         _write(figure, path, ending)
     except OSError as error:
         raise RecordingError(
             f"cannot write the picture {path}: {error.strerror or error}",
-            remedy="choose another place for it",
+            remedy="choose another path for the picture",
         ) from error
     return path
 

@@ -33,7 +33,7 @@ def xy_figure(recording: Recording) -> Any:
         fontsize=11,
     )
     if not len(penetration):
-        style.say(axes, "the handle never was inside the wall")
+        style.say(axes, "the handle was never inside the wall")
         return figure
     deepest = float(np.max(penetration))
     shown = style.visible(penetration, force)

@@ -356,5 +356,5 @@ def test_a_fit_survives_json(fit: Any) -> None:
 @pytest.mark.parametrize("broken", [{}, {"reference_ns": "yesterday"}, {"drift_ppm": None}])
 def test_a_mapping_that_is_no_fit_is_refused(broken: Any) -> None:
     mapping = {} if not broken else {**plain(fit_clock(World().exchanges(5, 1.0))), **broken}
-    with pytest.raises(RigError, match="clock fit is invalid"):
+    with pytest.raises(RigError, match="clock fit in the recording is invalid"):
         ClockFit.from_mapping(mapping)

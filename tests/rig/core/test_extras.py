@@ -242,6 +242,6 @@ def test_every_result_that_can_be_drawn_has_a_picture() -> None:
         return {kind.__name__}.union(*map(kinds, kind.__subclasses__()))
 
     assert kinds(Drawn) - {"Drawn"} == set(extras.added("pictures"))
-    with pytest.raises(ConfigError, match="a dict has no picture"):
+    with pytest.raises(ConfigError, match="a dict cannot be drawn"):
         plot({})
     assert issubclass(ConfigError, RigError)

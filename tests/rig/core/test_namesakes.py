@@ -53,13 +53,13 @@ def test_a_package_under_the_name_of_another_is_named_with_what_puts_it_right(
     done = run(tmp_path, "-m", "rig", *NAMESAKES[name], "--json")
     assert done.returncode == 2, done.stderr
     assert re.fullmatch(
-        rf"rig: the package {name} in {tmp_path}/{name}/__init__.py is not that of py{name}, but of other-{name}, "
+        rf"rig: the package {name} in {tmp_path}/{name}/__init__.py does not belong to py{name}, but to other-{name}, "
         rf"which was installed over it; .+ -m pip uninstall -y other-{name} py{name}; .+ -m pip install py{name}\n",
         done.stderr,
     ), done.stderr
     assert json.loads(done.stdout)["error"]["exit_code"] == 2
     listed = run(tmp_path, "-m", "rig", "device", "list")
-    assert f"py{name}, but of other-{name}" in listed.stdout + listed.stderr
+    assert f"py{name}, but to other-{name}" in listed.stdout + listed.stderr
 
 
 OVERWRITTEN = """
@@ -76,7 +76,9 @@ def test_an_init_of_others_over_ours_is_named_and_a_stop_works_all_the_same(
 ) -> None:
     done = run(tmp_path, "-c", OVERWRITTEN, "plan")
     assert done.returncode == 2
-    assert done.stderr.startswith(f"rig: the package rig in {ROOT}/rig/__init__.py is not that of haptic-rig")
+    assert done.stderr.startswith(
+        f"rig: the package rig in {ROOT}/rig/__init__.py does not belong to haptic-rig"
+    )
     assert "pip install haptic-rig" in done.stderr
     # Without a number it would stop the loops of all tests, and of a rig, on this machine.
     stopped = run(tmp_path, "-c", OVERWRITTEN, "stop", str(os.getpid()))

@@ -74,7 +74,7 @@ def test_what_was_identified_anew_may_differ_by_less_than_the_stall_check_forgiv
 def test_what_a_device_does_not_tell_is_said_and_not_refused() -> None:
     found = check_rig(MODEL, built_for(MODEL, constants=()))
     assert found.outcome is Outcome.OK
-    assert "does not tell over_current (quantum), effort_quantum (N·m)" in found.text
+    assert "does not report over_current (quantum), effort_quantum (N·m)" in found.text
     strange = check_rig(MODEL, built_for(MODEL, constants=(ConstantInfo("colour", "", 1.0),)))
     assert strange.outcome is Outcome.OK
 
@@ -94,7 +94,7 @@ def test_pins_and_scales_that_the_experiment_names_are_those_of_the_board() -> N
     other = check_rig(model, replace(told, settings=(SettingInfo("enable_pin", 10),)))
     assert other.outcome == Outcome.REFUSED
     assert "enable_pin of its board is 10 there and 6 here" in other.text
-    assert "full_scale of its board is not told there and 12.0 here" in other.text
+    assert "full_scale of its board is not reported there and 12.0 here" in other.text
     assert check_rig(model, replace(told, settings=(), simulated=True)).outcome == Outcome.OK
 
 

@@ -182,7 +182,7 @@ def test_a_wall_that_no_plan_allows_is_refused_with_its_condition(schemes: Proto
 def test_of_many_walls_the_first_that_is_not_right_is_named(plan: StudyPlan, schemes: Protocol) -> None:
     effort = named(plan, "peak effort")
     assert effort.outcome is Outcome.WARNING
-    assert effort.remedy.startswith("expected for a moment at impact")  # the push itself is light enough
+    assert effort.remedy.startswith("expected briefly at impact")  # the push itself is light enough
     base = base_of(schemes, Path())
     walls = [
         Walls(schemes, base).at(condition, 0.2, level)
@@ -259,7 +259,9 @@ def test_the_times_of_people_who_have_finished_replace_the_planned_ones(
     people = found.duration_s["ready and verdict"]
     assert people.likely == pytest.approx(found.trials.likely * (found.trial.ready + 2.0))
     assert run(["session", "check", str(tmp_path / "study.toml"), "--study", str(tmp_path)]) == 0
-    told = f"medians of {found.taken.trials} trials in 2 finished sessions, not those of the protocol"
+    told = (
+        f"medians of {found.taken.trials} trials in 2 finished sessions, instead of the times in the protocol"
+    )
     assert told in capsys.readouterr().out
     other = replace(planned, trial=replace(planned.trial, hold_s=0.9))  # other trials take another time
     assert check(other, tmp_path, study=tmp_path).taken is None

@@ -443,7 +443,8 @@ def test_a_blinded_console_shows_neither_effort_nor_wall() -> None:
 
 LONG = (
     "trial 7: invalid, will be repeated: from contact on, 2.1 % of the samples lost (limit 1 %), 7 in a row (limit 2): "
-    "the link or this computer was late; the hand left the wall before the end and did not come back: ask to stay in it"
+    "the link or this computer was too slow; the hand left the wall before the end and did not come back: "
+    "ask to stay in it"
 )
 
 

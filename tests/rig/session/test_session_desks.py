@@ -154,7 +154,7 @@ def test_a_question_ends_when_nobody_can_answer(sit: Sit, asker: ThreadPoolExecu
 def test_a_blinded_desk_says_at_once_why_a_trial_is_invalid_and_names_no_wall(
     sit: Sit, asker: ThreadPoolExecutor, tmp_path: Path
 ) -> None:
-    slew = ["the slew limit bound in 41792 ticks", "saturated in the tail without ripple or motion"]
+    slew = ["the slew limit acted in 41792 ticks", "saturated in the tail without ripple or motion"]
     runner = FakeRunner({1: ({**INVALID, "reasons": [LOST]}, None), 2: ({**INVALID, "reasons": slew}, None)})
     with started(tmp_path / "P01", protocol_of(stop={"trials": 3})) as session:
         place = sit()

@@ -110,7 +110,7 @@ def test_the_reason_is_there_before_anybody_is_asked_anything(tmp_path: Path, bl
         assert first.last in first.lines
     else:
         assert "left the calm wall" in first.last
-        assert "the slew limit bound in 41792 ticks" in first.last
+        assert "the slew limit acted in 41792 ticks" in first.last
     assert (first.state, first.trial, first.attempt) == ("ready", 2, 2)
     assert first.say == f"Again. {protocol.trial.say}"
     assert "gain" not in protocol.trial.say
@@ -147,7 +147,7 @@ def test_a_log_is_told_in_sentences_and_in_json_with_walls_only_unblinded(
     assert not re.search(r'[{}"\[\]]', told_all)
     wall = r"[a-z]+-hidden, K = \d+ N·m/rad, B = 0\.37 N·m·s/rad"
     assert re.search(
-        rf"trial 1, {wall}; automatic verdict invalid: the first contact lies in the tail; the slew limit bound",
+        rf"trial 1, {wall}; automatic verdict invalid: the first contact lies in the tail; the slew limit acted",
         told_all,
     )
     assert re.search(rf"trial 2, {wall}, attempt 2; automatic verdict", told_all)

@@ -94,7 +94,7 @@ def marks(depth: float, velocity: float, elapsed: int, state: Floats, numbers: F
         (divides, "gives a reaction that is not finite: penetration 1"),
         (reaches_out, "acts outside of the wall: penetration -"),
         (attracts, "pulls a handle at rest into the wall"),
-        (drives, r"gives .* J in a cycle 0.01 deep .*: it drives the handle"),
+        (drives, r"gives .* J in a cycle 0.01 deep .*: it feeds energy into the handle"),
     ],
 )
 def test_a_law_that_breaks_a_promise_is_told_which(function: Callable[..., float], said: str) -> None:

@@ -106,7 +106,7 @@ def test_tests_share_one_open_device_and_its_position_zero(
     result = pytester.runpytest_inprocess(*TYPED, "-rs")
     result.assert_outcomes(passed=2, skipped=3)
     result.stdout.fnmatch_lines(
-        [f"SKIPPED * rig_faults: faults on command need a simulated rig, and this is {URL}"]
+        [f"SKIPPED * rig_faults: faults on command need a simulated rig, and the rig is {URL}"]
     )
     assert bench.opened == 1
     assert zeros == [0], "where the handle stood first; a hit leaves it elsewhere"

@@ -94,7 +94,7 @@ def test_the_first_failing_frame_is_named_with_the_count_of_all() -> None:
 @pytest.mark.parametrize(
     ("frames", "test", "said"),
     [
-        (7, lambda hits: 0, "hits through rig_hit, and this one does not"),
+        (7, lambda hits: 0, "must hit by the fixture rig_hit, and this one does not"),
         (1 << 30, lambda hits: hits(), "more than 1000 frames; make it short"),
         (7, lambda hits: pytest.fail("broken without any fault"), "broken without any fault"),
     ],
@@ -135,8 +135,8 @@ def test_the_marker_is_known_and_its_mistakes_are_told(suite: pytest.Pytester) -
     result.assert_outcomes(failed=2)
     result.stdout.re_match_lines(
         [
-            r".*hits through rig_hit, and this one does not ask for it",
-            r".*'melt' does not happen to frames; one of drop, corrupt",
+            r".*hits through rig_hit, and this one does not request it",
+            r".*'melt' is not a fault of frames; one of drop, corrupt",
         ]
     )
 
@@ -249,10 +249,10 @@ def test_the_device_finds_what_it_is_told_to(
 @pytest.mark.parametrize(
     ("given", "what"),
     [
-        ({"kind": "melt", "frame": 1}, "'melt' does not happen"),
-        ({"kind": "drop", "frame": 1, "to": "cloud"}, "no frame goes to 'cloud'"),
-        ({"kind": "drop"}, "which frame"),
-        ({"kind": "drop", "frame": 1, "tick": 1}, "which frame"),
+        ({"kind": "melt", "frame": 1}, "'melt' is not a fault"),
+        ({"kind": "drop", "frame": 1, "to": "cloud"}, "to = 'cloud' is not a direction of frames"),
+        ({"kind": "drop"}, "exactly one of frame"),
+        ({"kind": "drop", "frame": 1, "tick": 1}, "exactly one of frame"),
     ],
 )
 def test_words_that_mean_nothing_are_refused(
@@ -260,7 +260,7 @@ def test_words_that_mean_nothing_are_refused(
 ) -> None:
     with pytest.raises(ConfigError, match=what):
         rig_faults.link(**given)  # type: ignore[arg-type]
-    with pytest.raises(ConfigError, match=r"there is no fault 'RUST'; one of .*ENCODER"):
+    with pytest.raises(ConfigError, match=r"unknown fault 'RUST'; one of .*ENCODER"):
         rig_faults.device("RUST", tick=1)
     assert rig_faults.script is None
 

@@ -107,7 +107,7 @@ def test_a_matplotlib_that_does_not_load_is_said_with_what_to_do(monkeypatch: py
         raise ValueError("Key backend: 'module://x' is not a valid value for backend")
 
     monkeypatch.setattr(style, "matplotlib", SimpleNamespace(rc_context=fails))
-    with pytest.raises(RecordingError, match="matplotlib does not load: Key backend") as caught:
+    with pytest.raises(RecordingError, match="matplotlib cannot be imported: Key backend") as caught:
         a_figure()
     assert "unset MPLBACKEND" in caught.value.remedy
 
@@ -133,7 +133,7 @@ def test_a_place_that_cannot_be_written_is_said(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["a.jpg", "a", "a.png.rigcap", "a.parquet", ".png"])
 def test_no_other_name_is_written(name: str, tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match=r"not a name for a picture") as caught:
+    with pytest.raises(RecordingError, match=r"does not end in a format of pictures") as caught:
         style.save(a_figure(), tmp_path / name)
     assert ".png, .svg, .pdf" in caught.value.remedy
     assert list(tmp_path.iterdir()) == []
