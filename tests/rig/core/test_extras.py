@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -172,52 +171,6 @@ def test_stop_waits_for_no_extra(install: Install, tmp_path: Path) -> None:
     stopped = run(tmp_path, "stop", "--json", before=hang)
     assert stopped.returncode == 0, stopped.stderr
     assert json.loads(stopped.stdout)["loops"] == []
-
-
-WITHOUT_LIBRARIES = """
-import sys
-import rig.cli
-from rig.cli.listing import commands
-
-class Without:
-    def __init__(self, finder):
-        self.finder = finder
-    def __getattr__(self, name):
-        return getattr(self.finder, name)
-    def find_spec(self, name, path=None, target=None):
-        found = self.finder.find_spec(name, path, target)
-        return None if name.partition(".")[0] in {libraries} else found
-
-sys.meta_path[:] = [Without(finder) for finder in sys.meta_path]
-helps = [words for words in commands() if rig.cli.run([*words.split(), "--help"])]
-print("no help:", helps)
-for line in {lines}:
-    print("ended with", rig.cli.run(line.split()))
-"""
-LIBRARIES = (
-    "distributed", "pandas", "xarray", "websockets", "unicorn", "sphinx", "myst_parser", "furo", "statsmodels", "mcap",
-    "pylsl",
-)  # fmt: skip
-NEED = {
-    "console": "console",
-    "serve lsl --once": "lsl",
-    "zwidth -B 0 -B 1 --scheme uniform:2k --scheduler tcp://127.0.0.1:1": "cluster",
-}
-
-
-def test_every_command_has_help_without_libraries_and_names_what_to_install(tmp_path: Path) -> None:
-    code = WITHOUT_LIBRARIES.format(libraries=LIBRARIES, lines=list(NEED))
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", code],
-        capture_output=True,
-        text=True,
-        timeout=100,
-        cwd=tmp_path,
-        check=False,
-    )
-    assert "no help: []" in done.stdout, done.stderr
-    assert re.findall(r"ended with (\d+)", done.stdout) == ["2"] * len(NEED), done.stderr
-    assert re.findall(r"pip install 'haptic-rig\[(\w+)\]'", done.stderr) == list(NEED.values())
 
 
 # ---------------------------------------------------------------------- the tables of this tree
