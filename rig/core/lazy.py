@@ -6,8 +6,10 @@ are the table from which the package answers. So the two cannot differ, and impo
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 
+_ROOMS = os.path.dirname(os.path.dirname(__file__))
 TYPE_CHECKING = False  # `typing` and `collections` would be most of what ``import rig`` costs
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -15,14 +17,23 @@ if TYPE_CHECKING:
 
 
 def public_names(init: str) -> dict[str, tuple[str, str]]:
-    """Public name → module and name there, from the stub of the package whose ``__init__.py`` this is."""
+    """Return public name → module and name there, from the stub of the package whose ``__init__.py`` this is.
+
+    Names of an extra that is not installed are left out.
+    """
     table = {}
     with open(f"{init}i", encoding="utf-8") as stub:
         for line in stub:
             match line.split():
-                case ["from", module, "import", name, "as", alias]:
+                case ["from", module, "import", name, "as", alias] if _is_installed(module):
                     table[alias] = (module, name)
     return table
+
+
+def _is_installed(module: str) -> bool:
+    """Return False for a module in the folder of an extra that does not exist; others are not looked for."""
+    _, *parts = module.split(".")
+    return parts[:1] != ["extras"] or os.path.isdir(os.path.join(_ROOMS, *parts[:2]))
 
 
 def loader(package: str, table: Mapping[str, tuple[str, str]]) -> Callable[[str], Any]:

@@ -13,6 +13,7 @@ import pytest
 
 import rig
 import rig.testing
+from rig.core import lazy
 from rig.core.lazy import loader, public_names
 from tests.conformance.guides import ROOT
 
@@ -33,6 +34,13 @@ def test_stub_table_and_package_agree(package: ModuleType) -> None:
     assert {name: getattr(package, name) for name in table} == {
         name: value for name, value in _starred(package.__name__).items() if name in table
     }
+
+
+def test_names_of_a_missing_extra_are_no_names(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    whole = public_names(rig.__file__)
+    monkeypatch.setattr(lazy, "_ROOMS", str(tmp_path))
+    left = public_names(rig.__file__)
+    assert {module.split(".")[1] for name, (module, _) in whole.items() if name not in left} == {"extras"}
 
 
 def _starred(package: str) -> dict[str, object]:
