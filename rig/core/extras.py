@@ -84,7 +84,7 @@ def find(kind: str, name: str, extra: str = "") -> Row:
         return rows[name]
     reasons = {owner: why for owner, why in broken().items() if extra in ("", owner)}
     problem = "; ".join(f"the extra {owner} is broken: {why}" for owner, why in reasons.items())
-    missing = f"the extra {extra} is not installed" if extra else "no installed extra has it"
+    missing = "no installed extra has it" + (f", it belongs to the extra {extra}" if extra else "")
     raise ConfigError(f"{KINDS[kind]} {name}: {problem or missing}", remedy=_REMEDY)
 
 

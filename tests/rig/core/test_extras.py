@@ -100,12 +100,12 @@ def test_a_drive_whose_extra_is_gone_is_refused_and_never_another_rig(
     assert {backend.scheme for backend in devices.backends()} == set(devices.BUILT_IN)
     for scheme in devices.RESERVED:
         for opens in (devices.open_link, devices.is_made_for_a_rig):
-            with pytest.raises(ConfigError, match=rf"URL scheme {scheme}: the extra drives is "):
+            with pytest.raises(ConfigError, match=rf"URL scheme {scheme}: .*the extra drives"):
                 opens(f"{scheme}://can0")
     assert rig.cli.run(["hit", "--url", "moteus:///dev/fdcanusb", "--verified"]) == 2
     said = capsys.readouterr()
     assert said.out == ""
-    assert "the extra drives is" in said.err
+    assert "the extra drives" in said.err
     assert "install haptic-rig" in said.err
 
 
