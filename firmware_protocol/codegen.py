@@ -33,7 +33,7 @@ _SECTION = re.compile(r"<!-- generated: (\w+) -->\n.*?<!-- end -->", re.DOTALL)
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Markdown table."""
+    """Return a Markdown table: a head and rows of cells."""
     lines = [
         "| " + " | ".join(str(cell) for cell in row) + " |" for row in (head, ["---"] * len(head), *rows)
     ]
@@ -54,7 +54,7 @@ def _bytes_of(wires: dict[str, Wire], start: int = 0) -> str:
 
 
 def overview() -> str:
-    """Type ids, senders, classes, sizes."""
+    """Return the table of messages: type ids, senders, classes and sizes."""
     rows = []
     for type_id, cls in m.MESSAGES.items():
         layout = LAYOUTS[type_id]
@@ -67,7 +67,7 @@ def overview() -> str:
 
 
 def messages() -> str:
-    """Every payload, byte by byte."""
+    """Return the sections of all payloads, byte by byte."""
     parts = []
     for type_id, cls in m.MESSAGES.items():
         reply = REPLIES.get(cls)
@@ -78,7 +78,7 @@ def messages() -> str:
 
 
 def batch_layouts() -> str:
-    """What a BATCH holds."""
+    """Return the table of the layouts of a BATCH."""
     columns = ("count difference", "commanded current", "measured current")
     rows = []
     for key, ctypes in m.BATCH_LAYOUTS.items():
@@ -93,7 +93,7 @@ def fault_entry() -> str:
 
 
 def parameters() -> str:
-    """THE table of parameters."""
+    """Return the table of parameters of the protocol."""
     rows = [
         (p.id, f"`{p.name}`", p.ctype, p.unit, p.minimum, p.maximum, p.default, p.meaning) for p in PARAMETERS
     ]
@@ -132,7 +132,7 @@ def states() -> str:
 
 
 def header() -> str:
-    """Header of every frame."""
+    """Return the table of the header's fields, the same in every frame."""
     return _bytes_of(wire_fields(Header))
 
 
@@ -153,7 +153,7 @@ def faults_of_a_rig() -> str:
 
 
 def duties_of_a_port() -> str:
-    """What a port owes the core, and how the check sees it."""
+    """Return the table of a port's duties towards the core, and how the check tests each."""
     rows = (
         (f"`{one.call}`" if one.call.isidentifier() else one.call, one.duty, one.seen) for one in duties()
     )
@@ -172,7 +172,7 @@ def _part(row: dict[str, Any]) -> str:
 
 
 def version() -> str:
-    """Version of this description."""
+    """Return the sentence with protocol version and sizes on the wire."""
     command, state = (HEADER_BYTES + record_struct(cls).size + CRC_BYTES + 2 for cls in (m.Command, m.State))
     sizes = f"a `COMMAND` takes {command} bytes and a `STATE` {state}"
     return f"Version {m.MAJOR}.{m.MINOR}. On the wire, stuffing and delimiter included, {sizes}."

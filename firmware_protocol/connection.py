@@ -153,7 +153,7 @@ class Received:
 
     @property
     def request(self) -> int:
-        """Type id of the message."""
+        """Return the type id of the message."""
         return LAYOUT_OF[type(self.message)].type_id
 
     @property

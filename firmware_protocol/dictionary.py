@@ -90,12 +90,12 @@ class Dictionary:
 
     @cached_property
     def packed(self) -> bytes:
-        """Its bytes (`encode`)."""
+        """Return the compressed bytes of the dictionary (`encode`)."""
         return encode(self)
 
     @cached_property
     def hash(self) -> int:
-        """What identifies it (`dictionary_hash`)."""
+        """Return the hash that identifies the dictionary (`dictionary_hash`)."""
         return dictionary_hash(self.packed)
 
     def parameter(self, name: str) -> ParameterInfo | None:

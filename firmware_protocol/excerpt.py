@@ -121,7 +121,7 @@ def _leading(whole: str) -> int:
 
 
 def _goes_on(code: str) -> bool:
-    """Whether a brace that closes here is followed by a name or a semicolon: a type, or the value of an object."""
+    """Return True if a closing brace is followed by a name or a semicolon: a type, or the value of an object."""
     return code.startswith(("typedef", "enum", "struct")) or "=" in code.partition("{")[0]
 
 
@@ -140,5 +140,5 @@ def _defined(code: str) -> frozenset[str]:
 
 
 def _last_name(code: str) -> str:
-    """Of an object: the last word before its value."""
+    """Return the name of an object: the last word before its value."""
     return str(_NAME.findall(code.partition("=")[0].partition("[")[0])[-1])

@@ -143,7 +143,7 @@ extern const uint32_t hr_crc_table[256];
 
 
 def header() -> str:
-    """Return the text of protocol.h."""
+    """Return the text of protocol.h, from the tables."""
     lines = [_MADE, "#ifndef HR_PROTOCOL_H", "#define HR_PROTOCOL_H", "", "#include <stdint.h>", ""]
     lines += _constants()
     lines += _message_lines()
@@ -155,7 +155,7 @@ def header() -> str:
 
 
 def source() -> str:
-    """Return the text of protocol.c."""
+    """Return the text of protocol.c, from the tables."""
     parts = [
         _table("struct hr_message hr_messages[HR_MESSAGES]", map(_message_row, LAYOUTS.values())),
         _table("struct hr_parameter hr_parameters[HR_PARAMETERS]", map(_parameter_row, PARAMETERS)),

@@ -27,5 +27,5 @@ class Parameter:
     live: bool = False
 
     def accepts(self, value: Value) -> bool:
-        """Whether a value is in range; no NaN is."""
+        """Return True if a value is in range; NaN is not."""
         return self.minimum <= value <= self.maximum and value not in self.excluded

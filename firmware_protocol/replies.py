@@ -35,7 +35,7 @@ class Replies:
         return self._reply
 
     def remembers(self, event: Event) -> bool:
-        """Whether a request is a repeat of the one executed last: its answer is sent again, and nothing moves."""
+        """Return True if a request repeats the last executed one: its reply is sent again, and nothing is executed."""
         return self._reply is not None and self._key == (event.request, event.nonce, event.session)
 
     def forget(self) -> None:

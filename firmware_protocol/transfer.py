@@ -34,7 +34,7 @@ class Assembler:
         self._missing: set[int] = set()
 
     def begin(self, message: SetBegin) -> Status:
-        """Make room for a block."""
+        """Reserve room for a block, or return why it is refused."""
         if message.length > self._limit:
             return Status.BAD_LENGTH
         if message != self._begun:
@@ -85,17 +85,17 @@ class PageReader:
 
     @property
     def offset(self) -> int:
-        """First byte still wanted."""
+        """Return the offset of the next byte to request."""
         return len(self._content)
 
     @property
     def complete(self) -> bool:
-        """Whether everything has come."""
+        """Return True if all bytes have arrived."""
         return self._head is not None and len(self._content) == self._head[0]
 
     @property
     def content(self) -> bytes:
-        """What has come so far."""
+        """Return the bytes that have arrived."""
         return bytes(self._content)
 
     def add(self, *, total: int, fingerprint: int, offset: int, data: bytes) -> None:

@@ -42,7 +42,7 @@ def _wire_fields(cls: type) -> dict[str, Wire]:
 
 
 def fixed_fields(cls: type) -> dict[str, Wire]:
-    """Return `wire_fields` without the tail."""
+    """Return `wire_fields` without the tail of variable length."""
     return {name: wire for name, wire in wire_fields(cls).items() if wire.ctype != "bytes"}
 
 

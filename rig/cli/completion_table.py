@@ -70,7 +70,7 @@ def _row(one: click.Command) -> dict[str, Any]:
 
 
 def _kind(parameter: click.Parameter) -> Any:
-    """What a value is: None for a flag, the list of choices, a name in `values.KINDS`, ``path`` or ``text``."""
+    """Return the kind of a value: None for a flag, the choices, a name in `values.KINDS`, ``path`` or ``text``."""
     if getattr(parameter, "is_flag", False):
         return None
     kind = parameter.type

@@ -227,7 +227,7 @@ def design_(
 
 
 def _ticks(request: DesignRequest, board: str) -> list[str]:
-    """What a tick of the law costs on the device, in integers and in float32, and whether the experiment's own fits."""
+    """Return the cost of the law's tick on the device, and that the experiment's own law does not fit."""
     if not any(one.loop == "device" for one in request.places):
         return []
     budget, own = named_budget(board), request.experiment.controller
@@ -297,7 +297,7 @@ def _places(experiment: Experiment, url: str | None, asked: dict[str, Any]) -> t
 
 
 def _write(found: Design, place: Path, section: Path | None, ending: str) -> dict[str, str | None]:
-    """Section, numbers, picture and page."""
+    """Write section, numbers, picture and page, and return their paths by name."""
     write_document(place / SUMMARY, found.as_mapping())
     for path in [place / SECTION, *([] if section is None else [section])]:
         with whole_file(path, overwrite=True) as file:

@@ -70,7 +70,10 @@ class ProgressBars:
 
 
 def measuring_link(quiet: bool) -> Callable[[float], None] | None:
-    """What shows how far the measurement of a link is, on a terminal only; it takes its line away at the end."""
+    """Return a function that shows the progress of measuring the link; None without a terminal.
+
+    It clears its line at the end.
+    """
     if quiet or not output.on_terminal():
         return None
 

@@ -212,5 +212,5 @@ def _spread(spread: Spread) -> str:
 
 
 def _number(value: float) -> str:
-    """Four digits without an exponent."""
+    """Return four significant digits without an exponent."""
     return "–" if math.isnan(value) else f"{float(f'{value:.4g}'):.9g}"

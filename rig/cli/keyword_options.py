@@ -59,7 +59,7 @@ def _option(one: Keyword) -> Callable[[F], F]:
 
 
 def _type(one: Keyword, kind: Any) -> Any:
-    """How click reads one value."""
+    """Return the click type that reads one value of a keyword."""
     if get_origin(kind) is Literal:
         return click.Choice(get_args(kind))
     if one.values:

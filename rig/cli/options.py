@@ -93,7 +93,7 @@ class Hertz(click.ParamType):  # type: ignore[type-arg]  # click before 8.4 cann
         self._lowest, self._highest = lowest, highest
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        """Return it in Hz."""
+        """Return the rate in Hz; fails outside of the allowed range."""
         if isinstance(value, int):
             return value
         try:
@@ -110,12 +110,12 @@ class Hertz(click.ParamType):  # type: ignore[type-arg]  # click before 8.4 cann
 
 
 def rate_option(help: str, metavar: str = "T1[/T2]") -> Callable[[F], F]:
-    """Rates of the loop."""
+    """Add --rate, the position rate and velocity rate of the loop."""
     return option("--rate", group=EXPERIMENT, metavar=metavar, help=help)
 
 
 def estimator_option(help: str = "Velocity estimator.", **more: Any) -> Callable[[F], F]:
-    """A velocity estimator."""
+    """Add --estimator, the name of a velocity estimator."""
     return option(
         "--estimator", *more.pop("names", ()), group=EXPERIMENT, type=values.ESTIMATOR, help=help, **more
     )
@@ -136,7 +136,7 @@ def scheme_option(default: str, group: str = EXPERIMENT) -> Callable[[F], F]:
 
 
 def operator_option(help: str) -> Callable[[F], F]:
-    """Whose hand holds the handle."""
+    """Add --operator, the grip of the hand on the handle."""
     return option("--operator", group=EXPERIMENT, metavar="GRIP", type=values.GRIP, help=help)
 
 
@@ -148,17 +148,17 @@ set_option = option(
 
 
 def seed_option(help: str, group: str = EXPERIMENT, **more: Any) -> Callable[[F], F]:
-    """Of what is random."""
+    """Add --seed, of the command's random numbers."""
     return option("--seed", group=group, type=click.IntRange(0), help=help, **more)
 
 
 def repeats_option(help: str, **more: Any) -> Callable[[F], F]:
-    """How often the same is done."""
+    """Add --repeats, the number of equal runs."""
     return option("--repeats", group=EXPERIMENT, type=click.IntRange(1, 10_000), help=help, **more)
 
 
 def signal_option(*names: str, help: str, **more: Any) -> Callable[[F], F]:
-    """A reference signal of `rig.core.signals`."""
+    """Add --signal, a reference signal of `rig.core.signals`."""
     return option("--signal", *names, type=values.SIGNAL, help=help, **more)
 
 
@@ -182,7 +182,7 @@ def url_option(default: str) -> Callable[[F], F]:
 
 
 def realtime_option(help: str) -> Callable[[F], F]:
-    """In real time."""
+    """Add --realtime, a run in real time."""
     return option("--realtime", group=DEVICE, is_flag=True, help=help)
 
 
@@ -204,7 +204,7 @@ across_option = option(
 
 
 def confirm_option(choices: tuple[str, ...], default: str) -> Callable[[F], F]:
-    """Whether a person is asked before something moves."""
+    """Add --confirm: when the operator is asked before something moves."""
     return option(
         "--confirm",
         group=DEVICE,
@@ -246,7 +246,7 @@ def _plot_option(help: str, default: bool) -> Callable[[F], F]:
 
 
 def format_option(help: str = "Of the picture.", default: str | None = _DEFAULT_ENDING) -> Callable[[F], F]:
-    """The format of pictures."""
+    """Add --format, the file format of pictures."""
     return option(
         "--format", "ending", group=RESULT, type=click.Choice(tuple(FORMATS)), default=default,
         show_default=True, help=help,
@@ -254,7 +254,7 @@ def format_option(help: str = "Of the picture.", default: str | None = _DEFAULT_
 
 
 def plot_options(help: str = "Draw a picture.", *, default: bool = True) -> Callable[[F], F]:
-    """Of a picture among other files; the command receives its format as `plot`, empty where none is wanted."""
+    """Add the options of a picture among other files; the command receives its format as `plot`, empty for none."""
 
     def add(function: F) -> F:
         @wraps(function)
@@ -289,12 +289,12 @@ class PictureOption:
                 self.failure = error if isinstance(error, RigError) else other
 
     def facts(self) -> dict[str, Any]:
-        """Return it for a machine."""
+        """Return path and error of the picture, for JSON."""
         return {"picture": self.drawn} | ({"error": output.error_facts(self.failure)} if self.failure else {})
 
 
 def picture_options(help: str, *, default: bool, place: str) -> Callable[[F], F]:
-    """Of a picture that is all that the command writes; the command receives a `PictureOption` as `picture`.
+    """Add the options of a command's only output, a picture; the command receives a `PictureOption` as `picture`.
 
     When a file that the user names cannot be drawn, the command prints its numbers and ends with the exit code of that.
     """

@@ -77,7 +77,7 @@ class SweepBar(_Bar):
         self._told_damage = False
 
     def watch(self, progress: Progress) -> None:
-        """Show how far it is."""
+        """Show finished tasks and the remaining time."""
         if progress.damaged and not self._told_damage:
             self._told_damage = True
             click.echo(
@@ -116,5 +116,5 @@ class CountBar(_Bar):
     """Shows how many of a known number are done while its block lasts; `watch` takes (done, total)."""
 
     def watch(self, done: int, total: int) -> None:
-        """Show how far it is."""
+        """Show how many of all are done."""
         self._show(done / total if total else 1.0, f"{done} of {total}")

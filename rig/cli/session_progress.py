@@ -42,12 +42,12 @@ class Rehearsed:
             click.echo("\r\033[K", nl=False, err=True)
 
     def on_event(self, event: Event) -> None:
-        """An event was written."""
+        """Print the event as a line, without a terminal (where a progress line is shown) and without ``-q``."""
         if not self._line and not self._quiet:
             click.echo(f"  {line_of_event(event)}", err=True)
 
     def looks(self, view: DeskView) -> None:
-        """There is something to see."""
+        """Show the trial's number and the remaining time."""
         if self._quiet or view.state != "ready":
             return
         left = self._left_s(view)

@@ -30,7 +30,7 @@ class Named(click.ParamType):  # type: ignore[type-arg]  # click before 8.4 cann
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
-        """Return what begins like that."""
+        """Return the known values that begin with the incomplete word."""
         return [CompletionItem(each) for each in self._known(incomplete) if each.startswith(incomplete)]
 
 
@@ -55,7 +55,7 @@ class FrequencyBand(click.ParamType):  # type: ignore[type-arg]  # as above
     name = "band"
 
     def convert(self, value: Any, param: Any, ctx: Any) -> tuple[float, float]:
-        """Return both."""
+        """Return lowest and highest frequency (Hz) of LOW:HIGH."""
         try:
             low, high = (float(part) for part in value.split(":"))
         except ValueError:
@@ -86,7 +86,7 @@ def paths(incomplete: str, endings: tuple[str, ...]) -> Iterator[str]:
 
 
 def presets() -> list[str]:
-    """Names of the built-in rigs."""
+    """Return the names of the built-in rigs, sorted."""
     return sorted(path.stem for path in _PRESETS.glob("*.toml"))
 
 

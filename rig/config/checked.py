@@ -64,7 +64,7 @@ class FileKind(Generic[T]):
         return parameters_of(root)
 
     def sections(self) -> Mapping[str, tuple[str, ...]]:
-        """The keys inside each table."""
+        """Return the keys of each table, by its name."""
         root: Any = self.root
         return sections_of(root, self.also)
 
@@ -186,7 +186,7 @@ def plain(value: Any) -> Any:
 
 
 def value_at(table: Any, path: Iterable[str]) -> Any:
-    """What stands at a place, counting from 0 in lists; None where there is nothing."""
+    """Return the value at a path, with list places counted from 0; None where nothing is stored."""
     value: Any = table
     for part in path:
         if isinstance(value, list) and part.isdecimal():
@@ -296,7 +296,7 @@ def _wrong_section(
 
 
 def better(value: Any, parameter: ConfigKey) -> str:
-    """Remedy for a wrong value."""
+    """Return the remedy for a wrong value: the nearest choice, or how to write it."""
     kind = parameter.kind
     if kind == "choice" and isinstance(value, str):
         known = [choice for choice in parameter.choices if isinstance(choice, str)]

@@ -64,12 +64,12 @@ class DataSheetQuestion:
 
     @property
     def unit(self) -> str:
-        """The SI unit."""
+        """Return the SI unit in which a number is understood."""
         return next(iter(self.units)) if self.units else ""
 
     @property
     def allowed(self) -> str:
-        """What may be answered, in words."""
+        """Return the allowed answers in words: choices, or range and units."""
         if self.choices:
             return f"one of {', '.join(self.choices)}"
         kind = "a whole number" if self.whole else "a number"

@@ -30,7 +30,7 @@ LARGEST_DISC = 10_000_000  # lines of an encoder; no disc has more
 
 
 def broken_rules(experiment: Experiment) -> list[Problem]:
-    """Every problem of every rule."""
+    """Return the problems of all rules, empty for a consistent experiment."""
     return [problem for rule in RULES for problem in rule(experiment)]
 
 
@@ -199,7 +199,7 @@ def _ripple(x: Experiment) -> Iterator[Problem]:
 
 
 def cogging_compensation(x: Experiment) -> Iterator[Problem]:
-    """What is compensated was mapped in a range, from a zero that is the same tomorrow, and the host does it."""
+    """Yield what cogging compensation lacks: a map with its range, an index, or a law on the host."""
     if not x.controller.cogging_compensation:
         return
     given, key = x.rig.cogging, "controller.cogging_compensation"
@@ -248,7 +248,7 @@ def current(x: Experiment) -> Iterator[Problem]:
 
 
 def profile(x: Experiment) -> Iterator[Problem]:
-    """What is known of an amplifier holds for the rig's."""
+    """Yield the values of the rig's amplifier that contradict the profile named."""
     amplifier, key = x.rig.amplifier, "rig.amplifier.profile"
     if (why := amplifiers.REFUSED.get(amplifier.profile)) is not None:
         yield _problem(x, key, why, "take a bridge with phase and enable inputs: voltage-bridge")

@@ -108,7 +108,7 @@ class Scheme:
 
     @property
     def kind(self) -> str:
-        """``uniform`` or ``dual``."""
+        """Return ``uniform`` or ``dual``, by the two rates."""
         return "uniform" if self.position_rate == self.velocity_rate else "dual"
 
     @cached_property
@@ -123,7 +123,7 @@ class Scheme:
         return ",".join([f"{self.kind}:{rates}", *shown])
 
     def label(self, experiment: Experiment) -> str:
-        """What a legend calls the scheme on an experiment: rates, estimator, and the cut-off where there is one."""
+        """Return the text for legends of the scheme on an experiment: rates, estimator, and a cut-off if it has one."""
         controller = self.on(experiment).controller
         fast, slow = controller.position_rate / 1e3, controller.velocity_rate / 1e3
         rates = f"{fast:g} kHz" if fast == slow else f"{fast:g}/{slow:g} kHz"

@@ -45,7 +45,7 @@ class ConfigKey:
         return "" if self.unit == "1" else unit_of(self.unit, motion or "rotary")
 
     def expected(self, motion: Motion | None) -> str:
-        """What a value must be, in words, with range and unit."""
+        """Return the allowed values in words, with range and unit."""
         words = {
             "choice": "one of " + ", ".join(shown(choice) for choice in self.choices),
             "true or false": self.kind,
@@ -149,7 +149,7 @@ def _parameter(section: type, key: str, hint: Any) -> ConfigKey:
 
 
 def _in_words(values: Any) -> str:
-    """What may stand in a table whose values are of this type; empty for anything."""
+    """Return the allowed values in a table of values of this type, in words; empty for any."""
     arms = get_args(values) if get_origin(values) is UnionType else (values,)
     words = [
         word

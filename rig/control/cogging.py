@@ -52,7 +52,7 @@ def effort_at(position: float, harmonics: Any) -> float:
 
 @kernel("f8(f8, f8, f8, f8, f8[::1])", inline=True)
 def bounded_at(position: float, minimum: float, maximum: float, limit: float, harmonics: Any) -> float:
-    """What of the effort at a position is compensated (N·m or N); see the module."""
+    """Return the compensating effort at a position (N·m or N): limited, and faded at the ends of the map."""
     inside = min(position - minimum, maximum - position) / (FADE * (maximum - minimum))
     if inside <= 0.0:
         return 0.0

@@ -305,7 +305,7 @@ def _outside(left: int, low: int, high: int) -> int:
 
 @rule
 def _size(current: int) -> int:
-    """Of a current (1/16384 quantum), to the nearest quantum."""
+    """Return the magnitude of a current (1/16384 quantum), rounded to quanta."""
     return (abs(current) + _UNIT // 2) // _UNIT
 
 

@@ -46,7 +46,7 @@ class Peak:
 
     @reported
     def holds(self) -> bool:
-        """Whether the value is finite and within its limit."""
+        """Return True if the value is finite and within its limit."""
         return math.isfinite(self.value) and (self.limit is None or self.value <= self.limit)
 
 

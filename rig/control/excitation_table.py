@@ -239,7 +239,7 @@ class ExcitationTable:
 
     @property
     def values(self) -> Floats:
-        """One period (quanta), shape (period,)."""
+        """Return one period (quanta), shape (period,)."""
         return np.asarray(self.table, np.float64) * 2.0**-self.bits
 
     @property
@@ -278,7 +278,7 @@ class ExcitationTable:
         return self.values * effort_quantum
 
     def played(self, ticks: ArrayLike) -> Integers:
-        """What the device adds at these ticks of the excitation, the ramp with it (quanta · 2^16)."""
+        """Return the values that the device adds at these ticks of the excitation, with the ramp (quanta · 2^16)."""
         tick = np.asarray(ticks, dtype=np.int64)
         gain = np.full(tick.shape, 1 << _GAIN_BITS, np.int64)
         if self.ramp > 0:

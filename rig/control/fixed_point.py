@@ -78,7 +78,7 @@ class Format:
 
     @property
     def lsb(self) -> float:
-        """Value of the last bit."""
+        """Return the value of the least significant bit."""
         return 2.0**-self.fraction_bits
 
     @property

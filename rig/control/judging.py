@@ -48,7 +48,7 @@ class TrialSignals:
 def recorded_signals(
     rows: NDArray[np.void], tick_s: float, resolution: float, *, effort: str = "effort_sent"
 ) -> TrialSignals:
-    """What a rig records of the trial phase of its rows (`rig.core.sample.ROW`), its effort by a column.
+    """Return the recorded signals of the trial phase (rows of `rig.core.sample.ROW`), the effort from a column.
 
     That is the law's effort; for a wall that a drive rendered itself use the drive's reported ``effort_applied``.
     """
@@ -81,7 +81,7 @@ def recorded_signals(
 def true_signals(
     rows: NDArray[np.void], recorded: TrialSignals, wall_position: float, wall_side: float
 ) -> TrialSignals:
-    """What really happened in a simulated trial: rows that carry `rig.core.sample.TRUTH_COLUMNS` too.
+    """Return the true signals of a simulated trial: rows that also have `rig.core.sample.TRUTH_COLUMNS`.
 
     A hand feels the handle, so velocity and position are those of the handle; the law lives where the encoder is, so
     penetration is that of the sensed side. On two masses the capstan lies between them. What was flagged, lost or

@@ -31,7 +31,7 @@ class Law(Shown):
     device: Mapping[str, int] = field(default_factory=dict)
 
     def brief(self) -> list[Item]:
-        """Name and summary."""
+        """Return name and summary, for people."""
         return [f"law {self.name}: {self.summary}"]
 
     def prepare(self, wall: Mapping[str, Any]) -> PreparedLaw:
@@ -49,5 +49,5 @@ class PreparedLaw:
     state: NDArray[np.float64]
 
     def fits(self) -> bool:
-        """Whether memory that was read from somewhere has the size that the compiled code takes for granted."""
+        """Return True if stored memory has the size that the compiled code requires."""
         return self.parameters.ndim == 1 and self.state.shape == (max(1, self.law.floats),)

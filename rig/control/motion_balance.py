@@ -61,7 +61,7 @@ class MotionBalance:
 
     @property
     def changed(self) -> bool:
-        """Whether the encoder's scale changed in the trial; False where nothing is decided."""
+        """Return True if the encoder's scale changed in the trial; False if this is undecided."""
         if self.least is None or self.most is None:
             return False
         return self.least > FACTOR or self.most < 1.0 / FACTOR
@@ -149,7 +149,7 @@ def _windows(
 
 
 def _bent(rows: Floats) -> Floats:
-    """What a straight line leaves of each row."""
+    """Return the residual of each row from its straight line."""
     t = np.linspace(-1.0, 1.0, rows.shape[1])
     rows = rows - rows.mean(axis=1, keepdims=True)
     return rows - np.outer(rows @ t / (t @ t), t)

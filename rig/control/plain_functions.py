@@ -39,7 +39,6 @@ class Parameters:
     """What `p` is to a law or an estimator: each parameter is an attribute of that name, a number that stays."""
 
     def __getattr__(self, name: str) -> float:
-        """Only compiled code has one."""
         raise AttributeError(name)
 
 
@@ -47,11 +46,9 @@ class Memory:
     """What `memory` is to a law or an estimator: numbers by name, zero at the start and kept from call to call."""
 
     def __getattr__(self, name: str) -> float:
-        """Only compiled code has one."""
         raise AttributeError(name)
 
     def __setattr__(self, name: str, value: float) -> None:
-        """Only compiled code has one."""
         raise AttributeError(name)
 
 
@@ -261,7 +258,7 @@ _REASONS: tuple[tuple[str, str, str], ...] = (
 
 
 def _reason(text: str, form: Form, seen: type[tuple[float, ...]], kept: np.dtype[Any]) -> tuple[str, str]:
-    """What is wrong, and what to do, from the compiler's report."""
+    """Return the reason and the remedy, from the compiler's report."""
     names, remembered = list(seen._fields), list(kept.names or ())  # type: ignore[attr-defined]
     for pattern, owner, known in (
         (r"Unknown attribute '(\w+)' of type Parameters", PARAMETERS, names),

@@ -60,7 +60,7 @@ class PlainLaw(Law):
     everywhere: bool
 
     def brief(self) -> list[Item]:
-        """Name, summary and parameters."""
+        """Return name, summary and parameters, for people."""
         rows = [Row(name, one.default, one.unit, one.meaning) for name, one in self.parameters.items()]
         return [f"law {self.name}: {self.summary}", *rows]
 

@@ -239,19 +239,19 @@ class Measured:
 
     @cached_property
     def found(self) -> Objection:
-        """All objections to the trial."""
+        """Return all objections to the trial, as flags."""
         return Objection(int(objections(self.numbers, self.thresholds)))
 
     @property
     def kind(self) -> Kind:
-        """How the hit ended."""
+        """Return the verdict that the objections imply."""
         if self.thrown_out and not self.found & Objection.CURRENT:
             return Kind.UNSTABLE if self.numbers["contact_s"] >= 0.0 else Kind.INVALID
         return KINDS[int(_codes(int(self.found)))]
 
     @property
     def by_machine(self) -> bool:
-        """Whether it is invalid because of gaps or late ticks alone: another time the same hit would say something.
+        """Return True if it is invalid only for gaps or late ticks: a repeat of the same hit may be valid.
 
         A device whose command does not come in time overrules the law by itself: beside a gap or late ticks that is
         the same fault.
@@ -272,7 +272,7 @@ class Measured:
         return Verdict(kind=kind, reasons=reasons, **shown)
 
     def passes(self, criterion: str) -> bool | None:
-        """Whether the wall lies within the Z-width under a criterion; None when the trial does not show it.
+        """Return True if the wall lies within the Z-width under a criterion; None when the trial does not show it.
 
         Parameters
         ----------

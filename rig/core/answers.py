@@ -13,7 +13,7 @@ Asked = ParamSpec("Asked")
 
 
 def ok(text: str) -> Check:
-    """Nothing is to be done."""
+    """Return a passing check, which needs no action."""
     return Check("", Outcome.OK, text)
 
 
@@ -23,7 +23,7 @@ def warning(text: str, remedy: str = "") -> Check:
 
 
 def refused(text: str, remedy: str = "") -> Check:
-    """What was asked for cannot be had, or a device has failed."""
+    """Return a refusing check: the request is impossible, or a device has failed."""
     return Check("", Outcome.REFUSED, text, remedy)
 
 

@@ -58,7 +58,7 @@ class Check:
 
 
 def refused(checks: Iterable[Check]) -> tuple[Check, ...]:
-    """Return the checks that refuse."""
+    """Return the checks whose outcome is REFUSED."""
     return tuple(check for check in checks if check.outcome is Outcome.REFUSED)
 
 

@@ -36,7 +36,7 @@ class Drawn:
     __slots__ = ()
 
     def plot(self) -> Picture:
-        """Draw it."""
+        """Draw the result as a matplotlib figure."""
         return plot(self)
 
 

@@ -31,7 +31,7 @@ class RigError(Exception):
         return f"{self.message}; {self.remedy}" if self.remedy else self.message
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
+        """Return message, kind, remedy and recording as plain values, for JSON."""
         return {
             "error": self.message,
             "kind": type(self).__name__,

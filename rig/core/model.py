@@ -211,12 +211,12 @@ class Cogging:
 
     @property
     def ripple_crest(self) -> float:
-        """What the ripple cannot exceed, a share of the effort: the crests of all harmonics in one place."""
+        """Return an upper bound of the ripple, a share of the effort: the crests of all harmonics added."""
         return math.fsum(math.hypot(c, s) for c, s in zip(self.ripple_cosine, self.ripple_sine, strict=True))
 
     @property
     def crest(self) -> float:
-        """What the effort cannot exceed (N·m or N): the crests of all harmonics in one place."""
+        """Return an upper bound of the cogging effort (N·m or N): the crests of all harmonics added."""
         return math.fsum(math.hypot(c, s) for c, s in zip(self.cosine, self.sine, strict=True))
 
     def effort(self, position: ArrayLike) -> NDArray[np.float64]:
@@ -456,7 +456,7 @@ class StateSpace:
 
     @property
     def order(self) -> int:
-        """Number of states."""
+        """Return the number of states: the size of A."""
         return int(self.a.shape[0])
 
     @property

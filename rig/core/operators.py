@@ -65,5 +65,5 @@ GRIPS: dict[str, Operator] = {
 
 
 def hand_text(name: str) -> str:
-    """``no hand``, ``relaxed hand``."""
+    """Return the text for an operator: ``no hand`` or ``relaxed hand``."""
     return "no hand" if name == NO_OPERATOR else f"{name} hand"

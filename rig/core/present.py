@@ -150,7 +150,7 @@ class Table:
 
     @property
     def cells(self) -> list[list[str]]:
-        """The rows as texts."""
+        """Return the rows as formatted texts."""
         return [[written(cell) for cell in row] for row in self.rows]
 
 
@@ -159,7 +159,7 @@ Item = str | Row | Table | Check
 
 
 def told(items: Sequence[Item]) -> list[dict[str, Any]]:
-    """What people are shown, for a page that lays it out itself: texts alone, each item by its kind."""
+    """Return items as texts for a page with a layout of its own, each with its kind."""
 
     def one(item: Item) -> dict[str, Any]:
         match item:

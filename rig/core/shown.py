@@ -20,11 +20,11 @@ class Shown:
     __slots__ = ()
 
     def brief(self) -> Sequence[Item]:
-        """What matters most, in `LINES` lines: a heading and rows."""
+        """Return the most important results in `LINES` lines: a heading and rows."""
         raise NotImplementedError
 
     def detailed(self) -> Sequence[Item]:
-        """What a notebook shows."""
+        """Return the items that a notebook shows; the same as `brief` unless overridden."""
         return self.brief()
 
     def __repr__(self) -> str:

@@ -51,7 +51,7 @@ class Signal:
     end_s: float
 
     def __call__(self, time_s: ArrayLike) -> Motion:
-        """Motion at these times (s)."""
+        """Return position, velocity and acceleration at these times (s)."""
         return self.motion(np.asarray(time_s, dtype=np.float64))
 
 

@@ -116,7 +116,7 @@ def _linked(text: str, page: Path, origin: Path, pages: Mapping[Path, Path], pla
 
 
 def table(head: Sequence[str], rows: Rows) -> str:
-    """A table in Markdown."""
+    """Return a table in Markdown: a head and rows of texts."""
     cells = [[str(cell).replace("|", "\\|").replace("\n", " ") for cell in row] for row in (head, *rows)]
     lines = [f"| {' | '.join(row)} |" for row in cells]
     return "\n".join([lines[0], "|" + " --- |" * len(head), *lines[1:]])
@@ -171,7 +171,7 @@ def further() -> str:
 
 
 def command_list() -> str:
-    """Every command with its line."""
+    """Return a list of all commands with their one-line help."""
     known = {name: row for name, row in command_rows() if "options" in row}
     rows = (
         (f"[`rig {name}`](commands/{name.split()[0]}.md)", _prose(row["help"])) for name, row in known.items()
@@ -212,7 +212,7 @@ def _default(parameter: ConfigKey, name: str) -> str:
 
 
 def limit_keys() -> str:
-    """What bounds a run: the keys of ``[rig.limits]``."""
+    """Return a table of the limits of a run: the keys of ``[rig.limits]``."""
     return _keys({key: one for key, one in parameters().items() if key.startswith("rig.limits.")})
 
 
@@ -236,7 +236,7 @@ def preset_list() -> str:
 
 
 def estimator_settings() -> str:
-    """Settings of every velocity estimator."""
+    """Return a section for each velocity estimator with its settings."""
     parts = []
     for name in estimators.BUILT_IN:
         one = estimators.get(name)
@@ -274,7 +274,7 @@ def columns() -> str:
 
 
 def units() -> str:
-    """What a quantity means on a rotary and on a linear rig."""
+    """Return a table of the meaning of each quantity on a rotary and on a linear rig."""
     return table(("quantity", "rotary", "linear"), ((name, *by.values()) for name, by in UNITS.items()))
 
 
@@ -284,7 +284,7 @@ def row_flags() -> str:
 
 
 def phases() -> str:
-    """Values of ``phase``."""
+    """Return a table of the values of ``phase``."""
     return table(("value", "name"), ((int(phase), f"`{phase.name}`") for phase in Phase))
 
 
@@ -338,7 +338,7 @@ def _sentence(text: str) -> str:
 
 
 def fault_list() -> str:
-    """Faults, with their pages."""
+    """Return a list of all faults, with links to their pages."""
     rows = ((int(f), f"[`{f.name}`](faults/{_page_of(f).name})", _prose(f.text)) for f in Fault if f)
     return table(("code", "name", "says"), rows)
 
@@ -357,7 +357,7 @@ def python_names() -> str:
 
 
 def testing_names() -> str:
-    """Every public name of `rig.testing`."""
+    """Return the directives of every public name of `rig.testing`."""
     return _names(rig.testing.__name__, rig.testing)
 
 
@@ -379,7 +379,7 @@ def _members(package: str, names: Iterable[str], module: Any) -> str:
 
 
 def error_kinds() -> str:
-    """What can go wrong, from `rig.errors`, with the exit code of a command."""
+    """Return a table of the errors in `rig.errors`, with the exit code of a command."""
     kinds = [
         one for one in vars(errors).values() if inspect.isclass(one) and issubclass(one, errors.RigError)
     ]

@@ -47,7 +47,7 @@ assert (
 
 @kernel(types.boolean(SUPERVISION_TYPE))
 def has_room(supervision: Any) -> bool:
-    """Whether all that one reading can bring fits into the queue."""
+    """Return True if the queue has room for all samples of one read."""
     v = supervision[0]
     return bool(v["head"] - v["tail"] <= QUEUE - SAMPLES_A_READING)
 

@@ -25,7 +25,7 @@ _PHASE_TRIAL, _FLAG_INSIDE = int(Phase.TRIAL), int(RowFlag.INSIDE)
 
 @kernel(types.int64(MEMORY_TYPE), inline=True)
 def sync_of(memory: Any) -> int:
-    """What the sync outputs shall show of the tick that `rig.control.step` left in its memory (`Sync`)."""
+    """Return the bits (`Sync`) of the sync outputs for the tick in the memory of `rig.control.step`."""
     bits = NO_SYNC
     if memory[0]["phase"] == _PHASE_TRIAL:
         bits |= _TRIAL

@@ -47,7 +47,7 @@ def answered_by(sent: Any, sequence: int) -> int:
 
 @kernel(types.boolean(INTS, types.int64, types.int64), inline=True)
 def _was_sent(sent: Any, sequence: int, current: int) -> bool:
-    """Whether a COMMAND had a current; also true of one that is forgotten."""
+    """Return True if a COMMAND had a current, or is too old to be remembered."""
     place = 3 * (sequence % 65536 % COMMANDS_KEPT)
     return bool(sent[place] != sequence % 65536 or sent[place + 1] == current)
 

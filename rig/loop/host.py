@@ -60,7 +60,7 @@ LONGEST_WAIT_NS = 10_000_000
 
 @kernel(types.boolean(SETTINGS_TYPE, MEMORY_TYPE, PROGRESS_TYPE))
 def _overran(settings: Any, memory: Any, progress: Any) -> bool:
-    """Whether this tick is more than one period late.
+    """Return True if this tick is more than one period late.
 
     Device-paced, the newest of several samples is in time though the skipped ones were not: they decide.
     """

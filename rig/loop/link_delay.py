@@ -34,7 +34,7 @@ def ticks_under_way(buffers: Buffers) -> int:
 
 @kernel(types.boolean(SETTINGS_TYPE, BUFFERS_TYPE))
 def is_delayed(settings: Any, buffers: Buffers) -> bool:
-    """Whether this sample ends a command's lifetime in which none came that was younger than that.
+    """Return True if this sample ends a command's lifetime in which every command was older than that.
 
     A device that looks at the age of a command leaves an old one out and says so; of another one it becomes active.
     """

@@ -83,7 +83,7 @@ def _take_update(mailbox: int, buffers: Buffers, supervised: SupervisionBuffers)
 
 @kernel(TRANSACTION(SUPERVISION_TYPE))
 def _transaction(supervision: Any) -> Transaction:
-    """State of the transaction."""
+    """Return the state of the transaction that is under way."""
     v = supervision[0]
     return Transaction(v["nonce"], v["length"], v["request"], v["offset"], v["tries"], v["again_at"])
 
@@ -114,7 +114,7 @@ def _encode(settings: Any, buffers: Buffers, supervised: SupervisionBuffers, t: 
 
 @kernel(types.boolean(CONTROL_TYPE, FLOATS, SUPERVISION_TYPE, types.int64))
 def _may_begin(control: Any, waiting: Any, supervision: Any, time_ns: int) -> bool:
-    """Whether the handle was outside both walls in the newest sample; the device judges by its own."""
+    """Return True if the handle was outside both walls in the newest sample; the device checks by its own."""
     v = supervision[0]
     if v["started"] == 0 or time_ns < v["not_before"]:
         return False

@@ -23,7 +23,7 @@ from rig.realtime.mailbox import take
 
 @kernel(types.boolean(CONTROL_TYPE, types.float64, types.int64))
 def inside(control: Any, wall_position: float, count: int) -> bool:
-    """Whether a count lies inside a wall at a position."""
+    """Return True if a count lies inside a wall at a position."""
     c = control[0]
     position = c["resolution"] * count_difference(count, c["reference_count"])
     return bool(c["wall_side"] * (position - wall_position) > 0.0)

@@ -179,7 +179,7 @@ class LoopThread:
         self._thread = threading.Thread(target=self._body, name="rig-loop", daemon=True)
 
     def start(self) -> None:
-        """Start the thread."""
+        """Set the first heartbeat, and start the thread."""
         self._started = True
         self._live()
         self._thread.start()

@@ -295,7 +295,7 @@ def _queue_fault(states: Any, samples: Any, supervision: Any, progress: Any) -> 
 
 @kernel(types.int64(INTS, SUPERVISION_TYPE), inline=True)
 def _shows_stop(newest: Any, supervision: Any) -> int:
-    """Whether the newest STATE names one of our STOPs as the active command."""
+    """Return 1 if the newest STATE names one of our STOPs as the active command, else 0."""
     since = (newest[STATE.command_sequence] - supervision[0]["stop_sequence"]) % 65536
     return 1 if supervision[0]["heard"] != 0 and since < STOP_FRAMES else 0
 

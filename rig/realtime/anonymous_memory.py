@@ -50,12 +50,12 @@ def close(descriptor: int) -> None:
 
 
 def is_sound(descriptor: int) -> bool:
-    """Whether what was opened cannot shrink under its reader."""
+    """Return True if the opened file cannot shrink under its reader."""
     return bool(fcntl.fcntl(descriptor, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK)
 
 
 def is_memory(path: str) -> bool:
-    """Whether a path of an open file leads to such a memory."""
+    """Return True if the path of an open file leads to such a memory."""
     try:
         return os.readlink(path) == LINK
     except OSError:
@@ -80,7 +80,7 @@ def held(path: str, descriptor: int) -> str:
 
 
 def is_process(pid: int, creator: int) -> bool:
-    """Whether a process calls itself so: in a container it has another number, and the kernel knows both."""
+    """Return True if a process has this number, in its own container or outside: the kernel knows both."""
     if creator == pid:
         return True
     with open(f"{_PROC}/{pid}/status", encoding="ascii", errors="replace") as status:

@@ -108,11 +108,11 @@ def stack_words(count: int) -> Any:
 
 @kernel(types.int64(types.uintp))
 def read_word(address: int) -> int:
-    """`load_word` for Python."""
+    """Load a word atomically, for Python (`load_word`)."""
     return int(load_word(address))
 
 
 @kernel(types.void(types.uintp, types.int64))
 def write_word(address: int, value: int) -> None:
-    """`store_word` for Python."""
+    """Store a word atomically, for Python (`store_word`)."""
     store_word(address, value)

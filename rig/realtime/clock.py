@@ -20,7 +20,7 @@ class Clock(Protocol):
     virtual: bool
 
     def now_ns(self) -> int:
-        """Return the time now."""
+        """Return the present time (ns), from an arbitrary origin."""
         ...
 
     def sleep_until(self, deadline_ns: int) -> None:
@@ -29,17 +29,17 @@ class Clock(Protocol):
 
     @property
     def handle(self) -> int:
-        """First argument of `now_plug`."""
+        """Return the first argument of `now_plug`."""
         ...
 
     @property
     def now_plug(self) -> Any:
-        """Compiled function of type `rig.realtime.plugs.NOW`."""
+        """Return the compiled function that reads the clock, of type `rig.realtime.plugs.NOW`."""
         ...
 
     @property
     def sleep_plug(self) -> Any:
-        """Compiled `sleep_until`, of type `rig.realtime.plugs.WAIT`."""
+        """Return the compiled `sleep_until`, of type `rig.realtime.plugs.WAIT`."""
         ...
 
 
@@ -53,7 +53,7 @@ class MonotonicClock:
     handle = 0
 
     def now_ns(self) -> int:
-        """Return the time now."""
+        """Return the present monotonic time (ns)."""
         return time.perf_counter_ns()
 
     def sleep_until(self, deadline_ns: int) -> None:
@@ -64,12 +64,12 @@ class MonotonicClock:
 
     @property
     def now_plug(self) -> Any:
-        """Compiled clock_gettime."""
+        """Return the compiled call of clock_gettime."""
         return monotonic_now
 
     @property
     def sleep_plug(self) -> Any:
-        """Compiled clock_nanosleep."""
+        """Return the compiled call of clock_nanosleep."""
         return monotonic_sleep
 
 
@@ -82,7 +82,7 @@ class VirtualClock:
         self._time = np.array([start_ns], dtype=np.int64)
 
     def now_ns(self) -> int:
-        """Return the time now."""
+        """Return the present virtual time (ns)."""
         return int(self._time[0])
 
     def sleep_until(self, deadline_ns: int) -> None:
@@ -96,10 +96,10 @@ class VirtualClock:
 
     @property
     def now_plug(self) -> Any:
-        """Compiled read of the number."""
+        """Return the compiled function that reads the virtual time."""
         return virtual_now
 
     @property
     def sleep_plug(self) -> Any:
-        """Compiled write of the number."""
+        """Return the compiled function that sets the virtual time."""
         return virtual_sleep

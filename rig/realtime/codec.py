@@ -273,7 +273,7 @@ def _encode(values: Ints, layout: Ints, type_id: int, session: int, sequence: in
 
 @kernel(_i64(_bytes, _i64, _i64), inline=True)
 def _number(raw: Bytes, at: int, size: int) -> int:
-    """Unsigned number of `size` bytes."""
+    """Return the unsigned number of `size` bytes at an offset, little endian."""
     value = np.int64(0)
     for k in range(size):
         value |= np.int64(raw[at + k]) << (8 * k)

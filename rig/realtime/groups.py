@@ -93,7 +93,7 @@ def _typeof(value: tuple[Any, ...], context: Any) -> Any:
 
 
 def _fits(member: Any, classes: tuple[type, ...], array: tuple[Any, ...] | None) -> bool:
-    """Whether a member fits its field: numba's own way to the type of a record takes as long as many ticks."""
+    """Return True if a member fits its field: numba's own way to the type of a record takes as long as many ticks."""
     if array is not None:
         if type(member) is not np.ndarray or member.dtype != array[0] or member.ndim != array[1]:
             return False

@@ -168,7 +168,7 @@ class SharedHand:
         return [motion for _, motion in fresh]
 
     def _whole_motions(self) -> list[tuple[int, HandMotion]]:
-        """What the ring holds, by number."""
+        """Return the complete motions in the ring, ascending by number."""
         found = []
         for place in range(WISH_END, SIZE, _MOTION_BYTES):
             data = self._memory[place : place + _MOTION_BYTES]

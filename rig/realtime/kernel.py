@@ -78,7 +78,7 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
 
     @property
     def prepared(self) -> bool:
-        """Whether its machine code is there."""
+        """Return True if its machine code exists."""
         return not self._can_compile
 
     def prepare(self) -> None:

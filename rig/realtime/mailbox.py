@@ -56,7 +56,7 @@ _writers = threading.Lock()  # a lock on a descriptor does not keep threads of o
 
 @kernel(_i64(_address, _i64), inline=True)
 def slot_address(mailbox: int, slot: int) -> int:
-    """Where a slot begins."""
+    """Return the address at which a slot begins."""
     return mailbox + HEAD_BYTES + SLOT_BYTES * slot
 
 

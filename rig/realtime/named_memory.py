@@ -56,7 +56,7 @@ def is_sound(descriptor: int) -> bool:
 
 
 def is_memory(path: str) -> bool:
-    """Whether a path is that of a memory whose process lives."""
+    """Return True if a path is that of a memory whose process lives."""
     directory, name = os.path.split(path)
     return (
         name.isdecimal()
@@ -84,12 +84,12 @@ def held(path: str, descriptor: int) -> str:
 
 
 def is_process(pid: int, creator: int) -> bool:
-    """Whether a process calls itself so."""
+    """Return True if the two process numbers are equal."""
     return creator == pid
 
 
 def may_look(pid: int) -> bool:
-    """Whether a process of this user runs a loop, which is all that is known; raises `ProcessLookupError` elsewhere."""
+    """Return True if a process of this user runs a loop; raise `ProcessLookupError` if this is unknown."""
     if not _lives(os.path.join(_root(), str(pid))):
         raise ProcessLookupError
     return True

@@ -63,7 +63,7 @@ class LinkedPart(_Linked, codegen.JITCodeLibrary):  # type: ignore[misc]
         ll_module.data_layout = self._codegen._data_layout
 
     def finalize(self) -> None:
-        """Take no more code."""
+        """Refuse further code from here on."""
         self._finalized = True
 
     def _get_module_for_linking(self) -> Any:

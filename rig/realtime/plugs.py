@@ -64,5 +64,5 @@ class NativeFunction(types.WrapperAddressProtocol):
         return self._address
 
     def signature(self) -> Any:
-        """Return the numba signature."""
+        """Return the numba signature of the function."""
         return self._signature

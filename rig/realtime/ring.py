@@ -146,12 +146,12 @@ class Ring:
 
     @property
     def capacity(self) -> int:
-        """Rows that fit."""
+        """Return the number of rows that fit into the ring."""
         return len(self.rows)
 
     @property
     def closed(self) -> bool:
-        """Whether `close` was called."""
+        """Return True if `close` was called."""
         return self._closed
 
     @property
@@ -212,7 +212,7 @@ class Ring:
         return done, stamps if done > 0 and self.get(EXCHANGES) == done else None
 
     def writer(self) -> Mailbox:
-        """The mailbox to post into."""
+        """Return the mailbox into which parameter sets are posted."""
         from rig.realtime.mailbox import Mailbox  # noqa: PLC0415
 
         return Mailbox(self.mailbox, descriptor=self.descriptor, keep=self.buffer)

@@ -82,7 +82,7 @@ class StoppedLoop:
     ended: bool
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
+        """Return process, ticks and phase as plain values, for JSON."""
         return {**self.loop.as_mapping(), "ended": self.ended}
 
 
@@ -173,7 +173,7 @@ def hidden() -> list[int]:
 
 
 def _is_rig(words: list[bytes]) -> bool:
-    """Whether a command line is ``rig …``, ``python …/rig …`` or ``python … -m rig …``."""
+    """Return True if a command line is ``rig …``, ``python …/rig …`` or ``python … -m rig …``."""
     started = [os.path.basename(word) for word in words[:2]]
     return b"rig" in started or any(pair == (b"-m", b"rig") for pair in pairwise(words))
 

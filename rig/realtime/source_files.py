@@ -32,7 +32,7 @@ def source_files(packages: Iterable[str] = PACKAGES) -> dict[str, Path]:
 
 
 def compiled_sources(packages: Iterable[str] = PACKAGES) -> dict[str, bytes]:
-    """What the files with kernels hold, and all that they import, transitively: by module name, in a fixed order."""
+    """Return the files with kernels and all that they import, by module name, in a fixed order."""
     texts = {module: _text(path) for module, path in _found(packages).items()}
     waiting = [module for module, text in texts.items() if _KERNEL in text]
     reached: set[str] = set()

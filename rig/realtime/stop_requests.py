@@ -181,12 +181,12 @@ def address() -> int:
 
 
 def count() -> int:
-    """Requests so far."""
+    """Return the number of stop requests since the start of the process."""
     return int(read_word(_word(_REQUESTS)))
 
 
 def running() -> int:
-    """Runs of this process now."""
+    """Return the number of runs of this process that are in progress."""
     return int(read_word(_word(_RUNS)))
 
 
@@ -235,7 +235,7 @@ class RunSeries:
 
     @property
     def is_stopped(self) -> bool:
-        """Whether a stop was requested since it began."""
+        """Return True if a stop was requested since the series began."""
         return _process().leaving or count() != self.since
 
     def check(self) -> None:

@@ -94,7 +94,7 @@ def pack_header(header: dict[str, Any]) -> bytes:
 
 
 def pack_block(magic: bytes, number: int, first_row: int, count: int, payload: bytes) -> bytes:
-    """Bytes of one block."""
+    """Return the bytes of one block: magic, number, rows, payload and checksum."""
     head = _BLOCK_HEAD.pack(magic, number, first_row, count, len(payload), 0)[:-8]
     start = head + _BLOCK_CRC.pack(zlib.crc32(head)) + payload
     return start + _BLOCK_CRC.pack(zlib.crc32(start))

@@ -95,7 +95,7 @@ def cut(
 
 
 def cut_facts(recording: Recording) -> Mapping[str, Any] | None:
-    """What the header of a cut says about where it is from; None of a whole recording."""
+    """Return the source and interval of a cut, from its header; None for a whole recording."""
     found = recording.header["extra"].get(CUT)
     return found if isinstance(found, dict) else None
 

@@ -51,15 +51,13 @@ class Column(Shown, Drawn):
     time_s: NDArray[np.float64]
 
     def __len__(self) -> int:
-        """Return the number of rows."""
         return len(self.values)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        """Return the values, for numpy."""
         return np.array(self.values, dtype=dtype, copy=copy)
 
     def brief(self) -> list[Item]:
-        """Name, meaning and range."""
+        """Return meaning, range and number of rows, for people."""
         rows = [Row("meaning", self.description), Row("rows", len(self))]
         if len(self):
             low, high = (float(value) for value in (self.values.min(), self.values.max()))
@@ -96,32 +94,31 @@ class Recording(Shown, Drawn):
     path: Path | None = None
 
     def __len__(self) -> int:
-        """Return the number of rows."""
         return len(self.rows)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the columns."""
+        """Return the names of the columns, in their order."""
         return tuple(self.rows.dtype.names or ())
 
     @property
     def units(self) -> dict[str, str]:
-        """SI unit of each column."""
+        """Return the SI unit of each column, by name."""
         return {column["name"]: column["unit"] for column in self.header["schema"]["columns"]}
 
     @property
     def descriptions(self) -> dict[str, str]:
-        """Meaning of each column."""
+        """Return the meaning of each column, by name."""
         return {column["name"]: column["description"] for column in self.header["schema"]["columns"]}
 
     @property
     def experiment(self) -> dict[str, Any]:
-        """The parameters in effect."""
+        """Return the parameters in effect, as nested tables."""
         return dict(self.header.get("experiment") or {})
 
     @property
     def has_truth(self) -> bool:
-        """Whether the simulation's truth is among the columns."""
+        """Return True if the columns include the true signals of a simulation."""
         return "position_true" in self.names
 
     @property
@@ -178,7 +175,7 @@ class Recording(Shown, Drawn):
         return found
 
     def brief(self) -> list[Item]:
-        """What was hit, how it ended, and how much there is of it."""
+        """Return what was hit, how it ended, and the length of the recording, for people."""
         trailer = self.trailer or {}
         verdict = trailer.get("verdict") or {}
         said = "; ".join([str(verdict.get("kind") or "none"), *verdict.get("reasons", ())])

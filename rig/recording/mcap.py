@@ -61,7 +61,7 @@ def _channel(writer: Any, topic: str, properties: dict[str, Any]) -> int:
 
 
 def _columns(recording: Recording) -> dict[str, Any]:
-    """JSON schema of a row."""
+    """Return the JSON schema of a row, by column."""
     return {
         name: {
             "type": "integer" if recording.rows.dtype[name].kind in "iu" else ["number", "null"],

@@ -35,7 +35,7 @@ READ_BYTES = (
 
 
 def has_pyarrow() -> bool:
-    """Whether Parquet can be written and read here."""
+    """Return True if Parquet can be written and read here."""
     try:
         return bool(parquet.ParquetFile)
     except ImportError:

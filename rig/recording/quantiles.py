@@ -53,7 +53,7 @@ class Distribution:
 
     @classmethod
     def of(cls, values: ArrayLike) -> Distribution:
-        """Sort at least one value."""
+        """Return the distribution of some values, at least one."""
         x = np.sort(np.asarray(values, dtype=np.float64).ravel())
         return cls(
             number=len(x),

@@ -77,7 +77,7 @@ def _parts(value: Any) -> Any:
 
 
 def misfit(value: Any, shape: Any, name: str) -> str:
-    """What does not fit, in words, "" where all does.
+    """Return what does not fit, in words; "" if all does.
 
     A key that ends in "?" may be missing or null, "*" stands for all keys, a tuple or a range for one of
     its values.

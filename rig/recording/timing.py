@@ -42,7 +42,7 @@ class Span(NamedTuple):
 
     @property
     def label(self) -> str:
-        """``sampled to received``."""
+        """Return the text ``sampled to received`` of the span's two ends."""
         return f"{self.begin} to {self.end}"
 
 

@@ -87,7 +87,7 @@ class TimingSummary(TimingFacts):
     counts: dict[str, int | None]
 
     def items(self) -> list[Item]:
-        """Return it for people."""
+        """Return tables and rows of all spans and counters, for people."""
         head = ("stage", "ticks", "least", "p50", "p99", "p99.9", "longest")
         found: list[Item] = [
             f"{self.ticks} ticks in {self.duration_s:.4g} s, one every {duration(self.period_ns)}",

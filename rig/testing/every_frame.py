@@ -73,7 +73,7 @@ def with_every_frame(
 
 
 def _struck(hits: Hits) -> bool:
-    """Whether the fault of the latest run had its frame; a run that raised before it knew had."""
+    """Return True if the fault hit a frame in the latest run, or the run raised before this was known."""
     return hits.last is None or hits.last.struck > 0
 
 

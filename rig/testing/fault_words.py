@@ -88,13 +88,13 @@ class FaultWords:
     def add(
         self, frames: tuple[FrameFault, ...] = (), device: tuple[DeviceFault | Happening, ...] = ()
     ) -> None:
-        """Add to the script."""
+        """Append faults of frames and of the device to the script."""
         before = self.script or Faults()
         self.script = replace(before, frames=before.frames + frames, device=before.device + device)
 
 
 def kind_of(word: str) -> FaultKind:
-    """What happens, by its word; `ConfigError` for another."""
+    """Return the kind of fault by its word; raises `ConfigError` for an unknown one."""
     if word not in KINDS:
         raise ConfigError(f"{word!r} is not a fault of frames", remedy=f"one of {', '.join(KINDS)}")
     return FaultKind(word)

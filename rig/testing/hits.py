@@ -80,17 +80,17 @@ class Hit:
 
     @property
     def verdict(self) -> Verdict:
-        """What was recorded says."""
+        """Return the verdict by the recorded signals."""
         return self._left.judgement.verdict
 
     @property
     def verdict_true(self) -> Verdict | None:
-        """What the truth says, in simulation."""
+        """Return the verdict by the true signals of the simulation; None on a real rig."""
         return self._left.judgement.verdict_true
 
     @property
     def recording(self) -> Recording:
-        """The recording, in memory."""
+        """Return the recording of the hit, read into memory."""
         return self._left.recording
 
     @property
@@ -127,7 +127,7 @@ class Rigs:
 
     @property
     def simulated(self) -> bool:
-        """Whether each hit has a rig of its own."""
+        """Return True if each hit has a simulated rig of its own."""
         return self.url.startswith("sim:")
 
     @property

@@ -41,7 +41,7 @@ class Kept:
         return self._wanted and self.place.is_dir()
 
     def close(self) -> None:
-        """Remove what is not kept."""
+        """Remove the test's recordings unless they are to be kept."""
         if not self._wanted:
             shutil.rmtree(self.place, ignore_errors=True)
 

@@ -34,7 +34,7 @@ _CYCLE = np.sin(np.pi * np.arange(TICKS + 1) / TICKS) ** 2  # into the wall and 
 def reactions(
     law: Law | str, penetration: ArrayLike, velocity: ArrayLike | float = 0.0, **wall: Any
 ) -> Floats:
-    """What a law answers, tick by tick, from a fresh memory (N·m or N).
+    """Return the reaction of a law, tick by tick, from a fresh memory (N·m or N).
 
     Parameters
     ----------

@@ -220,13 +220,13 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Leave no empty directory behind."""
+    """Remove the directory of recordings if it is empty."""
     if not hasattr(session.config, "workerinput"):
         testing.tidy(session.config.rootpath)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Say where recordings were kept."""
+    """Print the directories of the kept recordings."""
     places = {
         Path(value)
         for reports in terminalreporter.stats.values()

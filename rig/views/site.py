@@ -33,7 +33,7 @@ class Site:
     seconds: float
 
     def items(self) -> list[Item]:
-        """What a command prints."""
+        """Return the rows that `rig docs` prints."""
         return [
             Row("site", str(self.index)),
             Row("pages", self.pages),

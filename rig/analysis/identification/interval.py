@@ -25,16 +25,16 @@ class Interval:
 
     @property
     def low(self) -> float:
-        """Lower end."""
+        """Return the lower end of the 95 % interval."""
         return self.value - self.ci95
 
     @property
     def high(self) -> float:
-        """Upper end."""
+        """Return the upper end of the 95 % interval."""
         return self.value + self.ci95
 
     def holds(self, value: float) -> bool:
-        """Whether a value lies within."""
+        """Return True if a value lies within the interval."""
         return self.low <= value <= self.high
 
     def scaled(self, factor: float) -> Interval:

@@ -60,7 +60,7 @@ class Band:
 
     @property
     def chosen(self) -> slice:
-        """Which of the excited lines."""
+        """Return the slice of the excited lines that lie in the band."""
         return slice(self.first, self.first + self.lines)
 
     @property

@@ -51,7 +51,7 @@ class Ripple:
 
     @reported
     def amplitude(self) -> tuple[Interval, ...]:
-        """Of each harmonic, a share of the effort."""
+        """Return the amplitude of each harmonic, a share of the effort."""
         return tuple(
             Interval(size, math.hypot(c.value * c.ci95, s.value * s.ci95) / size)
             for c, s, size in self._harmonics
@@ -59,7 +59,7 @@ class Ripple:
 
     @reported
     def phase(self) -> tuple[Interval, ...]:
-        """Of each harmonic (rad): its crest lies so much of a wave behind position zero."""
+        """Return the phase of each harmonic (rad): by this part of a wave its crest lies behind position zero."""
         return tuple(
             Interval(math.atan2(s.value, c.value), math.hypot(s.value * c.ci95, c.value * s.ci95) / size**2)
             for c, s, size in self._harmonics

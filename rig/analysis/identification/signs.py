@@ -74,7 +74,7 @@ class SignCheck:
 
     @reported
     def ok(self) -> bool:
-        """Whether the sign is right and the scale is that of the description."""
+        """Return True if the sign is right and the scale matches the description."""
         return self.sign == 1 and 1.0 / SAME_SCALE <= self.scale <= SAME_SCALE
 
 

@@ -78,7 +78,7 @@ class Sliding:
 
     @reported
     def points(self) -> int:
-        """How many points there are."""
+        """Return the number of measured points."""
         return len(self.velocity)
 
     def at(self, velocity: Floats) -> Floats:

@@ -87,7 +87,7 @@ class Impedance:
 
     @property
     def magnitude(self) -> Floats:
-        """|Z| at each line."""
+        """Return |Z| at each line, shape (lines,)."""
         return np.abs(self.z)
 
     @property

@@ -59,7 +59,7 @@ class Fit:
 
     @classmethod
     def unknown(cls, *terms: Term) -> Fit:
-        """What too few lines say: NaN."""
+        """Return the fit of too few lines: all values NaN."""
         return cls(dict.fromkeys(terms, math.nan), dict.fromkeys(terms, math.nan), math.nan)
 
 

@@ -114,7 +114,7 @@ def walls(
     channel: Channel = "external",
     images: bool = True,
 ) -> Callable[[float, float], Complexes]:
-    """What `rendered` gives for K and B, with all that no wall changes computed once."""
+    """Return a function of K and B that gives `rendered`, with all that does not depend on the wall computed once."""
     loop = _loop(rig, scheme)
     plant = _Plant.of(loop)
     lines = np.atleast_1d(np.asarray(lines_hz, dtype=np.float64))

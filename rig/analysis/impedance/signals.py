@@ -92,12 +92,12 @@ class ExcitedRun:
         return np.rint(self.lines_hz * self.period_samples / self.rate_hz).astype(np.int64)
 
     def effort_gain(self, frequency_hz: Floats) -> Complexes:
-        """What turns the effort's transform into that of the effort which acted, at time 0 of a sample."""
+        """Return the factor from the effort's transform to that of the acting effort, at time 0 of a sample."""
         late = np.exp(2j * np.pi * frequency_hz * self.effort_delay_s)
         return np.asarray(late * hold(frequency_hz, self.effort_hold_s))
 
     def velocity_gain(self, frequency_hz: Floats) -> Complexes:
-        """What turns the position's transform into that of the velocity at time 0 of a sample: jω·e^{jω·delay}."""
+        """Return jω·e^{jω·delay}: from the position's transform to that of the velocity at time 0 of a sample."""
         s = 2j * np.pi * frequency_hz
         return np.asarray(s * np.exp(s * self.position_delay_s))
 

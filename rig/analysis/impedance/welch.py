@@ -59,7 +59,7 @@ class WelchSettings:
         return min(samples, max(1, round(self.segment_s * rate_hz)))
 
     def transform(self, segment: int) -> int:
-        """Samples in a transform."""
+        """Return the length of a transform (samples): as given, else a power of two that holds the segment."""
         return self.transform_samples or max(SMALLEST_TRANSFORM, 1 << (segment - 1).bit_length())
 
 

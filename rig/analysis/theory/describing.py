@@ -79,7 +79,7 @@ class LimitCycle:
 
     @property
     def found(self) -> bool:
-        """Whether there is one."""
+        """Return True if a limit cycle exists."""
         return 0.0 < self.amplitude < math.inf
 
 

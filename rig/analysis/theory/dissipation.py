@@ -58,11 +58,11 @@ class Damping:
 
     @property
     def slow(self) -> float:
-        """What a slow motion meets."""
+        """Return the damping of a slow motion (N·m·s/rad or N·s/m)."""
         return self.viscous + self.back_emf
 
     def passive(self, loop: LinearLoop) -> bool:
-        """Whether a wall can be passive at all: back-EMF behind a lag takes nothing from fast motion."""
+        """Return True if a wall can be passive at all: back-EMF behind a lag takes no energy from fast motion."""
         return self.viscous > 0.0 or (self.slow > 0.0 and loop.subject.model.amplifier.lag_s == 0.0)
 
 
@@ -129,7 +129,7 @@ class Waves:
         return np.asarray(0.5 * (np.sqrt(np.maximum(reading * heard - both.imag**2, 0.0)) - both.real))
 
     def passive(self, stiffness: Vector, damping: Vector) -> Flags:
-        """Whether rig and wall are passive, at each phase; a K and a B for each, or one for all."""
+        """Return whether rig and wall are passive, at each phase; a K and a B for each, or one for all."""
         k = 0.5 * stiffness[:, None]
         det = 1.0 + 2.0 * k * self.along.real - k**2 * self.aside
         failing = (det < 0.0).sum(axis=1)

@@ -68,7 +68,7 @@ class Lifted:
 
     @classmethod
     def of(cls, loop: LinearLoop) -> Lifted:
-        """Lift a loop."""
+        """Lift a dual-rate loop to its slow period."""
         plant, states = len(loop.gamma), loop.estimator.order
         held, slope = plant + states, plant + states + 1
         queue = slope + 1
@@ -96,7 +96,7 @@ class Lifted:
 
     @cached_property
     def size(self) -> int:
-        """Number of states."""
+        """Return the number of states of the lifted loop."""
         return len(self.into)
 
     def ticks(self, stiffness: ArrayLike, damping: ArrayLike) -> tuple[Matrix, Matrix]:
@@ -118,7 +118,7 @@ class Lifted:
         return _at_the_worse_place(self, np.maximum, _radius, stiffness, damping)
 
     def stable(self, stiffness: ArrayLike, damping: ArrayLike) -> Flags:
-        """Whether each wall's `radius` is below 1: where that is clear, powers of Φ tell, at a fifth of the cost."""
+        """Return whether each wall's `radius` is below 1; where powers of Φ decide, at a fifth of the cost."""
         return _at_the_worse_place(self, np.logical_and, _decays, stiffness, damping)
 
     def frequency(self, stiffness: float, damping: float) -> float:
@@ -174,7 +174,7 @@ def _radius(phi: Matrix) -> Vector:
 
 
 def _decays(phi: Matrix) -> Flags:
-    """Whether the spectral radius ρ is below 1: ρ^m ≤ ‖Φ^m‖ and ρ^m ≥ |trace Φ^m|/n, for m = 16, 256 and so on.
+    """Return whether the spectral radius ρ is below 1: ρ^m ≤ ‖Φ^m‖ and ρ^m ≥ |trace Φ^m|/n, for m = 16, 256 and so on.
 
     Squaring rounds like eigenvalues do: relative to ρ, both are wrong by some 1e-16 times the eigenvalue's condition. A
     power decides only where ρ is farther from 1 than CLEAR^(1/m), which is 1e-5 at the last one.

@@ -68,7 +68,7 @@ class Realisation:
 
     @property
     def order(self) -> int:
-        """Number of states."""
+        """Return the number of states: the size of A."""
         return len(self.b)
 
     def response(self, frequency_hz: ArrayLike) -> NDArray[np.complex128]:

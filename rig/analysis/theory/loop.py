@@ -98,7 +98,7 @@ class LinearLoop:
 
     @property
     def period_s(self) -> float:
-        """Velocity period T2 (s)."""
+        """Return the velocity period T2 (s)."""
         return self.tick_s * self.divider
 
     @property

@@ -179,7 +179,7 @@ class Diolaiti:
 
     @property
     def region(self) -> str:
-        """What the wall does."""
+        """Return the behaviour of the wall in words, by Diolaiti's regions."""
         damped, rubbed = self.damping > 0.5, self.friction > 0.5
         if damped:
             return "no limit cycle" if rubbed else "bounded limit cycle of the quantiser"

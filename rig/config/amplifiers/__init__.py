@@ -59,7 +59,7 @@ class AmplifierProfile:
     set_up: tuple[str, ...] = ()
 
     def items(self) -> list[Item]:
-        """Return it for people."""
+        """Return the profile's values, for people."""
         asked = {"profile": f'"{self.name}"'}
         if self.drive is not None:
             asked["drive"] = f'"{self.drive}"'
@@ -77,7 +77,7 @@ class AmplifierProfile:
 
 @cache
 def names() -> tuple[str, ...]:
-    """Names of the profiles."""
+    """Return the names of all profiles, sorted."""
     found = (entry.name for entry in files(__name__).iterdir())
     return tuple(sorted(name.removesuffix(".toml") for name in found if name.endswith(".toml")))
 

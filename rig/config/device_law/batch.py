@@ -60,7 +60,7 @@ def batch_samples(experiment: Experiment) -> int:
 
 
 def bytes_per_second(experiment: Experiment) -> float:
-    """What a device that runs the law sends in a second: every tick in a BATCH, and its STATEs."""
+    """Return the bytes per second that a device sends while it runs the law: every tick in a BATCH, and its STATEs."""
     samples, rate = batch_samples(experiment), experiment.controller.position_rate
     raw = _overhead() + samples * sample_bytes(batch_layout(experiment))
     stuffed = raw + 2  # one byte of COBS for a frame below 254 bytes, and the delimiter

@@ -43,7 +43,7 @@ class DeviceWall:
 
 
 def common_parameters(name: str, law: Floats) -> Values:
-    """What kind of wall it is, whatever the arithmetic.
+    """Return the parameters of a wall that do not depend on the arithmetic.
 
     Raises `PlanError` for a law that the device does not have.
     """
@@ -66,7 +66,7 @@ def common_parameters(name: str, law: Floats) -> Values:
 
 
 def options(name: str, law: Floats) -> tuple[bool, bool]:
-    """Whether the wall may pull, and whether damping acts on entry only; a bilateral wall has no options."""
+    """Return whether the wall may pull, and whether damping acts on entry only; False for both if bilateral."""
     if name in BILATERAL or len(law) < PARAMETERS:
         return False, False
     return bool(law[MAY_PULL]), bool(law[ENTRY_ONLY])

@@ -68,7 +68,7 @@ class Estimator(Shown):
     design: Callable[[Mapping[str, Any], float, float], list[float]] = field(default=lambda s, r, p: [])
 
     def brief(self) -> list[Item]:
-        """Name, summary and settings."""
+        """Return name, summary and settings, for people."""
         rows = [
             Row(one.name, one.default, one.unit if isinstance(one, Setting) else "", one.meaning)
             for one in self.settings
@@ -147,7 +147,7 @@ class Prepared:
     state_i: Ints
 
     def fits(self) -> bool:
-        """Whether memory that was read from somewhere has the sizes that the compiled code takes for granted."""
+        """Return True if stored memory has the sizes that the compiled code requires."""
         sizes = (max(1, self.estimator.floats),), (max(OWN_INTS, self.estimator.ints),)
         enough = self.parameters.ndim == 1 and len(self.parameters) >= COMMON
         return enough and (self.state_f.shape, self.state_i.shape) == sizes

@@ -157,7 +157,7 @@ def _residual(frequencies: Floats, t: Floats, y: Floats) -> Floats:
 
 
 def _jacobian(frequencies: Floats, t: Floats, y: Floats) -> Floats:
-    """Of the residual, in Kaufman's approximation: the part of d/dω that no change of the linear part takes away."""
+    """Return the Jacobian of the residual by Kaufman: d/dω without its projection on the linear part."""
     columns, linear = _columns(frequencies, t), _linear_part(frequencies, t, y)
     n = len(frequencies)
     sine, cosine = columns[:, 1 : n + 1], columns[:, n + 1 :]

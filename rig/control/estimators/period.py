@@ -74,7 +74,7 @@ def plausible_age(edge_age_s: float) -> float:
 
 @kernel("b1(i8, f8, f8, f8, f8)", inline=True)
 def has_fresh_edge(moved: int, age: float, age_before: float, elapsed_s: float, period_s: float) -> bool:
-    """Whether an edge came since the previous sample: by the count, or by the time alone."""
+    """Return True if an edge came since the previous sample: by the count, or by the time alone."""
     within = elapsed_s - GRACE * period_s
     return moved != 0 or (age < within and age < age_before + within)
 

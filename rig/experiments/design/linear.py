@@ -145,7 +145,7 @@ def of_estimator(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _stable(lifted: Lifted, k: Floats, b: Floats) -> NDArray[np.bool_]:
-    """Whether walls of shape (K, B) are stable; beyond the chunk of K in which a damping first is not, it says no."""
+    """Return which walls of shape (K, B) are stable; False beyond the chunk of K where a damping is first unstable."""
     stable = np.zeros((len(k), len(b)), np.bool_)
     left = np.arange(len(b))
     for some in np.array_split(np.arange(len(k)), max(1, len(k) // CHUNK)):

@@ -76,7 +76,7 @@ class LawPlace:
         return experiment.rig.simulation.computation_delay_ticks
 
     def allows(self, applied: Experiment) -> bool:
-        """Whether device and link carry an experiment; a law on the device must be one that it has, and fit."""
+        """Return True if device and link can run an experiment; a law on the device must exist and fit its tick."""
         try:
             if self.loop == "device":
                 controller.prepared(applied)
@@ -108,7 +108,7 @@ class Candidate:
 
     @cached_property
     def key(self) -> str:
-        """Its name in a journal."""
+        """Return the name of the candidate in a journal."""
         return f"{self.loop} {self.delay_ticks} {self.scheme.text}"
 
     def condition(self, experiment: Experiment) -> Experiment:
@@ -126,7 +126,7 @@ class Candidate:
         return self.scheme.applied(self.condition(experiment))
 
     def same_law(self, other: Candidate, experiment: Experiment) -> bool:
-        """Whether both run the same law, however their schemes are written."""
+        """Return True if both run the same law, however their schemes are written."""
         return (self.loop, self._rates) == (other.loop, other._rates) and self.law(experiment) == other.law(
             experiment
         )
@@ -136,7 +136,7 @@ class Candidate:
         return self.scheme.position_rate, self.scheme.velocity_rate
 
     def law(self, experiment: Experiment) -> tuple[Any, ...]:
-        """What runs, in numbers."""
+        """Return all that decides the law: loop, delay (ticks), rates (Hz), estimator, prediction, parameters."""
         own = self.applied(experiment).controller
         estimator, resolution = estimators.get(own.estimator), experiment.rig.encoder.resolution
         numbers = estimator.prepare(own.parameters, resolution, 1.0 / own.velocity_rate).parameters.tolist()

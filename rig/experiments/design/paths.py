@@ -72,7 +72,7 @@ def cost(controller: Controller, board: str) -> float | None:
 
 
 def fits_a_tick(controller: Controller, board: str) -> bool:
-    """Whether a board has the time for the longest tick of a law."""
+    """Return True if the longest tick of a law fits the position rate on a board."""
     return controller.position_rate <= _budget(board).rate_maximum(controller.estimator)
 
 
@@ -111,6 +111,6 @@ def _of_estimator(
 
 
 def _held(turn: NDArray[np.float64], extrapolate: bool) -> Complex:
-    """What becomes of a sampled sine that is held, or extrapolated by its last difference; `turn` is ωT2."""
+    """Return the frequency response of holding a sampled sine, or extrapolating it linearly; `turn` is ωT2."""
     zero = (1.0 - np.exp(-1j * turn)) / (1j * turn)
     return np.asarray((1.0 + 1j * turn) * zero**2 if extrapolate else zero)

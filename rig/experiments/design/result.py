@@ -46,7 +46,7 @@ class Standing:
 
     @property
     def capped(self) -> bool:
-        """Whether some limit is only a lower bound."""
+        """Return True if some limit is only a lower bound, since no wall failed."""
         return any(one.capped for one in self.boundary)
 
 
@@ -113,7 +113,7 @@ class Design(Shown, Drawn):
 
     @property
     def fitted(self) -> bool:
-        """Whether the rig's numbers were fitted on limits that a paper reports."""
+        """Return True if the rig's numbers were fitted to limits that a paper reports."""
         return FITTED in self.experiment.rig.source
 
     def toml(self) -> str:
@@ -165,7 +165,7 @@ class Design(Shown, Drawn):
         return [one.table(self.experiment.rig.motion) for one in self.against]
 
     def table(self, caption: str, standings: Sequence[Standing]) -> Table:
-        """Measures of some schemes."""
+        """Return a table of the measures of some schemes, one row each."""
         unit = self._unit
         head = (
             "scheme",
@@ -198,7 +198,7 @@ class Design(Shown, Drawn):
         return Table(head, rows, caption)
 
     def margin_table(self, most: int | None = None) -> Table:
-        """What each change of the rig leaves, the worst first; the `most` worst alone."""
+        """Return a table of the remaining margin under each change of the rig: the `most` worst, worst first."""
         margin = self.margin
         rows = [
             (
@@ -213,7 +213,7 @@ class Design(Shown, Drawn):
         return Table(("change", "left", "by linear theory"), rows, caption)
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
+        """Return all results as plain values, for JSON."""
 
         def told(one: Standing) -> dict[str, Any]:
             return {

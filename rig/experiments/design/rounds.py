@@ -92,7 +92,7 @@ class Sweeper:
         return maps
 
     def each(self, stage: str, plans: Sequence[Plan[M]]) -> list[M]:
-        """What plans of one kind find, as one sweep."""
+        """Run the tasks of several plans as one sweep, and return the result of each plan."""
         of_plan = [
             [replace(task, key=f"{number}/{task.key}") for task in plan.tasks]
             for number, plan in enumerate(plans)

@@ -106,7 +106,7 @@ class BoundaryMeasures:
 
 
 def dominates(one: Measures, other: Measures) -> bool:
-    """Whether one is at least as good in every objective, and better in one."""
+    """Return True if one is at least as good in every objective, and better in one."""
     pairs = [(one.merit(name), other.merit(name)) for name in OBJECTIVES]
     return all(a >= b for a, b in pairs) and any(a > b for a, b in pairs)
 
@@ -117,12 +117,12 @@ def front(found: Sequence[Measures]) -> list[int]:
 
 
 def as_good(one: Measures, other: Measures, step: float) -> bool:
-    """Whether one reaches another in each measure of a paper, to a rung of `step`."""
+    """Return True if one reaches another in each measure of a paper, to a rung of `step`."""
     return all(reaches(name, getattr(one, name), getattr(other, name), step) for name in OF_A_PAPER)
 
 
 def reaches(name: str, one: float, other: float, step: float) -> bool:
-    """Whether one value of a paper's measure is as good as another; one that is not there (NaN) is as bad as any."""
+    """Return True if one value of a paper's measure is as good as another; a missing one (NaN) is reached by all."""
     if math.isnan(other):
         return True
     if name == "tuned":
@@ -192,7 +192,7 @@ def measure_of(goal: Goal) -> str:
 
 
 def fulfilled(shares: Mapping[str, float]) -> bool:
-    """Whether all wishes are."""
+    """Return True if every wish is fulfilled: no share is below 1."""
     return all(share >= 1.0 for share in shares.values())
 
 
@@ -223,7 +223,7 @@ def refuse_unmet(wishes: Wishes, shares: Sequence[Mapping[str, float]]) -> None:
 def key(
     wishes: Wishes, measures: Measures, shares: Mapping[str, float], own_area: float
 ) -> tuple[float, ...]:
-    """What sorts schemes, the best last: wishes first, then the goal; see the module's text."""
+    """Return the sort key of a scheme, the best last: wishes first, then the goal; see the module's text."""
     met = min([1.0, *shares.values()])
     if wishes.goal == "quiet":
         enough = min(1.0, measures.area * (1.0 + NEGLIGIBLE) / own_area) if own_area > 0.0 else 1.0
@@ -251,10 +251,10 @@ class Comparison:
 
     @property
     def no_worse(self) -> bool:
-        """Whether that the recommended one is no worse is shown."""
+        """Return True if the recommended scheme is shown to be no worse than the experiment's own."""
         return self.interval[1] >= -NEGLIGIBLE
 
     @property
     def better(self) -> bool:
-        """Whether that it is better is shown."""
+        """Return True if the recommended scheme is shown to be better than the experiment's own."""
         return self.interval[1] > 0.0

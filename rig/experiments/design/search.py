@@ -218,7 +218,7 @@ class _Search:
         )
 
     def _may_be_own(self, own: Standing, places: Sequence[LawPlace]) -> bool:
-        """Whether the experiment's own scheme fulfils the wishes and runs where the law may."""
+        """Return True if the experiment's own scheme fulfils the wishes and runs at one of the places of the law."""
         applied = own.candidate.applied(self.request.experiment)
         return rules.fulfilled(own.shares) and any(
             place.loop == own.candidate.loop and place.allows(applied) for place in places

@@ -106,7 +106,7 @@ class MappedScheme:
     capped: tuple[str, ...]
 
     def shown(self, name: str) -> str:
-        """A value in text."""
+        """Return the value of a measure as text."""
         return ("≥ " if name in self.capped else "") + written(self.values[name], 3)
 
     def misses(self, other: MappedScheme) -> list[str]:
@@ -149,12 +149,12 @@ class Against:
 
     @property
     def as_good(self) -> bool:
-        """Whether some listed scheme is as good in every measure."""
+        """Return True if some listed scheme is as good as the paper's in every measure."""
         return self.best is not None and not self.best.misses(self.paper)
 
     @property
     def text(self) -> str:
-        """The verdict in a sentence."""
+        """Return the verdict of the comparison as one sentence."""
         if self.best is not None and self.as_good:
             return f"{self.best.label} is as good as {self.paper.label} in every measure"
         return (
@@ -176,7 +176,7 @@ class Against:
         return Table(head, rows, self.text)
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
+        """Return the comparison as plain values, for JSON."""
 
         def told(one: MappedScheme) -> dict[str, Any]:
             return {
@@ -256,7 +256,7 @@ class _Whole:
     def _sieves(
         self, name: str, asked: Mapping[str, float]
     ) -> Iterator[tuple[str, Callable[[Sequence[Candidate]], list[Candidate]]]]:
-        """What rules schemes out, with the measure that it is about: each keeps those that may still have it."""
+        """Yield each measure with a filter, which returns the schemes that may still reach that measure."""
         softest = self._search.lowest
         reach = next(b for b in self._dampings if rules.reaches("damping", b, asked["damping"], RATIO))
         beyond = [b for b in self._dampings if b >= reach]

@@ -73,7 +73,7 @@ class Case:
 
     @reported
     def rate_hz(self) -> float:
-        """Velocity samples per second."""
+        """Return the number of velocity samples per second (Hz)."""
         return round(1.0 / self.dt, 6)
 
     @cached_property

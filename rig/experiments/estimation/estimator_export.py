@@ -66,7 +66,7 @@ class Tolerance:
 
     @property
     def text(self) -> str:
-        """In words."""
+        """Return the tolerance in words, with its unit."""
         if self.limit == 0.0:
             return "equal"
         return f"within {self.limit:.2g} {self.unit}" + (" rms" if self.rms else "")
@@ -110,11 +110,11 @@ class EstimatorExport:
 
     @reported
     def arithmetic(self) -> str:
-        """``float32`` or ``integers``."""
+        """Return ``float32`` or ``integers``, the arithmetic of the C code."""
         return "integers" if self.estimator == FIXED else "float32"
 
     def items(self) -> list[Row | Table]:
-        """What it is and costs, for people."""
+        """Return description and cost of the export, for people."""
         rate = f"{self.velocity_rate_hz:g} Hz, {self.resolution:.4g} a count"
         rows: list[Row | Table] = [
             Row("estimator", self.estimator, note=f"in {self.arithmetic}, for {self.rig}: {rate}"),
@@ -216,7 +216,7 @@ def export_estimator(
 
 
 def _settings(variant: Variant, experiment: Experiment) -> dict[str, float | str]:
-    """What the experiment says of its own estimator, and the variant's on top."""
+    """Return the settings of the experiment's own estimator, overridden by those of the variant."""
     own = experiment.controller
     tuned = own.parameters if own.estimator == variant.estimator else {}
     return {
@@ -269,7 +269,7 @@ def _with_rounded_memory(prepared: Prepared, counts: Ints, elapsed: Ints) -> Flo
 
 
 def _fastest(velocity: Floats, counts: Ints, elapsed: Ints) -> tuple[Ints, Ints]:
-    """Samples around the fastest."""
+    """Return counts and elapsed periods of `COSTED_SAMPLES` samples around the fastest."""
     first = max(0, int(np.abs(velocity).argmax()) - COSTED_SAMPLES // 2) if len(velocity) else 0
     return counts[first : first + COSTED_SAMPLES], elapsed[first : first + COSTED_SAMPLES]
 

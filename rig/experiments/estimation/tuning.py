@@ -370,7 +370,7 @@ class _TuningWalk:
 
 
 def shown_range(found: SettingRange) -> str:
-    """Say a range in words."""
+    """Return a range of settings in words, with its unit."""
     low, high, unit = f"{found.low:.4g}", f"{found.high:.4g}", "" if found.unit == "1" else f" {found.unit}"
     if found.open_below and found.open_above:
         return f"anything from {low} to {high}{unit}"

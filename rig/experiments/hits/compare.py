@@ -94,22 +94,22 @@ class SchemeImpacts:
 
     @reported
     def name(self) -> str:
-        """Name of the entry."""
+        """Return the name under which the scheme was compared."""
         return self.entry.name
 
     @reported
     def scheme(self) -> str:
-        """Its scheme in text form."""
+        """Return the scheme in its text form, like dual:20k/2k."""
         return Scheme.of(self.experiment).text
 
     @reported
     def damping(self) -> float:
-        """Damping of its wall."""
+        """Return the damping of the scheme's wall (N·m·s/rad or N·s/m)."""
         return self.experiment.wall.damping
 
     @reported
     def complete(self) -> bool:
-        """Whether the guard ended none of the hits."""
+        """Return True if the guard ended none of the hits."""
         return all(impact.complete for impact in self.impacts)
 
     @property
@@ -144,7 +144,7 @@ class SchemeComparison(Shown, Drawn):
 
     @reported
     def rig(self) -> str:
-        """Name of the rig."""
+        """Return the name of the rig that was compared on."""
         return self.experiment.rig.name
 
     @reported

@@ -74,19 +74,19 @@ class Examination:
 
     @reported
     def armable(self) -> bool | None:
-        """Whether `rig hit` would arm the experiment's wall (a simulated link forbids nothing); None: not measured."""
+        """Return True if `rig hit` would arm the wall (a simulated link forbids nothing); None: not measured."""
         if refused(self.admission):
             return False
         return None if self.gate is None else self.gate.armable or self.gate.simulated
 
     @property
     def remedy(self) -> str:
-        """What to do where the wall may not be armed, all of it."""
+        """Return the remedies of all refused checks and of the gate, joined; empty without any."""
         remedies = [one.remedy for one in refused(self.admission)]
         return "; ".join(dict.fromkeys(filter(None, [*remedies, self.gate.remedy if self.gate else ""])))
 
     def items(self) -> list[Item]:
-        """Return it for people."""
+        """Return the checks of machine, link and wall, for people."""
         found: list[Item] = ["machine", *self.checks]
         if self.ports:
             found += ["ports", *(Row(port.url, port.description) for port in self.ports)]

@@ -94,7 +94,7 @@ class Recorded:
 
     @property
     def path(self) -> Path:
-        """The file of the recording."""
+        """Return the path of the recording's file."""
         assert self.recording.path is not None
         return self.recording.path
 
@@ -113,27 +113,27 @@ class HitResult(Shown, Drawn):
 
     @property
     def recording(self) -> Recording:
-        """What was recorded, as it was read back from its file."""
+        """Return the recording, as read back from its file."""
         return self.recorded.recording
 
     @property
     def path(self) -> Path:
-        """The file of the recording."""
+        """Return the path of the recording's file."""
         return self.recorded.path
 
     @property
     def experiment(self) -> Experiment:
-        """The one in effect."""
+        """Return the experiment in effect, with all changes."""
         return self.recorded.experiment
 
     @property
     def verdict(self) -> Verdict:
-        """What was recorded says."""
+        """Return the verdict by the recorded signals."""
         return self.recorded.judgement.verdict
 
     @property
     def verdict_true(self) -> Verdict | None:
-        """What the truth says, in simulation."""
+        """Return the verdict by the true signals of the simulation; None on a real rig."""
         return self.recorded.judgement.verdict_true
 
     def brief(self) -> list[Item]:
@@ -149,7 +149,7 @@ class HitResult(Shown, Drawn):
         return [self.experiment.headline(), *rows, Row("recording", str(self.path))]
 
     def as_mapping(self) -> dict[str, Any]:
-        """What JSON says of a hit: the wall and the scheme, not the whole experiment (the recording has it)."""
+        """Return the values of a hit for JSON: the wall and the scheme; the recording has the whole experiment."""
         return {
             "recording": self.path,
             "rig": self.experiment.rig.name,
@@ -249,7 +249,7 @@ def hit(request: HitRequest, admit: Admit, watch: Watch | None = None) -> Iterat
 
 
 def left_by(error: Exception) -> Recorded | None:
-    """What a hit left that ended with this error; None where nothing moved."""
+    """Return the recording of a hit that ended with this error; None if nothing moved."""
     end = end_of(error)
     return None if end is None else _recorded(end)
 

@@ -54,7 +54,7 @@ class HitSimulator:
         self.start = start_of(experiment)
 
     def hit(self, stiffness: float, damping: float) -> SimulatedHit:
-        """Hit one wall."""
+        """Simulate one hit of a wall of this stiffness and damping."""
         wall = asdict(replace(self._wall, stiffness=stiffness, damping=damping))
         return self._rig.hit(self._template.fresh(wall), self.start)
 

@@ -51,7 +51,7 @@ class OnDevice:
 
     @property
     def simulated(self) -> bool:
-        """Whether it is made anew for each trial."""
+        """Return True if the device is simulated, and so created again for each trial."""
         return self.url.startswith("sim:")
 
 

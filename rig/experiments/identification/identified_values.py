@@ -25,7 +25,7 @@ class Identified:
     sources: dict[str, tuple[str, str]] = field(default_factory=dict)
 
     def put(self, key: str, value: Any, text: str, motion: str) -> None:
-        """Set one key."""
+        """Set one key, with the text and the motion that it is from."""
         self.values[key] = value
         self.sources[key] = (text, motion)
 

@@ -193,7 +193,7 @@ class Identification(Shown, Drawn):
 
     @reported
     def rig(self) -> str:
-        """Name of the rig."""
+        """Return the name of the identified rig."""
         return self.experiment.rig.name
 
     @reported
@@ -334,7 +334,7 @@ def without_end_mass(request: IdentifyRequest, *, served: bool = False) -> Exper
 
 
 def plan_of(free: Experiment, request: IdentifyRequest) -> Plan:
-    """What a request will do on a rig (`without_end_mass`)."""
+    """Plan the motions that a request needs on a rig (`without_end_mass`)."""
     plan = identification_plan(
         free,
         realisations=request.realisations,
@@ -458,7 +458,7 @@ class _Session:
     def ripple(
         self, loaded: Experiment, most_order: int, inertia: float, heavy: float, damping: float
     ) -> Ripple:
-        """What the same sweeps say with a mass on the rig, whose inertia with it is `heavy`."""
+        """Measure the ripple by the same sweeps with a mass on the rig, whose inertia with it is `heavy`."""
         period = cogging_period(loaded)
         free, hanging = (
             pairs_of(*swept, wave=period / most_order, inertia=moving, damping=damping)

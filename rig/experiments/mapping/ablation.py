@@ -96,7 +96,7 @@ class _Column:
         self.hits = self.ticks = 0
 
     def passes(self, stiffness: float, number: int, taken: Cure = ()) -> Holds:
-        """Whether a wall passes at one offset and repeat."""
+        """Return whether a wall passes at one offset and repeat."""
         experiment = self._experiments[number]
         if (taken, number) not in self._rigs:
             law = clinging_law() if CONTACT in taken else None
@@ -107,7 +107,7 @@ class _Column:
         return (hit.true if self._judged == "true" else hit.recorded).passes("any")
 
     def holds(self, stiffness: float, taken: Cure = ()) -> Holds:
-        """Whether it passes at all of them; the first that does not decides."""
+        """Return whether a wall passes at all offsets and repeats; the first that fails decides."""
         unknown = False
         for number in range(len(self._experiments)):
             passes = self.passes(stiffness, number, taken)

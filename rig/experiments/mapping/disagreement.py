@@ -47,7 +47,7 @@ class DisagreementPlan:
 
     @property
     def experiment(self) -> Experiment:
-        """That of the map."""
+        """Return the experiment of the map."""
         return self.map.experiment
 
     def _check(self) -> None:
@@ -93,11 +93,11 @@ class DisagreementPlan:
         ]
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values of the map."""
+        """Return the plan of the map as plain values, for JSON."""
         return self.map.as_mapping()
 
     def found(self, results: Sequence[Any]) -> Disagreement:
-        """What the results of all tasks say."""
+        """Return the comparison of theory and hits from the results of all tasks."""
         plan = self.map
         columns = [(scheme, damping) for scheme in range(len(plan.schemes)) for damping in plan.dampings]
         across = dict(zip(plan.dampings, np.diff(edges_of(plan.dampings)).tolist(), strict=True))
@@ -172,7 +172,7 @@ class ComparedWall:
 
     @property
     def linear(self) -> bool:
-        """Whether theory calls it stable."""
+        """Return True if linear theory calls the wall stable."""
         return self.radius < 1.0
 
 
@@ -242,11 +242,11 @@ class Disagreement(Shown, Drawn):
     hits: int
 
     def of_scheme(self, number: int) -> list[ComparedWall]:
-        """Walls of one scheme."""
+        """Return the compared walls of one scheme, by its number."""
         return [wall for wall in self.walls if wall.scheme == number]
 
     def shares(self, number: int) -> Shares:
-        """Summarise one scheme."""
+        """Return the shares of the plane, by cause, of one scheme."""
         scheme = self.plan.schemes[number]
         known = [wall for wall in self.of_scheme(number) if wall.holds is not None]
         differing = [wall for wall in known if wall.cause]
@@ -265,7 +265,7 @@ class Disagreement(Shown, Drawn):
 
     @reported
     def schemes(self) -> tuple[Shares, ...]:
-        """The shares of each scheme."""
+        """Return the shares of the plane of each scheme, in the order of the plan."""
         return tuple(self.shares(number) for number in range(len(self.plan.schemes)))
 
     @reported

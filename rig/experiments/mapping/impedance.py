@@ -138,27 +138,27 @@ class ImpedanceResult(Shown, Drawn):
 
     @property
     def wall(self) -> Wall:
-        """Stiffness and damping."""
+        """Return the wall (stiffness and damping) that was rendered."""
         return self.stiffness, self.damping
 
     @reported
     def stiffness(self) -> float:
-        """Of the wall."""
+        """Return the stiffness of the wall (N·m/rad or N/m)."""
         return self.experiment.wall.stiffness
 
     @reported
     def damping(self) -> float:
-        """Of the wall."""
+        """Return the damping of the wall (N·m·s/rad or N·s/m)."""
         return self.experiment.wall.damping
 
     @property
     def bare(self) -> bool:
-        """Whether there was no wall."""
+        """Return True if the rig was measured without a wall."""
         return self.wall == (0.0, 0.0)
 
     @reported
     def rig(self) -> str:
-        """Name of the rig."""
+        """Return the name of the measured rig."""
         return self.experiment.rig.name
 
     @reported
@@ -168,12 +168,12 @@ class ImpedanceResult(Shown, Drawn):
 
     @reported
     def scheme(self) -> str:
-        """Scheme in text form."""
+        """Return the sampling scheme in its text form."""
         return Scheme.of(self.experiment).text
 
     @reported
     def label(self) -> str:
-        """What a legend calls it: wall and scheme."""
+        """Return the text for legends: wall and scheme."""
         scheme = Scheme.of(self.experiment).label(self.experiment)
         if self.bare:
             return f"bare rig, {scheme}"
@@ -182,17 +182,17 @@ class ImpedanceResult(Shown, Drawn):
 
     @reported
     def loop(self) -> str:
-        """Where the law ran."""
+        """Return where the law ran: ``host`` or ``device``."""
         return self.experiment.controller.loop
 
     @reported
     def note(self) -> str | None:
-        """What stands for a law on the device, where none ran."""
+        """Return how the simulation represents a law on the device; None where it does not."""
         return STANDS_FOR_DEVICE if self.loop == "device" and not self.recordings else None
 
     @reported
     def excitation(self) -> dict[str, Any]:
-        """The excitation with its size."""
+        """Return the keys of the excitation, with its size in effect."""
         x = self.experiment
         return {
             **config.as_mapping(x)["excitation"],

@@ -52,7 +52,7 @@ class KMax:
         return last.stiffness / reference.stiffness
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
+        """Return the limits as plain values, for JSON."""
         mapping = self.map.as_mapping()
         for rate, scheme in zip(self.rates, mapping["schemes"], strict=True):
             scheme["rate_hz"] = rate

@@ -84,7 +84,7 @@ class HeldWall:
 
     @reported
     def frequency_error(self) -> float | None:
-        """Likewise of the frequency."""
+        """Return the relative error of the predicted frequency; None without both cycles."""
         return self.predicted.frequency_hz / self.simulated.frequency_hz - 1.0 if self._both else None
 
     @property
@@ -151,7 +151,7 @@ class LimitCycles(Shown):
 
     @reported
     def tallies(self) -> tuple[Tally, ...]:
-        """Without friction, then with it."""
+        """Return two tallies: without friction, then with it."""
         return tuple(self.tally(friction) for friction in (False, True))
 
     def tally(self, friction: bool) -> Tally:
@@ -172,14 +172,14 @@ class LimitCycles(Shown):
         )
 
     def brief(self) -> list[Item]:
-        """The errors."""
+        """Return the rows of the prediction's errors, for people."""
         return [
             f"limit cycles of the quantum on {self.rig}, predicted and simulated",
             *map(_row, self.tallies),
         ]
 
     def detailed(self) -> list[Item]:
-        """The errors, and every wall."""
+        """Return the errors and a table of every wall, for people."""
         head = ("scheme", "B", "K", "friction", "counts", "Hz", "simulated: counts", "Hz", "in its band")
         rows = [
             (
@@ -275,7 +275,7 @@ def _held(
 
 
 def simulated(experiment: Experiment, stiffness: float, damping: float, *, friction: bool) -> Cycle:
-    """What a handle does at a wall, `SETTLE_S` after it was let go."""
+    """Simulate a handle at a wall, and return its limit cycle from `SETTLE_S` after the release on."""
     bare = without(experiment, (SATURATION,) if friction else (SATURATION, FRICTION))
     side, count = bare.wall.side, bare.rig.encoder.resolution
     wall = replace(experiment.wall, stiffness=stiffness, damping=damping, law="bilateral", position=0.0)

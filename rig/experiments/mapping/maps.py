@@ -74,7 +74,7 @@ class Plan(Protocol[M_co]):
         ...
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for `PLAN`."""
+        """Return the plan as plain values, for the file `PLAN`."""
         ...
 
     def found(self, results: Sequence[Any]) -> M_co:
@@ -182,7 +182,7 @@ def _write_plan(plan: Plan[Any], directory: Path, device: str = "") -> None:
 
 
 def read_plan(directory: Path) -> tuple[MapPlan | FrequencyPlan, str]:
-    """What a directory maps, finished or not, and the device that is mapped: empty for the simulation.
+    """Return the plan of a map's directory, finished or not, and the URL of its device: empty for the simulation.
 
     Raises
     ------

@@ -169,7 +169,7 @@ class StiffnessLimit:
 
     @property
     def capped(self) -> bool:
-        """Whether the search ended before the range did: some wall passed and none failed."""
+        """Return True if the search reached the end of its range: some wall passed and none failed."""
         return self.failed_at is None and self.stiffness > 0.0
 
 

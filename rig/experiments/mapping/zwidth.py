@@ -63,7 +63,7 @@ class Series:
 
     @property
     def key(self) -> str:
-        """Its name in a journal."""
+        """Return the name of the series in a journal."""
         return f"{self.scheme}/{self.damping!r}/{self.offset!r}/{self.repeat}"
 
 
@@ -238,7 +238,7 @@ class Boundary:
         *,
         rendered: float = 1.0,
     ) -> Boundary:
-        """Summarise limits."""
+        """Summarise the limits of one scheme at one damping under a criterion."""
         stiffness = np.array([limit.stiffness for limit in limits])
         return cls(
             scheme=scheme,
@@ -311,7 +311,7 @@ class ZWidth(Shown, Drawn):
 
     @property
     def of_device_loop(self) -> bool:
-        """Whether simulated hits under the host's law stand for a law on the device."""
+        """Return True if simulated hits under the host's law represent a law on the device."""
         return self.plan.experiment.controller.loop == "device" and not self.on_device
 
     @classmethod
@@ -337,7 +337,7 @@ class ZWidth(Shown, Drawn):
         return sorted(found, key=lambda boundary: boundary.damping)
 
     def width(self, scheme: int, criterion: str) -> Width:
-        """Summarise one curve."""
+        """Summarise the boundary of one scheme under a criterion."""
         curve = self.curve(scheme, criterion)
         peak = max(curve, key=lambda boundary: boundary.counted)
         extent = Extent.of([b.damping for b in curve], [b.counted for b in curve])
@@ -449,7 +449,7 @@ def row_of(measured: Measured, suffix: str) -> dict[str, Any]:
 
 
 def outcomes_of(row: Mapping[str, Any], judged: Judged) -> Outcomes:
-    """What a row says under each criterion, by the signals that decide."""
+    """Return the outcome of a row under each criterion, by the recorded or the true signals."""
     return {criterion: row[_passes(criterion, judged)] for criterion in CRITERIA}
 
 

@@ -93,7 +93,7 @@ class FrequencyPlan:
 
     @property
     def band_hz(self) -> tuple[float, float]:
-        """Lines that count."""
+        """Return lowest and highest frequency (Hz) of the lines that are judged."""
         excitation = self.experiment.excitation
         return self.judging.band_hz or (excitation.low_hz, excitation.high_hz)
 

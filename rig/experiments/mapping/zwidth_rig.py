@@ -115,7 +115,7 @@ def zwidth_on_rig(plan: MapPlan, session: DeviceMap, *, journal: Path | None = N
 
 
 def work_of(url: str, realtime: bool) -> str:
-    """What a journal calls the work on a device: hits of one are no hits of another."""
+    """Return the name of the work on a device for a journal, which must not mix hits of two devices."""
     return f"{url} in real time" if realtime else url
 
 
@@ -221,7 +221,7 @@ class _Hits:
 
 
 def _by_the_wall(ended: Ended) -> bool:
-    """Whether the wall threw the handle out: in the push, or in the release, which leaves the verdict of the push."""
+    """Return True if the wall threw the handle out in the push, or in the release, which leaves the push's verdict."""
     early = ended.recorded.judgement.early
     return early[0] is Kind.UNSTABLE if early is not None else thrown_out(ended.recorded.recording) != ""
 

@@ -254,7 +254,7 @@ def bearing_rate(silence_s: float) -> int:
 
 
 def advice(silence_s: float, rate_hz: int) -> str:
-    """What to do after a run that such a silence of the computer or the link spoiled, at a rate (Hz)."""
+    """Return the remedy for a run at a rate (Hz) that was spoiled by such a silence of the computer or the link."""
     bearing = bearing_rate(silence_s)
     if SLOWEST_HZ <= bearing < rate_hz:
         return (

@@ -93,7 +93,7 @@ class Pulse:
 
     @reported
     def ok(self) -> bool:
-        """Whether the rig may be armed for a person."""
+        """Return True if the rig may be armed for a person."""
         return not refused(self.checks)
 
     def insist(self) -> None:

@@ -103,7 +103,7 @@ class FoundReference:
     recordings: tuple[Path, ...]
 
     def rows(self) -> list[Row]:
-        """Return it for people."""
+        """Return what was found and measured, for people."""
         unit = unit_of("position", self.motion)
         between = (
             "not measured: the travel contains one index" if self.index_counts is None else self.index_counts

@@ -111,18 +111,18 @@ class Weighing:
 
     @reported
     def effort_per_ampere(self) -> Interval:
-        """What it should be (N·m/A or N/A)."""
+        """Return the effort per ampere by the weight (N·m/A or N/A), with its interval."""
         share = self.measured.ci95 / self.measured.value
         value = self.described * self.weight / self.measured.value
         return Interval(value, value * share)
 
     @reported
     def agrees(self) -> bool:
-        """Whether the described one lies within the interval."""
+        """Return True if the described effort per ampere lies within the interval."""
         return self.effort_per_ampere.holds(self.described)
 
     def rows(self) -> list[Row]:
-        """Return it for people."""
+        """Return what was weighed and calibrated, for people."""
         effort, unit = unit_of("effort", self.motion), unit_of("effort/A", self.motion)
         off = self.effort_per_ampere.value / self.described - 1.0
         said = "as described, within the interval" if self.agrees else f"{100 * off:+.2g} % of that described"

@@ -52,7 +52,7 @@ class Task:
 
     @property
     def work_name(self) -> str:
-        """``module:function``."""
+        """Return the work as ``module:function``, by which a journal names it."""
         return f"{self.work.__module__}:{self.work.__qualname__}"
 
 

@@ -61,7 +61,7 @@ class Executor(Protocol):
         ...
 
     def close(self) -> None:
-        """Abandon what is still running."""
+        """Abandon the tasks that are still running."""
         ...
 
 
@@ -140,7 +140,7 @@ class Threads:
         return future
 
     def workers(self) -> int:
-        """Return the number of threads."""
+        """Return the number of threads that run tasks."""
         return self._workers
 
     def explain(self, error: BaseException) -> Failure:

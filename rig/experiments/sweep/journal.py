@@ -50,10 +50,10 @@ class Memory:
         return (json.loads(self._texts[index] or "null") for index in indices)
 
     def sync(self) -> None:
-        """Nothing to do."""
+        """Do nothing: results in memory need no disk."""
 
     def close(self) -> None:
-        """Nothing to do."""
+        """Do nothing: there is no file to close."""
 
 
 class Journal:

@@ -68,7 +68,7 @@ class SweepStoppedError(StoppedError):
 
     @property
     def done(self) -> int:
-        """How many tasks are done."""
+        """Return the number of finished tasks."""
         return len(self.results)
 
 

@@ -30,7 +30,7 @@ def excitation_plan(experiment: Experiment) -> Plan:
 
 
 def excitation_checks(experiment: Experiment) -> list[Check]:
-    """Whether an excitation keeps within what effort, window and speed allow, by the linear closed form.
+    """Check that an excitation stays within the limits of effort, window and speed, by the linear closed form.
 
     Friction is left out, which makes the prediction hard; so are the wall's estimator where it is not linear (a raw
     difference stands in) and all that only instability brings.

@@ -331,7 +331,7 @@ def late_ticks(sent: NDArray[np.int64], applied: NDArray[np.int64]) -> int:
 
 
 def seen_at_ticks(model: RigModel, tick_s: float, frequency_hz: Floats) -> Complexes:
-    """What samples at the ticks show of the rig's true motion under a held effort: 1 at low frequencies.
+    """Return the share of the rig's motion that samples show under a held effort: 1 at low frequencies.
 
     The sum of all aliases of the answer over the answer itself. A wall changes the effort, and so both alike.
     """

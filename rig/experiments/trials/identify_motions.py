@@ -174,7 +174,7 @@ def loaded_plan(plan: Plan, x: Experiment, most_order: int, weight: float) -> Pl
 
 
 def _follows(x: Experiment, limit: float) -> Check:
-    """Whether the servo of the strokes moves the handle against its friction: it is the softer, the slower the loop."""
+    """Check that the servo of the strokes overcomes the friction: the slower the loop, the softer the servo."""
     stiffness = servo_of(x, slow_rate(x))[0]
     held, unit = coulomb_of(x) / stiffness, _unit(x, "position")
     stiffer = math.sqrt(3.0 * held / limit)  # with room: stiffness goes as the square of the rate
@@ -189,7 +189,7 @@ def _follows(x: Experiment, limit: float) -> Check:
 
 
 def _counts(x: Experiment, travel: float) -> Check:
-    """Whether a third of a stroke has the counts that a speed is read from."""
+    """Check that a third of a stroke has enough counts to measure a speed."""
     counts, wider = 2.0 * travel / x.rig.encoder.resolution, LEAST_STROKE_COUNTS * x.rig.encoder.resolution
     return limited(
         "counts of a stroke",
@@ -201,7 +201,7 @@ def _counts(x: Experiment, travel: float) -> Check:
 
 
 def _moves(x: Experiment, rms: float) -> Check:
-    """Whether the excitation moves the handle by counts, friction aside."""
+    """Check that the excitation moves the handle by enough counts, friction aside."""
     counts = rms / x.rig.encoder.resolution
     return limited(
         "counts of the excitation",
@@ -213,7 +213,7 @@ def _moves(x: Experiment, rms: float) -> Check:
 
 
 def _repeatable(x: Experiment) -> Check:
-    """Whether a position means the same place of the mechanism tomorrow: only an index says so."""
+    """Check that position zero is that of an index, so that it is the same after the next start."""
     if x.rig.reference.index:
         return Check("position zero", Outcome.OK, "comes from the encoder's index")
     return Check(
@@ -226,7 +226,7 @@ def _repeatable(x: Experiment) -> Check:
 
 
 def _whole_period(x: Experiment, measured: float) -> Check:
-    """Whether the sweeps see a whole period, as telling its harmonics apart needs."""
+    """Check that the sweeps cover a whole period, which is needed to separate its harmonics."""
     period, unit = cogging_period(x), _unit(x, "position")
     return limited(
         "period of cogging", period <= measured, f"{period:.3g} {unit}, the sweeps measure {measured:.3g}",
@@ -592,7 +592,7 @@ def push_way(x: Experiment) -> float:
 
 
 def pushes_s(pushes: int = PUSHES) -> float:
-    """Length of all pushes (s)."""
+    """Return the total duration of some pushes (s)."""
     return pushes * (PUSH_S + REST_S) + REST_S
 
 
@@ -668,7 +668,7 @@ def settle_periods(period_s: float) -> int:
 
 
 def excited_s(period_s: float) -> float:
-    """Length of one realisation (s)."""
+    """Return the duration of one realisation of the excitation (s)."""
     return (settle_periods(period_s) + PERIODS) * period_s
 
 

@@ -133,7 +133,7 @@ class Verdicts:
         ]
 
     def _felt(self, unit: str, true: str, threshold: float) -> Row:
-        """What a hand feels: not measurable where one toggling count reads more than the threshold."""
+        """Return the row of the velocity ripple; not measurable if one toggling count exceeds the threshold."""
         felt, floor, label = self.verdict.felt, self.verdict.felt_floor, "felt (velocity ripple, rms)"
         notes = [f"limit {threshold:.3g}", f"encoder floor {floor:.2g}", true]
         if floor == 0.0 and not felt:
@@ -143,14 +143,14 @@ class Verdicts:
 
 
 def _observed(windows: int) -> str:
-    """What is known of the motor's current: a dead motor shows only where there was a current to be missed."""
+    """Return what is known of the motor's current: a dead motor shows only where a current was commanded."""
     if windows == 0:
         return "not checked: not measured, or too small compared with the sensor's noise"
     return f"followed the command, in {windows} windows of 10 ms"
 
 
 def _scale_text(motion: MotionBalance | None) -> str:
-    """What effort and motion say of the encoder's scale, or that they say nothing."""
+    """Return the scale of the encoder by effort and motion in words, or that it is unknown."""
     if motion is None:
         return "not checked: the effort that moves the handle is unknown"
     if motion.ratio is None:
@@ -159,7 +159,7 @@ def _scale_text(motion: MotionBalance | None) -> str:
 
 
 def _nothing(value: Any, threshold: float) -> Any:
-    """What is nothing against its threshold is 0, not the rounding of a filter."""
+    """Return 0 for a value that is negligible against its threshold, instead of a filter's rounding error."""
     return 0.0 if isinstance(value, float) and abs(value) < 1e-6 * threshold else value
 
 
@@ -304,7 +304,7 @@ FALSE_START = (Kind.INVALID, "a false start: the handle moved before the cue")
 
 
 def thrown_out(recording: Recording) -> str:
-    """What the wall did to the handle that ended the run, in words; empty for other ends."""
+    """Return how the wall threw the handle out and ended the run, in words; empty for other ends."""
     trailer = recording.trailer or {}
     if (trailer.get("fault") or {}).get("name") in THROWN_OUT:
         return THREW_OUT["out_of_window"]
@@ -312,12 +312,12 @@ def thrown_out(recording: Recording) -> str:
 
 
 def out_of_time(recording: Recording) -> bool:
-    """Whether a fault ended the run that a moment without processor or link makes: another time it may end as usual."""
+    """Return True if the run ended by a fault from a lack of processor or link time: a repeat may end as usual."""
     return ((recording.trailer or {}).get("fault") or {}).get("name") in OUT_OF_TIME
 
 
 def ended_early(recording: Recording) -> tuple[Kind, str] | None:
-    """What an early end makes of the verdict: nothing after the push, else invalid, or unstable if thrown out.
+    """Return the verdict by an early end: None after the push, else invalid, or unstable if thrown out.
 
     A cut has no verdict of its own.
     """

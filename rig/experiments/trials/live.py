@@ -192,7 +192,7 @@ def _info_with(
 
 
 def _watch(ring: Ring, number: int, patience_s: float) -> bool:
-    """Whether the loop takes over this set, or a newer one, before patience or the loop ends."""
+    """Return True if the loop uses this parameter set, or a newer one, before patience or the loop ends."""
     deadline = time.monotonic() + patience_s
     while True:
         ended = ring.get(LOOP_DONE) != 0  # before the number: what is not there now will never come

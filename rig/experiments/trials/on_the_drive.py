@@ -17,12 +17,12 @@ STANDS_FOR_NO_DRIVE = (
 
 
 def is_on_the_drive(experiment: Experiment) -> bool:
-    """Whether the drive behind a bridge renders the wall."""
+    """Return True if the drive behind a bridge renders the wall."""
     return experiment.controller.loop == "device" and experiment.controller.arithmetic == "drive"
 
 
 def lost(experiment: Experiment) -> list[Check]:
-    """What a plan says of it."""
+    """Return a note for a plan on what a wall on the drive does not have; empty for other walls."""
     if not is_on_the_drive(experiment):
         return []
     rate = experiment.controller.position_rate
@@ -39,7 +39,7 @@ def lost(experiment: Experiment) -> list[Check]:
 
 
 def fits(experiment: Experiment, dictionary: Dictionary) -> list[Check]:
-    """Whether the gains of a drive are large enough for the wall of an experiment that leaves it to that drive."""
+    """Check that the gains of a drive are large enough for an experiment's wall that this drive renders."""
     told = {info.name: info.value for info in dictionary.settings}
     if not is_on_the_drive(experiment):
         return []

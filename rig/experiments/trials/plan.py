@@ -62,7 +62,7 @@ STANDS_FOR_DEVICE = (
 
 
 def stands_for_device(experiment: Experiment) -> str:
-    """What a simulation under the host's law is worth for the law on a device."""
+    """Return how a simulation under the host's law represents the law on a device or a drive."""
     return on_the_drive.STANDS_FOR_NO_DRIVE if on_the_drive.is_on_the_drive(experiment) else STANDS_FOR_DEVICE
 
 
@@ -78,7 +78,7 @@ def make_plan(experiment: Experiment) -> Plan:
 
 
 def is_linked(url: str | None, *, realtime: bool, round_trip_s: float | None) -> bool:
-    """Whether the delay of a link belongs to a plan: it is stated, or the run is in real time."""
+    """Return True if a plan includes the delay of a link: it is given, or the run is in real time."""
     return realtime or round_trip_s is not None or (url is not None and not url.startswith("sim:"))
 
 
@@ -124,7 +124,7 @@ def plan_of(
 
 
 def _tick_checks(x: Experiment, board: str) -> list[Check]:
-    """Whether a board has the time for its law, as an image and a design count it.
+    """Check that a board has the time for its law, by the same count as an image and a design.
 
     A warning: the cycles are estimates, and the device reports a tick that it missed.
     """
@@ -153,7 +153,7 @@ def _cutoff_checks(x: Experiment) -> list[Check]:
 
 
 def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: float | None) -> list[Check]:
-    """Whether a device and its link carry the loop at the asked rate."""
+    """Check that a device and its link support the loop at the requested rate."""
     rate = experiment.controller.position_rate
     checks = [
         limited(
@@ -225,7 +225,7 @@ def _link_ticks(x: Experiment, round_trip_s: float | None) -> tuple[int, str]:
 
 
 def _batch_check(x: Experiment, usable: float) -> Check:
-    """Whether the link carries every tick of a law on the device."""
+    """Check that the link can carry every tick of a law on the device."""
     needed = device_law.bytes_per_second(x)
     remedy = "choose a lower `rate`, or a faster link"
     if x.controller.measured_current:
@@ -242,7 +242,7 @@ def _batch_check(x: Experiment, usable: float) -> Check:
 
 
 def device_checks(run: PreparedRun, dictionary: Dictionary) -> list[Check]:
-    """Whether a device takes the limits of a run, and has the law, where it is to run one.
+    """Check that a device accepts the limits of a run, and has the law if it is to run one.
 
     Parameters
     ----------
@@ -379,7 +379,7 @@ def _baseline_step(x: Experiment) -> tuple[Step, ...]:
 
 
 def _watch_checks(x: Experiment) -> list[Check]:
-    """What ends a trial for what the motor does to the handle (`rig.control.watch`)."""
+    """Return the limits that end a trial for energy or oscillation of the motor (`rig.control.watch`)."""
     energy, oscillations = controller.energy_limit(x), controller.oscillation_limit(x)
     checks = []
     if energy > 0.0 and x.wall.stiffness > 0.0:
@@ -439,7 +439,7 @@ def human_limit_checks(x: Experiment, *, real: bool = False) -> list[Check]:
 
 
 def _saturating(x: Experiment) -> str:
-    """What to say of a hit whose spring asks for more than the limit at its deepest."""
+    """Return the note on a hit whose spring exceeds the limit at its deepest point."""
     if (
         x.trial.kind == "human"
         and push_at_rest(x) * (1.0 + x.operator.press_modulation) < x.rig.limits.effort

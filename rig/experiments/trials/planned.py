@@ -49,7 +49,7 @@ class Plan(Shown):
 
     @reported
     def ok(self) -> bool:
-        """Whether nothing is refused."""
+        """Return True if no check of the plan refuses."""
         return not refused(self.checks)
 
     def brief(self) -> list[Item]:

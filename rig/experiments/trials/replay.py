@@ -63,11 +63,11 @@ class ReplayResult(Shown, Drawn):
 
     @reported
     def ticks(self) -> int:
-        """How many rows there are."""
+        """Return the number of replayed ticks."""
         return len(self.rows)
 
     def brief(self) -> list[Item]:
-        """What it went through, and how far that is from the recorded one."""
+        """Return estimator and law of the replay, and its differences from the recording."""
         velocity, effort = (unit_of(name, self.of.header["motion"]) for name in ("velocity", "effort"))
         return [
             f"{self.of.path or self.of.header['rig']}: {self.ticks} ticks through {self.estimator} and {self.law}",

@@ -371,7 +371,7 @@ def _conclude(
 
 
 def _too_old_since(rows: NDArray[np.void]) -> bool:
-    """Whether commands came behind the active one of the last row, and were too old."""
+    """Return True if commands after the active one of the last row arrived too old to be activated."""
     since = rows[rows["command_active"] == rows["command_active"][-1:]]
     return bool((since["limits"] & int(LimitFlag.COMMAND_TOO_OLD)).any())
 
@@ -414,7 +414,7 @@ def _header(
 
 
 def _where_the_law_runs(law: LawOnDevice | None, echo: Echo) -> dict[str, Any]:
-    """What the header says of it, with the wall that a device makes of ours; its parameters stand in its identity."""
+    """Return where the law runs, for the header, with the wall as the device computes it."""
     if law is None:
         return {"loop": "host"}
     return {"loop": "device", "arithmetic": law.arithmetic, "wall": law.rendered(echo.values)}

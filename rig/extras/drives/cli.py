@@ -40,7 +40,7 @@ if sys.platform == "linux":
 
 
 def _bridge_options(numbers: click.IntRange, default: int, called: str) -> Callable[[options.F], options.F]:
-    """What the commands of all kinds of drives have; `numbers` and `called`: of the drive's id."""
+    """Add the options of the commands of all drives; `numbers`, `default` and `called` are of the drive's id."""
     return options.added(
         options.rig_option(given=True),
         click.option(

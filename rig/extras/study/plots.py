@@ -443,7 +443,7 @@ def _paint(colour: str, filled: bool) -> dict[str, Any]:
 
 
 def _key(axes: Any, trials: Sequence[TrialRow]) -> None:
-    """What the marks of these trials mean."""
+    """Add the legend of the marks of these trials."""
     for verdict, (colour, marker) in VERDICTS.items():
         if any(_said(trial) == verdict for trial in trials):
             name = _VERDICT_WORDS.get(verdict, verdict)

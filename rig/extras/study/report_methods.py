@@ -143,7 +143,7 @@ def analysed_with() -> dict[str, str]:
 
 
 def _facts(found: StudyAnalysis) -> dict[str, Any]:
-    """Everything that the template reads."""
+    """Return all values that the template of the methods reads."""
     study, protocol, measure = found.study, found.study.protocol, found.options.measure
     experiments = effective(found)
     x = first_experiment(found)

@@ -53,7 +53,7 @@ def over_participants(found: StudyAnalysis, measure: Measure) -> Table:
 
 
 def of_participants(found: StudyAnalysis, measure: Measure) -> Table:
-    """K_max of each participant."""
+    """Return a table of K_max of each participant at each condition and damping."""
     rows = [
         (
             one.participant,
@@ -85,7 +85,7 @@ def of_participants(found: StudyAnalysis, measure: Measure) -> Table:
 
 
 def contrasts(found: StudyAnalysis, some: Iterable[Contrast | Paired], caption: str) -> Table:
-    """Differences between conditions."""
+    """Return a table of the differences between conditions, with their intervals."""
     rows = [
         (
             f"{one.condition} {MINUS} {one.against}",
@@ -104,7 +104,7 @@ def contrasts(found: StudyAnalysis, some: Iterable[Contrast | Paired], caption: 
 
 
 def likelihood_ratios(model: Mixed) -> Table:
-    """Whether the factors matter at all."""
+    """Return a table of the likelihood-ratio tests of the factors."""
     rows = [(one.factor, number(one.statistic), str(one.degrees), p(one.p)) for one in model.tests]
     return Table(("factor", "χ²", "degrees of freedom", "p"), rows, "Likelihood ratios")
 
@@ -122,7 +122,7 @@ def terms(found: StudyAnalysis, model: Mixed) -> Table:
 
 
 def psychometric(found: StudyAnalysis, some: Iterable[PsychometricFit], caption: str) -> Table:
-    """Parameters of psychometric functions."""
+    """Return a table of the parameters of psychometric functions."""
     unit = found.study.unit("stiffness")
     rows = [
         (
@@ -230,7 +230,7 @@ def blocks(found: StudyAnalysis) -> Table:
 
 
 def searches(found: StudyAnalysis) -> Table:
-    """What was planned of each condition and damping, and what became of it."""
+    """Return a table of planned and finished searches, by condition and damping."""
     protocol, sessions = found.study.protocol, found.study.sessions
     planned = protocol.order.repeats * len(sessions)
     rows = []
@@ -280,7 +280,7 @@ def orders(found: StudyAnalysis) -> Table:
 
 
 def participants(found: StudyAnalysis) -> Table:
-    """The sessions."""
+    """Return a table of the sessions, one row for each."""
     head = (
         "participant",
         "began (UTC)",
@@ -322,7 +322,7 @@ def _participant(found: StudyAnalysis, session: StudySession) -> tuple[object, .
 
 
 def tracks(found: StudyAnalysis) -> Table:
-    """Every search with its limit."""
+    """Return a table of every search with its limit."""
     rows = []
     for run in found.runs:
         limit = run.limits.get(found.options.measure)
@@ -344,7 +344,7 @@ def tracks(found: StudyAnalysis) -> Table:
 
 
 def answers(found: StudyAnalysis) -> Table:
-    """Answers to the questionnaire."""
+    """Return a table of the answers to the questionnaire."""
     items = {item.name: item.text for item in found.study.protocol.question}
     rows = [
         (
@@ -360,7 +360,7 @@ def answers(found: StudyAnalysis) -> Table:
 
 
 def events(some: Iterable[Deviation], caption: str) -> Table:
-    """What happened, to whom and when."""
+    """Return a table of events: participant, time and text."""
     rows = [(one.participant, clock(one.at_s), one.what, one.detail) for one in some]
     return Table(("participant", "since the begin", "what", "details"), rows, caption, words=4)
 
@@ -392,7 +392,7 @@ def first_contrasts(found: StudyAnalysis) -> tuple[Mixed | None, list[tuple[Cont
 
 
 def tested(one: Contrast | Paired) -> bool:
-    """Whether a difference may have an interval."""
+    """Return True if a difference may have an interval."""
     return not (isinstance(one, Paired) and one.withheld)
 
 
@@ -420,7 +420,7 @@ def lapse_rate(mean: float) -> str:
 
 
 def place(along: str) -> str:
-    """What a slope is along, in words."""
+    """Return in words along which quantity a slope is."""
     return "place in the block" if along == "order" else along
 
 
@@ -484,5 +484,5 @@ def untested(found: StudyAnalysis, some: Iterable[Paired]) -> dict[str, list[str
 
 
 def has_interval(one: Contrast | Paired) -> bool:
-    """Whether a difference has an interval."""
+    """Return True if a difference has an interval."""
     return math.isfinite(one.low)

@@ -57,7 +57,7 @@ def unlock_all() -> int:
 
 
 def lock_range(address: int, size: int, *, on_fault: bool) -> int:
-    """Keep some pages in memory."""
+    """Lock some pages in memory, and return 0 or the error number."""
     flags = MLOCK_ONFAULT if on_fault else 0
     return _call("mlock2", ctypes.c_void_p(address), ctypes.c_size_t(size), ctypes.c_uint(flags))
 

@@ -28,7 +28,7 @@ class Realtime:
         """Leave the calling thread as it is."""
 
     def leave_thread(self) -> None:
-        """Nothing to undo."""
+        """Do nothing: no scheduling was changed."""
 
     def prefault(self, *arrays: NDArray[Any]) -> None:
         """Leave pages to their first use."""

@@ -98,7 +98,7 @@ def idle_driver(root: Path = ROOT) -> str:
 
 
 def online_cpus(root: Path = ROOT) -> set[int]:
-    """Return the processors that run."""
+    """Return the numbers of the processors that are online."""
     return cpu_list(text_of(root / _CPUS / "online"))
 
 

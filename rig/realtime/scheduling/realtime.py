@@ -53,7 +53,7 @@ class Realtime:
 
     @property
     def report(self) -> dict[str, Any]:
-        """What was asked, obtained and refused, and what the kernel is: JSON types, for a recording's header.
+        """Return what was requested, granted and refused, and the kernel's facts: JSON types, for a recording's header.
 
         Empty in virtual time. Until a thread has entered, its part is what a thread that was tried obtained.
         """

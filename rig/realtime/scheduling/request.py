@@ -11,12 +11,12 @@ class RealtimeRequest(Protocol):
 
     @property
     def realtime(self) -> str:
-        """Return enforce, try or off."""
+        """Return the request: ``enforce``, ``try`` or ``off``."""
         ...
 
     @property
     def priority(self) -> int:
-        """Return the priority under SCHED_FIFO."""
+        """Return the requested priority under SCHED_FIFO, 1 to 99."""
         ...
 
     @property

@@ -32,7 +32,7 @@ class Rights:
 
         @classmethod
         def here(cls, root: Path = ROOT) -> Rights:
-            """Return what this process has."""
+            """Return the rights of this process."""
             return cls(
                 user=_name_of_user(os.geteuid()),
                 groups=frozenset(name_of_group(number) for number in {*os.getgroups(), os.getegid()}),
@@ -42,16 +42,16 @@ class Rights:
             )
 
     def may_schedule(self, priority: int) -> bool:
-        """Whether limits allow SCHED_FIFO at this priority; a control group or a container may still refuse."""
+        """Return True if limits allow SCHED_FIFO at this priority; a control group or a container may still refuse."""
         allowed = self.priority_limit is None or self.priority_limit >= priority
         return allowed or self.has(CAP_SYS_NICE)
 
     def may_lock(self, size: int) -> bool:
-        """Whether limits allow `size` bytes of locked memory."""
+        """Return True if limits allow `size` bytes of locked memory."""
         return self.locked_limit is None or self.locked_limit >= size or self.has(CAP_IPC_LOCK)
 
     def has(self, capability: int) -> bool:
-        """Whether a capability is active."""
+        """Return True if a capability is active in this process."""
         return bool(self.capabilities >> capability & 1)
 
 

@@ -46,17 +46,17 @@ class ThreadState:
 
     @property
     def is_fifo(self) -> bool:
-        """Whether it runs before every ordinary thread until it waits."""
+        """Return True if the thread runs before every ordinary thread until it waits."""
         return self.policy & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
 
     @property
     def name(self) -> str:
-        """Name of the policy."""
+        """Return the name of the scheduling policy."""
         plain = self.policy & ~os.SCHED_RESET_ON_FORK
         return _POLICIES.get(plain, str(plain))
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return JSON types."""
+        """Return policy, priority and processors as JSON types."""
         return {**asdict(self), "policy": self.name, "cpus": list(self.cpus)}
 
 

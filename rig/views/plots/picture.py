@@ -24,7 +24,7 @@ def hit_result_figure(result: HitResult) -> Any:
 
 
 def impedance_result_figure(result: ImpedanceResult) -> Any:
-    """Draw one impedance."""
+    """Draw one impedance in a figure of its own."""
     return impedance_figure([result])
 
 

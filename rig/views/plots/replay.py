@@ -17,7 +17,7 @@ def draw_replay(result: ReplayResult, picture: str | Path) -> Path:
 
 @style.own_style()
 def replay_figure(result: ReplayResult) -> Any:
-    """The figure of a replay."""
+    """Return a figure of recorded and replayed velocity and effort over time."""
     recording = result.of
     motion, time_s = recording.header["motion"], recording.time_s
     figure = style.new_figure(height=5.0)

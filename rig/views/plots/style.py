@@ -79,13 +79,13 @@ def new_figure(width: float = 9.0, height: float = 7.0) -> Any:
 
 
 def tidy(axes: Any, ylabel: str) -> None:
-    """Label and lighten one panel."""
+    """Label the vertical axis of a panel, and lighten it."""
     axes.set_ylabel(ylabel)
     lighten(axes)
 
 
 def lighten(axes: Any) -> None:
-    """Quiet grid, no box."""
+    """Draw a light grid, and remove the box."""
     axes.grid(True, color="#e6e6e6", linewidth=0.8)
     axes.spines[["top", "right"]].set_visible(False)
 

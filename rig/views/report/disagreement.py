@@ -12,7 +12,7 @@ from rig.views.report.template import fill_text
 
 
 def paragraph(found: Disagreement) -> str:
-    """What was compared, how much differs, and why, from the numbers."""
+    """Return a paragraph on what was compared, how much differs, and why."""
     plan = found.plan
     text = fill_text(
         "disagreement.j2",

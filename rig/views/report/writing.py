@@ -45,7 +45,7 @@ def limit(value: float, capped: object) -> str:
 
 
 def times(ratio: float | None) -> str:
-    """A ratio: ``× 1.25``."""
+    """Return a ratio as text: ``× 1.25``."""
     return f"× {three(ratio)}"
 
 
@@ -60,12 +60,12 @@ def change(ratio: float) -> str:
 
 
 def khz(rate_hz: float) -> str:
-    """A rate: ``20 kHz``."""
+    """Return a rate as text: ``20 kHz``."""
     return f"{rate_hz / 1e3:g} kHz"
 
 
 def cell(value: Any) -> Any:
-    """What stands in a cell of a table: a number with three digits, anything else as it is."""
+    """Return the text of a table's cell: a number with three digits, anything else unchanged."""
     return three(value) if isinstance(value, float) or value is None else value
 
 
@@ -80,7 +80,7 @@ def suffixed(names: Iterable[str], text: str) -> list[str]:
 
 
 def each(items: Iterable[Any], between: str = "; ", *, caller: Callable[..., str]) -> str:
-    """What a call block writes of each item, joined: ``{% call(name, value) each(pairs) %}…{% endcall %}``."""
+    """Return the joined texts of a call block for each item: ``{% call(name, value) each(pairs) %}…{% endcall %}``."""
     written = [caller(*item) if isinstance(item, tuple) else caller(item) for item in items]
     return type(written[0])(between).join(text.strip() for text in written) if written else ""
 
@@ -94,7 +94,7 @@ def gathered(items: Mapping[str, tuple[Any, ...]], *, caller: Callable[..., str]
 
 
 def signed(value: float, digits: int = 4) -> str:
-    """A difference, with its sign."""
+    """Return a difference as text, always with its sign."""
     return _minus(f"{value:+.{digits}g}") if math.isfinite(value) else NOTHING
 
 
@@ -109,24 +109,24 @@ def interval(low: float | None, high: float | None, decimals: int | None = None)
 
 
 def percent(share: float | None, decimals: int = 0) -> str:
-    """A share in percent."""
+    """Return a share as text in percent."""
     return NOTHING if share is None or not math.isfinite(share) else f"{100 * share:.{decimals}f} %"
 
 
 def p(value: float) -> str:
-    """A p value."""
+    """Return a p value as text, with its bounds."""
     if not math.isfinite(value):
         return NOTHING
     return "< 0.001" if value < 0.001 else f"{value:.3f}"
 
 
 def p_equals(value: float) -> str:
-    """What follows the letter p in a sentence."""
+    """Return the text that follows the letter p in a sentence."""
     return p(value) if value < 0.001 else f"= {p(value)}"
 
 
 def clock(seconds: float) -> str:
-    """Hours, minutes and seconds."""
+    """Return seconds as text: hours, minutes and seconds."""
     whole = round(seconds)
     return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"
 
@@ -152,7 +152,7 @@ def shortest(value: float, digits: int = 6) -> str:
 
 
 def numbers(values: Iterable[float]) -> list[str]:
-    """Numbers in their shortest form."""
+    """Return numbers as texts in their shortest form."""
     return [shortest(value) for value in values]
 
 
@@ -166,7 +166,7 @@ def counted_in_words(count: int, noun: str) -> str:
 
 
 def sentence_start(text: str) -> str:
-    """A text with a capital."""
+    """Return a text with a capital at its beginning."""
     return f"{text[:1].upper()}{text[1:]}"
 
 
