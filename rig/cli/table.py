@@ -37,9 +37,6 @@ TITLES: dict[str, Table] = {
             "hits differ from them.",
             {
                 "walls": "rig.cli.theory:walls",
-                "disagreement": "rig.cli.disagreement:disagreement",
-                "limit-cycles": "rig.cli.limit_cycles:limit_cycles",
-                "levant-regions": "rig.cli.levant_regions:levant_regions",
             },
         ),
         "estimators": (

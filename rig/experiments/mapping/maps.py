@@ -23,7 +23,6 @@ from rig.experiments import sweep
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, Recorded, hit, left_by
 from rig.experiments.hits.hit_simulator import start_of
-from rig.experiments.mapping.disagreement import Disagreement, DisagreementPlan
 from rig.experiments.mapping.table_one import table_one
 from rig.experiments.mapping.zwidth import MapPlan, Series, ZWidth
 from rig.experiments.mapping.zwidth_frequency import FrequencyMap, FrequencyPlan, run_column
@@ -142,21 +141,6 @@ def map_into(
 ) -> M:
     """Map a simulated rig and keep everything in a directory; a finished map is read. Errors as `zwidth`."""
     _write_plan(plan, directory)
-    found = zwidth(plan, journal=directory / JOURNAL, scheduler=scheduler, workers=workers, watch=watch)
-    write_map(found, directory)
-    return found
-
-
-def compare_into(
-    plan: DisagreementPlan,
-    directory: Path,
-    *,
-    scheduler: str | None = None,
-    workers: int | None = None,
-    watch: Callable[[sweep.Progress], None] | None = None,
-) -> Disagreement:
-    """Compare a map with linear theory, as `map_into`; without `PLAN`, by which a map is known."""
-    make_directory(directory)
     found = zwidth(plan, journal=directory / JOURNAL, scheduler=scheduler, workers=workers, watch=watch)
     write_map(found, directory)
     return found

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +12,6 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-import rig.cli
 from rig.control.estimators import levant_regions as regions
 
 MU2 = (1.0, 1.5, 2.0, 2.449, 2.5, 2.828, 3.0, 4.0, 6.0, 10.0)
@@ -126,19 +123,3 @@ def test_a_gain_that_the_disturbance_outweighs_never_converges() -> None:
     assert regions.hba_mu1(2.0) == math.inf
     assert regions.lfba_mu1(0.0) == math.inf
     assert not regions.in_lfba(100.0, 0.0)
-
-
-def test_the_picture_and_its_numbers_come_from_one_command(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    picture = tmp_path / "fig1.png"
-    assert rig.cli.run(["theory", "levant-regions", "-o", str(picture), "--json"]) == 0
-    facts = json.loads(capfd.readouterr().out)
-    assert picture.read_bytes().startswith(b"\x89PNG")
-    assert facts["crossing"]["mu2"] == pytest.approx(2.7443, abs=5e-5)
-    assert facts["named"]["hba-sc"]["in_hba"] is False
-    assert facts["hba_mu1"][0] is None
-    assert len(facts["mu2"]) == len(facts["hba_mu1"]) == len(facts["lfba_mu1"])
-    assert rig.cli.run(["theory", "levant-regions", "-o", str(tmp_path / "again.png")]) == 0
-    assert "3.2656" in capfd.readouterr().out
-    assert (tmp_path / "again.png").read_bytes() == picture.read_bytes()

@@ -11,12 +11,12 @@ import pytest
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.control.verdict import CRITERIA
-from rig.experiments.mapping.disagreement import DisagreementPlan
 from rig.experiments.mapping.kmax import KMax, kmax_plan
 from rig.experiments.mapping.searches import StiffnessLimit, StiffnessSearch
 from rig.experiments.mapping.zwidth import Boundary, MapPlan, ZWidth
+from rig.extras.papers.disagreement.disagreement import DisagreementPlan
+from rig.extras.papers.disagreement.plot import disagreement_figure
 from rig.views.plots import style
-from rig.views.plots.disagreement import disagreement_figure
 from rig.views.plots.zwidth import kmax_figure, zwidth_figure
 from tests.rig.views.conftest import scaled
 

@@ -12,10 +12,10 @@ from rig.analysis.impedance.ideal import ideal_wall
 from rig.core.deferred import colors
 from rig.experiments.mapping.searches import connected
 from rig.extras.papers.chawda import derived, rigs
+from rig.extras.papers.chawda.levant_plot import draw_levant_regions, levant_regions
 from rig.extras.papers.chawda.results import Chawda, spread
 from rig.views.plots import style
 from rig.views.plots.impedance import draw_impedance
-from rig.views.plots.levant import draw_levant_regions, levant_regions
 from rig.views.plots.zwidth import draw_boundaries
 
 DAMPING, STIFFNESS = "damping B (N·s/m)", "stiffness K (kN/m)"

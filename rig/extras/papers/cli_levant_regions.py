@@ -9,8 +9,8 @@ import click
 from rig.cli import options, output
 from rig.cli.command import command
 from rig.control.estimators.levant_regions import crossing
-from rig.views.plots.levant import draw_levant_regions
-from rig.views.plots.levant import levant_regions as compute
+from rig.extras.papers.chawda.levant_plot import draw_levant_regions
+from rig.extras.papers.chawda.levant_plot import levant_regions as compute
 
 
 @command("levant-regions")

@@ -13,7 +13,9 @@ from rig.control.bilateral import clinging_law
 from rig.core.errors import PlanError
 from rig.experiments.hits.hit_simulator import start_of
 from rig.experiments.mapping import maps
-from rig.experiments.mapping.ablation import (
+from rig.experiments.mapping.searches import StiffnessSearch
+from rig.experiments.mapping.zwidth import MapPlan
+from rig.extras.papers.disagreement.ablation import (
     CONTACT,
     EACH,
     FINER,
@@ -27,11 +29,9 @@ from rig.experiments.mapping.ablation import (
     cures,
     without,
 )
-from rig.experiments.mapping.disagreement import DisagreementPlan, edges_of
-from rig.experiments.mapping.searches import StiffnessSearch
-from rig.experiments.mapping.zwidth import MapPlan
+from rig.extras.papers.disagreement.disagreement import DisagreementPlan, edges_of
+from rig.extras.papers.disagreement.report import paragraph
 from rig.testing import reactions
-from rig.views.report.disagreement import paragraph
 
 
 @pytest.fixture(scope="module")

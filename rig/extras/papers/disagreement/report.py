@@ -6,8 +6,8 @@ The sentences stand in ``disagreement.j2``.
 from __future__ import annotations
 
 from rig.core.sample import unit_of
-from rig.experiments.mapping.ablation import FINER, FOUR
-from rig.experiments.mapping.disagreement import Disagreement
+from rig.extras.papers.disagreement.ablation import FINER, FOUR
+from rig.extras.papers.disagreement.disagreement import Disagreement
 from rig.views.report.template import fill_text
 
 
@@ -15,7 +15,7 @@ def paragraph(found: Disagreement) -> str:
     """Return a paragraph on what was compared, how much differs, and why."""
     plan = found.plan
     text = fill_text(
-        "disagreement.j2",
+        "extras/papers/disagreement/disagreement.j2",
         x=plan.experiment,
         plan=plan,
         found=found,

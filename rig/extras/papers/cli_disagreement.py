@@ -12,10 +12,10 @@ from rig.cli.command import command
 from rig.cli.keyword_options import gathered_options
 from rig.cli.progress import SweepBar
 from rig.experiments.mapping import maps
-from rig.experiments.mapping.disagreement import DisagreementPlan
 from rig.experiments.mapping.map_request import MapRequest
-from rig.views.plots.disagreement import draw_disagreement
-from rig.views.report.disagreement import paragraph
+from rig.extras.papers.disagreement.disagreement import DisagreementPlan, compare_into
+from rig.extras.papers.disagreement.plot import draw_disagreement
+from rig.extras.papers.disagreement.report import paragraph
 
 
 @command()
@@ -41,7 +41,7 @@ def disagreement(
     plan = DisagreementPlan(map=walls.plan(map_options.chosen(**rig)))
     place = maps.directory_for(plan, directory, "disagreement")
     with SweepBar("columns", unit="ticks", plain=as_json) as bar:
-        found = maps.compare_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch)
+        found = compare_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch)
     picture = output.drawn(lambda: draw_disagreement(found, place / f"disagreement.{plot}")) if plot else None
     text = paragraph(found)
     if as_json:

@@ -9,7 +9,7 @@ import numpy as np
 
 from rig.analysis.theory import stability_map
 from rig.core.sample import unit_of
-from rig.experiments.mapping.ablation import (
+from rig.extras.papers.disagreement.ablation import (
     CAUSES,
     CONTACT,
     EACH,
@@ -19,7 +19,7 @@ from rig.experiments.mapping.ablation import (
     QUANTUM,
     SATURATION,
 )
-from rig.experiments.mapping.disagreement import Disagreement, edges_of
+from rig.extras.papers.disagreement.disagreement import Disagreement, edges_of
 from rig.views.plots import style
 
 COLOURS = {

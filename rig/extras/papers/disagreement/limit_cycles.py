@@ -31,7 +31,7 @@ from rig.core.errors import PlanError
 from rig.core.present import Item, Row, Table, reported, written
 from rig.core.shown import Shown
 from rig.experiments.hits.compare import Start, simulate
-from rig.experiments.mapping.ablation import FRICTION, SATURATION, without
+from rig.extras.papers.disagreement.ablation import FRICTION, SATURATION, without
 
 DAMPINGS, STIFFNESSES = (0.0, 0.25, 0.5, 0.75), (0.25, 0.5, 0.75)
 DEPTH, AWAY, OFFSET = 3.5, 3.0, 0.5  # counts

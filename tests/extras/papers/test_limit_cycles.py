@@ -8,8 +8,8 @@ import pytest
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.core.errors import PlanError
-from rig.experiments.mapping import limit_cycles as searched
-from rig.experiments.mapping.limit_cycles import Cycle, limit_cycles
+from rig.extras.papers.disagreement import limit_cycles as searched
+from rig.extras.papers.disagreement.limit_cycles import Cycle, limit_cycles
 
 RATE = 20_000.0
 

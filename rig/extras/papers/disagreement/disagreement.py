@@ -2,8 +2,8 @@
 
 Theory (`rig.analysis.theory`) calls a wall stable when the spectral radius of the linear loop is below one. Hits call
 it stable when at every offset and repeat of the map it is neither unstable, felt, heard nor moved. A wall *differs*
-when one calls it stable and the other does not; `rig.experiments.mapping.ablation` finds out why. A wall whose hits
-show nothing is left out and counted.
+when one calls it stable and the other does not; `rig.extras.papers.disagreement.ablation` finds out why. A wall whose
+hits show nothing is left out and counted.
 
 Shares are areas of the K–B plane with both axes linear: each wall stands for the cell about it, half-way to its
 neighbours (in K by ratio), within the map's range. Walls are all rungs of the map's search at all its dampings, beyond
@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -30,9 +31,11 @@ from rig.core.present import Item, Row, Table, plain, reported
 from rig.core.sample import unit_of
 from rig.core.shown import Shown
 from rig.experiments import sweep
-from rig.experiments.mapping.ablation import CAUSES, Cure, Holds, cause_of, hit_column
+from rig.experiments.mapping import maps
 from rig.experiments.mapping.searches import check_values
 from rig.experiments.mapping.zwidth import MapPlan, Series
+from rig.experiments.trials.results import make_directory
+from rig.extras.papers.disagreement.ablation import CAUSES, Cure, Holds, cause_of, hit_column
 
 Floats = NDArray[np.float64]
 
@@ -141,7 +144,8 @@ class ComparedWall:
     cures
         Smallest sets that make both agree; empty where they do, or where no set does.
     cause
-        One of `rig.experiments.mapping.ablation.CAUSES`; empty where theory and hits agree or the hits show nothing.
+        One of `rig.extras.papers.disagreement.ablation.CAUSES`; empty where theory and hits agree or the hits show
+        nothing.
     """
 
     scheme: int
@@ -156,7 +160,7 @@ class ComparedWall:
 
     @classmethod
     def of(cls, row: Mapping[str, Any], scheme: int, damping: float, area: float) -> ComparedWall:
-        """The wall of a row of `rig.experiments.mapping.ablation.hit_column`."""
+        """The wall of a row of `rig.extras.papers.disagreement.ablation.hit_column`."""
         found = None if row["cures"] is None else tuple(tuple(cure) for cure in row["cures"])
         return cls(
             scheme=scheme,
@@ -365,3 +369,20 @@ def _cells(part: CauseShare) -> list[str]:
 def _spoken(causes: Mapping[str, float]) -> str:
     parts = ", ".join(f"{cause} {_percent(share)}" for cause, share in causes.items())
     return f": {parts}" if parts else ""
+
+
+def compare_into(
+    plan: DisagreementPlan,
+    directory: Path,
+    *,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    watch: Callable[[sweep.Progress], None] | None = None,
+) -> Disagreement:
+    """Compare a map with linear theory, as `maps.map_into` maps; without its `PLAN`, by which a map is known."""
+    make_directory(directory)
+    found = maps.zwidth(
+        plan, journal=directory / maps.JOURNAL, scheduler=scheduler, workers=workers, watch=watch
+    )
+    maps.write_map(found, directory)
+    return found
