@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from rig.analysis.impedance.verdict import EFFECTIVE_LINES, Fidelity
+from rig.analysis.impedance import EFFECTIVE_LINES, Fidelity
 from rig.cli import options, output
 from rig.cli.command import command, option
 from rig.cli.keyword_options import gathered_options, keyword_options

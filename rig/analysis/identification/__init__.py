@@ -1,9 +1,45 @@
-"""What a rig is, from what it did: fits on plain arrays of time, effort and position; nothing here runs a rig.
+"""What a rig is, from what it did: signs, friction, inertia, delay, cogging and torque ripple of a motor.
 
-* `signs`: small pushes → does a positive effort raise the position, does the handle accelerate as expected;
-* `sliding`: strokes at constant speeds → Coulomb friction each way, viscous damping;
-* `dynamics`: multisines → inertia, delay and the first structural mode;
-* `quality`: when data are refused, and why; `interval`: values with their 95 % confidence.
-
-Efforts are in N·m or N, positions in rad or m, as everywhere.
+`rig.experiments` calls this with arrays of time (s), effort (N·m or N) and position (rad or m), and pictures draw the
+results. Nothing here commands a device or opens a recording; data that are too poor raise `IdentificationError`.
 """
+
+from rig.analysis.identification.cogging import SETTLE_S, CoggingMap, fit_cogging, pairs_of
+from rig.analysis.identification.dynamics import Dynamics, StructuralMode, fit_dynamics
+from rig.analysis.identification.interval import Interval
+from rig.analysis.identification.quality import (
+    DOUBTFUL_DRIFT,
+    LEAST_MOTION_COUNTS,
+    MOST_DRIFT,
+    IdentificationError,
+    period_change,
+)
+from rig.analysis.identification.ripple import Ripple, fit_ripple
+from rig.analysis.identification.signs import SignCheck, check_signs, stiction_warning
+from rig.analysis.identification.sliding import PIECES, UNSTEADY, Sliding, Stroke, fit_sliding
+
+__all__ = [
+    "DOUBTFUL_DRIFT",
+    "LEAST_MOTION_COUNTS",
+    "MOST_DRIFT",
+    "PIECES",
+    "SETTLE_S",
+    "UNSTEADY",
+    "CoggingMap",
+    "Dynamics",
+    "IdentificationError",
+    "Interval",
+    "Ripple",
+    "SignCheck",
+    "Sliding",
+    "Stroke",
+    "StructuralMode",
+    "check_signs",
+    "fit_cogging",
+    "fit_dynamics",
+    "fit_ripple",
+    "fit_sliding",
+    "pairs_of",
+    "period_change",
+    "stiction_warning",
+]

@@ -1,11 +1,46 @@
 """Impedance of a rig and of the walls that it renders: estimates from whole periods, verdicts, closed forms.
 
-No simulation and no loop: arrays in, numbers out. The excitation is `rig.control.excitation.Multisine`.
-
-* `signals`: one realisation as it was recorded
-* `estimate`: `periodic`, the ratio of lines with the excitation as instrument, and what an `Impedance` is
-* `welch`: the same from averaged spectra, with tfestimate's settings
-* `fitting`: mass, damping and stiffness of an impedance
-* `verdict`: passive or not, and how faithful
-* `ideal`: what a linear rig with a sampled wall must show
+`rig.experiments` and the reproductions of papers call this with arrays of an excited run (the excitation is
+`rig.control.excitation.Multisine`) and receive numbers. Nothing here runs a loop, simulates a rig or opens a recording.
 """
+
+from rig.analysis.impedance.estimate import Impedance, periodic
+from rig.analysis.impedance.fitting import Fit, RigidRig, fit
+from rig.analysis.impedance.ideal import bare, ideal_wall, rendered, walls
+from rig.analysis.impedance.signals import Complexes, ExcitedRun, Floats, hold
+from rig.analysis.impedance.verdict import (
+    EFFECTIVE_HZ,
+    EFFECTIVE_LINES,
+    RESIDUAL,
+    Z_SCORE,
+    Fidelity,
+    PassivityJudgement,
+    fidelity,
+    judge,
+)
+from rig.analysis.impedance.welch import estimate_welch
+
+__all__ = [
+    "EFFECTIVE_HZ",
+    "EFFECTIVE_LINES",
+    "RESIDUAL",
+    "Z_SCORE",
+    "Complexes",
+    "ExcitedRun",
+    "Fidelity",
+    "Fit",
+    "Floats",
+    "Impedance",
+    "PassivityJudgement",
+    "RigidRig",
+    "bare",
+    "estimate_welch",
+    "fidelity",
+    "fit",
+    "hold",
+    "ideal_wall",
+    "judge",
+    "periodic",
+    "rendered",
+    "walls",
+]

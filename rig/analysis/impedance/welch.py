@@ -66,7 +66,7 @@ class WelchSettings:
 TFESTIMATE = WelchSettings()
 
 
-def welch(
+def estimate_welch(
     runs: Sequence[ExcitedRun],
     settings: WelchSettings = TFESTIMATE,
     *,

@@ -1,4 +1,4 @@
-"""What exact linear theory says about dual-rate walls: no simulation, no trial, milliseconds.
+"""State what exact linear theory predicts for dual-rate walls: no simulation, no trial, milliseconds.
 
     from rig.analysis import theory
 
@@ -10,14 +10,8 @@ A rig is a preset's name, a TOML file, an experiment or a `rig.core.model.RigMod
 `rig.config.schemes.Scheme`. What the theory leaves out (Coulomb friction, the encoder's quantum, saturation, release)
 stands in `rig.analysis.theory.loop`, with what that is worth.
 
-* `linear`: any linear estimator as a state space, found by probing it
-* `loop`: rig and scheme as matrices
-* `lifted`: the loop over one velocity period and its spectral radius
-* `limits`: K_max, B_max, islands, maps
-* `dissipation`: the work that a wall gives back, exactly
-* `passivity`: the multi-rate bound and the conditions of the literature
-* `describing`: the limit cycle of the encoder's quantum
-* `summary`: all of it for a rig, as `rig theory walls` prints and draws it
+`rig theory`, the design, the checks of a run and the reproductions of papers call it. Nothing here simulates, decides
+whether a wall may be armed, or commands a device.
 """
 
 from rig.analysis.theory.describing import LimitCycle, limit_cycle
@@ -32,6 +26,7 @@ from rig.analysis.theory.limits import (
     k_max,
     k_max_curve,
     stability_map,
+    stiffnesses,
 )
 from rig.analysis.theory.linear import NotLinearError, Realisation, realise
 from rig.analysis.theory.loop import LinearLoop, Subject, linear_loop, resolve
@@ -41,6 +36,7 @@ from rig.analysis.theory.passivity import (
     PassivityBound,
     beta,
     diolaiti,
+    passive_curve,
     passivity_bound,
     rigid_b_max,
 )
@@ -82,11 +78,13 @@ __all__ = [
     "k_max_curve",
     "limit_cycle",
     "linear_loop",
+    "passive_curve",
     "passivity_bound",
     "realise",
     "resolve",
     "rigid_b_max",
     "spectral_radius",
     "stability_map",
+    "stiffnesses",
     "theory_of",
 ]

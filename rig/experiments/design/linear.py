@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import config
-from rig.analysis.theory import Lifted, LinearLoop, NotLinearError, linear_loop
-from rig.analysis.theory.loop import resolve
+from rig.analysis.theory import Lifted, LinearLoop, NotLinearError, linear_loop, resolve
 from rig.config import Experiment
 from rig.config.schemes import Scheme, usual_settings
 from rig.experiments.design import paths

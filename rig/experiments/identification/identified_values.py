@@ -7,11 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from rig.analysis.identification.cogging import CoggingMap
-from rig.analysis.identification.dynamics import Dynamics, StructuralMode
-from rig.analysis.identification.interval import Interval
-from rig.analysis.identification.ripple import Ripple
-from rig.analysis.identification.sliding import Sliding
+from rig.analysis.identification import CoggingMap, Dynamics, Interval, Ripple, Sliding, StructuralMode
 from rig.config import Experiment
 from rig.core.model import Cogging, Mechanics
 from rig.core.sample import unit_of

@@ -20,18 +20,25 @@ from annotated_types import Ge
 from numpy.typing import NDArray
 
 from rig import config, devices
-from rig.analysis.identification.cogging import CoggingMap, fit_cogging, pairs_of
-from rig.analysis.identification.dynamics import Dynamics, fit_dynamics
-from rig.analysis.identification.quality import (
+from rig.analysis.identification import (
     DOUBTFUL_DRIFT,
     MOST_DRIFT,
+    CoggingMap,
+    Dynamics,
     IdentificationError,
+    Ripple,
+    SignCheck,
+    Sliding,
+    Stroke,
+    fit_cogging,
+    fit_dynamics,
+    fit_ripple,
+    fit_sliding,
+    pairs_of,
     period_change,
+    stiction_warning,
 )
-from rig.analysis.identification.ripple import Ripple, fit_ripple
-from rig.analysis.identification.signs import SignCheck, stiction_warning
-from rig.analysis.identification.sliding import Sliding, Stroke, fit_sliding
-from rig.analysis.impedance.signals import ExcitedRun
+from rig.analysis.impedance import ExcitedRun
 from rig.config import Experiment
 from rig.control.excitation import Multisine
 from rig.core.check import refuse

@@ -19,20 +19,24 @@ import numpy as np
 from annotated_types import Ge, Gt, Le
 
 from rig import config
-from rig.analysis.impedance.estimate import Impedance, periodic
-from rig.analysis.impedance.fitting import Fit, RigidRig, fit
-from rig.analysis.impedance.ideal import rendered
-from rig.analysis.impedance.signals import Complexes, Floats
-from rig.analysis.impedance.verdict import (
+from rig.analysis.impedance import (
     EFFECTIVE_HZ,
     RESIDUAL,
     Z_SCORE,
+    Complexes,
     Fidelity,
+    Fit,
+    Floats,
+    Impedance,
     PassivityJudgement,
+    RigidRig,
+    estimate_welch,
     fidelity,
+    fit,
     judge,
+    periodic,
+    rendered,
 )
-from rig.analysis.impedance.welch import welch
 from rig.config import Excitation, Experiment
 from rig.config.schemes import Scheme
 from rig.core.check import refuse
@@ -404,7 +408,7 @@ def concluded(
             method=method, signal=signal, ended=stopped.ended, ended_s=stopped.ended_s, saturated=saturated,
             recordings=recordings,
         )  # fmt: skip
-    impedance = (periodic if method == "periodic" else welch)(records)
+    impedance = (periodic if method == "periodic" else estimate_welch)(records)
     bare = (wall.stiffness, wall.damping) == (0.0, 0.0)
     device = known_device(experiment)
     back_emf = replace(device, inertia=0.0, damping=0.0)

@@ -16,9 +16,8 @@ import numpy as np
 
 from rig import config
 from rig.analysis import theory
-from rig.analysis.impedance.ideal import walls
-from rig.analysis.impedance.signals import Floats
-from rig.analysis.theory.loop import LinearLoop, linear_loop
+from rig.analysis.impedance import Floats, walls
+from rig.analysis.theory import LinearLoop, linear_loop
 from rig.config import Experiment, push_at_rest
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, PlanError

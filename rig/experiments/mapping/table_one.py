@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.analysis.impedance.signals import Floats
+from rig.analysis.impedance import Floats
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.present import reported

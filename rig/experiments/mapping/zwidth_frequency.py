@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import config
-from rig.analysis.impedance.signals import Floats
+from rig.analysis.impedance import Floats
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.drawn import Drawn

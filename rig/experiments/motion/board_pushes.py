@@ -24,7 +24,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.analysis.identification.quality import IdentificationError
+from rig.analysis.identification import IdentificationError
 from rig.config import Experiment
 from rig.config.prepared_run import PreparedRun
 from rig.control.motions import ALIKE, NOTHING

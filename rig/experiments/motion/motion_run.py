@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from firmware_protocol.faults import Fault
 from rig import config
-from rig.analysis.identification.quality import IdentificationError
-from rig.analysis.identification.signs import SignCheck, check_signs
+from rig.analysis.identification import IdentificationError, SignCheck, check_signs
 from rig.config import Experiment, controller
 from rig.config.controller import LIFETIME_PERIODS, LONGEST_LIFETIME_S, rate_of_lifetime
 from rig.core.errors import ConfigError, DeviceFaultError, PlanError, RigError

@@ -23,8 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import config, devices
-from rig.analysis.identification.quality import IdentificationError
-from rig.analysis.identification.signs import SignCheck
+from rig.analysis.identification import IdentificationError, SignCheck
 from rig.config import Experiment
 from rig.core.check import Check, Outcome, refuse, refused
 from rig.core.errors import DeviceFaultError

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from firmware_protocol.faults import Input
 from firmware_protocol.messages import State
 from rig import config, devices
-from rig.analysis.identification.quality import IdentificationError
+from rig.analysis.identification import IdentificationError
 from rig.config import Experiment
 from rig.config.controller import resolution
 from rig.core.check import refuse

@@ -24,9 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from rig import config, devices
-from rig.analysis.identification.interval import Interval
-from rig.analysis.identification.quality import IdentificationError
-from rig.analysis.identification.sliding import Sliding, fit_sliding
+from rig.analysis.identification import IdentificationError, Interval, Sliding, fit_sliding
 from rig.config import Experiment
 from rig.core.check import refuse
 from rig.core.errors import ConfigError, PlanError

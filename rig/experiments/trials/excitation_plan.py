@@ -8,9 +8,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from rig import config
-from rig.analysis.impedance.ideal import bare, rendered
-from rig.analysis.theory.lifted import Lifted
-from rig.analysis.theory.loop import LinearLoop, linear_loop
+from rig.analysis.impedance import bare, rendered
+from rig.analysis.theory import Lifted, LinearLoop, linear_loop
 from rig.config import Experiment
 from rig.control.excitation import Peak
 from rig.core.check import Check, Outcome

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import config, devices
-from rig.analysis.impedance.signals import Complexes, ExcitedRun, Floats, hold
+from rig.analysis.impedance import Complexes, ExcitedRun, Floats, hold
 from rig.config import Experiment, controller, rig_model
 from rig.control import bilateral, laws
 from rig.control.excitation import Multisine

@@ -14,9 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import config
-from rig.analysis.identification.cogging import SETTLE_S
-from rig.analysis.identification.quality import LEAST_MOTION_COUNTS
-from rig.analysis.identification.sliding import PIECES, UNSTEADY, Stroke
+from rig.analysis.identification import LEAST_MOTION_COUNTS, PIECES, SETTLE_S, UNSTEADY, Stroke
 from rig.config import Experiment
 from rig.config.homing import holding_effort
 from rig.config.velocity_reading import COUNT_PEAK

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rig.analysis.theory.passivity import passive_curve
+from rig.analysis.theory import passive_curve
 from rig.config import Experiment
 from rig.core.errors import RigError
 from rig.core.operators import hand_text

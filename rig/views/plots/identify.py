@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.analysis.identification.cogging import CoggingMap
+from rig.analysis.identification import CoggingMap
 from rig.core.sample import Motion, unit_of
 from rig.experiments.identification.identify import Identification
 from rig.experiments.motion.motion_run import trial_rows

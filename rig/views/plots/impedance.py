@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.analysis.impedance.estimate import Impedance
-from rig.analysis.impedance.ideal import ideal_wall
+from rig.analysis.impedance import Impedance, ideal_wall
 from rig.core.errors import RecordingError
 from rig.core.sample import unit_of
 from rig.experiments.mapping.impedance import ImpedanceResult

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.analysis.impedance.signals import Floats
+from rig.analysis.impedance import Floats
 from rig.core.deferred import colors
 from rig.core.sample import unit_of
 from rig.experiments.mapping.searches import trace_grid

@@ -14,7 +14,7 @@ from scipy.signal import csd, get_window
 from rig.analysis.impedance.estimate import Impedance, periodic, residual_share
 from rig.analysis.impedance.fitting import fit
 from rig.analysis.impedance.signals import ExcitedRun, hold
-from rig.analysis.impedance.welch import TFESTIMATE, WelchSettings, aligned, welch
+from rig.analysis.impedance.welch import TFESTIMATE, WelchSettings, aligned, estimate_welch
 from rig.control.excitation import Multisine
 from rig.core.errors import ConfigError
 from rig.core.present import plain
@@ -217,7 +217,10 @@ def test_the_instrument_is_not_biased_by_noise_of_the_motion_and_h1_is() -> None
     lines = multisine.lines_hz
     signal = multisine.velocity(mass_damper).amplitudes ** 2 / 2
     noise = (2 * np.pi * lines * 1.5e-6) ** 2 * 2 / 1000  # power of white noise in a bin of one period
-    found, h1 = welch([run], replace(settings, estimator="instrument")), welch([run], settings)
+    found, h1 = (
+        estimate_welch([run], replace(settings, estimator="instrument")),
+        estimate_welch([run], settings),
+    )
     truth = np.abs(mass_damper(lines))
     assert noise[-1] > 0.3 * signal[-1]
     assert found.magnitude / truth == pytest.approx(1.0, abs=0.15)
@@ -244,13 +247,13 @@ def test_welch_is_scipys_with_the_settings_of_tfestimate() -> None:
     f, vf = csd(velocity, run.effort, **own)
     _, vv = csd(velocity, velocity, **own)
     inside = (f >= 1.0) & (f <= 300.0)
-    found = welch([run])
+    found = estimate_welch([run])
     assert found.lines_hz == pytest.approx(f[inside])
     assert found.z == pytest.approx((vf / vv)[inside], rel=1e-6)
 
 
 def test_welch_finds_a_mass_damper_though_lines_leak() -> None:
-    found = welch([excited(Multisine.schroeder((1.0, 300.0), rms=3.0), periods=4)])
+    found = estimate_welch([excited(Multisine.schroeder((1.0, 300.0), rms=3.0), periods=4)])
     inner = found.within((10.0, 290.0))
     assert inner.z == pytest.approx(mass_damper(inner.lines_hz), rel=0.02)
 
@@ -268,7 +271,9 @@ def test_welchs_variance_is_the_scatter_over_records_of_noise() -> None:
                 np.fft.rfft(r) / np.maximum(2j * np.pi * np.arange(2001) * 0.25, 1j), 4000
             )
             effort = 2.0 * r + random.standard_normal(4000)
-            estimates.append(welch([ExcitedRun(1000.0, 4000, 1, r, effort, position, lines)], settings))
+            estimates.append(
+                estimate_welch([ExcitedRun(1000.0, 4000, 1, r, effort, position, lines)], settings)
+            )
         scatter = np.mean([np.abs(e.z - 2.0) ** 2 for e in estimates])
         assert np.mean([e.variance for e in estimates]) == pytest.approx(scatter, rel=0.1)
 
@@ -279,7 +284,7 @@ def test_a_rig_that_does_not_move_gives_no_number_and_no_exception() -> None:
     assert not np.isfinite(found.z).any()
     assert found.coherence_motion == pytest.approx(0.0)
     assert json.loads(json.dumps(plain(found), allow_nan=False))["z"]["real"][0] is None
-    assert not np.isfinite(welch([run]).z).any()
+    assert not np.isfinite(estimate_welch([run]).z).any()
 
 
 def test_its_mapping_is_json() -> None:
@@ -308,9 +313,9 @@ def test_what_does_not_belong_together_is_refused() -> None:
     with pytest.raises(ConfigError, match="no line"):
         periodic([run]).within((30.0, 40.0))
     with pytest.raises(ConfigError, match="overlap"):
-        welch([run], WelchSettings(overlap=1.0))
+        estimate_welch([run], WelchSettings(overlap=1.0))
     with pytest.raises(ConfigError, match="no frequency"):
-        welch([replace(run, lines_hz=np.array([1.0]))], WelchSettings(segment_s=0.1))
+        estimate_welch([replace(run, lines_hz=np.array([1.0]))], WelchSettings(segment_s=0.1))
 
 
 def test_an_exact_impedance_has_no_doubt() -> None:

@@ -14,8 +14,8 @@ import numpy as np
 
 from rig import config
 from rig.analysis import theory
-from rig.analysis.impedance.estimate import periodic
-from rig.analysis.theory.loop import linear_loop
+from rig.analysis.impedance import periodic
+from rig.analysis.theory import linear_loop
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.control.estimators.lipschitz import identify_lipschitz

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.analysis.impedance.ideal import ideal_wall
+from rig.analysis.impedance import ideal_wall
 from rig.core.deferred import colors
 from rig.experiments.mapping.searches import connected
 from rig.extras.papers.chawda import derived, rigs

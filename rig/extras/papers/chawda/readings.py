@@ -15,9 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import config
-from rig.analysis.impedance.estimate import Impedance, periodic
-from rig.analysis.impedance.ideal import ideal_wall
-from rig.analysis.impedance.signals import Floats
+from rig.analysis.impedance import Floats, Impedance, ideal_wall, periodic
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.experiments.mapping.searches import connected

@@ -29,8 +29,7 @@ from itertools import combinations
 from typing import Any
 
 from rig import config
-from rig.analysis.theory.lifted import Lifted
-from rig.analysis.theory.loop import linear_loop
+from rig.analysis.theory import Lifted, linear_loop
 from rig.config import Experiment, controller
 from rig.control.bilateral import clinging_law
 from rig.experiments.hits.hit_simulator import HitSimulator

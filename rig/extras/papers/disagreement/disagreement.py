@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import config
-from rig.analysis.theory.loop import linear_loop
+from rig.analysis.theory import linear_loop
 from rig.config import Experiment
 from rig.core.drawn import Drawn
 from rig.core.errors import PlanError

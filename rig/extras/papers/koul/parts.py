@@ -13,8 +13,7 @@ import numpy as np
 
 from rig import config
 from rig.analysis import theory
-from rig.analysis.theory.limits import stiffnesses
-from rig.analysis.theory.passivity import passive_curve
+from rig.analysis.theory import passive_curve, stiffnesses
 from rig.config import Experiment, presets
 from rig.config.schemes import Scheme
 from rig.control import estimators
