@@ -274,7 +274,7 @@ def _law_on_device(experiment: Experiment, controller: ControllerState) -> LawOn
     arithmetic = device_law.arithmetic_of(rates)
     return LawOnDevice(
         arithmetic=arithmetic,
-        currents_compared=arithmetic != "drive",
+        currents_compared=not rates.wall_is_elsewhere,
         live=partial(device_law.live_parameters, controller, arithmetic),
         rendered=lambda values: asdict(device_law.rendered_wall(values, controller)),
     )

@@ -125,6 +125,9 @@ class Rig:
 SchemeCutoff = Literal["as-in-the-paper", "same"]
 
 
+BOARD_ARITHMETICS = ("fixed", "float32")  # in which a board renders the wall itself
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Controller:
     """Rates of the law and the velocity estimator; where the law runs."""
@@ -229,6 +232,11 @@ class Controller:
     ] = None
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    @property
+    def wall_is_elsewhere(self) -> bool:
+        """Whether neither this computer nor the board renders the wall, but what is behind the board."""
+        return self.loop == "device" and self.arithmetic not in ("auto", *BOARD_ARITHMETICS)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -25,6 +25,7 @@ KINDS = {
     "commands": "command",
     "schemes": "URL scheme",
     "executors": "executor of sweeps",
+    "arithmetics": "arithmetic of a law on the device",
     "marks": "stream of a session's marks",
     "pictures": "picture of",
     "writers": "writer of pictures",

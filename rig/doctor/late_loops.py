@@ -79,7 +79,7 @@ class LateLoops:
                 f"the law {law} is not a spring and damper, so its stability cannot be computed",
                 remedy="begin with little effort",
             )
-        if experiment.controller.arithmetic == "drive" and experiment.controller.loop == "device":
+        if experiment.controller.wall_is_elsewhere:
             raise ConfigError(
                 "the drive renders the wall itself, with filters that linear theory here does not model",
                 remedy="begin with little effort",

@@ -24,9 +24,10 @@ from rig.realtime import control_words
 from rig.realtime import mailbox as mailboxes
 from rig.realtime.codec import STATE
 
-# Quanta by which the device's current may differ from the host's law. A drive that renders the wall has filters of its
-# own: its difference is reported, without a limit.
-BOUNDS = {"fixed": 1, "float32": 2, "drive": 1 << 16}
+# Quanta by which the device's current may differ from the host's law, by the arithmetic of a board. What renders the
+# wall elsewhere has filters of its own: its difference is reported, without a limit.
+BOUNDS = {"fixed": 1, "float32": 2}
+NO_BOUND = 1 << 16
 MANY_SHARE, MANY_TICKS = (
     0.001,
     10,

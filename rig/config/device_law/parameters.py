@@ -11,10 +11,11 @@ import numpy as np
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME
 from rig.config.device_law import walls
-from rig.config.device_law.drive import refuse_what_it_lacks
+from rig.config.device_law.elsewhere import wall_elsewhere
 from rig.config.device_law.estimators import estimator_parameters, velocity_format
 from rig.config.device_law.refusal import ELSE_HOST, refusal
 from rig.config.device_law.walls import Control, Values
+from rig.config.sections import BOARD_ARITHMETICS
 from rig.config.sections import Controller as Rates
 from rig.control.step import ControllerState
 from rig.core.errors import PlanError
@@ -73,8 +74,8 @@ def law_parameters(controller: ControllerState, arithmetic: Arithmetic) -> Value
     c, law = _plain(controller), controller.law.parameters
     _check_arithmetic(c, controller, arithmetic)
     _check_work(c)
-    if arithmetic == "drive":
-        refuse_what_it_lacks(controller, c)
+    if arithmetic not in BOARD_ARITHMETICS:
+        wall_elsewhere(arithmetic).refuse_what_it_lacks(controller, c)
     values: Values = {
         "law": ARITHMETICS.index(arithmetic),
         "velocity_divider": c["velocity_divider"],

@@ -27,7 +27,6 @@ from rig.experiments.mapping.searches import StiffnessSearch, Way
 from rig.experiments.mapping.zwidth import OFFSETS, Judged, MapPlan
 from rig.experiments.mapping.zwidth_frequency import FrequencyPlan
 from rig.experiments.trials.excitation_run import Signal
-from rig.experiments.trials.on_the_drive import is_on_the_drive
 from rig.experiments.trials.plan import make_plan, predict_impact
 
 T = TypeVar("T")
@@ -146,7 +145,7 @@ def search_for(
 
 def _lowest_undamped_limit(experiment: Experiment, schemes: Sequence[Scheme]) -> float:
     """Return the lowest limit of K at B = 0 in linear theory, where the estimator does not matter."""
-    if is_on_the_drive(experiment):
+    if experiment.controller.wall_is_elsewhere:
         return math.inf
     one_of_each_rate = {
         scheme.position_rate: scheme for scheme in schemes or theory.default_schemes(experiment)
@@ -264,7 +263,7 @@ def hit_plan(
 
 def theory_curves(plan: MapPlan) -> dict[int, tuple[list[float], list[float]]]:
     """Dampings and linear limits of every scheme that the theory can take, by index of scheme."""
-    if is_on_the_drive(plan.experiment):
+    if plan.experiment.controller.wall_is_elsewhere:
         return {}
     dampings = np.linspace(min(plan.dampings), max(plan.dampings), CURVE_POINTS)
     return _linear_only(

@@ -10,6 +10,7 @@ import numpy as np
 
 from firmware_protocol.faults import OUT_OF_TIME, Fault
 from rig.config import Experiment, experiment_from_mapping, rig_model, verdict_thresholds
+from rig.config.sections import BOARD_ARITHMETICS
 from rig.control import judging, verdict
 from rig.control.motion_balance import FACTOR, WINDOW_S, MotionBalance, motion_balance
 from rig.control.verdict import Kind, Measured, Objection, Verdict, percent
@@ -196,18 +197,18 @@ def judge(recording: Recording, experiment: Experiment) -> Judgement:
     """Measure and judge a recording; `experiment` is the one in effect; `experiment_of` reads it from the recording."""
     limits, wall, early = verdict_thresholds(experiment), experiment.wall, ended_early(recording)
     tick_s, thrown_out = 1.0 / experiment.controller.position_rate, early is not None
-    by_the_drive = recording.header["extra"].get("arithmetic") == "drive"
+    elsewhere = recording.header["extra"].get("arithmetic") not in (None, *BOARD_ARITHMETICS)
     signals = judging.recorded_signals(
         recording.rows,
         tick_s,
         experiment.rig.encoder.resolution,
-        effort="effort_applied" if by_the_drive else "effort_sent",
+        effort="effort_applied" if elsewhere else "effort_sent",
     )
     measured, true = judging.measured(signals, limits, thrown_out=thrown_out), None
     if recording.has_truth:
         signals = judging.true_signals(recording.rows, signals, wall.position, wall.side)
         true = judging.measured(signals, limits, thrown_out=thrown_out)
-    motion = None if early is not None else _motion(recording, experiment, by_the_drive=by_the_drive)
+    motion = None if early is not None else _motion(recording, experiment, elsewhere=elsewhere)
     if motion is not None and motion.changed:
         early = (
             Kind.INVALID,
@@ -232,15 +233,15 @@ def judge(recording: Recording, experiment: Experiment) -> Judgement:
     )
 
 
-def _motion(recording: Recording, experiment: Experiment, *, by_the_drive: bool) -> MotionBalance | None:
+def _motion(recording: Recording, experiment: Experiment, *, elsewhere: bool) -> MotionBalance | None:
     """Compare the motion of an automated trial with its effort; None where the effort or the rig is not known so well.
 
-    That is so with a person or an excitation at the handle, a wall that a drive renders, cogging, lost samples, and a
-    motor that follows its commands only after a part of a window.
+    That is so with a person or an excitation at the handle, a wall that neither host nor board renders, cogging, lost
+    samples, and a motor that follows its commands only after a part of a window.
     """
     rig, rows = experiment.rig, recording.rows
     late_s = rig.amplifier.lag_s + rig.amplifier.set_point_delay_s
-    if experiment.trial.kind != "constant-effort" or by_the_drive:
+    if experiment.trial.kind != "constant-effort" or elsewhere:
         return None
     if rig.cogging.orders or late_s > LATE_SHARE * WINDOW_S:
         return None

@@ -23,6 +23,7 @@ from rig.config import (
     push_s,
     rig_model,
 )
+from rig.config.device_law.elsewhere import wall_elsewhere
 from rig.config.device_limits import check_limits
 from rig.config.homing import holding_effort
 from rig.config.prepared_run import PreparedRun
@@ -41,7 +42,6 @@ from rig.doctor.predicted import (
     quieter_changes,
     speed_reading,
 )
-from rig.experiments.trials import on_the_drive
 from rig.experiments.trials.excitation_plan import excitation_plan
 from rig.experiments.trials.identify_motions import RATE_STEP, pushes_checks
 from rig.experiments.trials.planned import (
@@ -63,7 +63,8 @@ STANDS_FOR_DEVICE = (
 
 def stands_for_device(experiment: Experiment) -> str:
     """Return how a simulation under the host's law represents the law on a device or a drive."""
-    return on_the_drive.STANDS_FOR_NO_DRIVE if on_the_drive.is_on_the_drive(experiment) else STANDS_FOR_DEVICE
+    rates = experiment.controller
+    return wall_elsewhere(rates.arithmetic).stands_for if rates.wall_is_elsewhere else STANDS_FOR_DEVICE
 
 
 CUTOFFS = "cut-offs compared"
@@ -117,10 +118,18 @@ def plan_of(
         *_watch_checks(experiment),
         *human_limit_checks(experiment),
         _heat_check(experiment),
-        *on_the_drive.lost(experiment),
+        *_elsewhere_checks(experiment),
         *beside,
     )
     return Plan(experiment.rig.name, experiment.trial.repeats, _steps(experiment), checks, run)
+
+
+def _elsewhere_checks(x: Experiment, dictionary: Dictionary | None = None) -> list[Check]:
+    """Ask the extra of a wall that the board does not render: for a plan, or whether a device renders such a wall."""
+    if not x.controller.wall_is_elsewhere:
+        return []
+    wall = wall_elsewhere(x.controller.arithmetic)
+    return wall.planned(x) if dictionary is None else wall.fits(x, dictionary)
 
 
 def _tick_checks(x: Experiment, board: str) -> list[Check]:
@@ -128,7 +137,7 @@ def _tick_checks(x: Experiment, board: str) -> list[Check]:
 
     A warning: the cycles are estimates, and the device reports a tick that it missed.
     """
-    if x.controller.loop != "device" or on_the_drive.is_on_the_drive(x):
+    if x.controller.loop != "device" or x.controller.wall_is_elsewhere:
         return []
     budget, own = named_budget(board), x.controller
     most, divider = budget.rate_maximum(own.estimator), own.position_rate // own.velocity_rate
@@ -284,7 +293,7 @@ def device_checks(run: PreparedRun, dictionary: Dictionary) -> list[Check]:
             else f"{dictionary.device} runs it in {ARITHMETIC_WORDS[arithmetic]}",
             "choose another rate, estimator or arithmetic, or a firmware that supports it",
         ),
-        *on_the_drive.fits(experiment, dictionary),
+        *_elsewhere_checks(experiment, dictionary),
     ]
 
 

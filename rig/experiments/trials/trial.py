@@ -37,7 +37,7 @@ from rig.loop import exchange
 from rig.loop.layout import EndReason
 from rig.loop.run import LoopEnd, LoopSettings, LoopThread
 from rig.loop.signals import Signals, stop_on_signals
-from rig.loop.supervised import BOUNDS, SupervisedThread
+from rig.loop.supervised import BOUNDS, NO_BOUND, SupervisedThread
 from rig.realtime import stop_requests
 from rig.realtime.ring import Ring
 from rig.realtime.scheduling import Realtime, obtained
@@ -292,7 +292,7 @@ def _supervising(settings: LoopSettings, law: LawOnDevice, parameters: Mapping[s
         lifetime_us=int(parameters["supervise_lifetime_us"]),
         supervise_every_ns=round(SUPERVISE_EVERY_S * 1e9),
         batch_samples=int(parameters["batch_samples"]),
-        agreement_quanta=BOUNDS[law.arithmetic],
+        agreement_quanta=BOUNDS.get(law.arithmetic, NO_BOUND),
     )
 
 

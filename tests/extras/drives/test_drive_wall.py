@@ -23,9 +23,9 @@ from rig.devices.framed import FramedDevice
 from rig.doctor.late_loops import LateLoops
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
-from rig.experiments.trials import on_the_drive
 from rig.experiments.trials.plan import device_checks, plan_of
 from rig.experiments.trials.replay import replay
+from rig.extras.drives import own_wall
 from rig.extras.drives.faults import DriveFault
 from sim_backend.board.configuration import describe
 from tests.conformance.bridged import Bridged
@@ -307,7 +307,7 @@ def test_an_experiment_that_a_drive_cannot_render(key: str, value: object, says:
 
 
 def test_a_plan_says_what_is_lost() -> None:
-    (check,) = (one for one in plan_of(controller.prepared(walled())).checks if one.name == on_the_drive.NAME)
+    (check,) = (one for one in plan_of(controller.prepared(walled())).checks if one.name == own_wall.NAME)
     for word in ("velocity rate", "estimator", "slew limit", "1000 Hz"):
         assert word in check.text
 

@@ -6,15 +6,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from rig.config import override, presets, verdict_thresholds
 from rig.control.verdict import Kind
+from rig.core import extras
+from rig.core.errors import ConfigError
 from rig.core.present import Row, plain
 from rig.core.sample import unit_of
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, HitResult, hit
 from rig.experiments.trials.judgement import Verdicts, judge, out_of_time, verdicts_of
+from rig.experiments.trials.plan import make_plan
 
 
 @pytest.fixture(scope="module")
@@ -118,3 +122,27 @@ def test_a_fault_for_want_of_time_is_known_by_its_name(
     """Also that of a drive behind a bridge, in a tree that has no bridge."""
     trailer = {"reason": "device_fault", "fault": None if fault is None else {"name": fault}}
     assert out_of_time(replace(result.recorded.recording, trailer=trailer)) is expected
+
+
+def test_a_wall_that_was_rendered_elsewhere_is_judged_by_its_own_effort_without_the_extra(
+    result: HitResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(extras, "tables", tuple)
+    recording = result.recorded.recording
+    rows = recording.rows.copy()
+    rows["effort_applied"] *= 0.5
+    extra = {**recording.header["extra"], "loop": "device", "arithmetic": "drive"}
+    found = judge(
+        replace(recording, rows=rows, header={**recording.header, "extra": extra}), result.experiment
+    )
+    assert found.verdict.peak_effort == pytest.approx(float(np.abs(rows["effort_applied"]).max()))
+    assert found.motion is None
+
+
+def test_a_plan_of_a_wall_that_no_extra_renders_is_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(extras, "tables", tuple)
+    changes = {"controller.loop": "device", "controller.arithmetic": "drive"}
+    with pytest.raises(
+        ConfigError, match="arithmetic of a law on the device drive: no installed extra has it"
+    ):
+        make_plan(override(presets.load("koul-compliant"), changes))
