@@ -42,20 +42,37 @@ def _nodes_are_forgotten() -> Iterator[None]:
     nodes.cache_clear()
 
 
-def paths() -> list[list[str]]:
-    """Files of the tables in the design that follow the code, step by step."""
-    text = (RIG / "DESIGN.md").read_text().partition("## Three paths")[2].partition("\n## ")[0]
-    tables = text.split("| step | file |")[1:]
-    return [re.findall(r"^\| \d+ \| `([^`]+)`", table, re.MULTILINE) for table in tables]
+def walks() -> list[list[tuple[int, str, str]]]:
+    """Rows of the walks of the design: number, file, what happens there."""
+    text = (RIG / "DESIGN.md").read_text().partition("\n## Walks")[2].partition("\n## ")[0]
+    tables = text.split("\n| | file |")[1:]
+    rows = [re.findall(r"^\| (\d+) \| `([^`]+)` \| (.+) \|$", table, re.MULTILINE) for table in tables]
+    return [[(int(number), file, what) for number, file, what in table] for table in rows]
 
 
-def test_the_paths_of_the_design_go_through_files_and_enter_no_room_twice() -> None:
-    assert len(paths()) == 4
-    for steps in paths():
-        assert all((ROOT / step).is_file() for step in steps), steps
-        rooms = [step.split("/")[1] if step.startswith("rig/") else step.split("/")[0] for step in steps]
-        entered = [room for room, before in zip(rooms, [None, *rooms], strict=False) if room != before]
-        assert len(entered) == len(set(entered)), entered
+def test_the_design_is_a_page() -> None:
+    assert len((RIG / "DESIGN.md").read_text().splitlines()) <= 300
+    for record in (RIG / "decisions").iterdir():
+        assert len(record.read_text().splitlines()) <= 30, record.name
+
+
+def test_the_walks_of_the_design_go_through_files_and_say_why_they_enter_a_room_again() -> None:
+    host, device = walks()[1:3]
+    assert [number for number, _, _ in device] == list(range(13, 13 + len(device)))
+    whole = [walks()[0], host, host[:12] + device, *walks()[3:]]
+    assert len(whole) == 5
+    for steps in whole:
+        files = [file for _, file, _ in steps]
+        assert len(files) == len(set(files)), "a file stands in a walk once"
+        assert [number for number, _, _ in steps] == list(range(1, len(steps) + 1))
+        assert all((ROOT / file).is_file() for file in files), files
+        rooms = [file.split("/")[1] if file.startswith("rig/") else file.split("/")[0] for file in files]
+        again = {
+            number
+            for number, room, _ in zip(range(1, len(rooms) + 1), rooms, files, strict=True)
+            if number > 1 and room != rooms[number - 2] and room in rooms[: number - 2]
+        }
+        assert {number for number, _, what in steps if what.startswith("back")} == again
 
 
 def test_rig_holds_rooms_and_nothing_loose() -> None:

@@ -22,7 +22,7 @@ All of it is integers in flat memory, of 32 bits but for products, as the firmwa
 mirrors this): the simulated device and both loops of the host call this one.
 
 Source: R·i + L·i′ = V − k_e·ω, and a current loop as a first-order lag; the thresholds are ours, and
-`rig/DESIGN.md` says where the false alarms and the power that follow are.
+`rig/docs/explanation/verdicts.md` has the false alarms and the power that follow.
 """
 
 from __future__ import annotations

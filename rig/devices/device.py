@@ -36,7 +36,7 @@ class DeviceUrl:
 
     A place or value may be a path of any bytes. In the text, ``%XX`` is a byte, ``?`` begins the options, and ``&`` and
     ``=`` separate them; every other character stands for itself, ``#`` and ``+`` too. `place` and `options` have no
-    escapes.
+    escapes. (`urllib` would drop what follows a ``#``, and line ends.)
     """
 
     scheme: str

@@ -2,7 +2,7 @@
 
 numba makes machine code of every function that another one calls, with all that it calls in turn once more, and the
 caller is then optimised together with copies of the same. What is only a part of something larger is optimised there,
-once: of a hundred kernels that a hit reaches, some twenty are entered from outside. The first hit with an empty
+once: of 135 kernels that a hit reaches, 15 are entered from outside. The first hit with an empty
 cache took 14 to 15 s of processor time, without this file 23 to 24 s (numba 0.68.1, koul-compliant, 2026-11-29).
 
 This file extends numba's own code libraries and disk cache; `rig.realtime.kernel` decides what is a part.

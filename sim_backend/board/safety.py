@@ -7,7 +7,7 @@ wrong, and what happened before it?
 All of it is integer counts, current quanta and device time, as in a firmware; `ticks` calls it, and nothing
 here knows a frame, a clock or the plant. What is remembered lies in flat memory (`Safety`), as in the firmware.
 
-It mirrors the safety rules of DESIGN.md ("Safety on the device"), which hold for every device.
+It mirrors the safety rules of PROTOCOL.md ("Safety duties of the device"), which hold for every device.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ the wall afterwards is no matter of this comparison. Where the plan refuses, the
 and it is planned again, at most three times in all.
 
 The rule was written before the results: where the plan says ok, at least 99 of 100 reach the wall; where it refuses, at
-least 95 of 100 reach it after the named changes.
+least 95 of 100 reach it after the named changes. Seeds 7000 to 7399: 271 of 271, and 129 of 129.
 """
 
 from __future__ import annotations

@@ -66,7 +66,7 @@ def contact_of(rows: Any) -> int:
 
 @pytest.mark.parametrize("preset", first_by_default(presets.names(), 2))
 def test_sound_encoders_are_never_accused_and_changed_scales_are_found(preset: str, tmp_path: Path) -> None:
-    """The table of 200 sound and 288 changed trials is in DESIGN.md; these are a few of them."""
+    """The table of 200 sound and 288 changed trials is in rig/docs/explanation/verdicts.md; these are a few of them."""
     path = tmp_path / "trial.rigcap"
     x = walled(preset, {"trial.seed": 7, "rig.encoder.offset": 0.37})
     sound, rows = judged(x, path)

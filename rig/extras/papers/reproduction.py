@@ -1,4 +1,8 @@
-"""A reproduction: everything computed as one sweep, judged by rules, worded by templates, written as one HTML page."""
+"""A reproduction: everything computed as one sweep, judged by rules, worded by templates, written as one HTML page.
+
+A number in a template comes from the results or from the thresholds of the rules: a template holds no digits but the
+names of figures and rates, and a test lists these.
+"""
 
 from __future__ import annotations
 
