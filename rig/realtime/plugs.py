@@ -1,10 +1,10 @@
 """The plug points of the compiled loop: each signature, written once.
 
-A plug point is a numba first-class function type. The loop is compiled once against the type; what is
-plugged in later (any estimator, law or far end, also a third party's, also a C function pointer) costs no
-compilation: a compiled function about 2 ns a call, a ctypes callback about 0.1 µs. Pass a function made by `rig.realtime.kernel.kernel` with
-the signature (an exception in it then reaches the caller of the loop), or a `NativeFunction` for an
-address.
+A plug point is a numba first-class function type. The loop is compiled once against the type; what is plugged in later
+(any estimator, law or far end, also a third party's, also a C function pointer) needs no compilation. A compiled
+function costs about 2 ns a call, a ctypes callback about 0.1 µs. Pass a function made by
+`rig.realtime.kernel.kernel` with the signature (an exception in it then reaches the caller of the loop), or a
+`NativeFunction` for an address.
 """
 
 from __future__ import annotations
