@@ -1,4 +1,4 @@
-"""What happened on a link, as counters: nothing that arrives is dropped without one of them rising."""
+"""Counters of events on a link: nothing that arrives is dropped without one of them rising."""
 
 from __future__ import annotations
 

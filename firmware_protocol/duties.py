@@ -1,4 +1,4 @@
-"""What a port owes the core as data (`firmware/duties.toml`): the call, what must hold, how that is seen."""
+"""Duties of a port towards the core as data (`firmware/duties.toml`): the call, what must hold, how that is tested."""
 
 from __future__ import annotations
 

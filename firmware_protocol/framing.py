@@ -28,7 +28,7 @@ _CODES = [bytes([length + 1]) for length in range(RAW_LIMIT + 1)]  # the code by
 
 
 class Defect(IntEnum):
-    """What can be wrong with a frame; the compiled codec returns the negative of these."""
+    """Defects of a frame; the compiled codec returns the negative of these."""
 
     COBS = 1
     CRC = 2

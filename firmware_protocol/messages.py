@@ -46,7 +46,7 @@ class Delivery(IntEnum):
 
 
 class Mode(IntEnum):
-    """What a COMMAND asks for."""
+    """Mode that a COMMAND requests."""
 
     CURRENT = 0  # apply the current
     SUPERVISE = 1  # the law runs on the device; the current is ignored, the watchdog fed
@@ -262,7 +262,7 @@ class GetReference(Message):
 
 @dataclass(frozen=True, slots=True)
 class Reference(Message):
-    """What position zero is, and the encoder's index, as the device has seen it since it started."""
+    """Origin of position zero and the encoder's index, as the device has seen it since it started."""
 
     nonce: Nonce
     zero: Annotated[
@@ -289,7 +289,7 @@ class EnterBootloader(Message):
 
 @dataclass(frozen=True, slots=True)
 class Command(Message):
-    """What the host wants in this tick; feeds the watchdog."""
+    """Command of the host for this tick; feeds the watchdog."""
 
     state_sequence: Annotated[
         int, Wire("u16", "", "sequence of the STATE that this answers; 0 before the first")

@@ -1,4 +1,4 @@
-"""What a parameter of the device is."""
+"""Definition of a parameter of the device."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is longer than a frame: parameter blocks to the device, paged replies to the host.
+"""Data longer than a frame: parameter blocks to the device, paged replies to the host.
 
 SET_PARAMETERS is BEGIN, CHUNKs, COMMIT, each acknowledged; only COMMIT changes anything. Replies of more
 than one frame (dictionary, parameters, fault log) are read page by page: each request names the first

@@ -1,4 +1,4 @@
-"""What a command shows while machine code is being made for it."""
+"""Notice of a command while machine code is being compiled for it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a shell asks at each Tab.
+"""Answers to a shell's requests for completion.
 
 A shell must not wait, and most commands import numpy and a compiler. So their names, options and kinds of values stand
 in files named ``completion.json`` (`rig.cli.completion_table` writes them), and of these a tree of empty commands is

@@ -1,4 +1,4 @@
-"""What ``completion.json`` lists of the commands: their lines, options and kinds of values, without importing them."""
+"""Contents of ``completion.json``: help lines, options and kinds of values, read without importing the commands."""
 
 from __future__ import annotations
 

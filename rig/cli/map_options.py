@@ -1,4 +1,4 @@
-"""What commands that map share: whose walls are hit; how a map is computed, and where it is written."""
+"""Options that the commands for maps share: whose walls are hit; how a map is computed, and where it is written."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ def rig_option(default: str = DEFAULT_PRESET, *, given: bool = False) -> Callabl
 
 
 class CommandSettings(HitSettings, total=False):
-    """What commands change by options of their own, beside rates and operator."""
+    """Settings that commands change by options of their own, beside rates and operator."""
 
     estimator: Annotated[str, Keyword(key="controller.estimator")]
     cutoff: Annotated[
@@ -268,7 +268,7 @@ def plot_options(help: str = "Draw a picture.", *, default: bool = True) -> Call
 
 @dataclass(slots=True)
 class PictureOption:
-    """Whether a picture is wanted, and where; its path when it is drawn, or why a file that was named was not."""
+    """Choice of a picture and its path; after drawing, the path drawn, or why a named file could not be drawn."""
 
     wanted: bool
     path: Path | None

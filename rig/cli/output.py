@@ -152,7 +152,7 @@ def error_facts(error: RigError) -> dict[str, Any]:
 
 
 class StatusLine:
-    """What is being done, on one line of standard error; a line for each step where that is no terminal."""
+    """Progress of a step, on one line of standard error; without a terminal a line for each step."""
 
     def __init__(self, quiet: bool) -> None:
         self._quiet = quiet or told_quiet()

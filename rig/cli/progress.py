@@ -18,7 +18,7 @@ _MINUTE_S, _HOUR_S = 60, 3600
 
 
 class _Bar:
-    """What both have in common: a bar with words beside it, gone when its block ends, or lines."""
+    """Common part of both: a bar with text beside it, removed when its block ends, or lines without a terminal."""
 
     def __init__(self, what: str, *, plain: bool = False) -> None:
         self._what = what

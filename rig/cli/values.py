@@ -1,4 +1,4 @@
-"""What may be given to options and arguments, by name: a shell completes it, and nothing heavy is imported for that."""
+"""Values of options and arguments that a shell completes by name; nothing heavy is imported for that."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What two data sheets and a mechanism say of a rig: every question, its units, its range, and what else is assumed.
+"""Description of a rig from two data sheets and a mechanism: every question, its units, its range, its assumption.
 
 `rig.new_rig` takes the answers by these names, `rig experiment new` as options or at prompts.
 """

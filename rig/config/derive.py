@@ -1,4 +1,4 @@
-"""What is derived from an experiment: the physics of its rig, the verdict's thresholds, and that its plug-ins exist."""
+"""Values derived from an experiment: the physics of its rig, the verdict's thresholds, and that its plug-ins exist."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a device takes what an experiment gives it: its own ranges may be narrower than those of the protocol.
+"""Check that a device accepts the limits of an experiment: its ranges may be narrower than those of the protocol.
 
 A drive behind a bridge has limits of its own, and so may a board: a speed, a current, a window.
 """

@@ -1,4 +1,4 @@
-"""What an experiment file may say: one dataclass a section, every range, unit and meaning in its annotation.
+"""Keys of an experiment file: one dataclass per section, every range, unit and meaning in its annotation.
 
 The annotations are the only place of a range or a unit; the validator, the error messages, the listing of a
 plan and the schema for editors all read them from here (see `rig.config.table`). Rules that tie two keys
@@ -29,7 +29,7 @@ Setting = bool | int | float | str
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Limits:
-    """What the guard allows on this rig, whatever the law asks for."""
+    """Limits that the guard enforces on this rig, whatever the law commands."""
 
     nominal_effort: Annotated[
         float, Gt(0), Quantity("effort", "continuous effort of the motor, without overheating")
@@ -368,7 +368,7 @@ class Trial:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Excitation:
-    """What excites the handle when an impedance is measured: a multisine, whole periods of it.
+    """Excitation of the handle for a measurement of impedance: whole periods of a multisine.
 
     Its lines are all multiples of 1/period_s in the band. The wall is bilateral meanwhile, about wall.position.
     """

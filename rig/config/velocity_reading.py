@@ -1,4 +1,4 @@
-"""What the velocity filter of an experiment reads of encoder counts: all that a limit of speed sees.
+"""Reading of the velocity filter for encoder counts: the value that a limit of speed is compared with.
 
 One count is a pulse of the estimate whose area over time is the count. Behind a fast filter a coarse encoder's single
 count reads as a speed that no handle has.

@@ -1,4 +1,4 @@
-"""Whether the measured current is the one that was set: a lead that came off, a dead amplifier, a wrong sign or scale.
+"""Check of the measured against the set current: a lead that came off, a dead amplifier, a wrong sign or scale.
 
 The active current passes through the amplifier's lag. The residual between that and the measured current is summed
 over `WINDOW_S`, by magnitude, so that neither an oscillation nor noise averages it away; the largest of a window is

@@ -53,7 +53,7 @@ def compensation(velocity: float, rising: float, falling: float, dead_band: floa
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Compensation:
-    """What to compensate.
+    """Friction levels to compensate.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a force law is: a compiled function with the signature `rig.realtime.plugs.LAW_SIGNATURE`, and its design."""
+"""Definition of a force law: a compiled function of type `rig.realtime.plugs.LAW_SIGNATURE`, and its design."""
 
 from __future__ import annotations
 

@@ -36,14 +36,14 @@ _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": F
 
 
 class Parameters:
-    """What `p` is to a law or an estimator: each parameter is an attribute of that name, a number that stays."""
+    """Argument `p` of a law or an estimator: each parameter is a constant attribute of that name."""
 
     def __getattr__(self, name: str) -> float:
         raise AttributeError(name)
 
 
 class Memory:
-    """What `memory` is to a law or an estimator: numbers by name, zero at the start and kept from call to call."""
+    """Argument `memory` of a law or an estimator: numbers by name, zero at the start and stored from call to call."""
 
     def __getattr__(self, name: str) -> float:
         raise AttributeError(name)
@@ -76,7 +76,7 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """What a kind of function may ask for, what every `p` of it holds, and the text of the kernel around it.
+    """Arguments of a kind of function, the constants that every `p` has, and the text of the kernel around it.
 
     `quantities` has, by the name of an argument, its meaning and where the kernel finds it; `around` is the kernel's
     source, in which ``{call}`` stands for the call of the function, and `names` what that source refers to. `memory` is

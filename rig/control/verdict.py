@@ -122,7 +122,7 @@ class Verdict:
 
 
 class Objection(IntFlag):
-    """What speaks against a trial, in the order in which it is reported."""
+    """Objections to a trial, in the order in which they are reported."""
 
     TOO_SHORT = 1
     NEVER_TOUCHED = 2

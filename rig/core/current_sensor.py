@@ -1,4 +1,4 @@
-"""What the measured motor current must be, given the current that is set: the same numbers for host and device."""
+"""Expected motor current for a given set current: the same numbers for host and device."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ SPEED_LAG_S = 2.5e-3  # over which the comparison of currents smooths the count'
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CurrentSensor:
-    """What the measured current must be (`rig.control.current`). `struct current_sensor` of the firmware.
+    """Numbers from which the expected measured current follows (`rig.control.current`).
+
+    `struct current_sensor` of the firmware.
 
     Attributes
     ----------

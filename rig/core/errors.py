@@ -1,4 +1,4 @@
-"""What can go wrong, named by what the caller does next.
+"""Errors of the package, named after what the caller does next.
 
 An error has a message (what is wrong) and a remedy (what to do about it); commands print both on one line and exit
 with `exit_code`.

@@ -34,7 +34,7 @@ _REMEDY = "install haptic-rig again"
 
 
 class Row(NamedTuple):
-    """What an extra adds under a name, with the other keys of its row."""
+    """Entry that an extra adds under a name, with the other keys of its row."""
 
     name: str
     target: str

@@ -330,7 +330,7 @@ class Reference:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Simulation:
-    """What only the simulated rig has: where it starts, and what the far end may do."""
+    """Settings of the simulated rig only: where it starts, and the delays of its far end."""
 
     initial_position: Annotated[
         float | None, Quantity("position", "where the handle rests at power-up; left out: 0")

@@ -1,4 +1,4 @@
-"""What each program of ours does first: the command line, and the processes that it starts."""
+"""First steps of each program of the package: the command line, and the processes that it starts."""
 
 from __future__ import annotations
 

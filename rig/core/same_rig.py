@@ -1,4 +1,4 @@
-"""Whether a device was built for the rig that an experiment is about: the same name, scales, limits and monitors."""
+"""Check that a device was built for the experiment's rig: the same name, scales, limits and monitors."""
 
 from __future__ import annotations
 

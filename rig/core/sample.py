@@ -50,7 +50,7 @@ class Column:
 
 
 class Phase(IntEnum):
-    """What the loop is doing in a tick. The cue to begin comes with the first tick of TRIAL."""
+    """Phase of the loop in a tick. The cue to begin comes with the first tick of TRIAL."""
 
     WAIT = 0
     HOMING = 1

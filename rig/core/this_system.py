@@ -1,4 +1,4 @@
-"""What this system gives a process, and what it is not made for."""
+"""Facilities of this operating system for a process, and what it does not support."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What a lab does with a rig, each a function with plain arguments and a typed result; sweeps."""
+"""Experiments on a rig, each a function with plain arguments and a typed result; sweeps of them."""

@@ -1,4 +1,4 @@
-"""What people call: an experiment by a preset's name, as a file or loaded, settings by name, and one result.
+"""Functions for the user: an experiment by a preset's name, as a file or loaded, settings by name, and one result.
 
 Everything here adapts arguments and hands them to the functions that commands call too.
 """
@@ -47,7 +47,7 @@ ExperimentLike = str | Path | Experiment
 
 
 class HitOptions(HitSettings, total=False):
-    """What `hit` takes by name: settings, and fields of a `HitRequest`, with their types there."""
+    """Keywords of `hit`: settings, and fields of a `HitRequest`, with their types there."""
 
     law: str | Law
     estimator: str | Estimator

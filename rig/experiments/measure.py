@@ -212,7 +212,7 @@ def impedance_map(
 
 
 class IdentifyOptions(TypedDict, total=False):
-    """What `identify` takes by name: fields of an `IdentifyRequest`, with their types there."""
+    """Keywords of `identify`: fields of an `IdentifyRequest`, with their types there."""
 
     url: str | None
     changes: Mapping[str, Any]

@@ -1,4 +1,4 @@
-"""What a loop says to the device: one COMMAND."""
+"""The message of a loop to the device: one COMMAND."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ WRAP = 1 << 32
 
 
 class Contradiction(IntEnum):
-    """What cannot be, and the words for it."""
+    """Impossible data from a device, with their texts."""
 
     NONE = 0, ""
     RESTARTED = 1, "its sample index started again"

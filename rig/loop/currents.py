@@ -1,4 +1,4 @@
-"""What was commanded, what was active and what was measured: three currents that have to agree in every tick.
+"""Commanded, active and measured current, which have to agree in every tick.
 
 The active current is that of the COMMAND that STATE names, unless a limit flag says why not. Where that one came in the
 very tick, one before it has driven the tick: a host that was late sends several within one. The measured current is

@@ -1,4 +1,4 @@
-"""What the compiled loop reads and writes besides the ring: settings, its state of the link, its buffers."""
+"""Memory of the compiled loop besides the ring: settings, its state of the link, its buffers."""
 
 from __future__ import annotations
 

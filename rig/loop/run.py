@@ -40,7 +40,7 @@ JOIN_S = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopSettings:
-    """What the loop needs besides the controller; times in the link's clock."""
+    """Settings of the loop besides the controller; times in the link's clock."""
 
     period_ns: int
     session: int

@@ -19,7 +19,7 @@ from rig.realtime.stop_requests import STOPPING, RunSeries
 
 @dataclass(slots=True)
 class Signals:
-    """What stopped a run from outside; all but `series` when the run is over.
+    """Causes that stopped a run from outside; all but `series` are set when the run is over.
 
     Attributes
     ----------

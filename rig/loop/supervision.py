@@ -1,4 +1,4 @@
-"""What the loop of a law on the device remembers besides what any loop does, and its buffers."""
+"""Memory of the loop of a law on the device, besides that of any loop, and its buffers."""
 
 from __future__ import annotations
 

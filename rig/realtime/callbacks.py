@@ -14,7 +14,7 @@ _WAIT = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 
 
 class CallbackPlugs(NamedTuple):
-    """What moves the bytes of a link; the handle means nothing."""
+    """Functions that move the bytes of a link; the handle has no meaning."""
 
     read: NativeFunction
     write: NativeFunction

@@ -15,7 +15,7 @@ from rig.realtime.system import monotonic_now, monotonic_sleep, virtual_now, vir
 
 
 class Clock(Protocol):
-    """What Python and the loop ask of a clock. All times are nanoseconds from an arbitrary origin."""
+    """Interface of a clock for Python and the loop. All times are nanoseconds from an arbitrary origin."""
 
     virtual: bool
 

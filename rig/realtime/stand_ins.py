@@ -25,7 +25,7 @@ _kept: list[Any] = []  # callbacks, for as long as compiled code may call them
 
 
 class _Errno(threading.local):
-    """Of each thread."""
+    """Error number of each thread."""
 
     def __init__(self) -> None:
         self.number = ctypes.c_int32(0)

@@ -135,7 +135,7 @@ class _Hook:
 
 
 class _Process:
-    """What this process has: the table, who listens, and whether the program ends."""
+    """State of this process: the table of words, the listeners, and whether the program ends."""
 
     def __init__(self) -> None:
         self.lock = threading.RLock()

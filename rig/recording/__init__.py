@@ -1,4 +1,4 @@
-"""What a trial leaves on disk, and when things happened.
+"""Recordings of trials on disk, and the times of their events.
 
 A trial is captured by `recorder` as raw blocks that survive the death of the process (`capture` documents
 every byte), sealed afterwards to Parquet by `seal`, read by `reader.open_recording` and handed to other tools

@@ -133,7 +133,7 @@ def _padded(text: bytes, before: int) -> bytes:
 
 @dataclass
 class _Findings:
-    """What a walk over the blocks has found so far."""
+    """Results of a walk over the blocks so far."""
 
     blocks: list[tuple[int, int]] = field(default_factory=list)  # place of the rows, their count
     lost: list[Loss] = field(default_factory=list)

@@ -67,7 +67,7 @@ class Column(Shown, Drawn):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording(Shown, Drawn):
-    """What one trial left: header, rows, trailer, and what is missing.
+    """Recording of one trial: header, rows, trailer, and what is missing.
 
     Attributes
     ----------

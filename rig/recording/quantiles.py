@@ -30,7 +30,7 @@ class Quantile:
 
 @dataclass(frozen=True, slots=True)
 class Distribution:
-    """What is kept of many values.
+    """Summary of many values: number, quantiles and extremes.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What header and trailer of a recording must look like, for those who take numbers and names out of them.
+"""Required shape of header and trailer of a recording, for code that reads numbers and names from them.
 
 A checksum shows that a file was not changed by accident, not that this program wrote it. Only what is read again is
 listed; the experiment is checked by `rig.config`, the state of the controller where a replay begins from it.

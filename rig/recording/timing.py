@@ -65,7 +65,7 @@ _Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TimingFacts:
-    """What is known of time in a recording as a whole.
+    """Timing facts of a recording as a whole.
 
     Attributes
     ----------

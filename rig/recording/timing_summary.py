@@ -1,4 +1,4 @@
-"""What a latency ledger adds up to: how long each stage took, which ticks were worst, and what was counted apart."""
+"""Summary of a latency ledger: how long each stage took, which ticks were worst, and what was counted apart."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """What one stage took over all ticks in which it is known (ns).
+    """Duration of one stage over all ticks in which it is known (ns).
 
     `counts` belongs to the edges of the summary: below the first, between each two, from the last on. `negative` counts
     ticks in which the end seems to come before the begin. Bounds of the quantiles take ticks as independent, which

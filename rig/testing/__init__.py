@@ -1,4 +1,4 @@
-"""What a lab's own tests use: laws and estimators checked, a pytest plug-in, faults on command, golden recordings.
+"""Tools for a lab's own tests: laws and estimators checked, a pytest plug-in, scripted faults, golden recordings.
 
 `rig.testing.plugin` is loaded in every run of pytest where this package is installed, so the names below are loaded on
 first use: importing both costs milliseconds. Tests get nearly everything as fixtures, whose types are here for those

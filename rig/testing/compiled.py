@@ -1,4 +1,4 @@
-"""What is promised of any compiled function that runs in the loop: it allocates nothing and keeps to its memory."""
+"""Requirements on any compiled function that runs in the loop: it allocates nothing and keeps to its memory."""
 
 from __future__ import annotations
 

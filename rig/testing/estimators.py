@@ -1,4 +1,4 @@
-"""What every velocity estimator must do: `check_estimator` says the first promise that is broken.
+"""Requirements on every velocity estimator: `check_estimator` names the first that is broken.
 
 It raises AssertionError with a sentence and needs no test runner; known limits of an estimator are arguments, not
 skipped checks.

@@ -37,7 +37,7 @@ LOOK_S = 0.01  # an unarmed device sends a hundred STATE a second
 
 @dataclass(frozen=True, slots=True)
 class DeviceAfterwards:
-    """What the device was seen to do after the host had ended.
+    """Observed state of the device after the host had ended.
 
     Attributes
     ----------

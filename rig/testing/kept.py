@@ -1,4 +1,4 @@
-"""What becomes of the recordings of a test: kept where it failed, always, or never."""
+"""Storage of the recordings of a test: kept if it failed, always, or never."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every force law must do: `check_law` says the first promise that is broken.
+"""Requirements on every force law: `check_law` names the first that is broken.
 
 It raises AssertionError with a sentence and needs no test runner; an argument declares what a law does on purpose,
 such as acting outside of the wall.

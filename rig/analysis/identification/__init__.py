@@ -1,4 +1,4 @@
-"""What a rig is, from what it did: signs, friction, inertia, delay, cogging and torque ripple of a motor.
+"""Identify a rig from its motion: signs, friction, inertia, delay, cogging and torque ripple of a motor.
 
 `rig.experiments` calls this with arrays of time (s), effort (N·m or N) and position (rad or m), and pictures draw the
 results. Nothing here commands a device or opens a recording; data that are too poor raise `IdentificationError`.

@@ -46,7 +46,7 @@ class Push:
 
 @dataclass(frozen=True, slots=True)
 class SignCheck:
-    """What the pushes say.
+    """Result of the pushes.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What an excited rig leaves behind: one realisation of an excitation and its answer, in whole periods.
+"""Signals of an excited rig: one realisation of an excitation and its response, in whole periods.
 
 Channels need not be taken at the same instant, nor stand still between samples. Each says how late it is, and an
 effort that was held says for how long; both are undone in the frequency domain, exactly, because the record is

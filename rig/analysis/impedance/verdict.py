@@ -1,4 +1,4 @@
-"""What a measured impedance says about a wall: whether it is passive, and how far it is from what was asked for.
+"""Verdict on a wall by its measured impedance: whether it is passive, and its deviation from the ideal wall.
 
 *Passive* is a port whose impedance has no negative real part; equivalently, whose phase stays within ±90°, which is
 how the second paper tests it. Measured lines have noise, and a stiff wall comes within a degree of −90° at low

@@ -44,7 +44,7 @@ HANKEL = 96  # rows and columns at most
 
 
 class NotLinearError(ConfigError):
-    """What linear theory is asked about is not linear; `reason` says why."""
+    """The subject of linear theory is not linear; `reason` says why."""
 
     def __init__(self, message: str, *, reason: str, remedy: str = "") -> None:
         super().__init__(message, remedy=remedy)

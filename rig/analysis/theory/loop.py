@@ -74,7 +74,7 @@ class Subject:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearLoop:
-    """What `rig.analysis.theory.lifted` multiplies: matrices of the plant over one tick, and the law's timing.
+    """Matrices that `rig.analysis.theory.lifted` multiplies: the plant over one tick, and the law's timing.
 
     ``phi``, ``gamma`` step the plant over T1 with a held command; ``sensed`` is the index of the position that the
     encoder sees. `subject` and `controller` say where all this comes from. `cogging` is the stiffness that cogging

@@ -41,7 +41,7 @@ PASSIVE_POINTS = 25  # of the passive walls, which end at a damping
 
 @dataclass(frozen=True, slots=True)
 class AtDamping:
-    """What holds at one damping: the exact limit of the linear loop, and the conditions for passivity."""
+    """Results at one damping: the exact limit of the linear loop, and the conditions for passivity."""
 
     limit: Limit
     passivity: PassivityBound
@@ -94,7 +94,7 @@ class NotLinear:
 
 @dataclass(frozen=True, slots=True)
 class InHand:
-    """What the same schemes do at B = 0 in the hand that the experiment would be held in."""
+    """Limits of the same schemes at B = 0, in the hand of the experiment."""
 
     operator: str
     limits: tuple[Limit, ...]

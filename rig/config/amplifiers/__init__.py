@@ -1,4 +1,4 @@
-"""What is known of amplifiers: how a set-point reaches them, and what their makers' tools must be set to.
+"""Profiles of amplifiers: how a set-point reaches them, and the settings for their makers' tools.
 
 A TOML file here is a profile. The firmware gives the set-point of an external amplifier and closes no current loop.
 """

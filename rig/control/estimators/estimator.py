@@ -1,4 +1,4 @@
-"""What every velocity estimator is: a compiled update, its memory, and a design of its parameters.
+"""Definition of a velocity estimator: a compiled update, its memory, and a design of its parameters.
 
 The update is called once for each velocity sample (every N-th tick of a dual-rate loop). It knows nothing of
 rates: the period stands in its parameter vector, whose first two entries are the same for all estimators.

@@ -1,4 +1,4 @@
-"""What a device and its link allow of a design: its rates, and the delay of a law on this computer."""
+"""Limits that a device and its link set for a design: rates, and the delay of a law on this computer."""
 
 from __future__ import annotations
 

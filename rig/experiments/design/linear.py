@@ -38,7 +38,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Linear:
-    """What theory says of a candidate: its boundaries over the dampings, and its velocity path.
+    """Results of linear theory for a candidate: its boundaries over the dampings, and its velocity path.
 
     Attributes
     ----------

@@ -54,7 +54,7 @@ IDENTIFIED = (
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """What one change leaves of the limit.
+    """Share of the limit that remains under one change.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a design finds: the front, the recommended scheme with its margin, and a ``[controller]`` section to paste."""
+"""Result of a design: the front, the recommended scheme with its margin, and a ``[controller]`` section to paste."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a design is judged by, written down before any result: measures, goals, wishes, front, no worse, margin.
+"""Criteria of a design, written down before any result: measures, goals, wishes, front, no worse, margin.
 
 A scheme has seven measures (`Measures`). Four are of its walls, by simulated hits under the criterion *any* (stable,
 and neither felt, heard nor moved), judged by what a rig records, means over encoder offsets: the largest K at B = 0,
@@ -57,7 +57,7 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measures:
-    """What a scheme is worth on a rig.
+    """Measures of a scheme on a rig.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class UnmetError(PlanError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wishes:
-    """What is asked for; limits of felt, heard and moved are the experiment's own.
+    """Wishes for a design; limits of felt, heard and moved are the experiment's own.
 
     Attributes
     ----------

@@ -68,7 +68,7 @@ ROUNDS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DesignRequest:
-    """What to design.
+    """Request of a design.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Whether any scheme of the listed set is as good as a paper's own in every measure of that paper: all of the set.
+"""Comparison of the whole listed set with a paper's own scheme, in every measure of that paper.
 
 A limit is the stiffest wall below which everything holds, so that a scheme whose wall fails at the rung that a measure
 asks for has not that measure, whatever its other walls do: **one hit rules it out**. Hits are asked for in the order in
@@ -77,7 +77,7 @@ UNITS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PaperSchemes:
-    """What a paper has on its rig: its schemes, and the measures that it judges them by."""
+    """Schemes of a paper on its rig, and the measures by which the paper judges them."""
 
     schemes: tuple[Scheme, ...]
     measures: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""What an estimator is judged on: counts, one for each velocity sample, and the velocity that they come from.
+"""Test cases of estimators: counts, one for each velocity sample, and the velocity that they come from.
 
 A case is a reference signal (`rig.core.signals`) as an ideal encoder sees it, or a recording with the simulation's
 truth, or one of a real rig with a reference that looks into the future.

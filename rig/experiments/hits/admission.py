@@ -1,4 +1,4 @@
-"""Whether a wall may run at its rate, with its loop, on a device: one answer for `rig doctor`, gate and `rig hit`.
+"""Checks that a wall may run at its rate, with its loop, on a device: the same for `rig doctor`, gate and `rig hit`.
 
 Every caller of `rig.experiments.hits.hit.hit` passes `admit`, behind which nothing but a trial stands between a wall
 and a motor: checks of the run and the device, the arming gate of the measured link, and before a person the torque

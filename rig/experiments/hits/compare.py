@@ -84,7 +84,7 @@ class Entry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SchemeImpacts:
-    """What one entry gave: a hit for each encoder offset, and the mean of their numbers."""
+    """Result of one entry: a hit for each encoder offset, and the mean of their numbers."""
 
     entry: Entry = field(repr=False)
     experiment: Experiment = field(repr=False)  # as it was run

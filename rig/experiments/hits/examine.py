@@ -44,7 +44,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Examination:
-    """What was found.
+    """Result of an examination.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class Examination:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExaminationRequest:
-    """What to examine.
+    """Request of an examination.
 
     Attributes
     ----------

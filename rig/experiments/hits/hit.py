@@ -38,7 +38,7 @@ from rig.recording.reader import open_recording
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HitRequest(RigRequest):
-    """What to hit, where, and how; a real device always runs in real time.
+    """Request of hits: experiment, device and options; a real device always runs in real time.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class HitRequest(RigRequest):
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """What a hit leaves: the experiment in effect, its recording as it was read back, and what that says."""
+    """Result of a hit: the experiment in effect, its recording as read back, and its judgement."""
 
     experiment: Experiment
     recording: Recording

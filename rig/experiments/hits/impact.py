@@ -21,7 +21,7 @@ REST_SHARE = 0.25  # of the trace, whose end is the rest position
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImpactNumbers:
-    """What a hit did, or the mean of several.
+    """Numbers of one hit, or the mean of several.
 
     Attributes
     ----------

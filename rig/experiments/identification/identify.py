@@ -104,7 +104,7 @@ Swept = tuple[Floats, Floats, Floats, list[Stroke]]  # time, effort, position
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IdentifyRequest(FreeRigRequest):
-    """What to identify, and how: the experiment's rig is the first guess.
+    """Request of an identification: the experiment's rig is the first guess.
 
     Attributes
     ----------
@@ -164,7 +164,7 @@ class IdentifyRequest(FreeRigRequest):
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Identification(Shown, Drawn):
-    """What came of it: the fits, the recordings behind them, and the experiment with the identified values.
+    """Result of an identification: the fits, the recordings behind them, and the experiment with the identified values.
 
     Attributes
     ----------

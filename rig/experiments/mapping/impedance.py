@@ -74,7 +74,7 @@ _JUDGEMENT: Final = "Excitation and judgement"  # group of options
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judging:
-    """What a verdict needs beside the measurement (`rig.analysis.impedance.verdict.judge`)."""
+    """Settings of a verdict beside the measurement (`rig.analysis.impedance.verdict.judge`)."""
 
     band_hz: Annotated[
         tuple[float, float] | None,

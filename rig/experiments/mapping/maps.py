@@ -58,7 +58,7 @@ M_co = TypeVar("M_co", bound=Map, covariant=True)
 
 
 class Plan(Protocol[M_co]):
-    """What to map: tasks of one kind of work, and what their results are."""
+    """Plan of a map: tasks of one kind of work, and the result that they make together."""
 
     unit: ClassVar[str]  # number in each row of a result that the progress counts
 

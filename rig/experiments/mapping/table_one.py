@@ -1,4 +1,4 @@
-"""What a map of impedances amounts to: widths of the connected region, its worst fidelity, Table I of Chawda et al.
+"""Summary of a map of impedances: widths of the connected region, its worst fidelity, Table I of Chawda et al.
 
 *K-width* is the largest passive stiffness that is connected with the lowest one of its damping: a stiffer wall that
 passes beyond one that fails is an island, listed and not counted, because a map in the speckle has some of them at

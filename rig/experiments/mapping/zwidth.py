@@ -69,7 +69,7 @@ class Series:
 
 @dataclass(frozen=True, kw_only=True)  # without slots: `tasks` is cached
 class MapPlan:
-    """What to map.
+    """Plan of a map of hits.
 
     Attributes
     ----------

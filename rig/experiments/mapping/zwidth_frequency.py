@@ -55,7 +55,7 @@ NUMBERS = (
 
 @dataclass(frozen=True, kw_only=True)  # without slots: `tasks` is cached
 class FrequencyPlan:
-    """What to map.
+    """Plan of a map of impedances.
 
     Attributes
     ----------

@@ -53,7 +53,7 @@ class Next:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeviceMap:
-    """What a map on a device needs beside its plan.
+    """Dialogue and device of a map on a rig, beside its plan.
 
     Attributes
     ----------

@@ -69,7 +69,7 @@ NO_HANDS = "hands off the handle: the motor moves it a little, both ways"
 
 @dataclass(frozen=True, kw_only=True)
 class Pulse:
-    """What the pushes showed.
+    """Result of the pushes of a torque pulse.
 
     Attributes
     ----------

@@ -77,7 +77,7 @@ class WeighRequest(FreeRigRequest):
 
 @dataclass(frozen=True, kw_only=True)
 class Weighing:
-    """What the motor's effort is, by a mass.
+    """Calibration of the motor's effort by a mass.
 
     Attributes
     ----------

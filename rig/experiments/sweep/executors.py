@@ -35,7 +35,7 @@ class Done:
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """What went wrong, with the traceback from where it happened; `of_task` is False when no task can run there."""
+    """Error of a task, with the traceback of its origin; `of_task` is False when no task can run there."""
 
     message: str
     remedy: str = ""

@@ -1,4 +1,4 @@
-"""What an excited run will do, and whether it may: peaks by the linear closed form, before anything moves.
+"""Plan and checks of an excited run: peaks by the linear closed form, before anything moves.
 
 Friction is left out, which errs on the hard side; so is whatever only instability brings, of which linear theory warns.
 """

@@ -1,4 +1,4 @@
-"""What a plan is: steps, checks with their outcome, and the run that it stands for."""
+"""Plan of a run: steps, checks with their outcome, and the run that it describes."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ def _key(key: str, help: str = "", *names: str) -> Keyword:
 
 
 class Settings(TypedDict, total=False):
-    """What drives the handle, and how it is sampled."""
+    """Settings of the push and of the sampling."""
 
     side: Annotated[Literal[-1, 1], _key("wall.side")]
     pull: Annotated[Literal["clamp", "allow"], _key("wall.pull")]

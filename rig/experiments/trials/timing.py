@@ -1,4 +1,4 @@
-"""What a recording says about time: the latency ledger, summed up."""
+"""Timing of a recording: the summary of its latency ledger."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class TrialRequest:
-    """What a trial needs to know besides the device: the run, where its recording goes, and who may interfere."""
+    """Request of a trial on an open device: the run, the path of its recording, and functions that may interfere."""
 
     run: PreparedRun
     recording: Path

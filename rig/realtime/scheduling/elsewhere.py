@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Realtime:
-    """What a run asked for: nothing is refused, because nothing is asked of the system."""
+    """Request of a run on other systems: nothing is refused, because nothing is requested of the system."""
 
     def __init__(self, host: RealtimeRequest, *, virtual: bool) -> None:
         self.messages: list[str] = []

@@ -1,4 +1,4 @@
-"""What the kernel reports about its scheduling, read from /proc and /sys.
+"""Scheduling facts that the kernel reports, read from /proc and /sys.
 
 `root` is where those trees hang; what cannot be read is an empty text, None or an empty set.
 """

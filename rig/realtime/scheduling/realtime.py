@@ -26,7 +26,7 @@ assert sys.platform == "linux"
 
 
 class Realtime:
-    """What a run asked for and what it has; made by `obtained`.
+    """Scheduling that a run requested and was granted; made by `obtained`.
 
     Attributes
     ----------

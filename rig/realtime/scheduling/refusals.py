@@ -1,4 +1,4 @@
-"""What the kernel refuses, as checks (`rig.core.check`): why, and the command that gets it granted."""
+"""Refusals of the kernel, as checks (`rig.core.check`): why, and the command that grants the request."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run asks of the system's scheduling."""
+"""Request of a run for scheduling by the system."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Protocol
 
 
 class RealtimeRequest(Protocol):
-    """What is requested; `rig.config.sections.Host` explains each."""
+    """Fields of the request; `rig.config.sections.Host` explains each."""
 
     @property
     def realtime(self) -> str:

@@ -1,4 +1,4 @@
-"""What this process may ask of the kernel: its user, groups, limits and capabilities."""
+"""Rights of this process for scheduling: its user, groups, limits and capabilities."""
 
 from __future__ import annotations
 

@@ -182,7 +182,7 @@ class ComparedWall:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CauseShare:
-    """What differs of some area: its share of that, and the share of each cause in it, the largest first; 0 to 1."""
+    """Share of an area that differs, and the share of each cause in it, the largest first; 0 to 1."""
 
     share: float
     causes: dict[str, float]
