@@ -91,8 +91,8 @@ ROWS = (
     Row("identify", "--rig chawda-linear --realisations 2 -o new.toml",
         "signs sliding dynamics cogging ripple recordings sources warnings simulated rig motion picture file plan",
         "Coulomb friction", (
-        ("--realisations 1", 2, "too few for an interval"), ("-o .", 2, "is a directory"),
-        ("--cogging 7 --arm 0.1", 2, "--weight KG with --arm M"), ("--rig chawda-linear --rate 50", 2, "50 Hz"),
+        ("--realisations 1", 2, "too few for a confidence interval"), ("-o .", 2, "is a directory"),
+        ("--cogging 7 --arm 0.1", 2, "needs --weight"), ("--rig chawda-linear --rate 50", 2, "50 Hz"),
     ), "new.toml"),
     Row("impedance measure", f"{LINES} -K 10000 -B 20", "results table picture", "worst line", (
         ("--band 1-250", 2, "--band 1-250 is not a frequency band"),
@@ -120,20 +120,20 @@ ROWS = (
         ("-K 10", 2, "LOW:HIGH"), ("-K 0:100", 2, "is not a range above zero"),
         ("-B 0:1:0", 2, "a count of 1"),
         ("-B x", 2, "--damping 'x' is not a list"), ("--offsets 1", 2, "--offsets"),
-        ("--ratio 1", 2, "ratio of 1 between rungs"), ("--url sim:// --judge true", 2, "not the truth"),
+        ("--ratio 1", 2, "ratio of 1 between rungs"), ("--url sim:// --judge true", 2, "true signals of a simulation"),
         ("--verified", 2, "--verified needs a device"),
-        ("-K 10:1e9", 2, "--effort"), ("--url sim:// --workers 2", 2, "one program at a time"),
+        ("-K 10:1e9", 2, "--effort"), ("--url sim:// --workers 2", 2, "by one program only"),
         ("--operator firm --effort 0.2", 2, "has no effect: a hand pushes"),
         ("--url sim:// --offsets 0.1,0.2", 2, "2 encoder offsets"), ("--operator strong", 2, "relaxed"),
     ), "maps/*/hits.parquet"),
     Row("design",
         "tests/system/test_cli_design.py::test_json_is_one_document_and_the_same_command_reads_what_is_done", "", "",
-        (("-K 300", 2, "--must-be-stable"), ("--confirm no", 2, "is about a device"))),
+        (("-K 300", 2, "--must-be-stable"), ("--confirm no", 2, "--confirm needs a device"))),
     Row("theory walls", "--scheme dual:20k/2k",
         "rig motion structure operator end_mass damping rig_damping drive lag_s set_point_delay_s "
         "delay_ticks schemes in_hand not_linear cutoffs picture", "(binds)", (
         ("--scheme uniform:20k,estimator=levant", 2, "levant is not linear"),
-        ("--operator iron", 2, "no grip 'iron'"),
+        ("--operator iron", 2, "unknown grip 'iron'"),
     ), "theory-koul-compliant.png"),
     Row("theory disagreement", f"{TINY} --ratio 3",
         "rig schemes walls unknown hits dampings search offsets repeats judged experiment paragraph "
@@ -147,9 +147,9 @@ ROWS = (
         ("--scheme uniform:20k,estimator=levant", 2, "is not linear"),
     )),
     Row("theory levant-regions", "", "picture parameters crossing named mu2 hba_mu1 lfba_mu1 numeric",
-        "cross at mu1", (("-o a.jpg", 9, "not a name for a picture"),), "levant-regions.png"),
+        "cross at mu1", (("-o a.jpg", 9, "does not end in a format"),), "levant-regions.png"),
     Row("estimators list", "fdm-butterworth", "name summary source delay_s delay_at refused parameters", "cutoff_hz",
-        (("fmd", 2, "no estimator 'fmd'"),)),
+        (("fmd", 2, "unknown estimator 'fmd'"),)),
     Row("estimators compare", "--rate 2k --estimator fdm-butterworth:cutoff_hz=100,order=1 --no-time",
         "cases variants scores picture", "2000 Hz", (
         ("--signal square", 2, "choose one of"), ("--rate 2q", 2, "not a whole number of Hz"),
@@ -159,7 +159,7 @@ ROWS = (
     Row("estimators tune", "fdm-butterworth --free cutoff_hz --overwrite",
         "estimator case reference objective settings objective_start objective_best ranges before after "
         "evaluations toml", "within 10 %", (
-        ("fdm", 2, "nothing to tune"), ("fdm-butterworth --rate 1k,2k", 2, "expected a single rate"),
+        ("fdm", 2, "no tunable setting"), ("fdm-butterworth --rate 1k,2k", 2, "expected a single rate"),
         ("fdm-butterworth --objective beauty", 2, "choose one of"), ("fdm-butterworth -o mine.toml", 2, "exists"),
     ), "fdm-butterworth-tuned.toml"),
     Row("estimators export", "kalman:gain=steady --rig koul-rigid --no-costs --overwrite",
@@ -184,7 +184,7 @@ ROWS = (
     Row("session run", "quick.toml P07 --rehearse --again",
         "directory code row ended stopped trials counted invalid by_machine aborted outside blocks "
         "blocks_done resume messages invalid_trials", "session of P07: complete", (
-        ("quick.toml P01 --lapse-rate 0.1", 2, "belong to a rehearsal"),
+        ("quick.toml P01 --lapse-rate 0.1", 2, "need --rehearse"),
         ("quick.toml 'Anna Smith' --rehearse", 2, "participant code"),
     ), "rehearsals/quick/P07/*.log"),
     Row("session resume", "tests/system/test_cli_session.py::test_a_damaged_last_line_is_shown_told_and_set_aside",
@@ -203,7 +203,7 @@ ROWS = (
         "properties", (("extra", 2, "unexpected extra argument"),)),
     Row("show", "hit.parquet --xy", "header trailer rows complete lost columns picture", "columns", (
         (NO_FILE, 9, NO_FILE), ("hit.parquet --expect unstable", 17, "expected unstable"),
-        ("hit.parquet -o a.png --format svg", 2, "two formats"), ("mine.parquet", 9, "mine.parquet"),
+        ("hit.parquet -o a.png --format svg", 2, "different formats"), ("mine.parquet", 9, "mine.parquet"),
     ), "hit-xy.png"),
     Row("recording show", "hit.parquet --marks", "header trailer rows complete lost columns picture marks",
         "contact", ((NO_FILE, 9, NO_FILE),)),
