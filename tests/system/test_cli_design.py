@@ -79,16 +79,19 @@ def test_json_is_one_document_and_the_same_command_reads_what_is_done(run: Any) 
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["-K", "300"], r"say --must-be-stable, too"),
+        (["-K", "300"], r"add --must-be-stable"),
         (["--must-be-stable", "-K", "-1"], r"wall.stiffness = -1"),
         (["--goal", "best"], r"stiffness.*damping.*area.*quiet"),
-        (["--url", "sim://", "--most-rate", "10k"], r"--most-rate: the device at the URL reports"),
+        (
+            ["--url", "sim://", "--most-rate", "10k"],
+            r"--most-rate is given together with --url: the device at the URL reports",
+        ),
         (["--confirm", "no"], r"--confirm needs a device"),
         (["--scheme", "uniform:10k,estimator=fmd"], r"fmd"),
-        (["--fidelity-to", "0"], r"0 \(--fidelity-to\) is out of range; .*above 0"),
-        (["--round-trip", "-1"], r"-1 \(--round-trip\) is out of range"),
-        (["--paper", "--rig", "hapkit"], r"hapkit is the rig of no paper \(--paper\); .*koul-rigid"),
-        (["--most-cost", "1"], r"1 \(--most-cost\) binds; .*\(--most-rate\)"),
+        (["--fidelity-to", "0"], r"--fidelity-to = 0 is out of range: .*above 0"),
+        (["--round-trip", "-1"], r"--round-trip = -1 is out of range"),
+        (["--paper", "--rig", "hapkit"], r"hapkit is not the rig of a paper.*--paper; .*koul-rigid"),
+        (["--most-cost", "1"], r"the limiting one is 1 \(--most-cost\); .*\(--most-rate\)"),
     ],
 )
 def test_what_cannot_be_is_refused_in_a_sentence(run: Any, arguments: Any, said: str) -> None:

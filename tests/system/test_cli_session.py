@@ -191,8 +191,8 @@ def test_codes_that_are_refused_change_nothing(
         (["--rehearse", "--lapse-rate", "nan"], "is not a share"),
         (["--rehearse", "--people-sd", "-1"], "--people-sd -1 is not a standard deviation"),
         (["--rehearse", "--row", "99"], "give --row 0 to 11"),
-        (["--lapse-rate", "0.1"], "belong to a rehearsal"),
-        (["--spread", "3"], "belong to a rehearsal"),
+        (["--lapse-rate", "0.1"], "need --rehearse"),
+        (["--spread", "3"], "need --rehearse"),
     ],
 )
 def test_a_person_whom_nobody_can_be_is_refused(

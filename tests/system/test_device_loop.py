@@ -75,7 +75,7 @@ def test_a_wall_that_changes_while_the_device_runs_it_replays_at_its_tick(
         def told(ticks: Any, phase: Any) -> None:
             if not posted:
                 posted.append(live._post(rings[0], {"wall.stiffness": 90.0, "wall.damping": 0.05}))
-                with pytest.raises(PlanError, match="do not change while"):
+                with pytest.raises(PlanError, match="cannot change while"):
                     live._post(rings[0], {"wall.damping_on": "entry"})
 
         return told
@@ -156,7 +156,7 @@ def test_a_map_in_simulation_says_what_it_stands_for(run: Any, tmp_path: Path) -
     narrow = ["--scheme", "dual:20k/2k", "--damping", "0.1", "--offsets", "0.1", "-K", "100:120"]
     code, out, _ = run("zwidth", EXAMPLE, *narrow, "--no-plot", "-o", tmp_path)
     assert code == 0
-    assert "it stands for that of the device" in out
+    assert "it represents that of the device" in out
 
 
 def test_a_device_without_a_law_is_refused_before_anything_moves(run: Any, tmp_path: Path) -> None:

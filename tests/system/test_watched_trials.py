@@ -38,7 +38,7 @@ VIOLENT = {"wall.stiffness": 1200.0, "wall.damping": 0.5}
             {"rig.limits.oscillations": 10},
             RowFlag.VIOLENT,
             "violent",
-            "oscillated 10 times in a row .* each within 0.02 s",
+            "oscillated 10 times in succession .* each within 0.02 s",
         ),
         (
             {"rig.limits.energy": 0.02},
@@ -89,7 +89,7 @@ def test_a_law_on_the_device_is_ended_by_the_host(rig_hit: Hits) -> None:
     )  # fmt: skip
     hit = rig_hit(experiment, may_end=True)
     assert hit.recording.rows["flags"][-1] & RowFlag.VIOLENT
-    assert "times in a row" in str(hit.error)
+    assert "times in succession" in str(hit.error)
 
 
 def test_a_motor_that_pushes_is_watched_when_it_is_asked_for(rig_hit: Hits) -> None:
