@@ -8,9 +8,7 @@ from collections.abc import Callable
 
 import click
 
-from rig.session.engine.desk import DeskView
-from rig.session.engine.log import Event
-from rig.session.engine.telling import line_of_event
+from rig.session.conducting import DeskView, Event, line_of_event
 
 _SURE = 2  # trials that are timed before the remaining time is shown
 

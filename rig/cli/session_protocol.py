@@ -18,18 +18,19 @@ from rig.cli.command import command
 from rig.core.errors import PlanError
 from rig.core.present import plain
 from rig.core.sample import unit_of
-from rig.session.engine import check as checking
-from rig.session.engine.directory import study_directory
-from rig.session.planning import template_files as templates
-from rig.session.planning.disk import in_words
-from rig.session.planning.expected import ExpectedRange
-from rig.session.planning.load import json_schema, load_protocol
-from rig.session.planning.plan import CellPlan, StudyPlan
+from rig.session import protocols
+from rig.session.protocols import (
+    CellPlan,
+    ExpectedRange,
+    StudyPlan,
+    in_words,
+    json_schema,
+    load_protocol,
+    study_directory,
+)
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("!!", "yellow"), "refused": ("no", "red")}
-DEVICE_CHECKS = (
-    "rig.session.engine.device_checks:device_checks"  # a check without --url does not import the loop
-)
+DEVICE_CHECKS = "rig.session.conducting:device_checks"  # a check without --url does not import the loop
 MOST_ORDERS = 24  # participants whose order is printed; --json has all
 
 
@@ -44,22 +45,22 @@ def new(file: Path | None, template: str | None, listed: bool, as_json: bool) ->
     Beside it goes the JSON schema by which editors complete and check it (taplo, Even Better TOML in VS Code).
     """
     if listed:
-        subjects = {name: templates.template_subject(name) for name in templates.template_names()}
+        subjects = {name: protocols.template_subject(name) for name in protocols.template_names()}
         if as_json:
             output.print_json(subjects)
         else:
             output.print_pairs(list(subjects.items()))
         return
-    name = template or templates.DEFAULT
+    name = template or protocols.DEFAULT
     path = file or Path(f"{name}.toml")
-    beside = templates.write_template(name, path)
+    beside = protocols.write_template(name, path)
     if as_json:
         output.print_json(
             {"file": str(path), "template": name, "schema": None if beside is None else str(beside)}
         )
         return
-    click.echo(f"{path}: {templates.template_subject(name)}")
-    click.echo(f"  for editors: {beside or f'{templates.SCHEMA} (it existed and is unchanged)'}")
+    click.echo(f"{path}: {protocols.template_subject(name)}")
+    click.echo(f"  for editors: {beside or f'{protocols.SCHEMA} (it existed and is unchanged)'}")
     click.echo(f"  check the planned session: rig session check {path}")
 
 
@@ -103,7 +104,7 @@ def check(
     Exits with an error when something is refused.
     """
     protocol = load_protocol(file)
-    plan = checking.check(
+    plan = protocols.check(
         protocol,
         file.parent,
         participants=participants,

@@ -14,21 +14,30 @@ from rig.cli.command import DEVICE, command, option
 from rig.cli.session_progress import Rehearsed
 from rig.core.errors import ConfigError
 from rig.core.present import plain
-from rig.session.engine import rehearsal
-from rig.session.engine import run as sessions
-from rig.session.engine.desk import Desk
-from rig.session.engine.directory import LOG, event_of_trial
-from rig.session.engine.directory import amend as amend_event
-from rig.session.engine.hits import DeviceRunner
-from rig.session.engine.log import DamagedLineError, set_damaged_line_aside
-from rig.session.engine.place import last_opened
-from rig.session.engine.protocol_changes import ChangedProtocolError
-from rig.session.engine.rehearsal import Person
-from rig.session.engine.run import DeskFor, SessionResult, rehearsal_desk, session_state, summary
-from rig.session.engine.runner import TrialRunner
-from rig.session.engine.state import SessionState
-from rig.session.engine.telling import line_of_event, lost_samples, whole_line
-from rig.session.planning.load import load_walls
+from rig.session import conducting
+from rig.session.conducting import (
+    LOG,
+    ChangedProtocolError,
+    DamagedLineError,
+    Desk,
+    DeskFor,
+    DeviceRunner,
+    Person,
+    SessionResult,
+    SessionState,
+    TrialRunner,
+    event_of_trial,
+    last_opened,
+    line_of_event,
+    lost_samples,
+    rehearsal_desk,
+    session_state,
+    set_damaged_line_aside,
+    summary,
+    whole_line,
+)
+from rig.session.conducting import amend as amend_event
+from rig.session.protocols import load_walls
 
 if sys.platform != "win32":
     from rig.session.terminal.desk import at_console
@@ -148,14 +157,14 @@ def run(
             "--hand has no effect in a rehearsal",
             remedy="drop --hand: a simulated person moves the handle",
         )
-    person = rehearsal.Person(thresholds=rehearsal.thresholds_of(thresholds), **known) if rehearse else None
+    person = Person(thresholds=conducting.thresholds_of(thresholds), **known) if rehearse else None
     runner = _runner(url, realtime or not rehearse, verified, arm_anyway, lossy_anyway)
     other_protocol = other_protocol or _agrees_to_other_protocol(
         protocol, code, study, person, as_json=as_json
     )
     with Rehearsed(quiet=as_json or person is None) as seen:
         desk = _desk(person, seen, hand=hand)
-        result = sessions.run_session(
+        result = conducting.run_session(
             protocol,
             code,
             desk,
@@ -214,13 +223,13 @@ def resume(
         kept = set_damaged_line_aside(directory / LOG)
         found = "no line is damaged" if kept is None else f"the damaged line was moved to {kept}"
         click.echo(f"rig: {found}", err=True)
-    person, place = sessions.rehearsed(directory), sessions.took_place(directory)
+    person, place = conducting.rehearsed(directory), conducting.took_place(directory)
     runner = _runner(
         url or place.url, realtime or place.realtime or person is None, verified, arm_anyway, lossy_anyway
     )
     with Rehearsed(quiet=as_json or person is None) as seen:
         desk = _desk(person, seen, hand=hand)
-        result = sessions.resume_session(
+        result = conducting.resume_session(
             directory,
             desk,
             runner=runner,
@@ -320,7 +329,7 @@ def _agrees_to_other_protocol(
     if as_json or not _is_interactive():
         return False
     try:
-        sessions.compare_with_study(load_walls(protocol), code, study, person)
+        conducting.compare_with_study(load_walls(protocol), code, study, person)
     except ChangedProtocolError as error:
         click.echo(f"rig: {output.for_terminal(error.message)}", err=True)
         return click.confirm("Begin anyway? The analysis then needs --across.", err=True)

@@ -32,7 +32,7 @@ from rig.control import estimators
 from rig.core import errors
 from rig.core.lazy import public_names
 from rig.core.sample import COLUMNS, TRUTH_COLUMNS, UNITS, Phase, RowFlag
-from rig.session.planning.protocol import Protocol
+from rig.session.protocols import Protocol
 from rig.views.site import SOURCES
 
 RIG, PROTOCOL = Path(rig.__file__).parent, Path(firmware_protocol.__file__).parent

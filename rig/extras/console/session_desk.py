@@ -23,19 +23,10 @@ from rig.extras.console.hits import short
 from rig.extras.console.session_lists import protocol_file
 from rig.extras.console.talk import Talk
 from rig.recording.canonical import canonical_json
-from rig.session.engine import run as sessions
-from rig.session.engine.desk import Desk
-from rig.session.engine.directory import LOG
-from rig.session.engine.hits import DeviceRunner
-from rig.session.engine.log import read
-from rig.session.engine.rehearsal import Person, thresholds_of
-from rig.session.engine.runner import TrialRunner
-from rig.session.planning.keymap import KeyMap
-from rig.session.planning.load import as_mapping, load_walls
-from rig.session.planning.protocol import Protocol
-from rig.session.terminal.asking import SILENCE_S, AskingDesk
-from rig.session.terminal.pointer import HandKind
-from rig.session.terminal.seat import full_press, keymap_for, refuse_a_hand
+from rig.session import conducting
+from rig.session.conducting import LOG, Desk, DeviceRunner, Person, TrialRunner, read, thresholds_of
+from rig.session.page import SILENCE_S, AskingDesk, HandKind, KeyMap, full_press, keymap_for, refuse_a_hand
+from rig.session.protocols import Protocol, as_mapping, load_walls
 
 REMEDY = "continue with `rig session resume`, or on the page"
 
@@ -101,7 +92,7 @@ def session(content: Mapping[str, Any], talk: Talk) -> dict[str, Any]:
     given = content["person"]
     directory = Path(content["directory"]) if content["directory"] else None
     if directory is not None:
-        person = sessions.rehearsed(directory)
+        person = conducting.rehearsed(directory)
     else:
         person = given and Person(**{**given, "thresholds": thresholds_of(given["thresholds"])})
     runner = DeviceRunner(
@@ -112,11 +103,11 @@ def session(content: Mapping[str, Any], talk: Talk) -> dict[str, Any]:
         lossy_anyway=content["lossy_anyway"],
     )
     if person is None:
-        desk: sessions.DeskFor = partial(_at_page, talk, content["hand_kind"], Path(content["hand"]))
+        desk: conducting.DeskFor = partial(_at_page, talk, content["hand_kind"], Path(content["hand"]))
     else:
         desk = partial(_rehearsed, talk, person)
     if directory is not None:
-        result = sessions.resume_session(
+        result = conducting.resume_session(
             directory,
             desk,
             runner=runner,
@@ -125,7 +116,7 @@ def session(content: Mapping[str, Any], talk: Talk) -> dict[str, Any]:
             other_device=content["other_device"],
         )
     else:
-        result = sessions.run_session(
+        result = conducting.run_session(
             protocol_file(content["protocol"]),
             content["code"],
             desk,
@@ -160,5 +151,5 @@ def _rehearsed(
     talk: Talk, person: Person, protocol: Protocol, experiment: Mapping[str, Any], runner: TrialRunner
 ) -> Desk:
     talk.tell("setup", pid=os.getpid(), keys=KeyMap.of(protocol.keys), hand=None)
-    make = sessions.rehearsal_desk(person, lambda view: talk.tell("view", view=view))
+    make = conducting.rehearsal_desk(person, lambda view: talk.tell("view", view=view))
     return make(protocol, experiment, runner)

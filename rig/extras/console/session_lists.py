@@ -9,9 +9,8 @@ from typing import Any
 
 from rig.config.files import read_toml
 from rig.core.errors import RigError
-from rig.session.engine.directory import LOG, REHEARSALS, SESSIONS
-from rig.session.engine.run import rehearsed, session_state, took_place
-from rig.session.planning.template_files import template_names, template_path, template_subject
+from rig.session.conducting import LOG, REHEARSALS, SESSIONS, rehearsed, session_state, took_place
+from rig.session.protocols import template_names, template_path, template_subject
 
 MOST = 100  # of each
 

@@ -25,11 +25,17 @@ from rig.extras.console.service import Handler, Service, ServiceContext
 from rig.extras.console.session_requests import BeginSession, ListSessions, PressKey, Reach, TypeLine
 from rig.extras.console.terminal import Terminal
 from rig.realtime.hand import SharedHand
-from rig.session.planning.keymap import STOP, VERDICTS
-from rig.session.terminal import words
-from rig.session.terminal.conversation import LATER, Conversation
-from rig.session.terminal.pointer import START_SHARE, WALL_SHARE
-from rig.session.terminal.seat import Seat, SeatHand
+from rig.session.page import (
+    LATER,
+    START_SHARE,
+    STOP,
+    VERDICTS,
+    WALL_SHARE,
+    Conversation,
+    Seat,
+    SeatHand,
+    words,
+)
 
 JOB = "session"
 PARTICIPANTS = ("session_key", "session_line", "stop")  # what a participant's screen may ask for

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from rig.core.deferred import stats
 from rig.extras.study.rows import TrialRow
-from rig.session.search.resolution import is_resolved, unresolved_words
+from rig.session.search import is_resolved, unresolved_words
 
 Floats = NDArray[np.float64]
 Weights = Literal["none", "linear", "quadratic"]

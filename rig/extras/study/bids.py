@@ -29,8 +29,7 @@ from rig.recording.data import Recording
 from rig.recording.files import whole_directory
 from rig.recording.header import checkout
 from rig.recording.reader import open_recording
-from rig.session.engine.state import END
-from rig.session.planning.names import distinct_names
+from rig.session.finished import END, distinct_names
 
 BIDS_VERSION = "1.10.0"
 SHIFTED_TO = datetime(1925, 1, 1, tzinfo=UTC)  # what the standard asks of shifted dates

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from rig.core.deferred import stats
 from rig.extras.study.kmax import LEAST_VALUES, beyond_of, holm, rounding_of, too_few_words
 from rig.extras.study.rows import MEASURES, Measure, RunRow, TrialRow
-from rig.session.planning.trial import VOIDED
-from rig.session.search.resolution import FLOATING, is_resolved, unresolved_words
+from rig.session.finished import VOIDED
+from rig.session.search import FLOATING, is_resolved, unresolved_words
 
 Floats = NDArray[np.float64]
 

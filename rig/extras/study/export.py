@@ -14,7 +14,7 @@ from rig.extras.study.trial_facts import FACTS, facts_of, file_name, unusable
 from rig.extras.study.trials import trials_of
 from rig.recording.export import export
 from rig.recording.files import whole_directory
-from rig.session.planning.names import distinct_names
+from rig.session.finished import distinct_names
 
 INDEX, MEANINGS = "trials.csv", "columns.csv"
 

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from rig.core.deferred import stats
 from rig.extras.study.rows import MEASURES, LimitInterval, Measure, Observed, RunRow
-from rig.session.search.resolution import FLOATING, is_resolved, unresolved_words
+from rig.session.search import FLOATING, is_resolved, unresolved_words
 
 Floats = NDArray[np.float64]
 

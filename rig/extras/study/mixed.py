@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from rig.core.deferred import linear_model, mixed_linear_model, optimize, pandas, stats
 from rig.extras.study.kmax import NONE_BEYOND, Beyond, Bound, Cell, beyond_of, bound_of, holm
 from rig.extras.study.rows import Measure, Observed
-from rig.session.search.resolution import is_resolved, unresolved_words
+from rig.session.search import is_resolved, unresolved_words
 
 Floats = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 
 from rig.extras.study.rows import ENDED_BY_MOST, AnswerRow, ParticipantRow, RunRow, TrialRow
 from rig.extras.study.study import Study, StudySession
-from rig.session.search.catching import CatchTrials
+from rig.session.search import CatchTrials
 
 
 def participants_of(

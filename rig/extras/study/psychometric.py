@@ -25,9 +25,7 @@ from rig.extras.study.kmax import rounding_of, student
 from rig.extras.study.rows import RunRow
 from rig.extras.study.study import Study
 from rig.extras.study.trials import answers, half_way, levels_by_participant
-from rig.session.search import psychometric as curve
-from rig.session.search.resolution import rounding_deviation
-from rig.session.search.rule import verdicts_of
+from rig.session.search import LAPSE_RATES, of_levels, rounding_deviation, share_stable, verdicts_of
 
 Floats = NDArray[np.float64]
 Judge = Literal["person", "automatic"]
@@ -88,7 +86,7 @@ class PsychometricFit:
 
     def share(self, stiffness: Floats) -> Floats:
         """Share of stable verdicts along stiffness, at these parameters."""
-        return curve.share_stable(stiffness, self.threshold.mean, self.spread.mean, self.lapse_rate.mean)
+        return share_stable(stiffness, self.threshold.mean, self.spread.mean, self.lapse_rate.mean)
 
 
 Verdicts = list[tuple[float, bool]]
@@ -165,7 +163,7 @@ def fit(
     verdicts: Sequence[tuple[float, bool]],
 ) -> PsychometricFit:
     """The function that verdicts (stiffness, stable) of one participant on these levels show."""
-    grid = curve.of_levels(tuple(levels))
+    grid = of_levels(tuple(levels))
     posterior = grid.posterior(verdicts)
     half = half_way(levels, verdicts)
     by_level = {
@@ -182,7 +180,7 @@ def fit(
         above=int(half.censored == "above"),
         below=int(half.censored == "below"),
         spread=_marginal(grid.spreads, posterior.sum(axis=(0, 2)), geometric=True),
-        lapse_rate=_marginal(np.array(curve.LAPSE_RATES), posterior.sum(axis=(0, 1))),
+        lapse_rate=_marginal(np.array(LAPSE_RATES), posterior.sum(axis=(0, 1))),
         levels=tuple(by_level),
         verdicts=tuple(len(stable) for stable in by_level.values()),
         stable=tuple(sum(stable) for stable in by_level.values()),

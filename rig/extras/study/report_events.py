@@ -12,9 +12,7 @@ from dataclasses import dataclass
 from rig.control.verdict import Kind
 from rig.core.sample import unit_of
 from rig.extras.study.study import Study, StudySession
-from rig.session.engine.log import Event
-from rig.session.engine.protocol_changes import value_words
-from rig.session.engine.telling import lost, lost_samples
+from rig.session.finished import Event, log_losses, lost_samples, value_words
 from rig.views.report.template import fill_text
 
 TEMPLATE = "extras/study/session_events.j2"
@@ -117,7 +115,7 @@ def _sentence(session: StudySession, event: Event) -> str:
         ),
         why_paused=next((one.content["reason"] for one in reversed(before) if one.kind == "paused"), ""),
         away_s=_away_s(session, event),
-        losses=lost(event),
+        losses=log_losses(event),
         lost_samples=lost_samples(content),
         reasons=_with_units(session, "; ".join(content.get("reasons", ()))),
     )

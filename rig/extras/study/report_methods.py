@@ -26,12 +26,8 @@ from rig.extras.study.analyse import StudyAnalysis
 from rig.extras.study.kmax import ENOUGH_REPEATS, LEAST_VALUES, RESAMPLES
 from rig.extras.study.rows import Measure
 from rig.recording.header import checkout
-from rig.session.engine.conduct import walls_in
-from rig.session.planning.bands import asked
-from rig.session.planning.schedule import cells_of, levels_of, rows_of, rule
-from rig.session.search.psychometric import LAPSE_RATES, PsychometricGrid, of_levels
-from rig.session.search.rule import Rule
-from rig.session.search.staircase import EDGE_VERDICTS
+from rig.session.finished import asked, cells_of, levels_of, rows_of, rule, walls_in
+from rig.session.search import EDGE_VERDICTS, LAPSE_RATES, PsychometricGrid, Rule, of_levels
 from rig.views.report.template import fill_text
 
 TEMPLATE = "extras/study/session_methods.j2"

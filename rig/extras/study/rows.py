@@ -11,10 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 from rig.core.quantity import Quantity
-from rig.session.planning.trial import RecordedTrial
-from rig.session.search.catching import CatchTrials
-from rig.session.search.resolution import rounding_deviation
-from rig.session.search.rule import Censored
+from rig.session.finished import RecordedTrial
+from rig.session.search import CatchTrials, Censored, rounding_deviation
 
 Measure = Literal["rule", "K50 person", "K50 automatic"]
 # How the limit of a run is estimated: by the rule that asked for its walls, from the verdicts that it followed;

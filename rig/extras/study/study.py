@@ -18,13 +18,20 @@ from rig.core.errors import ConfigError, RecordingError
 from rig.core.regular_file import open_regular
 from rig.core.sample import unit_of
 from rig.recording.files import plain_errors
-from rig.session.engine.log import Event, read
-from rig.session.engine.place import device_words, differences
-from rig.session.engine.protocol_changes import Difference, is_within, listed, settings_of
-from rig.session.engine.protocol_changes import differences as protocol_differences
-from rig.session.engine.state import SessionState
-from rig.session.planning.protocol import Protocol
-from rig.session.planning.trial import RecordedTrial
+from rig.session.finished import (
+    Difference,
+    Event,
+    Protocol,
+    RecordedTrial,
+    SessionState,
+    device_words,
+    is_within,
+    listed,
+    place_differences,
+    protocol_differences,
+    read,
+    settings_of,
+)
 
 LOG = "session.log"
 PROTOCOL = "protocol.toml"
@@ -345,7 +352,7 @@ def _changed_between(session: StudySession) -> Iterator[str]:
     simulated = [trial for one, trials in used if one.get("simulated") for trial in trials]
     if simulated and any(one.get("simulated") is False for one, _ in used):
         yield f"the session mixes a real rig with a simulated one ({_trials(simulated)}): its limits hold for neither"
-    elif any(differences(used[0][0], one) for one, _ in used[1:]):
+    elif any(place_differences(used[0][0], one) for one, _ in used[1:]):
         devices = dict.fromkeys(device_words(one) for one, _ in used)
         yield f"the session took place on more than one device: {' and '.join(devices)}"
     for (one, _), (other, trials) in pairwise(used):

@@ -34,7 +34,7 @@ from rig.extras.study.rows import (
 )
 from rig.extras.study.trials import NUMBERS
 from rig.recording.files import whole_file
-from rig.session.search.psychometric import LAPSE_RATES
+from rig.session.search import LAPSE_RATES
 
 DICTIONARY = "tables.json"
 PRIOR_LAPSE_RATE = sum(LAPSE_RATES) / len(LAPSE_RATES)

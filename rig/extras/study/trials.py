@@ -9,15 +9,26 @@ from typing import Any
 from rig.config.schemes import Scheme
 from rig.extras.study.rows import ENDED_BY_MOST, LimitInterval, Measure, RunRow, TrialRow
 from rig.extras.study.study import Study, StudySession
-from rig.session.engine.state import WALKING, SessionState
-from rig.session.planning.protocol import Condition, Protocol
-from rig.session.planning.schedule import SearchRun, levels_of
-from rig.session.planning.trial import RecordedTrial
-from rig.session.search import Estimate, JudgedProbe, psychometric
-from rig.session.search.ascending import Ascending
-from rig.session.search.catching import CatchTrials
-from rig.session.search.resolution import step_at
-from rig.session.search.rule import Censored, contradiction, verdicts_of
+from rig.session.finished import (
+    WALKING,
+    Condition,
+    Protocol,
+    RecordedTrial,
+    SearchRun,
+    SessionState,
+    levels_of,
+)
+from rig.session.search import (
+    Ascending,
+    CatchTrials,
+    Censored,
+    Estimate,
+    JudgedProbe,
+    contradiction,
+    locate,
+    step_at,
+    verdicts_of,
+)
 
 PEOPLE = ("person", "simulated")  # who may have judged, besides the automatic verdict
 NUMBERS = (
@@ -142,7 +153,7 @@ def half_way(
         Stiffness, and whether it was stable; at least one.
     """
     share = share or 0.5
-    found = psychometric.locate(tuple(grid), verdicts, share)
+    found = locate(tuple(grid), verdicts, share)
     return LimitInterval(
         value=found.value,
         low=found.low,

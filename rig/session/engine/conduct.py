@@ -12,7 +12,6 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Protocol
 
-from rig import config
 from rig.config import Experiment
 from rig.control.verdict import Kind
 from rig.core.errors import (
@@ -35,6 +34,7 @@ from rig.session.engine.desk import Action, Desk, DeskView, Question, Reply
 from rig.session.engine.directory import TRIALS, Session
 from rig.session.engine.log import Event
 from rig.session.engine.place import resume_command
+from rig.session.engine.protocol_changes import walls_in
 from rig.session.engine.runner import TrialDone, TrialRunner
 from rig.session.engine.state import (
     DoAsk,
@@ -50,7 +50,7 @@ from rig.session.engine.state import (
 from rig.session.engine.telling import line_of_event, outcome
 from rig.session.planning.bands import asked as asked_of_hand
 from rig.session.planning.bands import judged
-from rig.session.planning.conditions import ReachFor, Walls, own_rates
+from rig.session.planning.conditions import Walls, own_rates
 from rig.session.planning.expected import likely_trials
 from rig.session.planning.items import asked, parse_answer
 from rig.session.planning.keymap import VERDICTS
@@ -212,12 +212,6 @@ def _for_the_blinded(state: SessionState, error: Exception) -> RigError | None:
 
 def _mend(reason: str) -> str:
     return SEE_TO_IT if reason.startswith(NOT_AS_DESCRIBED) else MEND
-
-
-def walls_in(state: SessionState, reach_for: ReachFor | None = None) -> Walls:
-    """The walls of a session: of the protocol and the experiment in its log; `reach_for` as `Walls` has it."""
-    base = config.experiment_from_mapping(state.experiment, "the experiment in the session's log")
-    return Walls(state.protocol, base, reach_for)
 
 
 class _Left(Exception):  # noqa: N818  (no error: the operator leaves)

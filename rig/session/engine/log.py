@@ -198,6 +198,17 @@ def set_aside(path: Path) -> list[Path]:
     return list(takewhile(Path.exists, _beside(path)))
 
 
+def log_losses(event: Event) -> list[str]:
+    """Return what a log had lost when the session was resumed, as sentences without a full stop."""
+    losses = []
+    if torn := event.content.get("torn"):
+        losses.append(f"the last line of the log was incomplete, as after a crash: {torn} bytes were dropped")
+    damaged = [one["file"] for one in event.content.get("damaged", ())]
+    if damaged:
+        losses.append(f"a damaged line of the log was moved to another file: {', '.join(damaged)}")
+    return losses
+
+
 def _beside(path: Path) -> Iterator[Path]:
     return (path.with_name(f"{path.name}.damaged-{number}") for number in count(1))
 

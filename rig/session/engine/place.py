@@ -76,6 +76,15 @@ def device_words(opened: Mapping[str, Any]) -> str:
     return f"{opened.get('device', 'unknown')} ({kind}{f', serial number {number}' if number else ''})"
 
 
+def lost_samples(opened: Mapping[str, Any]) -> list[str]:
+    """Return the loss of samples measured when the rig was opened (content of that event): one sentence or none."""
+    pace = opened.get("pace") or {}
+    if not pace.get("said"):
+        return []
+    anyway = "; nearly every trial will be invalid, which the operator accepted" if pace["hopeless"] else ""
+    return [pace["said"] + anyway]
+
+
 @cache
 def software() -> dict[str, str]:
     """Versions of what runs a session here."""

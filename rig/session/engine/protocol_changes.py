@@ -18,7 +18,8 @@ from rig.config.files import flatten
 from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError, RigError
 from rig.session.engine.log import Event, read
-from rig.session.planning.conditions import Walls
+from rig.session.engine.state import SessionState
+from rig.session.planning.conditions import ReachFor, Walls
 from rig.session.planning.load import as_mapping, protocol_from_mapping
 from rig.session.planning.names import directory_name
 from rig.session.planning.protocol import Protocol
@@ -87,6 +88,12 @@ def listed(names: Sequence[str]) -> str:
     """The first names, and how many more there are."""
     more = len(names) - _LISTED
     return ", ".join(names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
+
+
+def walls_in(state: SessionState, reach_for: ReachFor | None = None) -> Walls:
+    """Return the walls of a session: of the protocol and the experiment in its log; `reach_for` as `Walls` has it."""
+    base = config.experiment_from_mapping(state.experiment, "the experiment in the session's log")
+    return Walls(state.protocol, base, reach_for)
 
 
 def settings_of(protocol: Protocol, experiment: Mapping[str, Any]) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from rig.recording.files import plain_errors
 from rig.session.engine.arming import refuse_unarmable
 from rig.session.engine.check import refuse_walls
 from rig.session.engine.clock import SessionClock, WallClock
-from rig.session.engine.conduct import Streams, conduct, first_wall, walls_in
+from rig.session.engine.conduct import Streams, conduct, first_wall
 from rig.session.engine.desk import Desk, DeskView
 from rig.session.engine.directory import (
     LOG,
@@ -32,7 +32,7 @@ from rig.session.engine.directory import (
     study_directory,
 )
 from rig.session.engine.fitting import refuse_misfit
-from rig.session.engine.log import Event, read
+from rig.session.engine.log import Event, log_losses, read
 from rig.session.engine.pace import refuse_lossy
 from rig.session.engine.place import (
     Place,
@@ -43,11 +43,11 @@ from rig.session.engine.place import (
     resume_command,
     software,
 )
-from rig.session.engine.protocol_changes import changed_keys, refuse_changed
+from rig.session.engine.protocol_changes import changed_keys, refuse_changed, walls_in
 from rig.session.engine.rehearsal import Day, Person, RealDay, RehearsalDesk, refuse_nobody
 from rig.session.engine.runner import TrialRunner
 from rig.session.engine.state import SessionState
-from rig.session.engine.telling import lost, outcome
+from rig.session.engine.telling import outcome
 from rig.session.planning.conditions import ReachFor, Walls
 from rig.session.planning.disk import refuse_full_disk
 from rig.session.planning.load import load_walls
@@ -409,7 +409,7 @@ def _conducted(
             with suppress(RecordingError):
                 session.record("streamed", sent=sent, lost_markers=streams.lost)
     resumed = [event for event in session.log.events if event.kind == "resumed"][-1:]
-    messages = [text for event in resumed for text in lost(event)] + list(runner.messages)
+    messages = [text for event in resumed for text in log_losses(event)] + list(runner.messages)
     return summary(session.directory, session.state, session.log.events, tuple(messages))
 
 

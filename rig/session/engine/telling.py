@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from rig.control.verdict import Kind
 from rig.core.sample import Motion, unit_of
 from rig.experiments.trials.judgement import FINISHED
-from rig.session.engine.log import Event
-from rig.session.engine.place import device_words
+from rig.session.engine.log import Event, log_losses
+from rig.session.engine.place import device_words, lost_samples
 from rig.session.planning.reasons import told
 from rig.session.planning.trial import RecordedTrial, trial_of
 
@@ -52,7 +51,7 @@ def line_of_event(event: Event) -> str:
     if event.kind == "stopped":  # many a reason begins with that word
         return f"stopped: {event.content['reason']}".replace("stopped: stopped", "stopped", 1)
     if event.kind == "resumed":
-        return "; ".join(["resumed", *lost(event)])
+        return "; ".join(["resumed", *log_losses(event)])
     return _LINES.get(event.kind, event.kind).format(**event.content)
 
 
@@ -92,26 +91,6 @@ def _whole(trial: RecordedTrial, motion: Motion) -> str:
         *([f"ended early: {ended.replace('_', ' ')}"] if ended else []),
     ]
     return "; ".join(said)
-
-
-def lost_samples(opened: Mapping[str, Any]) -> list[str]:
-    """What was measured to be lost when the rig was opened (content of that event), in one sentence or none."""
-    pace = opened.get("pace") or {}
-    if not pace.get("said"):
-        return []
-    anyway = "; nearly every trial will be invalid, which the operator accepted" if pace["hopeless"] else ""
-    return [pace["said"] + anyway]
-
-
-def lost(event: Event) -> list[str]:
-    """What a log had lost when the session was resumed, as sentences without a full stop."""
-    losses = []
-    if torn := event.content.get("torn"):
-        losses.append(f"the last line of the log was incomplete, as after a crash: {torn} bytes were dropped")
-    damaged = [one["file"] for one in event.content.get("damaged", ())]
-    if damaged:
-        losses.append(f"a damaged line of the log was moved to another file: {', '.join(damaged)}")
-    return losses
 
 
 def outcome(trial: RecordedTrial, *, blind: bool) -> str:

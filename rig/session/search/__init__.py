@@ -8,6 +8,9 @@ same answers afterwards.
     probe = rule.next(answers)          # None when it has enough
     estimate = rule.estimate(answers)   # with an interval
 
+Sessions ask the rules, and the analysis of finished sessions fits their psychometric function. Nothing here presents
+a wall, reads a log or draws a random number without a given seed.
+
 Verdicts are about walls: `stable` or not. Along rising stiffness the share of stable verdicts falls from one to zero.
 """
 
@@ -18,14 +21,54 @@ from typing import Any
 
 from rig.core.errors import ConfigError
 from rig.session.search.ascending import Ascending
-from rig.session.search.catching import Catching
+from rig.session.search.catching import Catching, CatchTrials
 from rig.session.search.grid import LevelGrid
 from rig.session.search.interleaved import Interleaved
 from rig.session.search.psi import Psi
-from rig.session.search.rule import Estimate, JudgedProbe, Probe, Rule
-from rig.session.search.staircase import Staircase
+from rig.session.search.psychometric import (
+    LAPSE_RATES,
+    Located,
+    PsychometricGrid,
+    locate,
+    of_levels,
+    share_stable,
+)
+from rig.session.search.resolution import (
+    FLOATING,
+    is_resolved,
+    rounding_deviation,
+    step_at,
+    unresolved_words,
+)
+from rig.session.search.rule import Censored, Estimate, JudgedProbe, Probe, Rule, contradiction, verdicts_of
+from rig.session.search.staircase import EDGE_VERDICTS, Staircase
 
-__all__ = ["RULES", "Catching", "Estimate", "JudgedProbe", "Probe", "Rule", "make"]
+__all__ = [
+    "EDGE_VERDICTS",
+    "FLOATING",
+    "LAPSE_RATES",
+    "RULES",
+    "Ascending",
+    "CatchTrials",
+    "Catching",
+    "Censored",
+    "Estimate",
+    "JudgedProbe",
+    "Located",
+    "Probe",
+    "PsychometricGrid",
+    "Rule",
+    "contradiction",
+    "is_resolved",
+    "locate",
+    "make",
+    "of_levels",
+    "rounding_deviation",
+    "share_stable",
+    "step_at",
+    "unresolved_words",
+    "verdicts_of",
+]
 
 RULES: dict[str, Callable[..., Rule]] = {
     "ascending": Ascending,

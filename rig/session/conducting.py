@@ -1,0 +1,64 @@
+"""Hold a session with a rig or a simulated hand: begin, rehearse, resume, amend, and state its progress in lines.
+
+`rig session run` and the page in the browser call it, each with a desk of its own for the operator. It shows nothing
+itself, and no caller writes to a session's directory but through it.
+"""
+
+from rig.session.engine.desk import Desk, DeskView
+from rig.session.engine.device_checks import device_checks
+from rig.session.engine.directory import LOG, REHEARSALS, SESSIONS, amend, event_of_trial
+from rig.session.engine.hits import DeviceRunner
+from rig.session.engine.log import DamagedLineError, Event, read, set_damaged_line_aside
+from rig.session.engine.place import last_opened, lost_samples
+from rig.session.engine.protocol_changes import ChangedProtocolError
+from rig.session.engine.rehearsal import Person, thresholds_of
+from rig.session.engine.run import (
+    DeskFor,
+    SessionResult,
+    compare_with_study,
+    rehearsal_desk,
+    rehearsed,
+    resume_session,
+    run_session,
+    session_state,
+    summary,
+    took_place,
+)
+from rig.session.engine.runner import TrialRunner
+from rig.session.engine.state import SessionState
+from rig.session.engine.telling import line_of_event, whole_line
+
+__all__ = [
+    "LOG",
+    "REHEARSALS",
+    "SESSIONS",
+    "ChangedProtocolError",
+    "DamagedLineError",
+    "Desk",
+    "DeskFor",
+    "DeskView",
+    "DeviceRunner",
+    "Event",
+    "Person",
+    "SessionResult",
+    "SessionState",
+    "TrialRunner",
+    "amend",
+    "compare_with_study",
+    "device_checks",
+    "event_of_trial",
+    "last_opened",
+    "line_of_event",
+    "lost_samples",
+    "read",
+    "rehearsal_desk",
+    "rehearsed",
+    "resume_session",
+    "run_session",
+    "session_state",
+    "set_damaged_line_aside",
+    "summary",
+    "thresholds_of",
+    "took_place",
+    "whole_line",
+]

@@ -1,0 +1,31 @@
+"""The operator's desk as a page shows it: questions, keys, the words of each view, and the simulated hand.
+
+`rig.extras.console` calls it, the server for its views and the session's process for the desk. It opens no terminal
+and no device, and loads neither the loop nor the simulation; `rig.session.conducting` holds the session.
+"""
+
+from rig.session.planning.keymap import STOP, VERDICTS, KeyMap
+from rig.session.terminal import words
+from rig.session.terminal.asking import SILENCE_S, AskingDesk
+from rig.session.terminal.conversation import LATER, Conversation
+from rig.session.terminal.pointer import START_SHARE, WALL_SHARE, HandKind
+from rig.session.terminal.seat import Seat, SeatHand, full_press, keymap_for, refuse_a_hand
+
+__all__ = [
+    "LATER",
+    "SILENCE_S",
+    "START_SHARE",
+    "STOP",
+    "VERDICTS",
+    "WALL_SHARE",
+    "AskingDesk",
+    "Conversation",
+    "HandKind",
+    "KeyMap",
+    "Seat",
+    "SeatHand",
+    "full_press",
+    "keymap_for",
+    "refuse_a_hand",
+    "words",
+]
