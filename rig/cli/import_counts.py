@@ -10,8 +10,9 @@ from rig.cli import options, output
 from rig.cli.command import command, option
 from rig.core.present import Row
 from rig.core.sample import Motion
-from rig.recording.counts import UNITS_S, count_rows, counts_facts, read_counts
+from rig.recording.counts import UNITS_S, count_rows, read_counts
 from rig.recording.export import export
+from rig.recording.origin import counts_facts
 
 
 @command("import")

@@ -16,11 +16,11 @@ from rig.core.present import Row, plain
 from rig.core.sample import unit_of
 from rig.experiments.trials.judgement import JUDGED, Verdicts, experiment_of, unexpected, verdicts_of
 from rig.experiments.trials.planned import ARITHMETIC_WORDS
-from rig.recording.counts import count_rows, counts_facts, refuse_counts
-from rig.recording.cutting import cut_facts
+from rig.recording.counts import count_rows
 from rig.recording.data import Recording
 from rig.recording.marks import Mark
 from rig.recording.marks import marks as marks_of
+from rig.recording.origin import counts_facts, cut_facts, refuse_counts
 from rig.recording.reader import open_facts, open_recording
 from rig.views.plots import style
 from rig.views.plots.hit import DRAWN, hit_figure

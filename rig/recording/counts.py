@@ -1,6 +1,7 @@
 """Recordings from the CSV files of other loggers: times and counts on a regular grid, with lost samples found.
 
-Such a recording has no rig, wall or trial: what it does not know is NaN or 0, and `counts_facts` has what it knows.
+Such a recording has no rig, wall or trial: what it does not know is NaN or 0, and `rig.recording.origin.counts_facts`
+has what it knows.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from rig.core.sample import COLUMNS, ROW, Motion, RowFlag, unit_of
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors, sha256_of
 from rig.recording.header import make_header
+from rig.recording.origin import COUNTS_FACTS
 from rig.recording.parquet import check_pyarrow
 
 UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
@@ -34,7 +36,6 @@ WHOLE_HZ = 1e-4  # a rate so near to whole Hz is taken as that
 FEWEST = 3  # samples that show a period
 HEAD_BYTES = 1 << 16  # of a file, in which its dialect shows
 COMMENTS = ("#", "%")
-FACTS = "counts"  # key of the header's `extra`
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -132,21 +133,6 @@ def read_counts(
         "deviation_rms": None if seconds is None else grid.deviation_rms,
     }
     return _recording(path, motion, facts, grid, device_s, whole, elapsed)
-
-
-def counts_facts(recording: Recording) -> Mapping[str, Any] | None:
-    """Return what is known of a recording that `read_counts` made: rate, resolution, lost samples; None of others."""
-    found = (recording.header.get("extra") or {}).get(FACTS)
-    return found if isinstance(found, dict) else None
-
-
-def refuse_counts(recording: Recording) -> None:
-    """Raise `RecordingError` for a recording that has no rig, law and wall."""
-    if (facts := counts_facts(recording)) is not None:
-        raise RecordingError(
-            f"the recording has only counts of {facts['file']}, without a rig and a wall",
-            remedy="use it with `rig show`, `rig recording export`, `rig estimators compare` and `rig estimators tune`",
-        )
 
 
 def count_rows(facts: Mapping[str, Any], motion: Motion) -> list[Row]:
@@ -354,7 +340,7 @@ def _recording(
         seed=None,
         protocol="none",
         initial_state={},
-        extra={FACTS: facts},
+        extra={COUNTS_FACTS: facts},
     )
     rows = np.zeros(len(counts), ROW)
     for column in COLUMNS:

@@ -20,10 +20,9 @@ from rig.recording.capture import write_capture
 from rig.recording.data import Recording
 from rig.recording.files import free_name, make_directories, sha256_of, whole_file
 from rig.recording.ledger import CLOCK_KEY
+from rig.recording.origin import CUT, cut_facts
 from rig.recording.parquet import has_pyarrow, write_parquet
 from rig.recording.seal import SEALED_SUFFIX
-
-CUT = "cut"  # key of the header's `extra`, and reason of the trailer
 
 
 def cut(
@@ -92,12 +91,6 @@ def cut(
         lost=(),
         path=None,
     )
-
-
-def cut_facts(recording: Recording) -> Mapping[str, Any] | None:
-    """Return the source and interval of a cut, from its header; None for a whole recording."""
-    found = recording.header["extra"].get(CUT)
-    return found if isinstance(found, dict) else None
 
 
 def write_cut(made: Recording, directory: Path) -> Path:

@@ -1,4 +1,4 @@
-"""A real rig behind a link that makes any wall dangerous: whatever arms a device must refuse it."""
+"""A rig that counts as real, behind a link of a made-up delay: what arms a device must ask the gate and the pulse."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from sim_backend.ends.link import MemoryLink
 from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.made_links import link
 
-TRAVEL_S = 0.05  # there and back: longer than any command lives
+SLOW_S = 0.05  # there and back: longer than any command lives
 REFUSED = "this wall must not be armed"
 
 
@@ -28,7 +28,7 @@ class Started(Exception):  # noqa: N818  (it is no error)
     """A hit that was allowed: its trial would begin."""
 
 
-def open_behind_a_slow_link(monkeypatch: pytest.MonkeyPatch) -> None:
+def open_as_real(monkeypatch: pytest.MonkeyPatch, travel_s: float) -> None:
     """Let each hit open such a rig whatever its URL; a trial that begins raises `Started`."""
     claim_to_be_real(monkeypatch)
 
@@ -50,4 +50,4 @@ def open_behind_a_slow_link(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(hits, "_opened", opened)
     monkeypatch.setattr(hits, "run_trial", started)
-    monkeypatch.setattr(gate, "measure_link", lambda *_, **__: link(TRAVEL_S))
+    monkeypatch.setattr(gate, "measure_link", lambda *_, **__: link(travel_s))

@@ -23,8 +23,8 @@ from rig.core.present import reported
 from rig.core.sample import Motion, Phase
 from rig.core.signals import Signal, edge_times
 from rig.experiments.trials.judgement import experiment_of
-from rig.recording.counts import counts_facts
 from rig.recording.data import Recording
+from rig.recording.origin import counts_facts
 
 EARLIEST_S, LATEST_S, DELAY_STEP_S = -5e-3, 50e-3, 2.5e-4  # where a delay is looked for
 DELAY_SAMPLES = 8192  # that many samples tell it

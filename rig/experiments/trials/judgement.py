@@ -18,9 +18,8 @@ from rig.core.deferred import pydantic
 from rig.core.errors import ConfigError, RecordingError, UnexpectedVerdictError
 from rig.core.present import Row, written
 from rig.core.sample import Phase, unit_of
-from rig.recording.counts import refuse_counts
-from rig.recording.cutting import cut_facts
 from rig.recording.data import Recording
+from rig.recording.origin import cut_facts, refuse_counts
 
 JUDGED = (  # columns that `judge` takes
     "phase", "elapsed_ticks", "flags", "position", "penetration", "effort_sent", "effort_applied", "limits",

@@ -26,9 +26,8 @@ from rig.core.sample import COLUMNS, ROW, unit_of
 from rig.core.shown import Shown
 from rig.experiments.trials.judgement import experiment_of
 from rig.loop.replay import NO_SETS, replay_rows
-from rig.recording.counts import refuse_counts
-from rig.recording.cutting import cut_facts
 from rig.recording.data import Recording
+from rig.recording.origin import cut_facts, refuse_counts
 
 # What `step` leaves, and what a replay therefore computes anew; everything else of a row is copied.
 COMPUTED = (

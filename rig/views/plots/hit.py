@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from rig.core import program
 from rig.core.sample import Phase, RowFlag, unit_of
-from rig.recording.counts import counts_facts
 from rig.recording.data import Recording
+from rig.recording.origin import counts_facts
 from rig.recording.reader import open_recording
 from rig.views.plots import style
 from rig.views.plots.column import column_figure

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from itertools import product
 from pathlib import Path
@@ -19,6 +20,7 @@ from rig.devices.framed import FramedDevice
 from rig.doctor import gate as gates
 from rig.doctor.gate import check_armable
 from rig.doctor.in_effect import in_effect
+from rig.experiments.hits import admission
 from rig.experiments.hits import examine as examining
 from rig.experiments.hits import hit as hits
 from rig.experiments.hits.admission import admission_checks, admit
@@ -33,7 +35,7 @@ from sim_backend.ends.link import MemoryLink
 from sim_backend.ends.pty import FIRMWARE_RATE_MAXIMUM, POSITION_RATE_MAXIMUM
 from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.firmware import need_compiler
-from tests.conformance.gated import REFUSED, Started, open_behind_a_slow_link
+from tests.conformance.gated import REFUSED, SLOW_S, Started, open_as_real
 from tests.conformance.made_links import link as made_link
 from tests.conformance.tiers import first_by_default
 
@@ -170,44 +172,67 @@ def test_a_rate_that_a_served_board_does_not_run_is_refused_by_doctor_too(made_u
 
 
 URL = "serial:///dev/rig"
-SHORT = {"host.realtime": "off", "trial.minimum_rest_counts": 0.0}
+MOTOR = {"host.realtime": "off", "trial.minimum_rest_counts": 0.0}
+PERSON = {
+    "host.realtime": "off", "trial.kind": "human", "rig.limits.human": True, "rig.limits.effort": 0.28,
+    "rig.amplifier.current_monitor": False, "operator.press": 2.0, "homing.tolerance_counts": 200.0,
+    "wall.stiffness": 10.0, "wall.damping": 0.02,
+}  # fmt: skip
 
 
-def by_command(output: Path) -> None:
-    arguments = ["--url", URL, "--verified", "--output", str(output), "--no-plot"]
-    command.main(
-        [*arguments, *(f"--set={key}={value}" for key, value in SHORT.items())], standalone_mode=False
-    )
+def by_command(output: Path, x: config.Experiment, changes: dict[str, Any]) -> None:
+    given = [
+        f"--set={key}={value if isinstance(value, str) else json.dumps(value)}"
+        for key, value in changes.items()
+    ]
+    options = ["--rig", x.rig.name, "--url", URL, "--verified", "--output", str(output), "--no-plot"]
+    command.main([*options, *given], standalone_mode=False)
 
 
-def by_name(output: Path) -> None:
-    rig.hit(url=URL, verified=True, output=output, changes=SHORT)
+def by_name(output: Path, x: config.Experiment, changes: dict[str, Any]) -> None:
+    rig.hit(x, url=URL, verified=True, output=output, changes=changes)
 
 
-def by_session(output: Path) -> None:
-    runner = DeviceRunner(url=URL, verified=True)
-    runner.hit(presets.load("koul-compliant"), SHORT, output, "t0001", lambda _: None, 0.0)
+def by_session(output: Path, x: config.Experiment, changes: dict[str, Any]) -> None:
+    DeviceRunner(url=URL, verified=True).hit(x, changes, output, "t0001", lambda _: None, 0.0)
 
 
-def by_measurement(output: Path) -> None:
-    """As maps on a rig and impedance do."""
-    where = OnDevice(url=URL, recordings=output, verified=True)
-    Trials(where, None, None).run(presets.load("koul-compliant"), SHORT)
+def by_measurement(output: Path, x: config.Experiment, changes: dict[str, Any]) -> None:
+    """As maps on a rig and impedances do."""
+    Trials(OnDevice(url=URL, recordings=output, verified=True), None, None).run(x, changes)
 
 
-def by_test(output: Path) -> None:
+def by_test(output: Path, x: config.Experiment, changes: dict[str, Any]) -> None:
     """As ``rig_hit`` does."""
-    request = HitRequest(
-        experiment=presets.load("koul-compliant"), url=URL, verified=True, output=output, changes=SHORT
-    )
+    request = HitRequest(experiment=x, url=URL, verified=True, output=output, changes=changes)
     hits_of_tests._ended(request, cast(FramedDevice, None), may_end=False)
 
 
-@pytest.mark.parametrize("entry", [by_command, by_name, by_session, by_measurement, by_test])
+entries = pytest.mark.parametrize("entry", [by_command, by_name, by_session, by_measurement, by_test])
+
+
+@entries
 def test_every_entry_asks_the_gate(
-    entry: Callable[[Path], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    entry: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    open_behind_a_slow_link(monkeypatch)
+    open_as_real(monkeypatch, SLOW_S)
     monkeypatch.setattr(DeviceRunner, "_device", lambda *_: None)
     with pytest.raises(PlanError, match=REFUSED):
-        entry(tmp_path)
+        entry(tmp_path, presets.load("koul-compliant"), MOTOR)
+
+
+@entries
+def test_every_entry_pushes_a_real_rig_before_a_person_is_armed(
+    entry: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Pushed(Exception):  # noqa: N818  (it is no error)
+        pass
+
+    def pushed(*_: Any, **__: Any) -> Any:
+        raise Pushed
+
+    open_as_real(monkeypatch, 1e-4)
+    monkeypatch.setattr(DeviceRunner, "_device", lambda *_: None)
+    monkeypatch.setattr(admission, "pulse", pushed)
+    with pytest.raises(Pushed):
+        entry(tmp_path, presets.load("koul-rigid"), PERSON)

@@ -25,9 +25,10 @@ from rig.experiments.hits.hit import HitRequest, hit
 from rig.experiments.trials.cutting import cut_recording
 from rig.experiments.trials.judgement import experiment_of, judge
 from rig.experiments.trials.replay import replay
-from rig.recording.cutting import cut, cut_facts, write_cut
+from rig.recording.cutting import cut, write_cut
 from rig.recording.data import Recording
 from rig.recording.export import export
+from rig.recording.origin import cut_facts
 from rig.recording.reader import open_facts, open_recording
 
 SHORT = {"trial.duration_s": 0.2, "trial.release_s": 0.02, "homing.settle_s": 0.02, "verdict.tail_s": 0.05}

@@ -15,7 +15,8 @@ from rig.core.errors import ConfigError, RecordingError
 from rig.experiments.estimation.cases import recording_case
 from rig.experiments.estimation.estimators import Variant, estimates, score
 from rig.experiments.estimation.tuning import tune_estimator
-from rig.recording.counts import WORST_DEVIATION, counts_facts, read_counts
+from rig.recording.counts import WORST_DEVIATION, read_counts
+from rig.recording.origin import counts_facts
 
 RATE, DELTA, N = 1000, 1e-4, 3000
 TIME_S = np.arange(N) / RATE
