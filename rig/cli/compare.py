@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,6 @@ from rig.core.present import plain
 from rig.experiments.hits import compare as comparing
 from rig.experiments.hits.compare import entries_of, refuse_unused
 from rig.experiments.trials.plan import stands_for_device
-from rig.views.plots.compare import draw_comparison
 
 
 @command()
@@ -51,7 +49,8 @@ def compare(
     comparison = comparing.compare(experiment, entries_of(experiment, schemes))
     picture = None
     if plot:
-        picture = _drawn(directory / f"{experiment.rig.name}-compare.{plot}", draw_comparison, comparison)
+        directory.mkdir(parents=True, exist_ok=True)
+        picture = output.drawn(comparison, directory / f"{experiment.rig.name}-compare.{plot}")
     if as_json:
         output.print_json({**plain(comparison), "picture": picture})
         return
@@ -60,8 +59,3 @@ def compare(
         click.echo(f"  {stands_for_device(experiment)}")
     if picture is not None:
         output.print_pairs([("picture", picture)])
-
-
-def _drawn(path: Path, draw: Callable[[Any, Path], Path], what: Any) -> str | None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    return output.drawn(lambda: draw(what, path))

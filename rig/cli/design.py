@@ -13,6 +13,7 @@ import click
 from rig import config
 from rig.cli import map_options, options, output
 from rig.cli.command import RESULT, command, option
+from rig.cli.design_report import write_design_report
 from rig.cli.next_step import name_next
 from rig.cli.progress import SweepBar
 from rig.cli.zwidth_rig import CONFIRM, Dialogue, load_device, refuse_without_device
@@ -36,8 +37,6 @@ from rig.experiments.sweep import Progress
 from rig.experiments.trials.results import write_document
 from rig.firmware.tick_budget import BOARD, INTEGERS, named_budget
 from rig.recording.files import whole_file
-from rig.views.plots.design import draw_design
-from rig.views.report.design import write_design_report
 
 WISHES, ALLOWED = "Wishes", "What is allowed"
 SUMMARY, SECTION = "design.json", "controller.toml"
@@ -302,12 +301,10 @@ def _write(found: Design, place: Path, section: Path | None, ending: str) -> dic
     for path in [place / SECTION, *([] if section is None else [section])]:
         with whole_file(path, overwrite=True) as file:
             file.write(found.toml().encode())
-    picture = output.drawn(lambda: draw_design(found, place / f"design.{ending}")) if ending else None
+    picture = output.drawn(found, place / f"design.{ending}") if ending else None
     png = None
     if picture is not None:
-        inline = (
-            picture if ending == "png" else output.drawn(lambda: draw_design(found, place / "design.png"))
-        )
+        inline = picture if ending == "png" else output.drawn(found, place / "design.png")
         png = None if inline is None else Path(inline).read_bytes()
     page = write_design_report(found, shlex.join(["rig", *sys.argv[1:]]), png, place)
     return {

@@ -24,7 +24,6 @@ from rig.experiments.estimation.lipschitz import lipschitz_of
 from rig.experiments.estimation.tuning import Tuning, shown_range, tune_estimator
 from rig.experiments.trials.judgement import experiment_of
 from rig.recording.reader import open_recording
-from rig.views.plots.estimators import draw_comparison
 
 DEFAULT_SIGNAL = "wall-bounce"
 DEFAULT_RESOLUTION = 1e-6
@@ -114,7 +113,7 @@ def compare(
     for path in recordings:
         cases += [_recording_case(path, rate) for rate in (_rates(rates) if rates else (None,))]
     comparison = compare_estimators(cases, chosen, timed=timed)
-    picture.draw(Path("estimators"), lambda path: draw_comparison(comparison, path))
+    picture.draw(Path("estimators"), lambda path: comparison.plot().save(path))
     if as_json:
         output.print_json({**plain(comparison), **picture.facts()})
         return

@@ -22,7 +22,6 @@ from rig.experiments.identification.identified_file import format_identification
 from rig.experiments.identification.identify import Identification, IdentifyRequest
 from rig.experiments.motion.weigh import WeighRequest, weigh
 from rig.experiments.trials.planned import Plan
-from rig.views.plots.identify import draw_identification
 
 
 @command()
@@ -140,7 +139,7 @@ def _print_plan(plan: Plan) -> None:
 def _draw(found: Identification, ending: str) -> str | None:
     first = found.recordings["signs"][0]
     picture = first.with_name(f"{first.name.partition('-signs')[0]}.{ending}")
-    return output.drawn(lambda: draw_identification(found, picture))
+    return output.drawn(found, picture)
 
 
 def _write(found: Identification, path: Path) -> Path:

@@ -108,7 +108,7 @@ def measure(
     table, summary = measuring.write_results(results, place)
     measured = any(result.impedance is not None for result in results)
     picture = (
-        output.drawn(lambda: draw_impedance(results, place / f"impedance.{plot}"))
+        output.drawn_by(lambda: draw_impedance(results, place / f"impedance.{plot}"))
         if plot and measured
         else None
     )

@@ -18,12 +18,11 @@ from rig.core.present import Table
 from rig.core.sample import unit_of
 from rig.experiments.mapping import maps
 from rig.experiments.mapping.impedance import Judging
-from rig.experiments.mapping.ranges import frequency_plan, linear_curves
+from rig.experiments.mapping.ranges import frequency_plan
 from rig.experiments.mapping.searches import GridSearch, numbers_of
 from rig.experiments.mapping.table_one import FrequencyWidth, SchemeRow, Spread, TableOne, table_one
 from rig.experiments.mapping.zwidth_frequency import FrequencyMap, FrequencyPlan
 from rig.experiments.trials.settings import ExcitationSettings
-from rig.views.plots.zwidth_frequency import draw_frequency_map
 
 
 @command("map")
@@ -63,12 +62,7 @@ def map_(
     place = maps.directory_for(plan, directory, "impedance-map")
     with SweepBar("columns", unit="runs", plain=as_json) as bar:
         found = maps.map_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch)
-    picture = None
-    if plot:
-        curves = linear_curves(plan)
-        picture = output.drawn(
-            lambda: draw_frequency_map(found, place / f"impedance-map.{plot}", theory=curves)
-        )
+    picture = output.drawn(found, place / f"impedance-map.{plot}") if plot else None
     if as_json:
         output.print_json({**maps.summary(found), "directory": str(place), "picture": picture})
         return

@@ -15,6 +15,7 @@ import click
 
 from rig.cli.command import quiet as told_quiet
 from rig.core.check import Check, Outcome
+from rig.core.drawn import Drawn
 from rig.core.errors import RigError
 from rig.core.present import Item, Row, Table, plain
 
@@ -120,8 +121,13 @@ def coloured(kind: str) -> str:
     return click.style(kind, fg=_COLOURS.get(kind), bold=True)
 
 
-def drawn(draw: Callable[[], Path]) -> str | None:
-    """Draw a picture and return its path; a failure is reported and costs nothing but the picture."""
+def drawn(result: Drawn, path: Path) -> str | None:
+    """Draw a result into a file and return its path; a failure is reported and costs nothing but the picture."""
+    return drawn_by(lambda: result.plot().save(path))
+
+
+def drawn_by(draw: Callable[[], Path]) -> str | None:
+    """Draw a picture that is not that of one result; as `drawn`."""
     try:
         return str(draw())
     except Exception as error:  # a picture has many ways to fail, and its data are on disk

@@ -13,7 +13,6 @@ from rig.core.present import plain
 from rig.core.sample import unit_of
 from rig.experiments.trials.replay import replay as run
 from rig.recording.reader import open_recording
-from rig.views.plots.replay import draw_replay
 
 
 @command()
@@ -32,7 +31,7 @@ def replay(recording: Path, picture: options.PictureOption, as_json: bool, **cha
     """
     opened = open_recording(recording)
     result = run(opened, options.changes(**changed))
-    picture.draw(recording.with_name(f"{recording.stem}-replay"), lambda path: draw_replay(result, path))
+    picture.draw(recording.with_name(f"{recording.stem}-replay"), lambda path: result.plot().save(path))
     if as_json:
         output.print_json({**plain(result), **picture.facts()})
         return

@@ -23,9 +23,7 @@ from rig.recording.marks import marks as marks_of
 from rig.recording.origin import counts_facts, cut_facts, refuse_counts
 from rig.recording.reader import open_facts, open_recording
 from rig.views.plots import style
-from rig.views.plots.hit import DRAWN, hit_figure
-from rig.views.plots.xy import DRAWN as DRAWN_XY
-from rig.views.plots.xy import xy_figure
+from rig.views.plots.hit import DRAWN, hit_figure, xy_figure
 
 
 @command()
@@ -72,7 +70,7 @@ def show(
 
 def _opened(path: Path, *, every_column: bool) -> Recording:
     """Open a recording with the columns that are judged and drawn, and a header that describes all of them."""
-    needed = None if every_column else {*JUDGED, *DRAWN, *DRAWN_XY}
+    needed = None if every_column else {*JUDGED, *DRAWN}
     return replace(open_recording(path, needed), header=open_facts(path).header)
 
 

@@ -23,7 +23,6 @@ from rig.cli.next_step import name_next
 from rig.core.errors import RecordingError
 from rig.core.present import plain
 from rig.core.sample import unit_of
-from rig.views.plots.theory import draw_theory
 
 _MEANINGS = {"exact": "exact (rigid rig)"}
 
@@ -68,7 +67,7 @@ def walls(
     if changes:
         experiment = config.override(experiment, changes)
     found = theory_of(experiment, schemes or None, operator=operator)
-    picture = output.drawn(lambda: _draw(found, directory, plot)) if plot else None
+    picture = output.drawn_by(lambda: _draw(found, directory, plot)) if plot else None
     if as_json:
         output.print_json({**plain(found), "picture": picture})
         return
@@ -85,7 +84,7 @@ def _draw(found: Theory, directory: Path, ending: str) -> Path:
         raise RecordingError(
             f"cannot create {directory}: {error.strerror or error}", remedy="choose another --output"
         ) from error
-    return draw_theory(found, directory / f"theory-{found.rig}.{ending}")
+    return found.plot().save(directory / f"theory-{found.rig}.{ending}")
 
 
 def _print(found: Theory) -> None:

@@ -10,7 +10,6 @@ from rig.cli import options, output, values
 from rig.cli.command import command
 from rig.core.present import plain
 from rig.experiments.trials.timing import timing_of
-from rig.views.plots.timing import draw_timing
 
 
 @command()
@@ -26,7 +25,7 @@ def timing(recording: Path, picture: options.PictureOption, as_json: bool) -> No
     found = timing_of(recording)
     picture.draw(
         recording.with_name(f"{recording.stem}-timing"),
-        lambda path: draw_timing(found.ledger, found.summary, path, title=recording.name),
+        lambda path: found.plot().save(path),
     )
     if as_json:
         output.print_json({**plain(found.summary), **picture.facts()})

@@ -20,11 +20,9 @@ from rig.core.sample import unit_of
 from rig.experiments.mapping import maps
 from rig.experiments.mapping.kmax import KMax
 from rig.experiments.mapping.map_request import MapRequest
-from rig.experiments.mapping.ranges import kmax_theory, theory_curves
 from rig.experiments.mapping.rendering import RENDERED
 from rig.experiments.mapping.zwidth import Boundary, Width, ZWidth
 from rig.experiments.trials.plan import stands_for_device
-from rig.views.plots.zwidth import draw_kmax, draw_zwidth
 
 
 @command()
@@ -80,7 +78,7 @@ def zwidth(
         dialogue = Dialogue(plan, url, realtime=realtime, confirm=confirm)
         place, found = dialogue.map(directory, verified=verified)
     undamped = KMax.of(found) if KMax.is_of(plan) else None
-    picture = output.drawn(lambda: _draw(found, undamped, place / f"zwidth.{plot}")) if plot else None
+    picture = output.drawn(undamped or found, place / f"zwidth.{plot}") if plot else None
     if as_json:
         output.print_json({**(undamped or found).as_mapping(), "directory": str(place), "picture": picture})
         return
@@ -94,12 +92,6 @@ def zwidth(
     ]
     output.print_pairs([*pairs, ("picture", picture)] if picture else pairs)
     name_next()
-
-
-def _draw(found: ZWidth, undamped: KMax | None, path: Path) -> Path:
-    if undamped is not None:
-        return draw_kmax(undamped, path, theory=kmax_theory(undamped))
-    return draw_zwidth(found, path, theory=theory_curves(found.plan))
 
 
 def _refuse_with_device(workers: int | None, scheduler: str | None) -> None:

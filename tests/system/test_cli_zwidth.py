@@ -18,7 +18,7 @@ from tests.conformance.started import started
 if numba.config.DISABLE_JIT:
     pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
-from rig.cli import zwidth as command
+from rig import ZWidth
 from rig.recording.reader import open_recording
 
 ROOT = Path(__file__).parents[2]
@@ -78,7 +78,7 @@ def test_a_picture_that_fails_takes_no_map_with_it(
     def fails(*arguments: Any, **options: Any) -> None:
         raise RuntimeError("no fonts")
 
-    monkeypatch.setattr(command, "draw_zwidth", fails)
+    monkeypatch.setattr(ZWidth, "plot", fails)
     code, out, err = run("zwidth", *TINY)
     assert code == 0
     assert "rig: no picture: no fonts" in err

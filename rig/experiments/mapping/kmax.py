@@ -12,6 +12,7 @@ from typing import Any
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.control.verdict import CRITERIA
+from rig.core.drawn import Drawn
 from rig.experiments.mapping.searches import StiffnessSearch
 from rig.experiments.mapping.zwidth import Boundary, MapPlan, ZWidth
 
@@ -19,7 +20,7 @@ RATES = (100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000)  # Hz, the pap
 
 
 @dataclass(frozen=True, slots=True)
-class KMax:
+class KMax(Drawn):
     """The limits at B = 0, one for each rate (Hz)."""
 
     rates: tuple[int, ...]

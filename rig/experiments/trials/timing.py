@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from rig.core.drawn import Drawn
 from rig.recording.data import Recording
 from rig.recording.ledger import ledger_of
 from rig.recording.reader import open_recording
@@ -13,11 +14,12 @@ from rig.recording.timing_summary import TimingSummary, summarise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Timing:
-    """The ledger of a recording and its summary."""
+class Timing(Drawn):
+    """The ledger of a recording and its summary; `name` is that of its file, empty without one."""
 
     ledger: Ledger
     summary: TimingSummary
+    name: str = ""
 
 
 def timing(recording: Recording | str | Path) -> TimingSummary:
@@ -35,7 +37,9 @@ def timing(recording: Recording | str | Path) -> TimingSummary:
 
 def timing_of(recording: Recording | str | Path) -> Timing:
     """Return the ledger too, for a picture; parameters and errors as `timing`."""
+    name = ""
     if not isinstance(recording, Recording):
+        name = Path(recording).name
         recording = open_recording(recording)
     ledger = ledger_of(recording)
-    return Timing(ledger, summarise(ledger, (recording.trailer or {}).get("counters")))
+    return Timing(ledger, summarise(ledger, (recording.trailer or {}).get("counters")), name)

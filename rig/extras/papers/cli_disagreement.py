@@ -14,7 +14,6 @@ from rig.cli.progress import SweepBar
 from rig.experiments.mapping import maps
 from rig.experiments.mapping.map_request import MapRequest
 from rig.extras.papers.disagreement.disagreement import DisagreementPlan, compare_into
-from rig.extras.papers.disagreement.plot import draw_disagreement
 from rig.extras.papers.disagreement.report import paragraph
 
 
@@ -42,7 +41,7 @@ def disagreement(
     place = maps.directory_for(plan, directory, "disagreement")
     with SweepBar("columns", unit="ticks", plain=as_json) as bar:
         found = compare_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch)
-    picture = output.drawn(lambda: draw_disagreement(found, place / f"disagreement.{plot}")) if plot else None
+    picture = output.drawn(found, place / f"disagreement.{plot}") if plot else None
     text = paragraph(found)
     if as_json:
         facts = {"paragraph": text, "directory": str(place), "picture": picture}

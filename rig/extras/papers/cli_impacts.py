@@ -38,7 +38,7 @@ def show_impacts(directory: Path, *, plot: str, as_json: bool) -> None:
 
 def _drawn(path: Path, draw: Callable[[Any, Path], Path], what: Any) -> str | None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    return output.drawn(lambda: draw(what, path))
+    return output.drawn_by(lambda: draw(what, path))
 
 
 def _figure_7(panels: Sequence[Panel]) -> Table:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,11 +14,6 @@ from rig.views.plots import style
 COLOURS = (style.TRUE, style.SENT, style.MEASURED, style.OTHER, "#cc79a7", "#56b4e9", "#000000")
 STRONGEST = 1.15  # times the largest true speed: a noisy estimate may not flatten the others
 SHORTEST_S, LONGEST_S = 0.03, 0.3
-
-
-def draw_comparison(comparison: SchemeComparison, picture: str | Path) -> Path:
-    """Draw a comparison into a file; `RecordingError` when it cannot be written."""
-    return style.save(scheme_figure(comparison), Path(picture))
 
 
 @style.own_style()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 from rig.core.sample import unit_of
@@ -12,11 +11,6 @@ from rig.views.plots.zwidth import draw_boundaries, explain
 
 RECOMMENDED, OWN = style.SENT, style.MEASURED
 _SMALLEST, _LARGEST = 20.0, 180.0  # area of a marker (point²)
-
-
-def draw_design(found: Design, picture: str | Path) -> Path:
-    """Draw a design into a file; returns its path."""
-    return style.save(design_figure(found), Path(picture))
 
 
 @style.own_style()

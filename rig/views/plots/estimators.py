@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,11 +16,6 @@ from rig.views.plots import style
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 MARKS = "osv^Dx"
 PANELS = 4  # more would be too small to read
-
-
-def draw_comparison(comparison: EstimatorComparison, picture: str | Path) -> Path:
-    """Draw into a file; returns its path. Errors as `estimators_figure`."""
-    return style.save(estimators_figure(comparison), Path(picture))
 
 
 @style.own_style()

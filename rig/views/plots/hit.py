@@ -83,6 +83,36 @@ def hit_figure(recording: Recording) -> Any:
     return figure
 
 
+@style.own_style()
+def xy_figure(recording: Recording) -> Any:
+    """Return the figure of force over penetration, as a force gauge beside the handle would draw it.
+
+    An ideal spring is the straight line K·x. What the loop encloses is the energy that the wall takes out of the handle
+    (run through clockwise) or gives to it (counter-clockwise): damping, delay, and the held velocity.
+    """
+    rows, wall, motion = recording.rows, recording.experiment["wall"], recording.header["motion"]
+    inside = (rows["phase"] == Phase.TRIAL) & (rows["penetration"] > 0.0)
+    penetration, force = rows["penetration"][inside], rows["effort_wall"][inside]
+    figure = style.new_figure(width=7.0, height=5.0)
+    axes = figure.subplots()
+    axes.set_xlabel(f"penetration ({unit_of('position', motion)})")
+    style.tidy(axes, f"force of the wall ({unit_of('effort', motion)})")
+    figure.suptitle(
+        f"{recording.header['rig']}: K = {wall['stiffness']:g} {unit_of('stiffness', motion)}, "
+        f"B = {wall['damping']:g} {unit_of('damping', motion)}",
+        fontsize=11,
+    )
+    if not len(penetration):
+        style.say(axes, "the handle never was inside the wall")
+        return figure
+    deepest = float(np.max(penetration))
+    shown = style.visible(penetration, force)
+    axes.plot(penetration[shown], force[shown], color=style.OTHER, linewidth=0.7, label="rendered")
+    axes.plot((0.0, deepest), (0.0, wall["stiffness"] * deepest), "--", color=style.WALL, label="K·x")
+    axes.legend(loc="upper left", frameon=False, fontsize=8)
+    return figure
+
+
 def _trial(recording: Recording) -> tuple[NDArray[np.void], NDArray[np.float64]]:
     """Rows from shortly before contact to the end of the push, and their time from it; all rows without contact."""
     rows, time_s = recording.rows, recording.time_s

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,11 +12,6 @@ from rig.experiments.identification.identify import Identification
 from rig.experiments.motion.motion_run import trial_rows
 from rig.recording.reader import open_recording
 from rig.views.plots import style
-
-
-def draw_identification(found: Identification, picture: str | Path) -> Path:
-    """Draw into a file; returns its path."""
-    return style.save(identification_figure(found), Path(picture))
 
 
 @style.own_style()

@@ -9,12 +9,13 @@ from typing import Any
 
 from rig.experiments.hits.hit import HitResult
 from rig.experiments.mapping.impedance import ImpedanceResult
-from rig.experiments.mapping.ranges import linear_curves, theory_curves
+from rig.experiments.mapping.kmax import KMax
+from rig.experiments.mapping.ranges import kmax_theory, linear_curves, theory_curves
 from rig.experiments.mapping.zwidth import ZWidth
 from rig.experiments.mapping.zwidth_frequency import FrequencyMap
 from rig.views.plots.hit import hit_figure
 from rig.views.plots.impedance import impedance_figure
-from rig.views.plots.zwidth import zwidth_figure
+from rig.views.plots.zwidth import kmax_figure, zwidth_figure
 from rig.views.plots.zwidth_frequency import frequency_figure
 
 
@@ -31,6 +32,11 @@ def impedance_result_figure(result: ImpedanceResult) -> Any:
 def zwidth_with_theory_figure(found: ZWidth) -> Any:
     """Draw a map with the linear limits of its schemes."""
     return zwidth_figure(found, theory=theory_curves(found.plan))
+
+
+def kmax_with_theory_figure(found: KMax) -> Any:
+    """Draw the limits at B = 0 over the rate with those of linear theory."""
+    return kmax_figure(found, theory=kmax_theory(found))
 
 
 def frequency_with_theory_figure(found: FrequencyMap) -> Any:

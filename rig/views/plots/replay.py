@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 from rig.core.sample import unit_of
 from rig.experiments.trials.replay import ReplayResult
 from rig.views.plots import style
-
-
-def draw_replay(result: ReplayResult, picture: str | Path) -> Path:
-    """Draw velocity and effort, recorded against replayed, into a file; returns its path."""
-    return style.save(replay_figure(result), Path(picture))
 
 
 @style.own_style()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,11 +14,6 @@ COLOURS = (style.MEASURED, style.SENT, style.OTHER, style.TRUE, "#cc79a7", "#56b
 HEADROOM = 1.15  # above the highest curve
 PASSIVE = ("passive below the dashed line", "passive below the dashed line, and only there")
 CORNER = 1.5  # width and height of the right panel, in what passivity allows
-
-
-def draw_theory(theory: Theory, picture: str | Path) -> Path:
-    """Draw a result of `rig.analysis.theory.theory_of` into a file; returns its path."""
-    return style.save(theory_figure(theory), Path(picture))
 
 
 @style.own_style()

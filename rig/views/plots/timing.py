@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.experiments.trials.timing import Timing
 from rig.recording.timing import LATENESS, STAGES, Ledger
 from rig.recording.timing_summary import TimingSummary
 from rig.views.plots import style
@@ -32,15 +32,16 @@ def label(name: str) -> str:
 
 
 @style.own_style()
-def draw_timing(ledger: Ledger, summary: TimingSummary, picture: str | Path, *, title: str = "") -> Path:
-    """Draw a ledger and its summary into a file; returns its path. `RecordingError` when it cannot be written."""
+def timing_figure(timing: Timing) -> Any:
+    """Return the figure of a ledger and its summary."""
+    ledger, summary = timing.ledger, timing.summary
     figure = style.new_figure(width=11.0, height=7.5)
     panels = figure.subplot_mosaic([["often", "worst"], ["when", "when"]], height_ratios=(3, 2))
     _draw_survival(panels["often"], ledger)
     _draw_worst(panels["worst"], summary)
     _draw_run(panels["when"], ledger, summary)
-    figure.suptitle(title or f"{summary.ticks} ticks of {summary.period_ns * US:.4g} µs", fontsize=11)
-    return style.save(figure, Path(picture))
+    figure.suptitle(timing.name or f"{summary.ticks} ticks of {summary.period_ns * US:.4g} µs", fontsize=11)
+    return figure
 
 
 def _draw_survival(axes: Any, ledger: Ledger) -> None:

@@ -87,13 +87,6 @@ def zwidth_figure(
     return figure
 
 
-def draw_kmax(
-    found: KMax, picture: str | Path, *, theory: Curve | None = None, paper: Mapping[str, Curve] | None = None
-) -> Path:
-    """Draw the limit at B = 0 over the sampling rate; `paper` has points to compare with, by name."""
-    return style.save(kmax_figure(found, theory=theory, paper=paper), Path(picture))
-
-
 @style.own_style()
 def kmax_figure(found: KMax, *, theory: Curve | None = None, paper: Mapping[str, Curve] | None = None) -> Any:
     """The figure of limits over the rate, see `draw_kmax`."""

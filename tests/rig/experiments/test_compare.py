@@ -20,7 +20,6 @@ from rig.core.present import plain
 from rig.experiments.hits import compare as comparing
 from rig.experiments.hits.compare import Entry, Start, compare, default_entries, simulate
 from rig.experiments.hits.impact import mean, measure, second_peak
-from rig.views.plots.compare import draw_comparison
 from sim_backend.bare.trial import run_trial
 from sim_backend.mechanics.plant import DiscretePlant, energy
 from tests.conformance.rigs import rotary_rig
@@ -234,4 +233,4 @@ def test_without_the_simulation_there_is_a_clear_error(monkeypatch: pytest.Monke
 
 def test_a_picture_is_drawn(tmp_path: Path) -> None:
     comparison = compare(short("koul-rigid"), offsets=(0.5,))
-    assert draw_comparison(comparison, tmp_path / "x.png").stat().st_size > 30_000
+    assert comparison.plot().save(tmp_path / "x.png").stat().st_size > 30_000

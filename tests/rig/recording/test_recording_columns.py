@@ -18,10 +18,8 @@ from rig.recording.capture import write_capture
 from rig.recording.data import Recording
 from rig.recording.parquet import write_parquet
 from rig.recording.reader import open_recording
-from rig.views.plots.hit import DRAWN, hit_figure
+from rig.views.plots.hit import DRAWN, hit_figure, xy_figure
 from rig.views.plots.style import STRETCHES, visible
-from rig.views.plots.xy import DRAWN as DRAWN_XY
-from rig.views.plots.xy import xy_figure
 
 BYTES_A_ROW = 260  # 600 MB for a minute at 20 kHz (1.2e6 rows), of which 290 MB are there without a recording
 ROWS = 400_000
@@ -82,7 +80,7 @@ def test_judging_and_drawing_take_the_columns_that_they_name(stored: Path) -> No
     experiment = experiment_of(whole)
     assert repr(judge(open_recording(stored, JUDGED), experiment)) == repr(judge(whole, experiment))
     hit_figure(open_recording(stored, DRAWN))
-    xy_figure(open_recording(stored, DRAWN_XY))
+    xy_figure(open_recording(stored, DRAWN))
 
 
 def test_a_long_line_is_drawn_by_its_extremes() -> None:

@@ -11,9 +11,10 @@ import pytest
 
 from rig.core.clock_fit import ClockFit
 from rig.core.sample import ROW
+from rig.experiments.trials.timing import Timing
 from rig.recording.timing import LATENESS, NO_AGE, STAGES, ledger
 from rig.recording.timing_summary import summarise
-from rig.views.plots.timing import COLOURS, draw_timing, label
+from rig.views.plots.timing import COLOURS, label
 
 FIT = ClockFit(0, 10**12, 0.0, 10.0, 0.01, 1_000, 2_000, 0.0, 5.0, 10**9, 50, 1)
 
@@ -43,11 +44,11 @@ def rows_of(count: Any, *, spread: float = 1.0, seed: int = 1) -> Any:
 
 def draw(rows: Any, fit: Any, path: Path, **options: Any) -> Path:
     found = ledger(rows, fit, 1e6)
-    return draw_timing(found, summarise(found, None), path, **options)
+    return Timing(found, summarise(found, None), **options).plot().save(path)
 
 
 def test_the_same_ledger_gives_the_same_bytes(tmp_path: Path) -> None:
-    first, again = (draw(rows_of(500), FIT, tmp_path / f"{n}.png", title="a run").read_bytes() for n in "ab")
+    first, again = (draw(rows_of(500), FIT, tmp_path / f"{n}.png", name="a run").read_bytes() for n in "ab")
     assert first.startswith(b"\x89PNG")
     assert first == again
     assert len(first) > 40_000, "curves, bars and a legend"
@@ -64,7 +65,7 @@ def test_any_ledger_can_be_composed(
     tmp_path: Path, count: int, fit: Any, spread: float, composed: list[Any]
 ) -> None:
     """No ticks, one, no time passing (virtual time), times before their causes (clocks that are wrong)."""
-    draw(rows_of(count, spread=spread), fit, tmp_path / "x.png", title="\udcff")
+    draw(rows_of(count, spread=spread), fit, tmp_path / "x.png", name="\udcff")
     (figure,) = composed
     assert figure._suptitle.get_text() == "\udcff"
     assert all(axes.lines or axes.patches or axes.texts for axes in figure.axes[:2]), "or it says why not"

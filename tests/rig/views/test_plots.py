@@ -21,7 +21,7 @@ from rig.experiments.trials.replay import replay
 from rig.recording.reader import open_recording
 from rig.views.plots import style
 from rig.views.plots.hit import BEFORE_CONTACT_S, draw_hit, hit_figure
-from rig.views.plots.replay import draw_replay, replay_figure
+from rig.views.plots.replay import replay_figure
 from sim_backend.board.make_device import make_device
 from sim_backend.ends.link import MemoryLink
 from tests.conformance.trials import trial_on
@@ -243,7 +243,7 @@ def test_a_linear_rig_is_drawn_in_its_units(recording: Any) -> None:
 
 def test_a_replay_is_drawn_against_its_recording(recording: Any, tmp_path: Path) -> None:
     result = replay(recording, {"controller.estimator": "fdm"})
-    picture = draw_replay(result, tmp_path / "x.png")
+    picture = result.plot().save(tmp_path / "x.png")
     assert size_of(picture.read_bytes()) == (9 * style.DPI, 5 * style.DPI)
     scaled(replay_figure(replay(replace(recording, rows=recording.rows[:0]))))
 

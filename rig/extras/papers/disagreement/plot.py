@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,11 +33,6 @@ COLOURS = {
 THEORY: dict[str, Any] = {"color": "#333333", "linewidth": 1.2, "linestyle": "--"}
 HITS: dict[str, Any] = {"color": style.MEASURED, "linewidth": 1.0}
 POINTS = 60  # of theory's edge along each axis
-
-
-def draw_disagreement(found: Disagreement, picture: str | Path) -> Path:
-    """Draw a comparison into a file; returns its path."""
-    return style.save(disagreement_figure(found), Path(picture))
 
 
 @style.own_style()
