@@ -360,7 +360,7 @@ class Connection:
         Parameters
         ----------
         message
-            What to send.
+            Message to send.
         session
             ARM only, and required there: number of the new session, 1 … 255, not the one used last.
 

@@ -131,11 +131,11 @@ def build(
     device, firmware
         Name of the device and version of what runs on it.
     simulated
-        Whether there is no real motor behind it.
+        True if there is no real motor behind it.
     current_quantum_a
         One step of every current on the wire (A).
     current_measured
-        Whether the measured current is one: else it only repeats what was set.
+        True if the current is measured; else the measured current only repeats the set current.
     position_rate_default, position_rate_maximum
         Ticks a second (Hz): unless configured, and at most.
     ranges
@@ -143,7 +143,7 @@ def build(
     constants
         Constants of the rig that its monitors assume.
     settings
-        What its board was built with, by the names of the board's port.
+        Settings with which its board was built, by the names of the board's port.
     """
     narrower = {"position_rate": (PARAMETERS[1].minimum, position_rate_maximum), **(ranges or {})}
     defaults = {"position_rate": position_rate_default}

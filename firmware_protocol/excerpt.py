@@ -45,7 +45,7 @@ def excerpt(sources: Iterable[Path], wanted: Iterable[str], prefix: str) -> str:
     wanted
         Functions or types.
     prefix
-        Of every name in the result: ``kalman`` makes ``law_biquad_run`` ``kalman_biquad_run``.
+        Prefix of every name in the result: ``kalman`` turns ``law_biquad_run`` into ``kalman_biquad_run``.
 
     Raises
     ------

@@ -32,9 +32,9 @@ class Transaction(NamedTuple):
     Attributes
     ----------
     nonce
-        Of all its requests.
+        Nonce of all its requests.
     length
-        Of the block (bytes); 0 without one.
+        Length of the block (bytes); 0 without one.
     step
         Type id of the request under way, or DONE, REFUSED, UNANSWERED.
     offset

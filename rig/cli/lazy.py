@@ -25,7 +25,7 @@ class LazyGroup(click.Group):
     titles
         Title in ``--help`` → the commands under it.
     words
-        By which it is called, without ``rig``.
+        Words by which the command is called, without ``rig``.
     """
 
     def __init__(self, *arguments: Any, titles: Mapping[str, Table], words: str = "", **more: Any) -> None:

@@ -64,9 +64,9 @@ class SweepBar(_Bar):
     Parameters
     ----------
     what
-        What is being computed, in a word or two.
+        Name of the computation, in a word or two.
     unit
-        What `units_per_s` counts, like ``trials``.
+        Unit that `units_per_s` counts, like ``trials``.
     plain
         Lines even on a terminal, for commands that print JSON.
     """

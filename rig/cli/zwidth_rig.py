@@ -29,9 +29,9 @@ class Dialogue:
     Parameters
     ----------
     plan
-        What to map.
+        Plan of the map.
     url, realtime
-        Of the device.
+        URL of the device, and True for real time.
     confirm
         One of `CONFIRM`; None asks before each hit on a real device, and never on a simulated one.
     """

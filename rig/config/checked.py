@@ -46,7 +46,7 @@ class FileKind(Generic[T]):
     root
         The dataclass that it describes; its fields are sections.
     whole
-        What such a file describes, for messages.
+        Subject of such a file, for messages.
     also
         Keys that a file may have at the top beside the sections.
     otherwise
@@ -84,11 +84,11 @@ def parse_table(kind: FileKind[T], table: Table, motion: Motion | None) -> tuple
     Parameters
     ----------
     kind
-        Of the file.
+        Kind of the file.
     table
         Plain nested tables (`rig.config.files.tidy`).
     motion
-        Of the rig, for units in messages; None when it is not known.
+        Motion of the rig, for units in messages; None when it is unknown.
     """
     problems = list(_mistaken_choices(kind, table))
     # Validated as JSON, because strict validation of Python objects accepts instances of the dataclasses only.
@@ -109,9 +109,9 @@ def apply_changes(
     Parameters
     ----------
     kind
-        Of the file that it came from.
+        Kind of the file that it came from.
     described
-        What to start from; it stays as it is.
+        Values to start from; they are not changed.
     changes
         Nested tables (`rig.config.files.nest`) of new values; in a table of free keys they join those that are there.
     motion

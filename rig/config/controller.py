@@ -81,7 +81,7 @@ def for_experiment(
     experiment
         Validated experiment.
     current_quantum_a
-        What the device declares (A).
+        Quantum that the device declares (A).
     reference_count
         Count at position zero.
     law
@@ -230,7 +230,7 @@ def prepared(
     experiment
         Validated experiment, as it is to run.
     current_quantum_a
-        What the device declares (A); None for the one that the experiment gives its amplifier.
+        Quantum that the device declares (A); None for that of the experiment's amplifier.
     reference_count
         Count at position zero.
     referenced

@@ -38,7 +38,7 @@ class DataSheetQuestion:
     Attributes
     ----------
     text
-        What is asked.
+        Text of the question.
     units
         Unit → factor to SI, the SI unit first; empty for a plain number or a choice.
     low, high
@@ -48,9 +48,9 @@ class DataSheetQuestion:
     of
         Mechanisms that have it.
     assumed
-        What is assumed without an answer; empty where an answer is required.
+        Value that is assumed without an answer; empty where an answer is required.
     whole
-        Whether it is a whole number.
+        True if it is a whole number.
     """
 
     text: str

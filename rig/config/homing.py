@@ -121,7 +121,7 @@ def phase_margin(x: Experiment, stiffness: float, damping: float, ticks: int) ->
     x
         The rig and its controller; both masses move together.
     stiffness, damping
-        Of the servo.
+        Gains of the servo.
     ticks
         Delay besides that of the set-point.
     """

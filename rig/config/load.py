@@ -108,7 +108,7 @@ def override(
     Parameters
     ----------
     experiment
-        What to start from.
+        Experiment to start from.
     changes
         New values by dotted key, like ``{"wall.stiffness": 400.0}``.
     source

@@ -21,9 +21,9 @@ class LawOnDevice:
     Attributes
     ----------
     arithmetic
-        Of the device.
+        Arithmetic of the law on the device.
     currents_compared
-        Whether its measured current is compared with the command. Not where a drive renders the wall: its current
+        True if its measured current is compared with the command. Not where a drive renders the wall: its current
         changes within a tick, and it reports one value.
     live
         Given a set of the loop's mailbox, the device's parameters that make another wall while the law runs; raises
@@ -47,12 +47,12 @@ class PreparedRun:
     experiment
         In effect.
     current_quantum_a, reference_count
-        Of the device (A), and its count at position zero.
+        Current quantum of the device (A), and its count at position zero.
     controller
         The host's law before the first sample: numbers, and rows of the tables that name its kernels. A copy of it is
         executed.
     parameters
-        Of the device.
+        Parameters of the device.
     own_law
         A law of the caller's own, in place of the one that the experiment names.
     on_device

@@ -166,7 +166,7 @@ def describe(experiment: Experiment, under: str = "") -> tuple[ListedKey, ...]:
     Parameters
     ----------
     experiment
-        What to list.
+        Experiment whose keys are listed.
     under
         Only this section, like ``wall`` or ``rig.limits``; everything when empty.
     """

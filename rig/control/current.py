@@ -82,7 +82,7 @@ def configure(words: Ints, sensor: CurrentSensor, rate: int, encoder_sign: int) 
     words
         Memory of `CURRENT`, `WORDS` long.
     sensor
-        Of the rig.
+        Numbers of the rig's current sensor.
     rate
         Ticks a second (Hz).
     encoder_sign

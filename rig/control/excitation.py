@@ -281,15 +281,15 @@ class Multisine:
             Z(jω) expected at the handle (damping units), rig and wall: a function of the lines (Hz), or its values
             there.
         effort_limit
-            Of what makes the excitation.
+            Limit of the actuator of the excitation (N·m or N).
         position_limit
             Largest distance from where the rig rests that its window allows (rad or m).
         speed_limit
-            Of the guard (rad/s or m/s).
+            Speed limit of the guard (rad/s or m/s).
         wall
             Z of the wall alone, if there is one: the effort that the motor renders is checked then.
         motor_limit
-            Of the motor.
+            Limit of the motor (N·m or N).
         channel
             ``"motor"`` when the rig's own motor makes the excitation and renders the wall as well.
 

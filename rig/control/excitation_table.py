@@ -94,7 +94,7 @@ class ExcitationTable:
     phases
         One of `PHASES`.
     seed
-        Of hashed phases.
+        Seed of the hashed phases.
 
     Raises
     ------

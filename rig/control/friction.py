@@ -62,7 +62,7 @@ class Compensation:
     dead_band
         Speed at which the whole share acts (rad/s or m/s, above zero).
     share
-        Of the levels, 0 to below 1.
+        Compensated share of the levels, 0 to below 1.
 
     Raises
     ------

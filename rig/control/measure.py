@@ -550,9 +550,9 @@ class Meter:
     Parameters
     ----------
     tick_s
-        Of the trials (s).
+        Tick of the trials (s).
     resolution
-        Of one count in recorded trials (rad or m); its sign does not matter.
+        Travel of one count in recorded trials (rad or m); its sign does not matter.
     tail_s, highpass_hz, lowpass_hz, felt_velocity
         As in `rig.control.verdict.Thresholds`.
 

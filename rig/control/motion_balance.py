@@ -89,13 +89,13 @@ def motion_balance(
     Parameters
     ----------
     position, effort
-        Of every tick of the trial proper, none lost (rad or m; N·m or N, as the motor gave it).
+        Signals of every tick of the trial proper, none lost (rad or m; N·m or N, as the motor gave it).
     contact
         Row of the first contact.
     tick_s, resolution
         Period (s) and one count (rad or m).
     inertia, coulomb, damping
-        Of motor and link together, as they are described.
+        Described values of motor and link together.
     """
     length = max(8, round(WINDOW_S / tick_s))
     found: list[tuple[MotionScale | None, MotionScale | None]] = []

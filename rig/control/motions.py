@@ -104,9 +104,9 @@ def tracing(
     path
         Times from the beginning of the trial (s), rising, and positions then (rad or m).
     stiffness, damping, limit
-        Of the servo: N·m/rad or N/m, N·m·s/rad or N·s/m, and its most effort (N·m or N).
+        Gains of the servo (N·m/rad or N/m, N·m·s/rad or N·s/m), and its largest effort (N·m or N).
     rate_hz
-        Of the loop (Hz).
+        Rate of the loop (Hz).
     """
 
     def design(wall: Mapping[str, Any]) -> list[float]:
@@ -145,7 +145,7 @@ def nudging(
     pulses
         How many.
     rate_hz
-        Of the loop (Hz).
+        Rate of the loop (Hz).
     """
 
     def design(wall: Mapping[str, Any]) -> list[float]:

@@ -460,7 +460,7 @@ def step(controller: ControllerArguments, count: int, edge_age_s: float, elapsed
     Parameters
     ----------
     controller
-        What is wanted, what is remembered, and the two plugs.
+        Controller: parameters, memory, and the two plugs.
     count
         Encoder count of this sample.
     edge_age_s

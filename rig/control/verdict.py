@@ -228,7 +228,7 @@ class Measured:
     thresholds
         Those that it was measured with.
     thrown_out
-        Whether a guard ended the push because the handle left its window or went too fast, or the motor gave too much
+        True if a guard ended the push because the handle left its window or went too fast, or the motor gave too much
         energy or oscillated violently (`rig.control.watch`), which the signals before do not show. After contact that
         is unstable, without it invalid.
     """

@@ -49,9 +49,9 @@ class MovedMechanics:
     inertia
         All that moves (kg·m² or kg).
     damping
-        Of a steady motion, with back-EMF under voltage drive (N·m·s/rad or N·s/m).
+        Damping of a steady motion, with back-EMF under voltage drive (N·m·s/rad or N·s/m).
     lag_s
-        Of the amplifier and of its set-point (s).
+        Total lag of the amplifier and of its set-point (s).
     """
 
     effort_quantum: float
@@ -139,15 +139,15 @@ def describe(
     firmware
         Version of what runs on the device.
     simulated
-        Whether there is no real motor behind it.
+        True if there is no real motor behind it.
     rate_default, rate_maximum
         Ticks a second (Hz): unless configured, and at most.
     name
-        Of the device; None: that of the rig.
+        Name of the device; None: that of the rig.
     narrower
         Further ranges, by the name of the parameter.
     settings
-        What its board was built with.
+        Settings with which its board was built.
     """
     motion = 0 if model.motion == "rotary" else 1
     peak = peak_current(model)

@@ -28,17 +28,17 @@ class Check:
     Attributes
     ----------
     name
-        What was looked at, in a word or two.
+        Name of the check, in a word or two.
     outcome
         Its outcome.
     text
-        What is the case: the value and the limit that it was compared with.
+        Result of the check: the value and the limit that it was compared with.
     remedy
-        What to do unless it is ok; a command stands as one would type it, and is never run.
+        Instruction for all outcomes but ok; a command is written as one would type it, and is never run.
     why
         Why it matters, where a reader may not know.
     numbers
-        What was measured; names end in their unit.
+        Measured values; names end in their unit.
     changes
         New values by dotted key with which this check holds, where they can be computed.
     """

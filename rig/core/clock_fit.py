@@ -273,9 +273,10 @@ def _sigma(points: _Points, keep: _Mask) -> _Floats:
 
 
 def _median_line(points: _Points, keep: _Mask) -> tuple[float, float]:
-    """Height (ns) and slope (ns/s) by medians over the fastest exchange of each stretch of the host's time.
+    """Return height (ns) and slope (ns/s) by medians over the fastest exchange of each stretch of the host's time.
 
-    Of the host's, because it is the device's stamps that may lie here; a slope differs by its own square.
+    The stretches are of the host's time, because the device's stamps may be wrong here; a slope then differs by its
+    own square.
     """
     chosen = np.flatnonzero(keep)
     time = points.host_time[chosen]

@@ -16,14 +16,14 @@ class CurrentSensor:
     Attributes
     ----------
     noise
-        Of a measurement and its quantisation, the count's included where there is back-EMF (quanta, rms); negative: the
-        current is not measured.
+        Noise of a measurement with its quantisation, and with that of the count if there is back-EMF (quanta, rms);
+        negative: the current is not measured.
     lag_s
         First-order lag between the current that is set and the one that flows (s).
     delay_s
-        By which the set-point reaches the amplifier late, before the lag (s).
+        Delay of the set-point to the amplifier, before the lag (s).
     back_emf
-        Current that the back-EMF takes off at a count a second (quanta·s); 0 for a current amplifier.
+        Current that the back-EMF takes off at one count per second (quanta·s); 0 for a current amplifier.
     """
 
     noise: float

@@ -22,13 +22,13 @@ class Keyword:
     key
         Dotted key of the experiment that it changes; empty for a field of the request itself.
     names
-        Of its option; the field's own name if empty.
+        Names of its option; the field's own name if empty.
     group
-        Of options on a help page.
+        Group of options on a help page.
     values, metavar
         Kind of values that a shell completes (`rig.cli.values.KINDS`), and how a help page calls one.
     name, type, marks, default
-        Of its field, the type without None, as `keywords` finds them.
+        Properties of its field, the type without None, as `keywords` finds them.
     """
 
     help: str = ""

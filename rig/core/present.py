@@ -115,13 +115,13 @@ class Row:
     Attributes
     ----------
     label
-        What it is; empty on a line that continues the one before.
+        Name of the value; empty on a line that continues the one before.
     value
         A number, a text, or None where it is not known.
     unit
-        Of a number; empty for a pure one.
+        Unit of a number; empty for a pure one.
     note
-        What puts the value in its place: a limit, a comparison, a doubt.
+        Context of the value: a limit, a comparison, an uncertainty.
     digits
         Significant digits of a number.
     """

@@ -39,9 +39,9 @@ def announced(
     Parameters
     ----------
     serve
-        Of a module: called there with a function that announces, and with `arguments`, which are pickled.
+        Function of a module, called there with a function that announces, and with `arguments`, which are pickled.
     name
-        Of the process.
+        Name of the process.
     by_hand
         The command that starts it for a person, who wants to see why it did not come up.
     descriptors
@@ -52,7 +52,7 @@ def announced(
     DeviceNotFoundError
         It does not come up.
     RigError
-        What `serve` raised before it announced anything.
+        Error that `serve` raised before it announced anything.
     """
     if sys.platform == "win32":  # a child there gets no descriptors by number
         raise DeviceNotFoundError(

@@ -35,7 +35,7 @@ class Signal:
     name
         As commands call it.
     meaning
-        What it shows.
+        Property of estimators that the signal shows.
     motion
         Function of time (s, any shape); smooth in velocity.
     start_s

@@ -27,7 +27,7 @@ def refuse_real_time(what: str, remedy: str = ON_THE_BOARD) -> None:
     what
         That would, as the subject of a sentence.
     remedy
-        What to do instead.
+        Instruction on what to do instead.
     """
     if sys.platform != "linux":
         raise PlanError(f"{what} needs Linux to run in real time", remedy=remedy)

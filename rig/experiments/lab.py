@@ -158,7 +158,7 @@ def plan(
     Raises
     ------
     ConfigError, PlanError
-        What cannot be; a round trip that is not above zero.
+        An invalid request; a round trip that is not above zero.
     """
     changes = changes_of(settings, WallSettings)
     own = _own({"law": law, "estimator": estimator}, changes)
@@ -234,7 +234,7 @@ def compare(
         Where position zero lies in its encoder cell (count, 0 to below 1): one hit each, of whose numbers the result
         has the mean.
     law, estimator
-        By name, or of your own.
+        Name of a built-in or installed one, or one of your own.
     **settings
         As in `load`.
 
@@ -288,7 +288,7 @@ def zwidth(
     lowest, highest, search, ratio
         Range of the stiffness, and the way through it: `rig.experiments.mapping.ranges.search_for`.
     law, estimator
-        By name, or of your own. Other processes know yours only when a package installs it: see `directory`.
+        Name, or one of your own. Other processes can use yours only when a package installs it: see `directory`.
     directory
         Where the map is kept, and resumed when it was stopped; not kept if None.
     workers, scheduler, watch
@@ -354,7 +354,7 @@ def design(
     experiment
         As in `zwidth`. Limits of felt, heard and moved are its own: ``changes={"verdict.heard_force": 0.5}``.
     goal, must_be_stable, fidelity_to, most_noise, most_cost
-        What decides, K and B of a wall that must be stable, and the other wishes: `rig.experiments.design.Wishes`.
+        Goal, K and B of a wall that must be stable, and the other wishes: `rig.experiments.design.Wishes`.
     where
         The law may run: on this computer, on the device, or on both; where the experiment's own does if None.
     most_rate, link, round_trip_s
@@ -363,7 +363,7 @@ def design(
     schemes
         To choose from; the listed set of `rig.experiments.design.listing` if empty.
     paper
-        Whether to hold the schemes of the rig's own paper against all of that set, too.
+        True if the schemes of the rig's own paper are compared with all of that set, too.
     directory
         Where the search is kept, and resumed when it was stopped; not kept if None.
     workers, scheduler, watch

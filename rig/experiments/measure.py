@@ -89,9 +89,9 @@ def impedance(
     Raises
     ------
     ConfigError, PlanError
-        What cannot be, or an excitation beyond the limits: nothing has moved.
+        An invalid request, or an excitation beyond the limits: nothing has moved.
     RigError
-        What ended a run on a device early, but for the guard; the effort is zero.
+        Cause of a run's early end on a device, other than the guard; the effort is zero.
     """
     changes = {f"excitation.{key}": value for key, value in (excitation or {}).items()}
     if url is not None:
@@ -129,7 +129,7 @@ def read_impedance(
     Parameters
     ----------
     recordings
-        Of one wall under one scheme, or their files: `ImpedanceResult.recordings`.
+        Recordings of one wall under one scheme, or their files: `ImpedanceResult.recordings`.
     method, judging
         As in `impedance`.
 
@@ -176,7 +176,7 @@ def impedance_map(
     schemes
         One map each; those of Chawda et al. if empty: their four estimators.
     stiffnesses, dampings
-        Of the grid, rising (N·m/rad and N·m·s/rad, or N/m and N·s/m); what linear theory suggests if None.
+        Values of the grid, ascending (N·m/rad and N·m·s/rad, or N/m and N·s/m); None: chosen by linear theory.
     signal
         As in `impedance`; if None ``"count"`` on a rigid rig, ``"truth"`` on one of two masses.
     directory, workers, scheduler, watch
@@ -263,7 +263,7 @@ def identify(
     IdentificationError
         Wrong signs, or data that show nothing; the message says why.
     RigError
-        What ended a trial early; the effort is zero.
+        Cause of a trial's early end; the effort is zero.
     """
     request = IdentifyRequest(experiment=load(experiment), **options)
     return identifying.identify(request, tell, ask)

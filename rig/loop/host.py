@@ -160,7 +160,7 @@ def run(
     shared
         The ring that recorder and supervisor share with the loop.
     settings, buffers
-        Of `rig.loop.layout`.
+        Memory of the loop (`rig.loop.layout`).
 
     Returns
     -------

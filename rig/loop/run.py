@@ -131,7 +131,7 @@ class LoopThread:
     nonce
         Nonce of the last transaction with the device.
     sensor, encoder_sign
-        What the measured current must be, and the direction of counting; None: the two are not compared.
+        Expected measured current, and the direction of counting; None: the two are not compared.
     """
 
     compiled: ClassVar[tuple[Any, ...]] = (host.run,)  # what thread and supervisor call

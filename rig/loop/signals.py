@@ -26,9 +26,9 @@ class Signals:
     series
         The runs that this one belongs to.
     is_stopped, number
-        Whether a stop was requested, and by which signal, if by one.
+        True if a stop was requested, and the number of the signal that did so, if one.
     raised
-        What a handler of the caller's own raised, other than KeyboardInterrupt.
+        Exception that a handler of the caller raised, other than KeyboardInterrupt.
     """
 
     series: RunSeries

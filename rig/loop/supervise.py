@@ -320,7 +320,7 @@ def run(
     port, controller, shared, settings, buffers
         As in `rig.loop.host.run`; but the mailbox is one of updates (`rig.loop.parameter_update`).
     supervised
-        What this loop has besides.
+        Memory that this loop has in addition.
 
     Returns
     -------

@@ -53,11 +53,11 @@ class DeviceHostAgreement:
     greatest_quanta
         Greatest difference.
     bound_quanta
-        What rounding explains: `BOUNDS`.
+        Difference that rounding explains: `BOUNDS`.
     beyond
         Ticks beyond that.
     holds
-        Whether those are few.
+        True if these ticks are few enough.
     """
 
     compared: int
@@ -75,7 +75,7 @@ class SupervisedThread(LoopThread):
     Parameters
     ----------
     arguments, keywords
-        Of `LoopThread`.
+        Arguments of `LoopThread`.
     live
         Makes the device's parameters of a posted set; None: the wall stays as it is. A `rig.core.errors.RigError` of it
         refuses the set.

@@ -47,13 +47,13 @@ class CLibrary:
     Attributes
     ----------
     name
-        Of its file, and of the library in messages.
+        Name of its file, and of the library in messages.
     root, parts
         Directory of the sources, and those of its directories that go into it.
     purpose
-        What for, in messages.
+        Purpose of the library, for messages.
     instead
-        What to do without it: the end of a remedy; "" where nothing helps but a compiler.
+        Alternative to it: the end of a remedy; "" if only a compiler helps.
     flags
         For the compiler.
     """

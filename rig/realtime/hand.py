@@ -61,7 +61,7 @@ class HandMotion:
     Attributes
     ----------
     device_time_ns
-        Of the sample, on the device's clock, as in the column ``device_time``.
+        Time of the sample, on the device's clock, as in the column ``device_time``.
     hand, handle
         True positions, at the link (rad or m).
     velocity

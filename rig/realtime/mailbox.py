@@ -190,12 +190,12 @@ class Mailbox:
     Parameters
     ----------
     address
-        Of the mailbox.
+        Address of the mailbox.
     descriptor
-        Of the shared memory that it lies in, to keep writers of several processes apart; -1 for memory that only this
-        process sees.
+        Descriptor of the shared memory with the mailbox, which separates the writers of several processes; -1 for
+        memory of this process only.
     keep
-        What must live as long as this object: the owner of the memory.
+        Owner of the memory, which must live as long as this object.
     """
 
     def __init__(self, address: int, *, descriptor: int = -1, keep: object = None) -> None:

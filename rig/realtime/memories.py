@@ -36,7 +36,7 @@ class LoopMemory:
     held
         Where this process has (`rig.realtime.anonymous_memory.held`).
     ran
-        Whether its loop was still running at `ask_to_stop`.
+        True if its loop was still running at `ask_to_stop`.
 
     Raises
     ------
@@ -84,9 +84,9 @@ class LoopMemory:
 
 
 def memories(pid: int | None = None) -> Iterator[LoopMemory]:
-    """Each memory once, under the process that made it, or those of one process; the caller closes them.
+    """Yield each memory once, under the process that made it, or those of one process; the caller closes them.
 
-    What vanishes meanwhile is left out.
+    Memories that vanish meanwhile are left out.
     """
     known: set[tuple[int, int]] = set()
     for process, path in place.paths(pid):

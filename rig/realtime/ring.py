@@ -75,7 +75,7 @@ class Ring:
     buffer
         The whole block; it starts at a multiple of 8.
     descriptor
-        Of the shared memory, which `close` closes; -1 when it is not shared.
+        Descriptor of the shared memory, which `close` closes; -1 when it is not shared.
     """
 
     def __init__(self, buffer: NDArray[np.uint8], descriptor: int = -1) -> None:
@@ -95,7 +95,7 @@ class Ring:
         capacity
             Rows that it holds.
         info
-            What other processes should know about the run: plain values for JSON.
+            Facts about the run for other processes: plain values for JSON.
         shared
             In memory that other processes of this user can find and open.
 

@@ -39,7 +39,7 @@ class RunningLoop:
     ticks, phase
         Steps of the law so far, and what it was doing (`rig.core.sample.phase_name`).
     stopping
-        Whether a stop was requested.
+        True if a stop was requested.
     done
         The loop has returned; its process still writes or seals the recording.
     version
@@ -105,7 +105,7 @@ def stop(
     pid
         Process; all when left out.
     asked
-        What `rig.realtime.memories.ask_to_stop` returned, where it was called already; closed here.
+        Result of `rig.realtime.memories.ask_to_stop`, if it was called already; closed here.
     patience_s
         How long to wait for each to say that it has ended.
 

@@ -65,7 +65,7 @@ def read_counts(
     resolution
         Travel for one count (rad or m); negative when counts fall while the position rises.
     time_unit
-        Of times that are numbers: s, ms, us or ns.
+        Unit of times that are numbers: s, ms, us or ns.
     period_s
         Time between two rows (s), instead of `time`, for files whose every row is a sample.
     width

@@ -79,9 +79,9 @@ class Recording(Shown, Drawn):
     trailer
         How and why the trial ended, with its statistics; None when it could not be written.
     complete
-        Whether the writer reached its end. A recording cut off by the death of its process is incomplete but usable.
+        True if the writer reached its end. A recording cut off by the death of its process is incomplete but usable.
     lost
-        What the reader had to skip.
+        Parts that the reader had to skip.
     path
         The file it was read from.
     """

@@ -35,9 +35,9 @@ class LineFile:
     Parameters
     ----------
     path
-        Of the file, made when it is not there.
+        Path of the file, created if it does not exist.
     remedy
-        What to do when another process has it open.
+        Instruction for the case that another process has it open.
 
     Raises
     ------

@@ -78,9 +78,9 @@ def quantile(ordered: ArrayLike, share: float, confidence: float = CONFIDENCE) -
     ordered
         The sample, ascending, at least one value.
     share
-        Of the values that the quantile does not exceed (0 … 1).
+        Share of the values that do not exceed the quantile (0 … 1).
     confidence
-        Of each bound by itself.
+        Confidence of each bound by itself.
     """
     sample = np.asarray(ordered)
     number = len(sample)

@@ -188,7 +188,7 @@ class Recorder:
     header
         From `rig.recording.header.make_header`, for rows of `rig.core.sample.ROW`.
     ring
-        What the loop fills.
+        Ring that the loop fills.
     virtual
         The loop runs in virtual time: no flush by age, equal runs give equal files.
     block_rows

@@ -70,9 +70,9 @@ class TimingSummary(TimingFacts):
     ticks, duration_s
         Steps of the law, time from the first to the last receipt.
     stages
-        By name (`STAGES`, `LATENESS`); None where no tick is known.
+        Stages by name (`STAGES`, `LATENESS`); None where no tick is known.
     edges_ns
-        Of the histograms.
+        Edges of the histograms (ns).
     worst
         Ticks with the longest whole way, or, where that is unknown, the latest; worst first.
     counts

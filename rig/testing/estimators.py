@@ -76,7 +76,7 @@ def check_estimator(
     estimator, settings
         It, or the name of one, and its settings.
     linear
-        Whether its output scales with its input.
+        True if its output scales with its input.
     ramp_tolerance
         Relative error that it may leave, settled, on a ramp of whole counts.
     """

@@ -28,7 +28,7 @@ class Experiments:
     Parameters
     ----------
     default
-        What a call without a source means: a preset, a file, or an experiment.
+        Source of a call without one: a preset, a file, or an experiment.
     directory
         Against which a relative path is read: that of the test's file.
     """
@@ -50,7 +50,7 @@ class Experiments:
         Raises
         ------
         ConfigError
-            What `rig.load` refuses.
+            Error of `rig.load` for an invalid source.
         """
         experiment = self._loaded(self._default if source is None else source)
         return config.override(experiment, changes, "the test") if changes else experiment

@@ -21,7 +21,7 @@ class FaultWords:
     Attributes
     ----------
     script
-        What was scripted so far; None as long as nothing was.
+        Script so far; None while it is empty.
     """
 
     def __init__(self) -> None:

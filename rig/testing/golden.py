@@ -37,7 +37,7 @@ class Golden:
     test, name
         The test's file and its name: golden recordings are kept beside the file, by both.
     update
-        Whether today's recordings replace them.
+        True if the present recordings replace the golden ones.
     """
 
     def __init__(self, test: Path, name: str, *, update: bool) -> None:
@@ -55,7 +55,7 @@ class Golden:
         name
             Distinguishes several golden recordings of one test.
         tolerance
-            Of columns that may differ by more than rounding, in their units.
+            Allowed difference of columns that may differ by more than rounding, in their units.
         """
         __tracebackhide__ = True
         recording = recording_of(subject)

@@ -44,7 +44,7 @@ class DeviceAfterwards:
     zero_after_s
         When its current was zero, since the host's last word (s); None: not while it was watched.
     armed
-        Whether it would have taken a command at the end.
+        True if it would have accepted a command at the end.
     """
 
     zero_after_s: float | None
@@ -60,13 +60,13 @@ class Hit:
     experiment
         The one in effect; as it was asked for where nothing moved.
     recorded
-        What it left; None where nothing moved.
+        Recording and judgement of the hit; None if nothing moved.
     counters
-        Of the link.
+        Counters of the link.
     error
         Why it ended early, where it may: else the error is raised.
     rest
-        What the device did afterwards; None if it sent no STATE.
+        State of the device afterwards; None if it sent no STATE.
     struck
         Faults of the script that have happened to frames.
     """
@@ -111,7 +111,7 @@ class Rigs:
     Parameters
     ----------
     url
-        Of ``--rig-url``.
+        Value of ``--rig-url``.
     verified
         A person has confirmed that it may move.
     ask
@@ -184,11 +184,11 @@ class Hits:
     rigs
         Where.
     experiments
-        What a name, a path or nothing means in this test.
+        Sources of experiments in this test: a name, a path, or none.
     faults
         The test's script.
     directory
-        Of the recordings.
+        Directory of the recordings.
 
     Attributes
     ----------
@@ -217,7 +217,7 @@ class Hits:
         Parameters
         ----------
         source
-            What to hit: see `Experiments`.
+            Experiment to hit: see `Experiments`.
         changes
             New values by dotted key. On a rig they win over what it is given for real time (``[realtime]``, and its own
             rate), as on a command line.
@@ -231,7 +231,7 @@ class Hits:
         Raises
         ------
         RigError
-            What must not run, and, unless it may, whatever ended the run early.
+            A run that is refused and, unless allowed, the cause of an early end.
         """
         experiment = self._experiments(source)
         once: dict[str, Any] = {**(changes or {}), "trial.repeats": 1}

@@ -14,12 +14,12 @@ LONGEST_NAME = 200  # file systems take 255 bytes
 class Kept:
     """The recordings of one test, from the beginning where they stay if they are kept.
 
-    What a test that was killed has recorded is there, too.
+    Recordings of a test that was killed are there, too.
 
     Parameters
     ----------
     root, test
-        Of all tests, and the node id of this one. Recordings of an earlier run are replaced.
+        Directory of all tests, and the node id of this one. Recordings of an earlier run are replaced.
     mode
         ``failed``, ``all`` or ``none``.
 

@@ -48,7 +48,7 @@ class SerialRig:
     Attributes
     ----------
     path
-        Of its port, for a program that opens a serial port.
+        Path of its port, for a program that opens a serial port.
     url
         For ``rig``: ``serial://`` and the path.
     experiment

@@ -49,7 +49,7 @@ def build_site(output: Path, *, strict: bool = False) -> Site:
     output
         Directory of the site: the pages lie in ``html``, and replace those of the same name.
     strict
-        Whether a warning, a link into nothing among them, is an error.
+        True if warnings and broken links are errors.
 
     Raises
     ------

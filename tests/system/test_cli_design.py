@@ -90,7 +90,7 @@ def test_json_is_one_document_and_the_same_command_reads_what_is_done(run: Any) 
         (["--scheme", "uniform:10k,estimator=fmd"], r"fmd"),
         (["--fidelity-to", "0"], r"--fidelity-to = 0 is out of range: .*above 0"),
         (["--round-trip", "-1"], r"--round-trip = -1 is out of range"),
-        (["--paper", "--rig", "hapkit"], r"hapkit is not the rig of a paper.*--paper; .*koul-rigid"),
+        (["--paper", "--rig", "hapkit"], r"hapkit is not the rig of a paper.*--paper cannot.*koul-rigid"),
         (["--most-cost", "1"], r"the limiting one is 1 \(--most-cost\); .*\(--most-rate\)"),
     ],
 )

@@ -111,15 +111,15 @@ def fit_cogging(
     Parameters
     ----------
     time_s, effort, position
-        Of the whole run, shape (n,), evenly sampled, time 0 where that of the sweeps is; `effort` as commanded.
+        Signals of the whole run, shape (n,), evenly sampled, with the time origin of the sweeps; `effort` as commanded.
     sweeps
-        What was asked for: pairs, up and down, over the same way.
+        Commanded sweeps: pairs, up and down, over the same travel.
     period
-        Of the harmonics (rad or m).
+        Period of the harmonics (rad or m).
     most_order
         Highest harmonic that is looked for.
     inertia, damping
-        Of everything that moves (kg·m² or kg; N·m·s/rad or N·s/m, back-EMF included under voltage drive).
+        Totals of all moving parts (kg·m² or kg; N·m·s/rad or N·s/m, back-EMF included under voltage drive).
 
     Raises
     ------

@@ -78,7 +78,7 @@ class StructuralMode:
     motor_inertia, link_inertia
         m·(f_a/f_r)² and the rest (kg·m² or kg).
     stiffness
-        Of the transmission: link inertia·ω_a² (N·m/rad or N/m).
+        Stiffness of the transmission: link inertia·ω_a² (N·m/rad or N/m).
     """
 
     antiresonance_hz: Interval
@@ -97,7 +97,7 @@ class Dynamics:
     Attributes
     ----------
     inertia
-        Of everything that moves (kg·m² or kg).
+        Inertia of all moving parts (kg·m² or kg).
     damping
         Viscous damping, without back-EMF (N·m·s/rad or N·s/m): the given one, or fitted.
     delay_s

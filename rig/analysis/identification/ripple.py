@@ -79,7 +79,7 @@ def fit_ripple(free: Sequence[Pair], loaded: Sequence[Pair], *, period: float, m
     free, loaded
         From `rig.analysis.identification.cogging.pairs_of`, as many of one as of the other.
     period
-        Of the harmonics (rad or m).
+        Period of the harmonics (rad or m).
     most_order
         Highest harmonic that is looked for.
 

@@ -61,7 +61,7 @@ class SignCheck:
     pushes
         All of them.
     warnings
-        What a person should look at.
+        Observations that a person should check.
     """
 
     sign: Literal[-1, 0, 1]
@@ -94,17 +94,17 @@ def check_signs(
     Parameters
     ----------
     time_s, effort, position
-        Of the whole run, shape (n,), evenly sampled; `effort` as commanded.
+        Signals of the whole run, shape (n,), evenly sampled; `effort` as commanded.
     resolution
         Travel for one count (rad or m).
     expected_inertia
-        Of the description (kg·m² or kg).
+        Inertia in the description (kg·m² or kg).
     rest_s
         Zero effort for this long separates two pushes.
     damping
-        Of the description, back-EMF included (N·m·s/rad or N·s/m).
+        Damping in the description, back-EMF included (N·m·s/rad or N·s/m).
     friction
-        Of the description (N·m or N), where the pushes leave it open; None: the best fit.
+        Friction in the description (N·m or N), used where the pushes do not determine it; None: the best fit.
     """
     pushes: list[Push] = []
     for first, last in _spans(effort, max(1, round(rest_s / (time_s[1] - time_s[0])))):

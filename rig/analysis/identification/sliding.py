@@ -101,9 +101,9 @@ def fit_sliding(
     Parameters
     ----------
     time_s, effort, position
-        Of the whole run, shape (n,), evenly sampled, time 0 where that of the strokes is; `effort` as commanded.
+        Signals of the whole run, shape (n,), evenly sampled, time 0 as for the strokes; `effort` as commanded.
     strokes
-        What was asked for.
+        Commanded strokes.
     resolution
         Travel for one count (rad or m).
     back_emf

@@ -46,7 +46,7 @@ class Impedance:
     z
         Impedance at each line, complex (N·s/m or N·m·s/rad).
     variance
-        Of z at each line: mean |Ẑ − Z|², half of it in the real part and half in the imaginary one. NaN if unknown.
+        Variance of z at each line: mean |Ẑ − Z|², half in the real and half in the imaginary part. NaN if unknown.
     coherence_effort, coherence_motion
         γ² of effort and of velocity with the excitation at each line, over all periods of all realisations; NaN with
         a single period. A blind estimate of it is 1/(periods · realisations), not 0.
@@ -62,7 +62,7 @@ class Impedance:
     variance_from
         Where the variance comes from: see the text of `rig.analysis.impedance.estimate`.
     degrees_of_freedom
-        Of the variance (real ones); infinite where it is exact.
+        Degrees of freedom of the variance (real ones); infinite where it is exact.
     """
 
     lines_hz: Floats

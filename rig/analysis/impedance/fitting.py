@@ -75,13 +75,13 @@ def fit(
     Parameters
     ----------
     impedance
-        What was measured.
+        Measured impedance.
     terms
         Which of inertia, damping and stiffness to look for.
     band
         Lines to use (Hz); all if left out.
     subtract
-        What is known and not looked for: a rigid device, or an impedance at all lines of `impedance`.
+        Known part that is not fitted: a rigid device, or an impedance at all lines of `impedance`.
 
     Raises
     ------

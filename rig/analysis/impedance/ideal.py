@@ -92,7 +92,7 @@ def rendered(
         that is no driving-point impedance, and its phase says nothing of passivity); or there, at the loop's ticks
         alone, as a rig records it: that adds the images to what is seen.
     channel
-        What excites: a continuous effort on the handle, or the motor by way of the loop; F is then the commanded
+        Excitation by a continuous effort on the handle, or by the motor through the loop; F is then the commanded
         excitation as held over a tick, before delay and lag.
     images
         False for the expression without A: see the text of `rig.analysis.impedance.ideal`.

@@ -32,7 +32,7 @@ class ExcitedRun:
     period_samples, periods
         Samples in a period of the excitation, and how many periods there are.
     excitation
-        What was commanded, at the instants of the samples: the instrument r. Only its phase and size at the lines
+        Commanded excitation at the instants of the samples: the instrument r. Only its phase and size at the lines
         matter.
     effort
         Effort that the world applied to the handle, as measured or known (N·m or N), positive along the position.

@@ -96,7 +96,7 @@ class Fidelity:
     rms_deviation
         Standard deviation of that, lines taken as independent.
     noise_rms
-        What noise alone would make of it: compare before two walls are ranked.
+        Value that noise alone would give: compare with it before two walls are ranked.
     stiffness, damping
         Effective, over `effective_band_hz`, the device taken away if it was given (it should be: an inertia left in
         makes the stiffness too small). NaN with fewer than `EFFECTIVE_LINES` lines there.
@@ -229,7 +229,7 @@ def fidelity(
     impedance
         Measured or exact, rig and wall together.
     stiffness, damping
-        What was asked for (N/m or N·m/rad, N·s/m or N·m·s/rad).
+        Requested stiffness and damping (N/m or N·m/rad, N·s/m or N·m·s/rad).
     band
         Lines that count (Hz); all if left out.
     device
@@ -238,7 +238,7 @@ def fidelity(
     effective_hz
         Up to which line of the band effective stiffness and damping are averaged (Hz).
     weight
-        Of `distortion`, a function of frequency (Hz); 1 if left out.
+        Weight of `distortion`, a function of frequency (Hz); 1 if left out.
 
     Notes
     -----

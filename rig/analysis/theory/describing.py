@@ -62,14 +62,14 @@ class LimitCycle:
     Attributes
     ----------
     amplitude
-        Of the encoder's side, half of the peak-to-peak motion (count); 0 where nothing balances, ∞ where it grows
+        Amplitude at the encoder, half of the peak-to-peak motion (count); 0 where nothing balances, ∞ where it grows
         beyond any number of counts.
     frequency_hz
         Its frequency; NaN without one.
     may_rest
-        Whether friction can hold the handle still instead.
+        True if friction can hold the handle still instead.
     alone
-        Whether the loop, friction left out, balances at no other frequency: else another cycle may be there as well.
+        True if the loop, friction left out, balances at no other frequency: else another cycle may be there as well.
     """
 
     amplitude: float
@@ -104,7 +104,7 @@ def limit_cycle(
     duty
         Fraction of a count of push/K, 0 to 1.
     friction
-        Whether Coulomb friction counts.
+        True if Coulomb friction is included.
 
     Raises
     ------

@@ -79,7 +79,7 @@ class Waves:
     along
         Beside the diagonal: x·y of a spring of 1.
     aside
-        What of y no reading shows: read·given − |along|².
+        Part of y that no reading shows: read·given − |along|².
     heard
         h: effort of a damper of 1 over a position of 1.
     """

@@ -46,7 +46,7 @@ class Lifted:
     tick
         One tick without a wall, n × n.
     into
-        What a command of 1 adds in that tick, length n.
+        Change of the state by a command of 1 in that tick, length n.
     first, other
         V and E: what happens to the velocity before the law, in the first and in the other ticks, n × n.
     position, velocity
@@ -212,7 +212,7 @@ def spectral_radius(
     Returns
     -------
     ndarray
-        Of the broadcast shape. A stiffness of zero leaves the handle free, which reads 1: it stays where it is.
+        Values of the broadcast shape. A stiffness of zero leaves the handle free: 1, as it stays where it is.
     """
     return Lifted.of(linear_loop(rig, scheme, operator=operator)).radius(stiffness, damping)
 

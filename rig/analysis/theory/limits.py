@@ -53,7 +53,7 @@ class Limit:
     damping, stiffness
         B, and the end of the stable range that begins at the lowest stiffness scanned; 0 where that is unstable.
     frequency_hz
-        Of the mode that becomes unstable there.
+        Frequency of the mode that becomes unstable there (Hz).
     capped
         The scan ended before the range did: `stiffness` is no limit but where the scan stopped.
     islands
@@ -81,7 +81,7 @@ class DampingLimit:
     damping
         End of the range of B, from zero up, in which the lowest stiffness is stable.
     frequency_hz
-        Of the mode that becomes unstable there.
+        Frequency of the mode that becomes unstable there (Hz).
     capped
         The scan ended before the range did.
     with_islands, island_stiffness

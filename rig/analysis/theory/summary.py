@@ -113,7 +113,7 @@ class Theory(Shown, Drawn):
     drive
         ``current`` or ``voltage``: the latter's back-EMF is part of the rig's damping, behind the lag.
     lag_s, set_point_delay_s, delay_ticks
-        Of the amplifier, of the way to it, and of the far end's computation beside these.
+        Lag of the amplifier (s), delay of the set-point to it (s), and the far end's computation beside these (ticks).
     in_hand
         For a rig that is meant for an automated trial and was asked about as it is.
     not_linear
@@ -170,7 +170,7 @@ def theory_of(
     schemes
         Texts or `rig.config.schemes.Scheme`; `default_schemes` of the experiment if not given.
     damping
-        Of the wall, beside B = 0; the experiment's if not given, 0 without an experiment.
+        Damping of the wall, beside B = 0; the experiment's if not given, 0 without an experiment.
 
     Raises
     ------

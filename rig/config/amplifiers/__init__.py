@@ -42,9 +42,9 @@ class AmplifierProfile:
     pwm_frequency
         Least and greatest pulse width rate that it takes (Hz); None: not known.
     settings
-        Of the board: defaults for it in place of the board's own.
+        Settings of the board: defaults instead of the board's own.
     set_up
-        What to do at the amplifier.
+        Settings to make at the amplifier.
     """
 
     name: str

@@ -22,7 +22,7 @@ class WallElsewhere(Protocol):
     Attributes
     ----------
     stands_for
-        What a simulation under the host's law is worth for it.
+        Note on how a simulation under the host's law represents it.
     """
 
     stands_for: str

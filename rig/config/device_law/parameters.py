@@ -64,7 +64,7 @@ def law_parameters(controller: ControllerState, arithmetic: Arithmetic) -> Value
     controller
         As the host would run it (`rig.config.controller.for_experiment`).
     arithmetic
-        Of the device.
+        Arithmetic of the law on the device.
 
     Raises
     ------
@@ -119,7 +119,7 @@ def live_parameters(controller: ControllerState, arithmetic: Arithmetic, numbers
     controller
         As the law was armed with.
     arithmetic
-        Of the device.
+        Arithmetic of the law on the device.
     numbers
         A set of the loop's mailbox: position of the wall, then the parameters of its law
         (`rig.experiments.trials.live.parameter_set`).

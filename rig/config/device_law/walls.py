@@ -34,7 +34,7 @@ class DeviceWall:
     stiffness, damping
         K and B (N·m/rad and N·m·s/rad, or N/m and N·s/m).
     position
-        Of its surface, from the reference (rad or m).
+        Position of its surface, from the reference (rad or m).
     """
 
     stiffness: float

@@ -86,7 +86,7 @@ def estimate(
     Parameters
     ----------
     name
-        Of the estimator (`rig.control.estimators.names`).
+        Name of the estimator (`rig.control.estimators.names`).
     counts
         Encoder counts, one a sample: whole numbers of any type, shape (n,). A 32-bit counter may wrap in between, a
         narrower one if its `width` is given. Leave lost samples out and state the gaps by `elapsed`.

@@ -45,7 +45,7 @@ class Linear:
     stable, quiet
         Largest K at each damping, without and with a toggling count that may not be heard.
     stands_in
-        Whether the usual filter stands in for the estimator.
+        True if the usual filter stands in for the estimator.
     """
 
     stable: tuple[float, ...]

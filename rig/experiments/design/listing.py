@@ -55,7 +55,7 @@ class LawPlace:
     rate_maximum
         Most ticks a second (Hz).
     bytes_per_second
-        What the link carries; None: any rate.
+        Capacity of the link; None: unlimited.
     round_trip_s
         From a sample to the effort that answers it, on the host; the delay is as many whole ticks, one at least. None:
         the delay that the experiment describes.

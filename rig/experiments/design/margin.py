@@ -61,7 +61,7 @@ class Left:
     share
         Limit over that on the described rig; a lower bound if `capped`.
     capped
-        Whether the search ended before a wall failed, or did so on the described rig.
+        True if the search ended before a wall failed, or did so on the described rig.
     theory
         The same share in linear theory; None for an estimator that is not linear, or a limit of zero.
     """
@@ -86,11 +86,11 @@ class Margin:
     damping, stiffness
         B at which it is taken, and the limit of K on the described rig.
     capped
-        Whether that limit is only a lower bound: the push ended before a wall failed.
+        True if that limit is only a lower bound: the push ended before a wall failed.
     worst
         Lowest share over all samples and hands, with the hand.
     alone
-        What each single change leaves, the lowest first.
+        Remaining share under each single change, the lowest first.
     samples
         How many rigs, each in every hand.
     """

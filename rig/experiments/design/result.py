@@ -28,13 +28,13 @@ class Standing:
     Attributes
     ----------
     label
-        What a legend calls it.
+        Text for legends.
     measures, shares
         See `rig.experiments.design.rules`.
     boundary
         Limits of K over the dampings of the round, under *any*.
     stands_in
-        Whether theory had to take the usual filter for its estimator.
+        True if theory had to take the usual filter for its estimator.
     """
 
     candidate: Candidate
@@ -57,21 +57,21 @@ class Design(Shown, Drawn):
     Attributes
     ----------
     experiment, wishes, places
-        What was asked.
+        Request of the design.
     listed, kept
         How many schemes theory and the first round of hits have seen.
     standings
-        Of the second round, from which front and comparisons are taken: all by the same walls.
+        Schemes of the second round, from which front and comparisons are taken: all by the same walls.
     finalists
-        Of the last round, the best first.
+        Schemes of the last round, the best first.
     recommended, own
-        Of the last round.
+        Schemes of the last round.
     held_out
         Both again, on offsets and seeds that the search did not see; None where they are the same.
     step
         Ratio between two stiffnesses of the second round: what limits are known to there.
     hits
-        By stage.
+        Number of hits of each stage.
     against
         Each scheme of the rig's paper against all of the listed set, where that was asked for.
     """

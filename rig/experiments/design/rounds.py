@@ -42,7 +42,7 @@ class Sweeper:
     Attributes
     ----------
     directory
-        Of the journals; None keeps nothing.
+        Directory of the journals; None stores nothing.
     scheduler, workers
         As in `rig.experiments.sweep.run`.
     watch

@@ -66,7 +66,7 @@ class Measures:
     damping
         Range of B (N·m·s/rad or N·s/m).
     area
-        Of the K–B plane below the boundary (product of their units).
+        Area of the K–B plane below the boundary (product of their units).
     noise
         Rms of the velocity at rest (rad/s or m/s).
     fidelity_hz
@@ -143,7 +143,7 @@ class Wishes:
     Attributes
     ----------
     goal
-        What decides among the schemes that fulfil the others.
+        Measure that decides among the schemes that fulfil the other wishes.
     wall
         K and B of a wall that has to be stable.
     fidelity_hz

@@ -81,9 +81,9 @@ class DesignRequest:
     schemes
         The listed set, if not `rig.experiments.design.listing`.
     rounds
-        Of hits.
+        Rounds of hits.
     paper
-        Whether to hold the schemes of the rig's own paper against all of the listed set, too
+        True if the schemes of the rig's own paper are compared with all of the listed set, too
         (`rig.experiments.design.whole`).
     """
 
@@ -125,7 +125,7 @@ def design(
     Parameters
     ----------
     request
-        What to design.
+        Request of the design.
     directory
         Where finished tasks are kept, and found again; None: nowhere.
     scheduler, workers, watch

@@ -129,7 +129,7 @@ class Against:
     listed
         How many schemes the set has beside it.
     ruled_out
-        By measure, how many of them a single hit (or a count of numbers) rules out there, in the order of asking.
+        Number of schemes, by measure, that a single hit (or a count of numbers) rules out, in the order of the checks.
     measured
         Schemes that nothing rules out and that were mapped, the best first: those that miss fewest measures.
     open

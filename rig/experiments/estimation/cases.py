@@ -40,7 +40,7 @@ class Case:
     Attributes
     ----------
     name
-        Of the signal or recording.
+        Name of the signal or recording.
     motion
         Decides the units.
     dt
@@ -112,7 +112,7 @@ def signal_case(signal: Signal, rate_hz: float, resolution: float, *, offset: fl
     Parameters
     ----------
     signal
-        Of `rig.core.signals`.
+        Signal of `rig.core.signals`.
     rate_hz
         Velocity samples per second.
     resolution
@@ -220,7 +220,7 @@ def recording_case(recording: Recording, rate_hz: float | None = None, *, name: 
     Parameters
     ----------
     recording
-        Of any rig; the trial is judged, what precedes it lets the estimators settle.
+        Recording of any rig; the trial is judged, and the estimators settle in the part before it.
     rate_hz
         Velocity samples per second, a whole fraction of the recording's position rate; the recording's own if None.
     name

@@ -81,13 +81,13 @@ class EstimatorExport:
     estimator, settings
         Its name, and those of its settings that were chosen.
     rig, velocity_rate_hz, resolution
-        What its numbers are for.
+        Rig, rate and resolution for which its numbers are computed.
     unit
-        Of what ``…_velocity`` returns: rad/s or m/s, or for integers LSBs of so much.
+        Unit of the result of ``…_velocity``: rad/s or m/s, or for integers LSBs with their size.
     motion, samples, tolerance
-        Of the test.
+        Motion, number of samples and tolerance of the test.
     costs
-        Of one call on each processor; empty where `cost_unknown` says why.
+        Cost of one call on each processor; empty where `cost_unknown` says why.
     header, test
         The files: `text` and `test_text`.
     """
@@ -149,7 +149,7 @@ def export_estimator(
     header
         File to write: ``kalman.h`` unless given; the test becomes ``kalman_test.c`` beside it.
     case
-        What it was tuned on; without one, `signal` as the rig's encoder sees it.
+        Case on which it was tuned; without one, `signal` as the rig's encoder sees it.
     signal
         One of `rig.core.signals.SIGNALS`.
     costs

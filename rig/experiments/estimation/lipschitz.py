@@ -24,7 +24,7 @@ def lipschitz_of(
     Parameters
     ----------
     recording
-        Of a hit. Only its measured position is used, so it may come from a real rig.
+        Recording of a hit. Only its measured position is used, so it may come from a real rig.
     sines
         How many; one more should change C little.
     before_s, after_s

@@ -20,11 +20,11 @@ class Baseline:
     duration_s
         How much of it there is (s).
     velocity_rms
-        Of the estimated velocity (rad/s or m/s).
+        Rms of the estimated velocity (rad/s or m/s).
     effort_rms
-        Of the effort of the measured current (N·m or N): noise and offset of the sensor, where none is sent.
+        Rms effort of the measured current (N·m or N): noise and offset of the sensor, where none is sent.
     sent_rms
-        Of the effort that was sent (N·m or N): 0, but for the end of homing.
+        Rms of the sent effort (N·m or N): 0, except at the end of homing.
     count_range
         How many counts the encoder went through.
     """

@@ -44,7 +44,7 @@ class Start:
     Attributes
     ----------
     position, velocity
-        Of the whole rig at the first sample (rad or m, rad/s or m/s).
+        State of the whole rig at the first sample (rad or m, rad/s or m/s).
     motor_effort
         Constant effort through the motor, as an automated trial has it (N·m or N).
     external_effort
@@ -256,7 +256,7 @@ def compare(
     experiment
         Rig, wall, estimator, length of the trial.
     entries
-        What takes part; `default_entries` if None.
+        Schemes to compare; `default_entries` if None.
     start
         The experiment's own if None.
     offsets

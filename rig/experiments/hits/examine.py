@@ -49,13 +49,13 @@ class Examination:
     Attributes
     ----------
     checks
-        Of the machine, its ports, and the scheduling that was requested.
+        Checks of the machine, its ports, and the requested scheduling.
     ports
         That are connected.
     admission
-        What `rig hit` asks of the experiment on this device before it measures the link.
+        Checks of `rig hit` for the experiment on this device before it measures the link.
     device, link, walls, gate
-        Of the device that was examined; None or empty without one, or as far as it got.
+        Results for the examined device; None or empty without one, or where the examination ended before.
     experiment
         As it would run there.
     error
@@ -143,7 +143,7 @@ def examine(question: ExaminationRequest, on_progress: Progress = lambda what, s
     Parameters
     ----------
     question
-        What to examine.
+        Request of the examination.
     on_progress
         Called with what is being done and the share of it that is done, 0 … 1.
 

@@ -43,7 +43,7 @@ class HitRequest(RigRequest):
     Attributes
     ----------
     name
-        Of the recording, without its suffix, where the caller has names of its own; else rig, time and repeat.
+        Name of the recording, without its suffix, if the caller has names of its own; else rig, time and repeat.
     law
         A law of the caller's own instead of the named one, or what makes one for the device's current quantum (A).
     device
@@ -205,7 +205,7 @@ def hit(request: HitRequest, admit: Admit, watch: Watch | None = None) -> Iterat
     Parameters
     ----------
     request
-        What to do.
+        Request: rig, device and options.
     admit
         Given the request, the open device and the experiment in effect there, prepares the run, or raises what forbids
         it: `rig.experiments.hits.admission.admit`.

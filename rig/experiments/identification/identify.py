@@ -109,11 +109,11 @@ class IdentifyRequest(FreeRigRequest):
     Attributes
     ----------
     rate_hz
-        Of the loop while it moves, and of nothing else: what is identified keeps the rates of the experiment. None:
-        those, or in real time the device's own.
+        Rate of the loop during the motions only (Hz): the identified experiment has its own rates. None: those, or in
+        real time the device's own.
     mass_kg, arm_m
-        Hung on the rig for the same sweeps once more (kg, m), which tell ripple; None: no mass, the radius of the
-        handle.
+        Mass and lever arm hung on the rig for a second run of the sweeps (kg, m), which shows ripple; None: no mass,
+        the radius of the handle.
     """
 
     realisations: Annotated[int, Keyword("Number of excitations, each with other phases.")] = 6
@@ -181,9 +181,9 @@ class Identification(Shown, Drawn):
     sources
         Identified key → its value and interval in words, and where it comes from.
     warnings
-        What a person should look at.
+        Observations that a person should check.
     simulated
-        Whether the device was.
+        True if the device was simulated.
     """
 
     before: Experiment = field(repr=False)
@@ -228,7 +228,7 @@ def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None
     Parameters
     ----------
     request
-        What to do.
+        Request: rig, device and options.
     tell
         Called with one line that says what happens next.
     ask

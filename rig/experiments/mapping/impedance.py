@@ -125,7 +125,7 @@ class ImpedanceResult(Shown, Drawn):
     saturated
         Share of ticks in which the effort was clipped: above zero the rig was not linear.
     recordings
-        Of a device.
+        Recordings of a device; empty for a simulation.
     """
 
     experiment: Experiment = field(repr=False)

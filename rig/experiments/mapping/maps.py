@@ -94,10 +94,10 @@ def zwidth(
     Parameters
     ----------
     plan
-        What to map: `rig.experiments.mapping.zwidth.MapPlan` or
+        Plan of the map: `rig.experiments.mapping.zwidth.MapPlan` or
         `rig.experiments.mapping.zwidth_frequency.FrequencyPlan`.
     journal
-        File that keeps finished tasks; a run of the same plan resumes from it.
+        File that stores finished tasks; a run of the same plan resumes from it.
     scheduler, workers, watch
         As in `rig.experiments.sweep.run`.
 

@@ -240,7 +240,7 @@ def hit_plan(
     judged
         Whose signals decide; what a rig records if None.
     on_device
-        Whether a device will be hit.
+        True if a device will be hit.
 
     Raises
     ------
@@ -311,7 +311,7 @@ def frequency_plan(
     schemes
         `default_schemes` if empty.
     stiffnesses, dampings
-        Of the grid; `default_grid` if None.
+        Values of the grid; `default_grid` if None.
     judging, signal
         As in `FrequencyPlan`. If None a rigid rig is measured by its encoder's counts and one of two masses by the true
         position of its handle, because an encoder on the other mass shows no driving-point impedance.

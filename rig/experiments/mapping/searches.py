@@ -257,7 +257,7 @@ def boundary_search(
     start
         A wall that should be passive.
     looks
-        Whether a start that is not passive may be followed by others with more damping.
+        True if a start that is not passive may be followed by others with more damping.
 
     Notes
     -----
@@ -316,7 +316,7 @@ class GridSearch:
         The grid's own edge at each damping; −1: none.
 
     dampings, stiffnesses
-        Of the grid. Walls are indices of these.
+        Values of the grid. Walls are indices of these.
     """
 
     path: tuple[Cell, ...]

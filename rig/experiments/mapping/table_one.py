@@ -54,7 +54,7 @@ class FrequencyWidth:
     stiffness, at_damping
         K-width, and the damping at which it is reached; 0 and NaN where nothing is connected.
     stiffness_undamped
-        Of the column B = 0; None when the grid has none.
+        Stiffness of the column B = 0; None when the grid has none.
     damping
         B-width; NaN when no damping holds anything (0 is a width: B = 0 holds).
     worst_fidelity, worst_stiffness, worst_damping
@@ -64,7 +64,7 @@ class FrequencyWidth:
     gaps
         Dampings below the B-width without a connected wall.
     stiffness_capped, damping_capped
-        Whether the grid ends before the region does.
+        True if the grid ends before the region does.
     """
 
     stiffness: float
@@ -238,7 +238,7 @@ class TableOne:
     comparable
         Numbers of the schemes that hold any wall with damping.
     band_hz, realisations, stiffness_step, damping_step
-        What all numbers depend on.
+        Settings on which all numbers depend.
     """
 
     rows: tuple[SchemeRow, ...]
@@ -257,7 +257,7 @@ def table_one(found: FrequencyMap) -> TableOne:
     Parameters
     ----------
     found
-        Of `impedance_map`.
+        Result of `impedance_map`.
 
     Returns
     -------

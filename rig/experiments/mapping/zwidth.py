@@ -200,13 +200,13 @@ class Boundary:
     stiffness, deviation
         Mean and standard deviation of the limits (N·m/rad or N/m); 0 counts as a limit, the deviation of one is 0.
     lowest, highest
-        Of the limits.
+        Range of the limits.
     capped
         How many series ended before a wall failed: the mean is then a lower bound.
     unknown
         How many hits were invalid.
     limits
-        Of each series, with its islands.
+        Limits of each series, with its islands.
     rendered
         Share of the damping that the effort limit leaves of a slow motion (`rig.experiments.mapping.rendering`).
     """
@@ -270,7 +270,7 @@ class Width:
     area
         Under the curve, up to `damping_range`.
     capped, undamped_capped, range_capped
-        Whether peak, limit at B = 0 and range are only lower bounds: the search, or the map, ended before the wall did.
+        True if peak, limit at B = 0 and range are only lower bounds: the search, or the map, ended before the wall did.
     holes
         Dampings below `damping_range` at which no wall passed; the area is then a lower bound.
     not_rendered

@@ -64,7 +64,7 @@ class FrequencyPlan:
     schemes
         One map each.
     stiffnesses, dampings
-        Of the grid, rising (N·m/rad or N/m, N·m·s/rad or N·s/m).
+        Values of the grid, ascending (N·m/rad or N/m, N·m·s/rad or N·s/m).
     judging
         Band and thresholds of the verdict.
     signal
@@ -204,7 +204,7 @@ class FrequencyMap(Shown, Drawn):
     Attributes
     ----------
     plan
-        What was mapped.
+        Plan of the map.
     columns
         Rows of `run_column`, in the order of `FrequencyPlan.columns`.
     passive

@@ -102,7 +102,7 @@ def run_motion(
     device
         Open, at rest.
     motion
-        What moves, and under which limits.
+        Motion, and its limits.
     recording
         The capture to write; a file that does not exist.
     verified, reference_count

@@ -78,9 +78,9 @@ class Pulse:
     recording
         The file of the pushes; of the first, where the board made them one by one.
     signs
-        What was measured.
+        Measured motion of the pushes.
     checks
-        What that says: motion, direction, size, delay.
+        Checks of these: motion, direction, size, delay.
     """
 
     rig: str

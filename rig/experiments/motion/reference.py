@@ -89,7 +89,7 @@ class FoundReference:
     index_counts
         Counts from this index to the next, as they were passed; None where the travel holds no second one.
     recordings
-        Of the motions; none by hand.
+        Recordings of the motions; none if moved by hand.
     """
 
     rig: str

@@ -59,7 +59,7 @@ class WeighRequest(FreeRigRequest):
     arm_m
         Lever arm (m); None: the radius of the handle. A linear rig has none.
     gravity
-        Of the place (m/s²).
+        Gravity at the place (m/s²).
     """
 
     mass_kg: float
@@ -84,7 +84,7 @@ class Weighing:
     rig, motion, device
         Names of the rig and of the device; the kind of motion, which decides the units.
     mass_kg, arm_m, weight
-        Of the load (kg, m), and its effort (N·m or N).
+        Mass and lever arm of the load (kg, m), and its effort (N·m or N).
     measured
         The same as the described rig would have it, from the currents (N·m or N).
     bare, loaded
@@ -92,7 +92,7 @@ class Weighing:
     described
         `rig.amplifier.effort_per_ampere` of the experiment (N·m/A or N/A).
     recordings
-        Of both runs.
+        Recordings of both runs.
     """
 
     rig: str
@@ -141,7 +141,7 @@ def weigh(request: WeighRequest, ask: Ask) -> Weighing:
     Parameters
     ----------
     request
-        What to do. A simulated rig is made anew with the mass on it.
+        Request. A simulated rig is created again with the mass on it.
     ask
         Called with what a person is to do; returns when it is done.
 

@@ -40,7 +40,7 @@ class Task:
         Function of a module, which other processes import: payload (a dict) → result that JSON can hold. It must
         depend on nothing but the payload.
     payload
-        What the work gets, in values that JSON can hold (numpy's become plain ones, tuples lists).
+        Arguments of the work, in values that JSON can hold (numpy's become plain ones, tuples lists).
     weight
         How long it takes, in a unit that is the same for all tasks.
     """
@@ -69,7 +69,7 @@ class Progress:
     weight_done, weight_total, weight_kept
         The same by weight.
     units
-        What the results of this run stand for.
+        Units of work that the results of this run represent.
     elapsed_s
         Time since the start of this run.
     workers
@@ -77,7 +77,7 @@ class Progress:
     damaged
         Lines of the journal that could not be read; their tasks run again.
     stopping
-        Whether no more tasks are handed out.
+        True if no more tasks are handed out.
     """
 
     total: int

@@ -64,11 +64,11 @@ class Journal:
     Parameters
     ----------
     path
-        Of the file, made when it is not there.
+        Path of the file, created if it does not exist.
     header
         The first line but for its format: what is being computed. Two plans are one when their ``plan`` is equal.
     keys
-        Of all tasks, in their order.
+        Keys of all tasks, in their order.
 
     Raises
     ------
@@ -164,10 +164,10 @@ class Journal:
 
 
 def read_on(path: Path, place: int = 0) -> tuple[list[tuple[str, Any]], int]:
-    """Key and result of each task whose line begins at `place` or later, and where the next line will begin.
+    """Return key and result of each task whose line begins at `place` or later, and where the next line will begin.
 
-    Of a journal that another process may be writing: nothing is locked, a line that is still being written is left for
-    the next call, and a damaged one is left out. Raises `RecordingError` when it cannot be read.
+    Another process may be writing the journal: nothing is locked, an incomplete line is left for the next call, and a
+    damaged one is left out. Raises `RecordingError` when it cannot be read.
     """
     found = []
     with plain_errors("read", path), open_regular(path) as file:

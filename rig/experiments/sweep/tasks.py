@@ -86,7 +86,7 @@ def run(
     Parameters
     ----------
     tasks
-        What to compute.
+        Tasks to compute.
     journal
         File that keeps results as they come. What it already holds is not computed again; a finished one returns at
         once. None: results are kept in memory.
@@ -140,7 +140,7 @@ def run_here(
     Parameters
     ----------
     name
-        What the journal calls the work, in place of the tasks' functions.
+        Name of the work in the journal, instead of the tasks' functions.
     perform
         Does one task and returns what JSON can hold. An exception from it ends the run; what was done is kept.
     tasks, journal

@@ -24,7 +24,7 @@ class CutResult:
     rows
         That it has.
     first_s, last_s
-        Of its first and its last row, since the first row of the recording that it was cut from (s).
+        Times of its first and its last row, since the first row of the recording that it was cut from (s).
     no_replay
         Why it cannot be replayed; empty where it can.
     """

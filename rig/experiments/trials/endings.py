@@ -161,7 +161,7 @@ def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np
     end
         How the loop ended.
     url
-        Of the device.
+        URL of the device.
     fault
         The device's fault report, if it was requested and received.
     rows

@@ -172,7 +172,7 @@ class Judgement(Verdicts):
     measured, measured_true
         The numbers that these go by, and what each criterion says.
     early
-        What an early end makes of the verdict (`ended_early`), or an encoder whose scale changed.
+        Verdict by an early end (`ended_early`), or by an encoder whose scale changed.
     """
 
     measured: Measured = field(repr=False)

@@ -42,15 +42,15 @@ class LiveChange:
     pid
         Process of the loop.
     number
-        Of the parameter set: what the column ``parameter_set`` of the recording shows from then on.
+        Number of the parameter set, which the column ``parameter_set`` of the recording shows from then on.
     changes
-        What was asked for, by dotted key.
+        Requested changes, by dotted key.
     wall
         The whole section ``[wall]`` with it.
     active
-        Whether the loop had taken it over when we looked last.
+        True if the loop used the set when it was last read.
     ended
-        Whether the loop had ended by then.
+        True if the loop had ended by then.
     """
 
     pid: int

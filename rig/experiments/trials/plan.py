@@ -197,7 +197,7 @@ def delay_checks(x: Experiment, round_trip_s: float | None = None) -> list[Check
         As it would run. What it describes as the delay (`rig.simulation.computation_delay_ticks`) is taken where
         nothing else is stated, and one tick where it describes none.
     round_trip_s
-        Of the link, and of the drive behind a bridge, as it was measured (s).
+        Measured round trip of the link, and of the drive behind a bridge (s).
 
     Raises `PlanError` for one that is not above zero.
     """
@@ -258,7 +258,7 @@ def device_checks(run: PreparedRun, dictionary: Dictionary) -> list[Check]:
     run
         As it is about to run.
     dictionary
-        What the device says of itself.
+        Description that the device sends of itself.
     """
     experiment, limits = run.experiment, check_limits(run, dictionary)
     if experiment.controller.loop != "device":

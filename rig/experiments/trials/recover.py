@@ -59,7 +59,7 @@ class Recovered:
         Time of the run that may be missing at its end and in the middle (s); None if unknown, for a simulation in
         virtual time, which can be run again.
     complete
-        Whether the writer came to its end; then nothing is missing there.
+        True if the writer reached its end; then nothing is missing there.
     reason
         Why it was not sealed, and what to do.
     """

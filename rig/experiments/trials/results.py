@@ -39,13 +39,13 @@ def write_table(
     Parameters
     ----------
     path
-        Of the file; overwritten.
+        Path of the file; overwritten.
     rows
         All with the keys of the first.
     units
-        By column; the others have none.
+        Unit of each column; the others have none.
     plan
-        What the table came from, JSON-able.
+        Plan from which the table came, as JSON values.
 
     Raises
     ------

@@ -110,7 +110,7 @@ class RigRequest:
     experiment
         Validated experiment, before `changes`.
     url
-        Of the device; None simulates the experiment's rig in this process, in virtual time.
+        URL of the device; None simulates the experiment's rig in this process, in virtual time.
     changes
         Keys that the user set by hand, dotted; they win over everything else.
     verified

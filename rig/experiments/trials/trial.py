@@ -94,7 +94,7 @@ class TrialEnd:
     reason, counters
         Why the loop ended, and what it counted on the link.
     messages
-        What was not granted.
+        Refusals of requested scheduling.
     sealed
         The recording as it was read back from its sealed file; None where it was not sealed.
     judgement
@@ -127,7 +127,7 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
         The run ended early. The effort is zero, the recording is closed, its path stands in the error's `recording`,
         and how it ended in its `end` (`TrialEnd`).
     Exception
-        What the caller's progress raised; it ends the run in the same way, and carries `recording` and `end`, too.
+        Error raised by the caller's progress; it ends the run in the same way, and carries `recording` and `end`, too.
     """
     run = request.run
     controller, parameters = run.controller.copy(), run.parameters

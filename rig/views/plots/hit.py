@@ -61,7 +61,7 @@ def main() -> None:
 def hit_figure(recording: Recording) -> Any:
     """Return the figure of a recording (`matplotlib.figure.Figure`): impact at the left, whole push at the right.
 
-    Of counts from a file, which have no wall, it is their position over time.
+    For counts from a file, which have no wall, it shows their position over time.
     """
     if counts_facts(recording) is not None:
         return column_figure(recording["position"])

@@ -53,7 +53,7 @@ def draw_frequency_map(
     theory
         Curves by number of scheme, as `rig.experiments.mapping.ranges.linear_curves` gives them.
     search
-        Whether to draw the path of the boundary search.
+        True if the path of the boundary search is drawn.
     realisation
         Which one to show; −1 is all together.
 

@@ -29,7 +29,7 @@ def fill(template: str, **values: Any) -> str:
         Name of a file of this folder, or a path below `rig` (``extras/papers/koul/page.html.j2``); it may extend others
         and import their macros.
     values
-        What the template calls for; `css` is there already.
+        Values that the template uses; `css` is added here.
     """
     page: str = _environment(html=True).get_template(template).render(**values)
     return page
