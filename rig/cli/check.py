@@ -11,9 +11,15 @@ from rig.cli.next_step import name_next
 from rig.cli.output import print_json, print_pairs, show
 from rig.core.sample import unit_of
 from rig.devices import load_backend
-from rig.experiments.motion.motion_run import FreeRigRequest
-from rig.experiments.motion.pulse import NO_HANDS, PUSHES, check_rig_moves, energy_of
-from rig.experiments.trials.identify_motions import most_push, push_way
+from rig.experiments.motion.pulse import (
+    NO_HANDS,
+    PUSHES,
+    FreeRigRequest,
+    check_rig_moves,
+    energy_of,
+    most_push,
+    push_way,
+)
 
 
 @command()

@@ -22,6 +22,7 @@ from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
 from rig.experiments.design import (
     GOALS,
+    STAGE,
     Design,
     DesignRequest,
     LawPlace,
@@ -29,10 +30,9 @@ from rig.experiments.design import (
     design,
     directory_for,
     places_for,
+    places_of,
 )
-from rig.experiments.design.device import places_of
-from rig.experiments.design.linear import STAGE
-from rig.experiments.mapping.ranges import hit_plan, search_for
+from rig.experiments.mapping.interface import hit_plan, search_for
 from rig.experiments.sweep import Progress
 from rig.experiments.trials.results import write_document
 from rig.firmware.tick_budget import BOARD, INTEGERS, named_budget

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rig.experiments.design import Design, rules
+from rig.experiments.design import RULES, Design
 from rig.recording.files import whole_file
 from rig.views.report.template import data_uris, fill
 
@@ -17,7 +17,7 @@ def render(found: Design, command: str, picture: bytes | None) -> str:
         TEMPLATE,
         found=found,
         command=command,
-        rules=rules.__doc__,
+        rules=RULES,
         pictures=data_uris({} if picture is None else {"design": picture}),
         data=found.as_mapping(),
     )

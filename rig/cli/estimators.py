@@ -17,11 +17,20 @@ from rig.core.errors import ConfigError
 from rig.core.present import Row, Table, plain
 from rig.core.sample import unit_of
 from rig.core.signals import SIGNALS
-from rig.experiments.estimation.cases import Case, recording_case, signal_case
-from rig.experiments.estimation.estimator_export import export_estimator
-from rig.experiments.estimation.estimators import Score, Variant, compare_estimators, score
-from rig.experiments.estimation.lipschitz import lipschitz_of
-from rig.experiments.estimation.tuning import Tuning, shown_range, tune_estimator
+from rig.experiments.estimation.interface import (
+    Case,
+    Score,
+    Tuning,
+    Variant,
+    compare_estimators,
+    export_estimator,
+    lipschitz_of,
+    recording_case,
+    score,
+    shown_range,
+    signal_case,
+    tune_estimator,
+)
 from rig.experiments.trials.judgement import experiment_of
 from rig.recording.reader import open_recording
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from rig import Plan, format_identification
 from rig.cli import options, output
 from rig.cli.command import EXPERIMENT, command, option
 from rig.cli.next_step import name_next
@@ -18,10 +19,7 @@ from rig.core.present import plain
 from rig.core.sample import unit_of
 from rig.devices import load_backend
 from rig.experiments.identification import identify as identifying
-from rig.experiments.identification.identified_file import format_identification
-from rig.experiments.identification.identify import Identification, IdentifyRequest
-from rig.experiments.motion.weigh import WeighRequest, weigh
-from rig.experiments.trials.planned import Plan
+from rig.experiments.identification.identify import Identification, IdentifyRequest, WeighRequest, weigh
 
 
 @command()

@@ -16,12 +16,20 @@ from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.present import Table
 from rig.core.sample import unit_of
-from rig.experiments.mapping import maps
-from rig.experiments.mapping.impedance import Judging
-from rig.experiments.mapping.ranges import frequency_plan
-from rig.experiments.mapping.searches import GridSearch, numbers_of
-from rig.experiments.mapping.table_one import FrequencyWidth, SchemeRow, Spread, TableOne, table_one
-from rig.experiments.mapping.zwidth_frequency import FrequencyMap, FrequencyPlan
+from rig.experiments.mapping import interface as maps
+from rig.experiments.mapping.interface import (
+    FrequencyMap,
+    FrequencyPlan,
+    FrequencyWidth,
+    GridSearch,
+    Judging,
+    SchemeRow,
+    Spread,
+    TableOne,
+    frequency_plan,
+    numbers_of,
+    table_one,
+)
 from rig.experiments.trials.settings import ExcitationSettings
 
 

@@ -17,11 +17,8 @@ from rig.cli.zwidth_rig import CONFIRM, CRITERIA, Dialogue, load_device, refuse_
 from rig.core.errors import ConfigError
 from rig.core.present import Table
 from rig.core.sample import unit_of
-from rig.experiments.mapping import maps
-from rig.experiments.mapping.kmax import KMax
-from rig.experiments.mapping.map_request import MapRequest
-from rig.experiments.mapping.rendering import RENDERED
-from rig.experiments.mapping.zwidth import Boundary, Width, ZWidth
+from rig.experiments.mapping import interface as maps
+from rig.experiments.mapping.interface import RENDERED, Boundary, KMax, MapRequest, Width, ZWidth
 from rig.experiments.trials.plan import stands_for_device
 
 

@@ -14,9 +14,8 @@ from rig.core.errors import ConfigError, RigError, StoppedError
 from rig.core.sample import unit_of
 from rig.devices import load_backend
 from rig.experiments.hits.on_device import OnDevice
-from rig.experiments.mapping import maps
-from rig.experiments.mapping.zwidth import MapPlan, ZWidth
-from rig.experiments.mapping.zwidth_rig import DeviceMap, Next, work_of
+from rig.experiments.mapping import interface as maps
+from rig.experiments.mapping.interface import DeviceMap, MapPlan, Next, ZWidth, work_of
 
 CONFIRM = ("each", "series", "no")
 CRITERIA = ("felt", "heard", "any")  # rig.control.verdict.CRITERIA, without its imports

@@ -25,7 +25,7 @@ from rig.devices.framed import FramedDevice
 from rig.devices.simulated import WatchedLink
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, Recorded, hit, left_by
-from rig.experiments.trials.zero import position_zero
+from rig.experiments.trials.preparation import position_zero
 from rig.recording.data import Recording
 from rig.testing.experiments import Experiments, Source
 from rig.testing.fault_words import FaultWords

@@ -10,9 +10,8 @@ from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import StoppedError
 from rig.experiments.hits.on_device import OnDevice
-from rig.experiments.mapping import maps, ranges
-from rig.experiments.mapping.zwidth import MapPlan, ZWidth
-from rig.experiments.mapping.zwidth_rig import DeviceMap, Next, zwidth_on_rig
+from rig.experiments.mapping import interface as maps
+from rig.experiments.mapping.interface import DeviceMap, MapPlan, Next, ZWidth, zwidth_on_rig
 from rig.testing.experiments import Experiments, Source
 from rig.testing.hits import Rigs, end_all
 
@@ -86,10 +85,10 @@ class Maps:
     ) -> MapPlan:
         on_device = not self._rigs.simulated
         chosen = [Scheme.parse(text) for text in schemes]
-        search = ranges.search_for(
+        search = maps.search_for(
             experiment, ratio=ratio, lowest=lowest, highest=highest, schemes=chosen, on_device=on_device
         )
-        return ranges.hit_plan(
+        return maps.hit_plan(
             experiment,
             chosen,
             dampings=dampings,

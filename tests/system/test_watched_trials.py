@@ -11,10 +11,10 @@ from rig.config import override, presets
 from rig.control.verdict import Kind
 from rig.core.errors import ConfigError, GuardError, PlanError
 from rig.core.sample import Phase, RowFlag
-from rig.experiments.hits.baseline import baseline
 from rig.experiments.hits.hit_simulator import HitSimulator
 from rig.experiments.trials.plan import make_plan
 from rig.experiments.trials.replay import replay
+from rig.session.engine.baseline import baseline
 from rig.testing import Hits, assert_stable
 from tests.conformance.firmware import need_compiler
 

@@ -15,14 +15,21 @@ rigs that differ from the described one.
 * `search`: all of it in order
 """
 
+from rig.experiments.design import rules
+from rig.experiments.design.device import places_of
+from rig.experiments.design.linear import STAGE
 from rig.experiments.design.listing import Candidate, LawPlace, listed, places_for
 from rig.experiments.design.result import Design, Standing
 from rig.experiments.design.rules import GOALS, Goal, Measures, UnmetError, Wishes
 from rig.experiments.design.search import DesignRequest, design, directory_for
 from rig.experiments.design.whole import Against
 
+RULES = rules.__doc__ or ""
+
 __all__ = [
     "GOALS",
+    "RULES",
+    "STAGE",
     "Against",
     "Candidate",
     "Design",
@@ -37,4 +44,5 @@ __all__ = [
     "directory_for",
     "listed",
     "places_for",
+    "places_of",
 ]

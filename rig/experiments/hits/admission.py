@@ -22,9 +22,8 @@ from rig.doctor.gate_result import Gate
 from rig.experiments.hits.hit import Admitted, HitRequest
 from rig.experiments.motion.pulse import NO_HANDS, pulse
 from rig.experiments.trials.plan import device_checks, human_limit_checks, link_checks, plan_of
-from rig.experiments.trials.preparation import prepared_on
+from rig.experiments.trials.preparation import position_zero, prepared_on
 from rig.experiments.trials.results import make_directory
-from rig.experiments.trials.zero import position_zero
 from rig.recording.files import free_name
 
 

@@ -49,7 +49,7 @@ class HitRequest(RigRequest):
     device
         Open device to use instead of `url`; it stays open.
     reference_count
-        Count at position zero of a real rig. None: see `rig.experiments.trials.zero.position_zero`.
+        Count at position zero of a real rig. None: see `rig.experiments.trials.preparation.position_zero`.
     arm_anyway
         See `rig.doctor.gate`; the override is reported and recorded.
     measuring

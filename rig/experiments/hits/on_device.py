@@ -21,7 +21,7 @@ from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, Recorded, hit, left_by
-from rig.experiments.trials.zero import position_zero
+from rig.experiments.trials.preparation import position_zero
 from rig.realtime import stop_requests
 from rig.realtime.stop_requests import RunSeries
 

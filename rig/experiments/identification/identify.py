@@ -66,8 +66,17 @@ from rig.experiments.motion.motion_run import (
     run_motion,
     signs_of,
     spoiled_by_timing,
+    trial_rows,
 )
-from rig.experiments.motion.weigh import STANDARD_GRAVITY, Ask, hung, refuse_load, with_mass
+from rig.experiments.motion.weigh import (
+    STANDARD_GRAVITY,
+    Ask,
+    WeighRequest,
+    hung,
+    refuse_load,
+    weigh,
+    with_mass,
+)
 from rig.experiments.trials.excitation_run import late_ticks
 from rig.experiments.trials.identify_motions import (
     PERIODS,
@@ -91,9 +100,22 @@ from rig.experiments.trials.identify_motions import (
 )
 from rig.experiments.trials.plan import link_checks
 from rig.experiments.trials.planned import Plan
-from rig.experiments.trials.zero import position_zero
+from rig.experiments.trials.preparation import position_zero
 from rig.realtime import stop_requests
 from rig.recording.files import free_name, plain_errors
+
+__all__ = [
+    "Identification",
+    "IdentifyRequest",
+    "WeighRequest",
+    "acting_effort",
+    "excited_run_of",
+    "identify",
+    "plan_of",
+    "trial_rows",
+    "weigh",
+    "without_end_mass",
+]
 
 MOST_ORDER = 200  # of cogging, in `rig identify`: a sweep is the slower, the finer the waves are
 

@@ -55,9 +55,23 @@ from rig.experiments.trials.identify_motions import (
     still,
 )
 from rig.experiments.trials.plan import link_checks
-from rig.experiments.trials.zero import position_zero
+from rig.experiments.trials.preparation import position_zero
 from rig.realtime import stop_requests
 from rig.recording.files import free_name, plain_errors
+
+__all__ = [
+    "NO_HANDS",
+    "PUSHES",
+    "FreeRigRequest",
+    "Pulse",
+    "at_own_rate",
+    "check_rig_moves",
+    "energy_of",
+    "judged",
+    "most_push",
+    "pulse",
+    "push_way",
+]
 
 PUSHES = 4
 # The rules, written before their results (`tests/benchmarks/pulses.py`): inertia within this factor of the described

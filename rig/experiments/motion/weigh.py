@@ -36,7 +36,7 @@ from rig.experiments.motion.motion_run import FreeRigRequest, position_now, refu
 from rig.experiments.motion.pulse import at_own_rate
 from rig.experiments.trials.identify_motions import coulomb_of, still, weighing_motion, weighing_strokes
 from rig.experiments.trials.plan import link_checks
-from rig.experiments.trials.zero import position_zero
+from rig.experiments.trials.preparation import position_zero
 from rig.realtime import stop_requests
 from rig.recording.files import free_name, plain_errors
 

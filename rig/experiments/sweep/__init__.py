@@ -9,7 +9,20 @@
 """
 
 from rig.experiments.sweep.coordinator import Progress, Task
+from rig.experiments.sweep.executors import Failure
+from rig.experiments.sweep.journal import read_on
 from rig.experiments.sweep.tasks import Results, SweepStoppedError, TaskError, run, run_here
 from rig.realtime.source_files import code_version
 
-__all__ = ["Progress", "Results", "SweepStoppedError", "Task", "TaskError", "code_version", "run", "run_here"]
+__all__ = [
+    "Failure",
+    "Progress",
+    "Results",
+    "SweepStoppedError",
+    "Task",
+    "TaskError",
+    "code_version",
+    "read_on",
+    "run",
+    "run_here",
+]

@@ -14,7 +14,7 @@ from importlib import import_module
 from typing import Any
 
 from rig.core.errors import ConfigError, RigError
-from rig.experiments.sweep.executors import Failure
+from rig.experiments.sweep import Failure
 
 CONNECT_S = 10.0
 CENSUS_S = 1.0  # how often the workers are counted

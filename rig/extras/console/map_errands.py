@@ -10,12 +10,17 @@ from rig.control.verdict import CRITERIA, Kind
 from rig.core.errors import ConfigError, RecordingError, RigError
 from rig.core.locks import is_locked
 from rig.core.sample import unit_of
-from rig.experiments.mapping import maps
-from rig.experiments.mapping.ranges import linear_curves, theory_curves
-from rig.experiments.mapping.zwidth import TRUE, MapPlan
-from rig.experiments.mapping.zwidth_frequency import TOGETHER, FrequencyPlan
-from rig.experiments.mapping.zwidth_rig import RECORDING
-from rig.experiments.sweep.journal import read_on
+from rig.experiments.mapping import interface as maps
+from rig.experiments.mapping.interface import (
+    RECORDING,
+    TOGETHER,
+    TRUE,
+    FrequencyPlan,
+    MapPlan,
+    linear_curves,
+    theory_curves,
+)
+from rig.experiments.sweep import read_on
 from rig.recording.files import plain_errors
 
 KINDS = tuple(str(kind) for kind in (Kind.STABLE, Kind.LIMIT_CYCLE, Kind.UNSTABLE, Kind.INVALID))

@@ -10,11 +10,8 @@ from typing import Any
 from rig import config
 from rig.config import Experiment
 from rig.config.schemes import Scheme
-from rig.experiments.mapping import maps
-from rig.experiments.mapping.map_request import MapRequest
-from rig.experiments.mapping.ranges import frequency_plan
-from rig.experiments.mapping.searches import numbers_of
-from rig.experiments.mapping.zwidth_frequency import FrequencyPlan
+from rig.experiments.mapping import interface as maps
+from rig.experiments.mapping.interface import FrequencyPlan, MapRequest, frequency_plan, numbers_of
 from rig.experiments.sweep import Progress
 from rig.extras.console.hits import experiment_of
 from rig.extras.console.talk import Talk

@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal
 from annotated_types import Ge, Le
 
 from rig.core.errors import ConfigError, RigError
-from rig.experiments.mapping.map_request import MapRequest
+from rig.experiments.mapping.interface import MapRequest
 from rig.extras.console.client import Client, defect, trouble
 from rig.extras.console.place import directory_in
 from rig.extras.console.requests import Changes, Name, Request, refuse_reserved

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig import cut_recording
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import unit_of
-from rig.experiments.trials.cutting import cut_recording
 from rig.experiments.trials.replay import ReplayResult
 from rig.experiments.trials.replay import replay as replayed
 from rig.extras.console.history import HistoryExcerpt

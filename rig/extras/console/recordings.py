@@ -17,7 +17,7 @@ from annotated_types import Ge, Le
 
 from rig.control import estimators
 from rig.core.errors import ConfigError
-from rig.experiments.mapping.maps import RECORDINGS
+from rig.experiments.mapping.interface import RECORDINGS
 from rig.extras.console.client import Client
 from rig.extras.console.maps import MAPS
 from rig.extras.console.place import directory_in, file_in

@@ -11,8 +11,8 @@ from rig.cli import map_options, output
 from rig.cli.command import command
 from rig.cli.keyword_options import gathered_options
 from rig.cli.progress import SweepBar
-from rig.experiments.mapping import maps
-from rig.experiments.mapping.map_request import MapRequest
+from rig.experiments.mapping import interface as maps
+from rig.experiments.mapping.interface import MapRequest
 from rig.extras.papers.disagreement.disagreement import DisagreementPlan, compare_into
 from rig.extras.papers.disagreement.report import paragraph
 

@@ -10,7 +10,7 @@ from rig.cli.command import command
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
 from rig.core.present import plain
-from rig.experiments.mapping.searches import numbers_of
+from rig.experiments.mapping.interface import numbers_of
 from rig.extras.papers.disagreement.limit_cycles import limit_cycles as compare
 
 

@@ -26,17 +26,16 @@ from rig.devices.local import opened
 from rig.doctor.in_effect import in_effect
 from rig.doctor.pace import Pace, measured_pace
 from rig.experiments.hits.admission import admit, vetted
-from rig.experiments.hits.baseline import baseline
 from rig.experiments.hits.hit import HitRequest, Recorded, hit, left_by
 from rig.experiments.motion.pulse import Pulse, pulse
 from rig.experiments.trials.judgement import THREW_OUT, THROWN_OUT
 from rig.experiments.trials.plan import device_checks, link_checks
-from rig.experiments.trials.preparation import prepared_on
-from rig.experiments.trials.zero import position_zero
+from rig.experiments.trials.preparation import position_zero, prepared_on
 from rig.recording.data import Recording
 from rig.recording.files import free_name, plain_errors, sha256_of
 from rig.recording.header import host_facts
 from rig.session.engine.arming import refusals
+from rig.session.engine.baseline import baseline
 from rig.session.engine.pace import sentence
 from rig.session.engine.place import software
 from rig.session.engine.runner import RefusedWalls, SessionWall, TrialDone, Watch

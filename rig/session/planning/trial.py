@@ -93,7 +93,7 @@ class HitOutcome:
     numbers: Annotated[Mapping[str, float | None], Quantity("", "measured numbers of the automatic verdict")]
     baseline: Annotated[
         Mapping[str, float] | None,
-        Quantity("", "measurements in free space before the hit (rig.experiments.hits.baseline)"),
+        Quantity("", "measurements in free space before the hit (rig.session.engine.baseline)"),
     ]
     heat: Annotated[float, Quantity("1", "share of the winding's heat budget after the hit")]
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from rig.core.errors import ConfigError
 from rig.core.sample import unit_of
-from rig.experiments.estimation.cases import Case
-from rig.experiments.estimation.estimators import EstimatorComparison, Score, Variant, estimates
+from rig.experiments.estimation.interface import Case, EstimatorComparison, Score, Variant, estimates
 from rig.views.plots import style
 
 # One colour and mark a variant, in order (Okabe and Ito, then marks tell the second round apart).

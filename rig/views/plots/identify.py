@@ -8,8 +8,7 @@ import numpy as np
 
 from rig.analysis.identification import CoggingMap
 from rig.core.sample import Motion, unit_of
-from rig.experiments.identification.identify import Identification
-from rig.experiments.motion.motion_run import trial_rows
+from rig.experiments.identification.identify import Identification, trial_rows
 from rig.recording.reader import open_recording
 from rig.views.plots import style
 

@@ -9,10 +9,14 @@ from typing import Any
 
 from rig.experiments.hits.hit import HitResult
 from rig.experiments.mapping.impedance import ImpedanceResult
-from rig.experiments.mapping.kmax import KMax
-from rig.experiments.mapping.ranges import kmax_theory, linear_curves, theory_curves
-from rig.experiments.mapping.zwidth import ZWidth
-from rig.experiments.mapping.zwidth_frequency import FrequencyMap
+from rig.experiments.mapping.interface import (
+    FrequencyMap,
+    KMax,
+    ZWidth,
+    kmax_theory,
+    linear_curves,
+    theory_curves,
+)
 from rig.views.plots.hit import hit_figure
 from rig.views.plots.impedance import impedance_figure
 from rig.views.plots.zwidth import kmax_figure, zwidth_figure

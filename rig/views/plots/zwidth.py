@@ -12,9 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.core.sample import unit_of
-from rig.experiments.mapping.kmax import KMax
-from rig.experiments.mapping.rendering import RENDERED
-from rig.experiments.mapping.zwidth import Boundary, ZWidth
+from rig.experiments.mapping.interface import RENDERED, Boundary, KMax, ZWidth
 from rig.views.plots import style
 
 TITLES = {"felt": "felt", "heard": "heard", "any": "felt, heard or moved"}

@@ -19,9 +19,7 @@ import numpy as np
 from rig.analysis.impedance import Floats
 from rig.core.deferred import colors
 from rig.core.sample import unit_of
-from rig.experiments.mapping.searches import trace_grid
-from rig.experiments.mapping.table_one import FrequencyWidth
-from rig.experiments.mapping.zwidth_frequency import FrequencyMap
+from rig.experiments.mapping.interface import FrequencyMap, FrequencyWidth, trace_grid
 from rig.views.plots import style
 
 Curves = tuple[

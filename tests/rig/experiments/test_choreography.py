@@ -17,11 +17,11 @@ from rig.control.verdict import Kind
 from rig.core.errors import ConfigError
 from rig.core.sample import HOLD, Phase, phase_name
 from rig.devices.framed import FramedDevice
-from rig.experiments.hits.baseline import baseline
 from rig.experiments.trials.judgement import judge
 from rig.recording.data import Recording
 from rig.recording.marks import marks
 from rig.recording.reader import open_recording
+from rig.session.engine.baseline import baseline
 from sim_backend.board.make_device import make_device
 from sim_backend.ends.link import MemoryLink
 from tests.conformance.trials import trial_on

@@ -20,7 +20,7 @@ from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
 from rig.experiments.motion.reference import FoundReference, reference
 from rig.experiments.trials.identify_motions import still
-from rig.experiments.trials.zero import position_zero
+from rig.experiments.trials.preparation import position_zero
 from rig.recording.reader import open_recording
 from sim_backend.board.hardware import Hardware
 from sim_backend.mechanics.plant import COULOMB

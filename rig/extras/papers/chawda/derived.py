@@ -11,8 +11,7 @@ import numpy as np
 
 from rig.config import presets
 from rig.config.schemes import Scheme
-from rig.experiments.mapping.searches import connected
-from rig.experiments.mapping.table_one import FrequencyWidth, Spread, tuned_numbers
+from rig.experiments.mapping.interface import FrequencyWidth, Spread, connected, tuned_numbers
 from rig.extras.papers.chawda import rigs, rules
 from rig.extras.papers.chawda.parts import fidelity_without_wall
 from rig.extras.papers.chawda.readings import Readings

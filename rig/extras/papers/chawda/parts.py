@@ -19,10 +19,9 @@ from rig.analysis.theory import linear_loop
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.control.estimators.lipschitz import identify_lipschitz
-from rig.experiments.estimation.lipschitz import AFTER_CONTACT_S, BEFORE_CONTACT_S
+from rig.experiments.estimation.interface import AFTER_CONTACT_S, BEFORE_CONTACT_S
 from rig.experiments.hits.compare import Start, simulate
-from rig.experiments.mapping.ranges import passive_limit
-from rig.experiments.mapping.searches import StiffnessSearch
+from rig.experiments.mapping.interface import StiffnessSearch, passive_limit
 from rig.experiments.trials.excitation_run import ExcitedRig
 from rig.extras.papers.chawda.readings import read
 from rig.extras.papers.chawda.rigs import FIGURE_3_RATE, FILTERED_SCHEME, Reading, pushed_rig

@@ -10,7 +10,7 @@ import numpy as np
 
 from rig.analysis.impedance import ideal_wall
 from rig.core.deferred import colors
-from rig.experiments.mapping.searches import connected
+from rig.experiments.mapping.interface import connected
 from rig.extras.papers.chawda import derived, rigs
 from rig.extras.papers.chawda.levant_plot import draw_levant_regions, levant_regions
 from rig.extras.papers.chawda.results import Chawda, spread

@@ -18,8 +18,7 @@ from rig import config
 from rig.analysis.impedance import Floats, Impedance, ideal_wall, periodic
 from rig.config import Experiment
 from rig.config.schemes import Scheme
-from rig.experiments.mapping.searches import connected
-from rig.experiments.mapping.table_one import FrequencyWidth, Spread
+from rig.experiments.mapping.interface import FrequencyWidth, Spread, connected
 from rig.experiments.sweep import Task
 from rig.experiments.trials.excitation_run import ExcitedRig, RealisationRun, Signal
 from rig.extras.papers.chawda.rigs import COHERENCE, RESIDUAL, Reading

@@ -20,11 +20,9 @@ from rig import config
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.control.estimators import levant_regions
-from rig.experiments.estimation.lipschitz import AFTER_CONTACT_S, BEFORE_CONTACT_S
+from rig.experiments.estimation.interface import AFTER_CONTACT_S, BEFORE_CONTACT_S
 from rig.experiments.mapping.impedance import measure_impedance
-from rig.experiments.mapping.ranges import search_for
-from rig.experiments.mapping.searches import StiffnessSearch
-from rig.experiments.mapping.zwidth import MapPlan, ZWidth
+from rig.experiments.mapping.interface import MapPlan, StiffnessSearch, ZWidth, search_for
 from rig.experiments.trials import excitation_run
 from rig.extras.papers.chawda import derived, rigs, rules
 from rig.extras.papers.chawda import parts as chawda_parts

@@ -13,9 +13,7 @@ from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.core.present import plain
 from rig.experiments.mapping.impedance import ImpedanceResult
-from rig.experiments.mapping.searches import GridSearch, trace_grid
-from rig.experiments.mapping.table_one import FrequencyWidth, Spread
-from rig.experiments.mapping.zwidth import ZWidth
+from rig.experiments.mapping.interface import FrequencyWidth, GridSearch, Spread, ZWidth, trace_grid
 from rig.extras.papers.chawda import rigs
 from rig.extras.papers.chawda.readings import Readings
 from rig.realtime.source_files import code_version

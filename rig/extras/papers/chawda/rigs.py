@@ -13,8 +13,7 @@ from typing import Any, Literal
 from rig import config
 from rig.config import Experiment, presets
 from rig.config.schemes import Scheme
-from rig.experiments.mapping.ranges import PAPERS_SCHEMES
-from rig.experiments.mapping.table_one import PAPER, Printed
+from rig.experiments.mapping.interface import PAPER, PAPERS_SCHEMES, Printed
 
 RIG = "chawda-linear"
 SEED = 0

@@ -33,7 +33,7 @@ from rig.analysis.theory import Lifted, linear_loop
 from rig.config import Experiment, controller
 from rig.control.bilateral import clinging_law
 from rig.experiments.hits.hit_simulator import HitSimulator
-from rig.experiments.mapping.searches import StiffnessSearch
+from rig.experiments.mapping.interface import StiffnessSearch
 
 FRICTION, QUANTUM, SATURATION, CONTACT = FOUR = ("friction", "quantum", "saturation", "contact")
 EACH, OTHERS, NONE = "each of several", "any of several", "none of the four"

@@ -31,9 +31,8 @@ from rig.core.present import Item, Row, Table, plain, reported
 from rig.core.sample import unit_of
 from rig.core.shown import Shown
 from rig.experiments import sweep
-from rig.experiments.mapping import maps
-from rig.experiments.mapping.searches import check_values
-from rig.experiments.mapping.zwidth import MapPlan, Series
+from rig.experiments.mapping import interface as maps
+from rig.experiments.mapping.interface import MapPlan, Series, check_values
 from rig.experiments.trials.results import make_directory
 from rig.extras.papers.disagreement.ablation import CAUSES, Cure, Holds, cause_of, hit_column
 

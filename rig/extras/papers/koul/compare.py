@@ -24,8 +24,7 @@ from rig.config.schemes import Scheme
 from rig.control.estimators.estimator import Floats
 from rig.core.errors import ConfigError
 from rig.core.present import plain, reported
-from rig.experiments.estimation.cases import Case
-from rig.experiments.estimation.estimators import Variant, delay, estimates
+from rig.experiments.estimation.interface import Case, Variant, delay, estimates
 from rig.experiments.hits.compare import OFFSETS, Entry, SchemeComparison, Start, compare, simulate
 
 START = Start(position=-2e-3, velocity=1.5, external_effort=0.06)

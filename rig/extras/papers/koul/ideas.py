@@ -18,7 +18,7 @@ from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.control import estimators
 from rig.control.verdict import CRITERIA
-from rig.experiments.mapping.zwidth import Width, ZWidth
+from rig.experiments.mapping.interface import Width, ZWidth
 from rig.extras.papers.koul.parts import DampingRange
 from rig.extras.papers.koul.rigs import COMPLIANT, RIGID, HeldRig
 from rig.extras.papers.rules import over

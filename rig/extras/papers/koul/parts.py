@@ -24,8 +24,15 @@ from rig.core.operators import GRIPS
 from rig.core.present import plain
 from rig.experiments.hits.compare import simulate
 from rig.experiments.hits.hit_simulator import HitSimulator
-from rig.experiments.mapping.searches import Outcomes, StiffnessSearch, drive, limit_of
-from rig.experiments.mapping.zwidth import TRUE, MapPlan, run_series
+from rig.experiments.mapping.interface import (
+    TRUE,
+    MapPlan,
+    Outcomes,
+    StiffnessSearch,
+    drive,
+    limit_of,
+    run_series,
+)
 from rig.experiments.sweep import Task
 from rig.extras.papers.koul import compare as compare_koul
 from rig.extras.papers.parts import Part

@@ -18,10 +18,16 @@ from rig import config
 from rig.analysis import theory
 from rig.config import Experiment, presets
 from rig.config.schemes import Scheme
-from rig.experiments.mapping.kmax import KMax, kmax_plan
-from rig.experiments.mapping.ranges import highest_stiffness, search_for
-from rig.experiments.mapping.searches import StiffnessSearch, Way
-from rig.experiments.mapping.zwidth import MapPlan, ZWidth
+from rig.experiments.mapping.interface import (
+    KMax,
+    MapPlan,
+    StiffnessSearch,
+    Way,
+    ZWidth,
+    highest_stiffness,
+    kmax_plan,
+    search_for,
+)
 from rig.extras.papers.koul import compare as compare_koul
 from rig.extras.papers.koul import ideas as koul_ideas
 from rig.extras.papers.koul import parts as koul_parts

@@ -10,8 +10,7 @@ import numpy as np
 
 from rig import config
 from rig.config import presets
-from rig.experiments.mapping.kmax import KMax
-from rig.experiments.mapping.zwidth import Width, ZWidth
+from rig.experiments.mapping.interface import KMax, Width, ZWidth
 from rig.extras.papers.koul import rigs, rules
 from rig.extras.papers.koul.compare import Panel, Profiles
 from rig.extras.papers.koul.ideas import (

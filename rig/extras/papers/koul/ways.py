@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from rig.experiments.mapping.searches import Passes, limit_of
-from rig.experiments.mapping.zwidth import TRUE, ZWidth
+from rig.experiments.mapping.interface import TRUE, Passes, ZWidth, limit_of
 
 
 @dataclass(frozen=True, slots=True)

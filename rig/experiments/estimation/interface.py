@@ -1,0 +1,39 @@
+"""Interface of this sub-room: velocity estimators on one signal, compared, scored, tuned and exported as C.
+
+Commands, pictures and papers import it. It defines nothing, and no file of the sub-room imports it, so that a Lipschitz
+constant alone (`rig.lipschitz_of`) does not load what exports an estimator.
+"""
+
+from rig.experiments.estimation.cases import Case, recording_case, signal_case
+from rig.experiments.estimation.estimator_export import export_estimator
+from rig.experiments.estimation.estimators import (
+    EstimatorComparison,
+    Score,
+    Variant,
+    compare_estimators,
+    delay,
+    estimates,
+    score,
+)
+from rig.experiments.estimation.lipschitz import AFTER_CONTACT_S, BEFORE_CONTACT_S, lipschitz_of
+from rig.experiments.estimation.tuning import Tuning, shown_range, tune_estimator
+
+__all__ = [
+    "AFTER_CONTACT_S",
+    "BEFORE_CONTACT_S",
+    "Case",
+    "EstimatorComparison",
+    "Score",
+    "Tuning",
+    "Variant",
+    "compare_estimators",
+    "delay",
+    "estimates",
+    "export_estimator",
+    "lipschitz_of",
+    "recording_case",
+    "score",
+    "shown_range",
+    "signal_case",
+    "tune_estimator",
+]
