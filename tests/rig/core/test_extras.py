@@ -191,9 +191,15 @@ def test_every_table_of_this_tree_is_whole() -> None:
 
 
 def test_every_result_that_can_be_drawn_has_a_picture() -> None:
+    """A result is imported by what draws it, or by the functions that people call."""
+
     def kinds(kind: type) -> set[str]:
         return {kind.__name__}.union(*map(kinds, kind.__subclasses__()))
 
+    for name in rig.__all__:
+        getattr(rig, name)
+    for name in extras.added("pictures"):
+        extras.load("pictures", name)
     assert kinds(Drawn) - {"Drawn"} == set(extras.added("pictures"))
     with pytest.raises(ConfigError, match="a dict cannot be drawn"):
         plot({})

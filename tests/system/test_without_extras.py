@@ -1,0 +1,127 @@
+"""The core without its extras: a copy of the tree that has none installs, runs, and passes the tests of the core."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rig.core import extras
+from tests.conformance.guides import ROOT
+
+pytest.importorskip("hatchling")
+pytestmark = [
+    pytest.mark.exhaustive(
+        "tests/rig/core/test_extras.py::test_a_drive_whose_extra_is_gone_is_refused_and_never_another_rig"
+    ),
+    pytest.mark.timeout(1500),
+]
+
+# Where names of extras are looked up. The tests of other rooms are collected, which shows that they import no extra.
+RUN = ("core", "cli", "devices/test_devices_table.py", "views", "session", "experiments/test_sweep.py")
+COMMANDS = "tests/system/test_commands.py"
+# What these state is true of the whole distribution: documents and tables that have the names of extras in them.
+WHOLE = (
+    "tests/rig/core/test_extras.py::test_every_table_of_this_tree_is_whole",
+    "tests/rig/core/test_lazy.py::test_stub_table_and_package_agree[rig]",
+    "tests/rig/core/test_lazy.py::test_names_of_a_missing_extra_are_no_names",
+    "tests/rig/core/test_lazy.py::test_every_public_function_documents_its_parameters_results_and_errors",
+    "tests/rig/cli/test_command_line.py::test_each_command_explains_itself_without_its_libraries",
+    "tests/rig/cli/test_command_line.py::test_an_argument_that_a_message_names_is_an_option_of_a_command",
+    "tests/rig/cli/test_help.py::test_there_are_at_most_twenty_commands_at_the_top",
+    f"{COMMANDS}::test_every_command_has_its_row_and_runs_in_it_or_elsewhere",
+    *(
+        f"{COMMANDS}::{test}[{words}"
+        for test in (
+            "test_a_good_run_ends_with_0_as_json_and_as_text",
+            "test_a_refusal_is_one_line_with_its_exit_code_and_leaves_nothing",
+        )
+        for words in extras.added("commands")
+    ),
+)
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """This tree without what is in a folder of extras, and without tests that import from there."""
+    place = tmp_path_factory.mktemp("copy")
+    folders = {ROOT / "rig" / "extras", ROOT / "tests" / "extras"}
+
+    def left_out(folder: str, names: list[str]) -> list[str]:
+        return [name for name in names if name == "__pycache__" or Path(folder, name) in folders]
+
+    for name in ("firmware_protocol", "rig", "sim_backend", "tests"):
+        shutil.copytree(ROOT / name, place / name, ignore=left_out)
+    for name in ("README.md", "LICENSE", "pyproject.toml"):
+        shutil.copy(ROOT / name, place)
+    for path in reaching_for_extras(place / "tests"):
+        path.unlink()
+    return place
+
+
+def reaching_for_extras(tests: Path) -> set[Path]:
+    """Files of tests that import from an extra, or from such a file."""
+    names = {
+        ".".join(path.relative_to(tests.parent).with_suffix("").parts): path for path in tests.rglob("*.py")
+    }
+    imported = {name: imports(path) for name, path in names.items()}
+    found: set[str] = set()
+    while more := {
+        name
+        for name, modules in imported.items()
+        if name not in found and any(one.startswith("rig.extras") or one in found for one in modules)
+    }:
+        found |= more
+    return {names[name] for name in found}
+
+
+def imports(path: Path) -> set[str]:
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return found
+
+
+def run(*command: str, cwd: Path, packages: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-P", *command], cwd=cwd, env={**os.environ, "PYTHONPATH": str(packages)},
+        capture_output=True, text=True, timeout=1400, check=False,
+    )  # fmt: skip
+
+
+def test_it_installs_and_hits(copy: Path, tmp_path: Path) -> None:
+    site = tmp_path / "site"
+    built = run("-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path), cwd=copy, packages=copy)
+    assert built.returncode == 0, built.stderr
+    (wheel,) = tmp_path.glob("*.whl")
+    shutil.unpack_archive(wheel, site, "zip")
+    assert not (site / "rig" / "extras").exists()
+    shown = run("-m", "rig", "--help", cwd=tmp_path, packages=site)
+    assert "  hit " in shown.stdout, shown.stderr
+    assert "console" not in shown.stdout
+    hit = run("-m", "rig", "hit", "--json", "--no-plot", cwd=tmp_path, packages=site)
+    assert hit.returncode == 0, hit.stderr
+    refused = run("-m", "rig", "hit", "--url", "moteus:///dev/fdcanusb", cwd=tmp_path, packages=site)
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert "URL scheme moteus: no installed extra has it, it belongs to the extra drives" in refused.stderr
+
+
+def test_the_core_passes_its_tests(copy: Path) -> None:
+    pytest_ = ("-m", "pytest", "-n", "0")
+    collected = run(*pytest_, "--collect-only", "tests", cwd=copy, packages=copy)
+    assert collected.returncode == 0, collected.stdout[-3000:]
+    rooms = [f"tests/rig/{room}" for room in RUN]
+    done = run(*pytest_, *rooms, COMMANDS, *(f"--deselect={one}" for one in WHOLE), cwd=copy, packages=copy)
+    assert done.returncode == 0, done.stdout[-3000:]
+    passed = re.search(r"(\d+) passed", done.stdout)
+    assert passed is not None
+    assert int(passed[1]) > 1000
