@@ -57,6 +57,8 @@ def backends() -> list[Backend]:
     """Every scheme that can be opened here, built-in ones first, then those of extras."""
     ours = {row.name: row.target for row in extras.added("schemes").values() if _is_of_this_system(row)}
     own = BUILT_IN | {scheme: target for scheme, target in ours.items() if scheme not in BUILT_IN}
+    # The reason why a broken extra lacks a scheme is that of `broken`.
+    own |= {scheme: "" for scheme, extra in RESERVED.items() if extra in extras.broken()}
     table = [Backend(scheme, target, DISTRIBUTION) for scheme, target in own.items()]
     return table + [
         Backend(point.name, point.value, point.dist.name if point.dist else "?")

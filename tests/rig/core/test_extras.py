@@ -97,11 +97,13 @@ def test_a_drive_whose_extra_is_gone_is_refused_and_never_another_rig(
         )()
 
     monkeypatch.setattr(plugins, "entry_points", lambda group: (entry("moteus"), entry("odrive")))
-    assert {backend.scheme for backend in devices.backends()} == set(devices.BUILT_IN)
+    listed = {backend.scheme for backend in devices.backends()}
+    assert listed == {*devices.BUILT_IN, *(devices.RESERVED if extras.broken() else ())}
     for scheme in devices.RESERVED:
         for opens in (devices.open_link, devices.is_made_for_a_rig):
             with pytest.raises(ConfigError, match=rf"URL scheme {scheme}: .*the extra drives"):
                 opens(f"{scheme}://can0")
+        assert "the extra drives" in devices.broken(scheme)
     assert rig.cli.run(["hit", "--url", "moteus:///dev/fdcanusb", "--verified"]) == 2
     said = capsys.readouterr()
     assert said.out == ""
