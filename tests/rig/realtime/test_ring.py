@@ -219,7 +219,7 @@ def test_other_memory_and_vanished_memory_are_refused_without_harm(tmp_path: Pat
             (plain, "not the memory"),
             (small, "shorter"),
             (growing, "not the memory"),  # somebody could shrink it under our feet
-            (half, "still being made"),
+            (half, "still being created"),
         ):
             with pytest.raises(RigError, match=why):
                 Ring.attach(f"/proc/self/fd/{descriptor}")
