@@ -21,7 +21,10 @@ _registered: list[
 
 @contextmanager
 def registered(group: str, built_in: Container[str], name: str, part: Any) -> Iterator[None]:
-    """Have a part found by its name meanwhile, in all threads; `ConfigError` if a built-in one has that name."""
+    """Have a part found by its name meanwhile, in all threads; `ConfigError` if a built-in one has that name.
+
+    Other processes, such as the workers of a cluster or a later run that resumes a map, find installed parts only.
+    """
     if name in built_in:
         raise ConfigError(
             f"{name!r} is already the name of a built-in", remedy='choose another name: name="…"'

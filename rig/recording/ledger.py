@@ -1,4 +1,7 @@
-"""The latency ledger of a recording: its two fitted columns, and its summary."""
+"""The latency ledger of a recording: its two fitted columns, and its summary.
+
+A run that was ended by kill -9 has no clock exchanges: its ledger has the host's part only.
+"""
 
 from __future__ import annotations
 

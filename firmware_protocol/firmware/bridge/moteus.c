@@ -271,7 +271,7 @@ static size_t tell(struct drive *drive, const struct drive_order *order, struct 
         memmove(drive->modes + 1, drive->modes, DRIVE_TOLD - 1u);
         drive->modes[0] = (uint8_t)mode_of(command.action);
     }
-    if (order->asks)
+    if (order->asks) /* the reply repeats the sender: a late one is not taken for that of this query */
         drive->sender = (uint8_t)((drive->sender + 1u) % MOTEUS_SENDERS);
     moteus_make(frames, drive->prefix, (uint8_t)drive->id, (uint8_t)(MOTEUS_FIRST_SENDER + drive->sender), order->asks,
                 &command);

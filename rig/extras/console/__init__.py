@@ -16,4 +16,7 @@
 * `bounds`: how much of the server its clients may take;
 * `server`: sockets and the page;
 * `page/`: the page itself, plain modules and one vendored library.
+
+A defect costs what it spoils: one reply, one page's scope, the loop that is followed. A session whose desk it was is
+left, to be resumed; a defect in the watch over leases ends all that this console moves, and the console.
 """

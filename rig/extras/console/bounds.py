@@ -2,6 +2,8 @@
 
 Before the token a connection may send the head of one HTTP request, of bounded size, and has one of a few places for a
 bounded time; the newest takes the place of the oldest. A frame is parsed only after the token.
+Connections are accepted one at a time, between turns of the sockets of pages, so that a flood keeps no page out and
+delays no STOP (`tests/benchmarks/console_flood.py`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""A person at a terminal: the session's side of the console."""
+"""A person at a terminal: the session's side of the console.
+
+A console that sends no message for two seconds ends a hit by the stop word; a console that died is started again with
+the same question.
+"""
 
 from __future__ import annotations
 
