@@ -6,7 +6,6 @@ from rig.config.schemes import Scheme as Scheme
 from rig.control.estimators.arrays import estimate as estimate
 from rig.control.estimators.arrays import quantise as quantise
 from rig.control.estimators.estimator import Estimator as Estimator
-from rig.control.estimators.lipschitz import LipschitzFit as LipschitzFit
 from rig.control.estimators.plain_estimator import estimator as estimator
 from rig.control.law import Law as Law
 from rig.control.plain_functions import Memory as Memory
@@ -27,6 +26,7 @@ from rig.experiments.estimation.cases import recording_case as recording_case
 from rig.experiments.estimation.estimators import EstimatorComparison as EstimatorComparison
 from rig.experiments.estimation.estimators import Score as Score
 from rig.experiments.estimation.estimators import compare_estimators as compare_estimators
+from rig.experiments.estimation.lipschitz import LipschitzFit as LipschitzFit
 from rig.experiments.estimation.lipschitz import lipschitz_of as lipschitz_of
 from rig.experiments.estimation.tuning import Tuning as Tuning
 from rig.experiments.estimation.tuning import tune_estimator as tune_estimator

@@ -13,7 +13,7 @@ from rig.cli.command import command, option
 from rig.cli.keyword_options import gathered_options
 from rig.config import amplifiers as profiles
 from rig.config import presets
-from rig.config.files import read_toml
+from rig.config.checked import read_toml
 from rig.core.errors import IncompatibleDeviceError
 from rig.devices import open_device, open_link
 from rig.firmware import boards

@@ -14,9 +14,9 @@ from rig import NewRig, new_rig
 from rig.cli import options, output
 from rig.cli.command import command, option
 from rig.cli.next_step import name_next
-from rig.config.data_sheets import DataSheetQuestion, questions, questions_for
 from rig.core.errors import ConfigError
 from rig.core.present import Row
+from rig.experiments.new_rig import DataSheetQuestion, questions, questions_for
 
 
 def _answer_options(function: options.F) -> options.F:

@@ -15,9 +15,8 @@ from rig import config
 from rig.cli import command, output, values
 from rig.cli.command import DEVICE, EXPERIMENT, RESULT, option
 from rig.cli.keyword_options import keyword_options
-from rig.config import Experiment, presets
+from rig.config import Experiment, SchemeCutoff, presets
 from rig.config.schemes import parse_rates
-from rig.config.sections import SchemeCutoff
 from rig.core.errors import ConfigError, RecordingError, RigError
 from rig.core.keyword import Keyword, keywords
 from rig.devices.device import DeviceUrl

@@ -1,13 +1,7 @@
 """An experiment file becomes the numbers of a run.
 
-* `sections`: the dataclasses, with range, unit and meaning of every key;
-* `table`: the same as a table, from which messages, listings and the editors' schema are made;
-* `rules`: what ties keys together;
-* `files`: TOML and presets as raw tables;
-* `checked`: types and ranges of every key, for this and other kinds of files;
-* `people`: the limits of a trial in which a person holds the handle;
-* `load`: the way to an `Experiment`;
-* `derive`: what others make of it.
+Every room above calls it: read and check a file, change keys, list them, and derive the numbers that several of them
+decide. It prepares no run (`controller`), knows no device, and keeps nothing between two calls.
 
 pydantic is loaded when something is validated, not by this import.
 """
@@ -25,6 +19,9 @@ from rig.config.derive import (
     verdict_thresholds,
 )
 from rig.config.load import (
+    DEFAULT_PRESET,
+    EXPERIMENT,
+    FREE,
     LOOP,
     as_mapping,
     experiment_from_mapping,
@@ -36,27 +33,46 @@ from rig.config.load import (
 )
 from rig.config.people import human_limits_exceeded
 from rig.config.sections import (
+    BOARD_ARITHMETICS,
     Controller,
     Excitation,
     Experiment,
     Homing,
+    Host,
     Limits,
     Rig,
+    SchemeCutoff,
     Trial,
     VerdictLimits,
     Wall,
 )
-from rig.config.table import ListedKey, describe, json_schema
+from rig.config.table import (
+    ConfigKey,
+    ListedKey,
+    describe,
+    json_schema,
+    parameters,
+    parameters_of,
+    schema_of,
+    shown,
+)
 
 __all__ = [
+    "BOARD_ARITHMETICS",
+    "DEFAULT_PRESET",
+    "EXPERIMENT",
+    "FREE",
     "LOOP",
+    "ConfigKey",
     "Controller",
     "Excitation",
     "Experiment",
     "Homing",
+    "Host",
     "Limits",
     "ListedKey",
     "Rig",
+    "SchemeCutoff",
     "Trial",
     "VerdictLimits",
     "Wall",
@@ -72,12 +88,16 @@ __all__ = [
     "load_experiment",
     "motor_push",
     "override",
+    "parameters",
+    "parameters_of",
     "press_for",
     "push_at_rest",
     "push_s",
     "realtime_changes",
     "restore_experiment",
     "rig_model",
+    "schema_of",
+    "shown",
     "verdict_thresholds",
     "with_realtime",
 ]

@@ -1,7 +1,8 @@
-"""From nested tables to a checked dataclass, or to everything that is wrong with them: shared by all kinds of files.
+"""Files of a kind of one's own in TOML: read, nest, check by a dataclass, and report every problem at once.
 
-Types and ranges of every key and value are checked here, each by itself; rules that tie keys together are the business
-of each kind of file.
+Experiments, protocols of studies and descriptions of boards are such files; each kind declares its dataclass as a
+`FileKind`. Types and ranges of every key are checked here, each by itself; rules that tie keys together belong to the
+kind of file.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_type_hints
 
-from rig.config.files import LEAVES, Table, nest
-from rig.config.problems import Problem, did_you_mean
+from rig.config.files import LEAVES, Table, flatten, nest, read_toml, tidy
+from rig.config.problems import Problem, config_error, did_you_mean
 from rig.config.table import ConfigKey, parameters_of, sections_of, shown
 from rig.core.deferred import pydantic
 from rig.core.quantity import STRICT
@@ -22,6 +23,23 @@ from rig.core.sample import Motion
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
+
+__all__ = [
+    "FileKind",
+    "Problem",
+    "apply_changes",
+    "better",
+    "config_error",
+    "did_you_mean",
+    "flatten",
+    "nest",
+    "parse_table",
+    "place",
+    "plain",
+    "read_toml",
+    "tidy",
+    "value_at",
+]
 
 T = TypeVar("T")
 

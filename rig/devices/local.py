@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 from rig import devices
-from rig.config.sections import Host
+from rig.config import Host
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.core.process import announced

@@ -26,8 +26,7 @@ from firmware_protocol.fmea import SingleFault, single_faults
 from rig import cli
 from rig.cli.command import RESULT, Option
 from rig.cli.completion_table import command_rows
-from rig.config import presets
-from rig.config.table import ConfigKey, parameters, parameters_of, shown
+from rig.config import ConfigKey, parameters, parameters_of, presets, shown
 from rig.control import estimators
 from rig.core import errors
 from rig.core.lazy import public_names

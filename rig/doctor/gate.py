@@ -24,9 +24,8 @@ from dataclasses import replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from rig.config import Experiment
+from rig.config import Experiment, Host
 from rig.config.controller import command_lifetime_s, rate_of_lifetime, supervise_lifetime_s
-from rig.config.sections import Host
 from rig.core import check
 from rig.core.answers import ok, question, refused, warning
 from rig.core.check import Check

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
-from rig.config.sections import Host
+from rig.config import Host
 from rig.core.check import Check
 from rig.doctor import access, kernel, limits, wake_up
 from rig.realtime.scheduling import RealtimeRequest

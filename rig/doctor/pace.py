@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.config import VerdictLimits
-from rig.config.sections import Host
+from rig.config import Host, VerdictLimits
 from rig.devices.framed import FramedDevice
 from rig.devices.local import host_beside
 from rig.doctor.gate import LOST_SHARE

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from rig.config.sections import Host
+from rig.config import Host
 from rig.core.check import Check, Outcome
 from rig.realtime.scheduling import RealtimeRequest, Rights
 from rig.realtime.scheduling.facts import ROOT

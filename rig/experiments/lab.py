@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any, Literal, Unpack
 
 from rig import config
-from rig.config import Experiment, controller, presets
-from rig.config.load import DEFAULT_PRESET
+from rig.config import DEFAULT_PRESET, Experiment, controller, presets
 from rig.config.schemes import Scheme
 from rig.control import estimators, laws
 from rig.control.estimators.estimator import Estimator

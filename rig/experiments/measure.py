@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
 from rig import config
-from rig.config.load import DEFAULT_PRESET
+from rig.config import DEFAULT_PRESET
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
 from rig.experiments import sweep

@@ -15,20 +15,28 @@ from typing import Any, Unpack
 
 from rig import config
 from rig.analysis import theory
-from rig.config import Experiment, amplifiers, controller, homing, motor_push
-from rig.config.data_sheets import DataSheets, check_answers
-from rig.config.files import nest
-from rig.config.load import experiment_from_mapping
-from rig.config.table import parameters
+from rig.config import (
+    Experiment,
+    amplifiers,
+    controller,
+    experiment_from_mapping,
+    homing,
+    motor_push,
+    parameters,
+)
+from rig.config.checked import nest
 from rig.config.velocity_reading import COUNT_PEAK
 from rig.control.watch import UNMOVED_COUNTS
 from rig.core.check import refused
 from rig.core.errors import ConfigError, PlanError
 from rig.core.present import Item, Row
 from rig.core.shown import Shown
+from rig.experiments.data_sheets import DataSheetQuestion, DataSheets, check_answers, questions, questions_for
 from rig.experiments.trials.plan import make_plan, plan_of
 from rig.firmware.tick_budget import INTEGERS, named_budget
 from rig.recording.files import whole_file
+
+__all__ = ["DataSheetQuestion", "NewRig", "new_rig", "questions", "questions_for"]
 
 # Assumed where nothing is known: friction as a share of the nominal effort, and viscous friction that brings a free
 # motion to rest in this time.
@@ -120,7 +128,7 @@ def new_rig(
     overwrite
         Replace a file that exists.
     **data_sheets
-        Numbers in SI units, by the names of `rig.config.data_sheets.DataSheets`: ``mechanism="lever",
+        Numbers in SI units, by the names of `rig.experiments.data_sheets.DataSheets`: ``mechanism="lever",
         torque_constant=0.0385, rotor_inertia=1.1e-5, nominal_current=2.5, encoder_lines=2048, transmission=12.0,
         handle_length=0.08, handle_mass=0.06``. Others that are omitted are assumed, and marked so in the file.
 

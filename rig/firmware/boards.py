@@ -18,7 +18,7 @@ from annotated_types import Ge, Gt, Len
 
 import firmware_protocol
 from firmware_protocol.dictionary import SettingValue
-from rig.config.files import read_toml
+from rig.config.checked import read_toml
 from rig.core.deferred import pydantic
 from rig.core.errors import ConfigError
 from rig.core.present import Item, Row

@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.config import Wall
 from rig.control import laws
-from rig.control import reactions as arrays
 from rig.control.law import Law, PreparedLaw
 from rig.control.plain_law import PlainLaw
 from rig.realtime.plugs import LAW_CLAMPED
+from rig.testing import reactions as arrays
 from rig.testing.compiled import allocations, guarded
 
 Floats = NDArray[np.float64]

@@ -9,8 +9,8 @@ from firmware_protocol import messages
 from firmware_protocol.framing import RAW_LIMIT
 from firmware_protocol.messages import BATCH_LAYOUTS
 from firmware_protocol.packing import encoded_bytes
-from rig.config.device_law.refusal import refusal
 from rig.config.sections import Experiment
+from rig.control.on_device import refusal
 
 STATE_EVERY_S = 0.005  # between two STATEs of a device that is supervised
 LONGEST_FRAME_S = 0.005  # what a frame may hold back

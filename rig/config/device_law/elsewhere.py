@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Protocol
 
 from firmware_protocol.dictionary import Dictionary
-from rig.config.device_law.walls import Control
 from rig.config.sections import Experiment
+from rig.control.on_device import Control
 from rig.control.step import ControllerState
 from rig.core import extras
 from rig.core.check import Check

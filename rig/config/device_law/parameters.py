@@ -10,13 +10,27 @@ import numpy as np
 
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME
-from rig.config.device_law import walls
 from rig.config.device_law.elsewhere import wall_elsewhere
-from rig.config.device_law.estimators import estimator_parameters, velocity_format
-from rig.config.device_law.refusal import ELSE_HOST, refusal
-from rig.config.device_law.walls import Control, Values
 from rig.config.sections import BOARD_ARITHMETICS
 from rig.config.sections import Controller as Rates
+from rig.control.on_device import (
+    ELSE_HOST,
+    Control,
+    DeviceWall,
+    Values,
+    common_parameters,
+    designed_wall,
+    estimator_parameters,
+    fixed_guard,
+    fixed_wall,
+    fixed_wall_in_si,
+    float_guard,
+    float_wall,
+    float_wall_in_si,
+    options,
+    refusal,
+    velocity_format,
+)
 from rig.control.step import ControllerState
 from rig.core.errors import PlanError
 
@@ -90,12 +104,12 @@ def law_parameters(controller: ControllerState, arithmetic: Arithmetic) -> Value
         "wall_side": int(c["wall_side"]),
         **_places(c),
         **estimator_parameters(controller.estimator),
-        **walls.common_parameters(controller.law.law.name, law),
+        **common_parameters(controller.law.law.name, law),
         "excitation_lines": 0,
         **_excitation(controller),
     }
     if arithmetic != "fixed":
-        values |= {**walls.float_wall(c, law), **walls.float_guard(c)}
+        values |= {**float_wall(c, law), **float_guard(c)}
         if controller.estimator.estimator.name == FIXED_ESTIMATOR:
             values["float_velocity_lsb"] = velocity_format(controller.estimator).lsb
     else:
@@ -105,8 +119,8 @@ def law_parameters(controller: ControllerState, arithmetic: Arithmetic) -> Value
             if values["excitation_lines"]
             else 0.0
         )
-        wall = walls.designed_wall(c, controller.law.law.name, law, velocity, added)
-        values |= {**walls.fixed_wall(wall), **walls.fixed_guard(c, velocity)}
+        wall = designed_wall(c, controller.law.law.name, law, velocity, added)
+        values |= {**fixed_wall(wall), **fixed_guard(c, velocity)}
     check_values(values)
     return values
 
@@ -131,21 +145,21 @@ def live_parameters(controller: ControllerState, arithmetic: Arithmetic, numbers
     """
     position, *law = numbers
     name, before, after = controller.law.law.name, controller.law.parameters, np.array(law, dtype=np.float64)
-    if walls.options(name, before) != walls.options(name, after):
+    if options(name, before) != options(name, after):
         raise PlanError(
             "wall.pull and wall.damping_on cannot change while the law runs on the device",
             remedy="end the run and start it with the other wall",
         )
     c: Control = {**_plain(controller), "wall_position": position}
     if arithmetic != "fixed":
-        values = walls.float_wall(c, after)
+        values = float_wall(c, after)
     else:
-        values = walls.fixed_wall(walls.designed_wall(c, name, after, velocity_format(controller.estimator)))
+        values = fixed_wall(designed_wall(c, name, after, velocity_format(controller.estimator)))
     check_values(values)
     return values
 
 
-def rendered_wall(values: Mapping[str, Value], controller: ControllerState) -> walls.DeviceWall:
+def rendered_wall(values: Mapping[str, Value], controller: ControllerState) -> DeviceWall:
     """The wall that a device renders, in SI.
 
     Parameters
@@ -156,7 +170,7 @@ def rendered_wall(values: Mapping[str, Value], controller: ControllerState) -> w
         That they were designed from, for its scales.
     """
     fixed = ARITHMETICS[int(values["law"])] == "fixed"
-    in_si = walls.fixed_wall_in_si if fixed else walls.float_wall_in_si
+    in_si = fixed_wall_in_si if fixed else float_wall_in_si
     return in_si(values, _plain(controller))
 
 

@@ -7,7 +7,7 @@ A copy x of the position is driven along by u, and u is the velocity once x slid
 *C* decides everything. Too small, and the estimate loses a hard impact; too large, and it passes the encoder's
 noise: the error grows with √(C·Δ). Look at μ1·C·T²/Δ, the change of velocity it may follow in one period, in counts:
 where that is above a count or two, the implicit form IS the finite difference as long as the motion keeps to C, so
-that at 1 kHz and 1 µm no C that a wall needs leaves it anything to filter. `rig.control.estimators.lipschitz`
+that at 1 kHz and 1 µm no C that a wall needs leaves it anything to filter. `rig.experiments.estimation.lipschitz`
 measures C from a recorded hit.
 
 *The sign* is set-valued at zero, and the discretisation decides what becomes of that. The explicit ones cannot rest

@@ -15,7 +15,7 @@ from rig.experiments.estimation.estimators import (
     estimates,
     score,
 )
-from rig.experiments.estimation.lipschitz import AFTER_CONTACT_S, BEFORE_CONTACT_S, lipschitz_of
+from rig.experiments.estimation.lipschitz import AFTER_CONTACT_S, BEFORE_CONTACT_S, identify_lipschitz, lipschitz_of
 from rig.experiments.estimation.tuning import Tuning, shown_range, tune_estimator
 
 __all__ = [
@@ -30,6 +30,7 @@ __all__ = [
     "delay",
     "estimates",
     "export_estimator",
+    "identify_lipschitz",
     "lipschitz_of",
     "recording_case",
     "score",

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from rig import config
-from rig.config.table import parameters
+from rig.config import parameters
 from rig.experiments.identification.identify import Identification
 
 

@@ -9,15 +9,14 @@ from typing import Any
 import numpy as np
 
 from firmware_protocol.faults import OUT_OF_TIME, Fault
-from rig.config import Experiment, experiment_from_mapping, rig_model, verdict_thresholds
-from rig.config.sections import BOARD_ARITHMETICS
+from rig.config import BOARD_ARITHMETICS, Experiment, experiment_from_mapping, rig_model, verdict_thresholds
 from rig.control import judging, verdict
-from rig.control.motion_balance import FACTOR, WINDOW_S, MotionBalance, motion_balance
 from rig.control.verdict import Kind, Measured, Objection, Verdict, percent
 from rig.core.deferred import pydantic
 from rig.core.errors import ConfigError, RecordingError, UnexpectedVerdictError
 from rig.core.present import Row, written
 from rig.core.sample import Phase, unit_of
+from rig.experiments.trials.motion_balance import FACTOR, WINDOW_S, MotionBalance, motion_balance
 from rig.recording.data import Recording
 from rig.recording.origin import cut_facts, refuse_counts
 

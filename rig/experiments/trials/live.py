@@ -16,7 +16,7 @@ from typing import Any
 
 from rig import config
 from rig.config import Experiment, controller, device_law
-from rig.config.device_law.walls import BILATERAL
+from rig.control.on_device import BILATERAL
 from rig.core.check import refuse
 from rig.core.errors import ConfigError, PlanError, RigError, RunEndedError
 from rig.doctor.gate import check_change

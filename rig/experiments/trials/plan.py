@@ -23,8 +23,7 @@ from rig.config import (
     push_s,
     rig_model,
 )
-from rig.config.device_law.elsewhere import wall_elsewhere
-from rig.config.device_limits import check_limits
+from rig.config.device_law import wall_elsewhere
 from rig.config.homing import holding_effort
 from rig.config.prepared_run import PreparedRun
 from rig.config.schemes import describe_cutoffs
@@ -42,6 +41,7 @@ from rig.doctor.predicted import (
     quieter_changes,
     speed_reading,
 )
+from rig.experiments.trials.device_limits import check_limits
 from rig.experiments.trials.excitation_plan import excitation_plan
 from rig.experiments.trials.identify_motions import RATE_STEP, pushes_checks
 from rig.experiments.trials.planned import (

@@ -17,8 +17,7 @@ from typing import Annotated, Any, Literal, TypedDict, TypeVar, get_type_hints
 
 from annotated_types import Ge, Le
 
-from rig.config import Experiment
-from rig.config.table import parameters
+from rig.config import Experiment, parameters
 from rig.core.errors import ConfigError
 from rig.core.keyword import Keyword, keywords
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Le, MaxLen
 
-from rig.config.table import shown
+from rig.config import shown
 from rig.core.deferred import pydantic
 from rig.core.errors import ConfigError
 from rig.core.quantity import STRICT

@@ -19,7 +19,7 @@ from pathlib import Path, PurePath
 from socket import create_server
 from typing import Any
 
-from rig.config.files import preset_names
+from rig.config import presets
 from rig.control import estimators
 from rig.control.estimators.estimator import Choice, Setting
 from rig.core.errors import ConfigError, RigError
@@ -222,7 +222,7 @@ def _facts() -> dict[str, Any]:
             for column in COLUMNS
         ],
         "units": {name: UNITS[name] for name in ("stiffness", "damping", "position")},
-        "rigs": list(preset_names()),
+        "rigs": list(presets.names()),
         "estimators": [_estimator(name) for name in estimators.names()],
     }
 

@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from rig.config.files import read_toml
+from rig.config.checked import read_toml
 from rig.core.errors import RigError
 from rig.session.conducting import LOG, REHEARSALS, SESSIONS, rehearsed, session_state, took_place
 from rig.session.protocols import template_names, template_path, template_subject

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from firmware_protocol.dictionary import Dictionary
 from rig.config import Experiment
-from rig.config.device_law.refusal import NotOnDeviceError
-from rig.config.device_law.walls import Control, options
+from rig.control.on_device import Control, NotOnDeviceError, options
 from rig.control.step import ControllerState
 from rig.core.check import Check, Outcome
 from rig.core.sample import unit_of

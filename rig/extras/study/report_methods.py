@@ -14,9 +14,7 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from rig.config import Experiment
-from rig.config.sections import Controller
-from rig.config.table import parameters
+from rig.config import Controller, Experiment, parameters
 from rig.control import estimators
 from rig.control.estimators.estimator import Estimator
 from rig.core.errors import RigError

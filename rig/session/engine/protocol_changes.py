@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from rig import config
-from rig.config.files import flatten
+from rig.config.checked import flatten
 from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError, RigError
 from rig.session.engine.log import Event, read

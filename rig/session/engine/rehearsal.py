@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.config.problems import did_you_mean
+from rig.config.checked import did_you_mean
 from rig.control.verdict import Kind
 from rig.core.errors import ConfigError
 from rig.session.engine.clock import WallClock

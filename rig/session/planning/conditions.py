@@ -13,12 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from rig import config
-from rig.config import Experiment, presets
-from rig.config.files import preset_names
-from rig.config.load import DEFAULT_PRESET, EXPERIMENT, FREE
-from rig.config.problems import Problem, config_error, did_you_mean
+from rig.config import DEFAULT_PRESET, EXPERIMENT, FREE, Experiment, parameters, presets, shown
+from rig.config.checked import Problem, config_error, did_you_mean
 from rig.config.schemes import Scheme
-from rig.config.table import parameters, shown
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import unit_of
 from rig.session.planning.bands import BANDS, middle, pressing
@@ -58,8 +55,10 @@ def base_experiment(study: Any, folder: Path) -> Experiment | list[Problem]:
         choice = f"write preset = {shown(DEFAULT_PRESET)}, or the name of an experiment file"
         return [Problem("study.preset", given, must, choice)]
     if preset is not None:
-        if preset not in preset_names():
-            choice = did_you_mean(str(preset), preset_names(), f"choose one of: {', '.join(preset_names())}")
+        if preset not in presets.names():
+            choice = did_you_mean(
+                str(preset), presets.names(), f"choose one of: {', '.join(presets.names())}"
+            )
             return [Problem("study.preset", shown(preset), "is not a preset", choice)]
         return presets.load(preset)
     if not isinstance(file, str):

@@ -7,10 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from rig.config.checked import FileKind, parse_table, plain
-from rig.config.files import flatten, preset_names, read_toml, tidy
-from rig.config.problems import Problem, config_error
-from rig.config.table import schema_of
+from rig.config import presets, schema_of
+from rig.config.checked import FileKind, Problem, config_error, flatten, parse_table, plain, read_toml, tidy
 from rig.core.errors import ConfigError
 from rig.core.sample import Motion
 from rig.session.planning.conditions import ReachFor, Walls, base_experiment, broken_conditions
@@ -112,7 +110,7 @@ def json_schema() -> dict[str, Any]:
     """JSON schema of a protocol file, for editors that complete and check TOML (taplo, VS Code)."""
     schema = {"$schema": DIALECT, **schema_of(Protocol)}
     _type_settings(schema["$defs"]["Search"])
-    schema["$defs"]["Study"]["properties"]["preset"]["examples"] = list(preset_names())
+    schema["$defs"]["Study"]["properties"]["preset"]["examples"] = list(presets.names())
     for owner in ("Study", "Condition"):  # keys of an experiment, dotted with or without quotes
         changes = schema["$defs"][owner]["properties"]["changes"]
         schema["$defs"][owner]["properties"]["changes"] = {

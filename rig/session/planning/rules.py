@@ -14,9 +14,9 @@ from functools import lru_cache
 from itertools import islice
 from typing import Any
 
-from rig.config.problems import Problem, did_you_mean
+from rig.config import shown
+from rig.config.checked import Problem, did_you_mean
 from rig.config.schemes import Scheme
-from rig.config.table import shown
 from rig.core.errors import ConfigError
 from rig.session import search
 from rig.session.planning.bands import BANDS

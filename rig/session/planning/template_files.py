@@ -7,7 +7,7 @@ from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
-from rig.config.problems import did_you_mean
+from rig.config.checked import did_you_mean
 from rig.core.errors import ConfigError, RecordingError
 from rig.recording.files import plain_errors
 from rig.session.planning.load import json_schema

@@ -9,9 +9,9 @@ from typing import Any
 from firmware_protocol.law_parameters import LAW_PARAMETERS
 from firmware_protocol.parameter import Value
 from rig.config import device_law
-from rig.config.device_law.estimators import ESTIMATORS, estimator_parameters
 from rig.control.estimators.estimator import PERIOD, RESOLUTION, Prepared
 from rig.control.fixed_wall import FixedWall
+from rig.control.on_device.estimators import ESTIMATORS, estimator_parameters
 from rig.control.step import ControllerState
 from tests.firmware.law.law_library import Parameters
 

@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from firmware_protocol.parameters import BY_NAME, check_together, encode_block
 from rig import config
 from rig.config import controller, presets
-from rig.config.device_limits import check_limits
 from rig.control.law import Law
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, PlanError
 from rig.devices.framed import FramedDevice
+from rig.experiments.trials.device_limits import check_limits
 from sim_backend.board.configuration import describe
 from sim_backend.board.device import SimulatedDevice
 from sim_backend.ends.link import MemoryLink

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from rig.control.estimators.arrays import quantise
-from rig.control.estimators.lipschitz import MARGIN, identify_lipschitz
 from rig.core.errors import ConfigError
 from rig.core.present import plain
+from rig.experiments.estimation.lipschitz import MARGIN, identify_lipschitz
 
 QUANTUM = 1e-6
 

@@ -18,8 +18,7 @@ from rig.analysis.impedance import periodic
 from rig.analysis.theory import linear_loop
 from rig.config import Experiment
 from rig.config.schemes import Scheme
-from rig.control.estimators.lipschitz import identify_lipschitz
-from rig.experiments.estimation.interface import AFTER_CONTACT_S, BEFORE_CONTACT_S
+from rig.experiments.estimation.interface import AFTER_CONTACT_S, BEFORE_CONTACT_S, identify_lipschitz
 from rig.experiments.hits.compare import Start, simulate
 from rig.experiments.mapping.interface import StiffnessSearch, passive_limit
 from rig.experiments.trials.excitation_run import ExcitedRig

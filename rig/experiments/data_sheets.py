@@ -12,7 +12,7 @@ from functools import cache
 from typing import Annotated, Any, Literal, TypedDict, cast, get_args, get_type_hints
 
 from rig.config import amplifiers
-from rig.config.problems import did_you_mean
+from rig.config.checked import did_you_mean
 from rig.core.errors import ConfigError
 
 Mechanism = Literal["lever", "carriage", "linear-motor"]

@@ -11,11 +11,11 @@ import math
 from collections.abc import Callable
 
 from firmware_protocol.parameter import Value
-from rig.config.device_law.refusal import refusal
 from rig.control.estimators import fdm_butterworth, foaw, foaw_best, kalman, levant
 from rig.control.estimators import fdm_butterworth_fixed as fixed
 from rig.control.estimators.estimator import Floats, Prepared
 from rig.control.fixed_point import Format
+from rig.control.on_device.refusal import refusal
 
 ESTIMATORS = (  # in the order of the parameter `estimator`
     "fdm-butterworth-fixed",
