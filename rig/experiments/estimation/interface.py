@@ -15,7 +15,12 @@ from rig.experiments.estimation.estimators import (
     estimates,
     score,
 )
-from rig.experiments.estimation.lipschitz import AFTER_CONTACT_S, BEFORE_CONTACT_S, identify_lipschitz, lipschitz_of
+from rig.experiments.estimation.lipschitz import (
+    AFTER_CONTACT_S,
+    BEFORE_CONTACT_S,
+    identify_lipschitz,
+    lipschitz_of,
+)
 from rig.experiments.estimation.tuning import Tuning, shown_range, tune_estimator
 
 __all__ = [
