@@ -4,8 +4,8 @@
 Nothing here reads an experiment or knows how values travel; what a device lacks raises `NotOnDeviceError`.
 """
 
+from rig.control.on_device.errors import ELSE_HOST, NotOnDeviceError, refusal
 from rig.control.on_device.estimators import estimator_parameters, velocity_format
-from rig.control.on_device.refusal import ELSE_HOST, NotOnDeviceError, refusal
 from rig.control.on_device.walls import (
     BILATERAL,
     Control,

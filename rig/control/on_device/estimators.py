@@ -15,7 +15,7 @@ from rig.control.estimators import fdm_butterworth, foaw, foaw_best, kalman, lev
 from rig.control.estimators import fdm_butterworth_fixed as fixed
 from rig.control.estimators.estimator import Floats, Prepared
 from rig.control.fixed_point import Format
-from rig.control.on_device.refusal import refusal
+from rig.control.on_device.errors import refusal
 
 ESTIMATORS = (  # in the order of the parameter `estimator`
     "fdm-butterworth-fixed",

@@ -11,7 +11,7 @@ from firmware_protocol.parameter import Value
 from rig.control.estimators.estimator import Floats
 from rig.control.fixed_point import Format
 from rig.control.fixed_wall import DEPTH, GAIN_GREATEST, MOST_SHIFT, FixedWall, design_wall
-from rig.control.on_device.refusal import refusal
+from rig.control.on_device.errors import refusal
 from rig.control.wall import DAMPING, ENTRY_ONLY, MAY_PULL, PARAMETERS, STIFFNESS
 from rig.core.errors import ConfigError, PlanError
 
