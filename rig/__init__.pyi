@@ -14,9 +14,9 @@ from rig.control.plain_functions import Parameters as Parameters
 from rig.control.plain_law import law as law
 from rig.control.verdict import Verdict as Verdict
 from rig.core import errors as errors
-from rig.core.drawn import Picture as Picture
-from rig.core.drawn import plot as plot
 from rig.core.errors import RigError as RigError
+from rig.core.shown import Picture as Picture
+from rig.core.shown import plot as plot
 from rig.core.version import __version__ as __version__
 from rig.devices import open_device as open_device
 from rig.experiments.design import Design as Design

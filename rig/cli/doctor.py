@@ -9,7 +9,7 @@ from rig.cli import options, output
 from rig.cli.command import command
 from rig.core.errors import PlanError
 from rig.core.present import plain
-from rig.doctor.ports import rules_for_rigs
+from rig.doctor.interface import rules_for_rigs
 from rig.experiments.hits.examine import ExaminationRequest, examine
 
 

@@ -16,18 +16,23 @@ from rig.config import presets
 from rig.config.checked import read_toml
 from rig.core.errors import IncompatibleDeviceError
 from rig.devices import open_device, open_link
-from rig.firmware import boards
-from rig.firmware.build import DEVICE, PORT_CHECK, BuildRequest
-from rig.firmware.build import build as build_image
-from rig.firmware.flash import flash as copy_image
-from rig.firmware.info import info as look
-from rig.firmware.port_check import PortCheckRequest
-from rig.firmware.port_check import check_port as try_port
-from rig.firmware.port_check import failure as broken_duties
-from rig.firmware.selftest import SelfTestRequest, failure
-from rig.firmware.selftest import selftest as run
-from rig.firmware.wiring import draw
-from rig.firmware.wiring import wiring as wired
+from rig.firmware.interface import (
+    DEVICE,
+    PORT_CHECK,
+    BuildRequest,
+    PortCheckRequest,
+    SelfTestRequest,
+    boards,
+    broken_duties,
+    draw,
+    failure,
+)
+from rig.firmware.interface import build as build_image
+from rig.firmware.interface import check_port as try_port
+from rig.firmware.interface import flash as copy_image
+from rig.firmware.interface import info as look
+from rig.firmware.interface import selftest as run
+from rig.firmware.interface import wiring as wired
 
 DEFAULT_BOARD = "rp2040"
 _LISTED = ("name", "description", "rate_maximum", "settings")

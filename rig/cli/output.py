@@ -15,9 +15,9 @@ import click
 
 from rig.cli.command import quiet as told_quiet
 from rig.core.check import Check, Outcome
-from rig.core.drawn import Drawn
 from rig.core.errors import RigError
 from rig.core.present import Item, Row, Table, plain
+from rig.core.shown import Drawn
 
 _COLOURS = {"stable": "green", "limit cycle": "yellow", "unstable": "red", "invalid": "magenta"}
 _ARGUMENT = re.compile(r"`([a-z]+(?:_[a-z]+)*)`")

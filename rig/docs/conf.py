@@ -10,7 +10,7 @@ sys.path.insert(0, str(HERE))
 
 from made import make_pages  # type: ignore[import-not-found]  # noqa: E402  (beside this file)
 
-from rig.core.version import __version__  # noqa: E402
+from rig import __version__  # noqa: E402
 
 make_pages(HERE)
 

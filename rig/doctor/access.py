@@ -14,7 +14,7 @@ from rig.realtime.scheduling.refusals import LOG_IN_AGAIN, RULES_COMMAND, RULES_
 
 if sys.platform == "linux":
     from rig.doctor.subject import Machine
-    from rig.realtime.scheduling.rights import name_of_group
+    from rig.realtime.scheduling import name_of_group
 
 assert sys.platform == "linux"
 

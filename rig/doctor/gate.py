@@ -32,8 +32,7 @@ from rig.core.check import Check
 from rig.core.errors import ConfigError, PlanError
 from rig.devices.framed import FramedDevice
 from rig.devices.local import host_beside
-from rig.doctor.delay import ticks_text
-from rig.doctor.gate_result import Gate
+from rig.doctor.gate_result import Gate, ticks_text
 from rig.doctor.late_loops import LateLoops, loop_delay_ticks, unstable_hands
 from rig.doctor.late_walls import late_wall, stability
 from rig.doctor.predicted import homing_checks

@@ -1,7 +1,12 @@
-"""What the arming gate found (`rig.doctor.gate`): data, which commands show and recordings keep."""
+"""What the arming gate found (`rig.doctor.gate`), and the delay of a loop in ticks, in which it is stated.
+
+Admission, hits, commands and pages read it; recordings keep it. It must not measure anything, nor import the gate: a
+hit that was admitted earlier loads neither the gate nor what measures a link.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -9,7 +14,20 @@ from rig.core import check
 from rig.core.check import Check, Outcome
 from rig.core.operators import hand_text
 from rig.core.present import Item, Row, reported
-from rig.doctor.delay import ticks_text
+
+
+def ticks_late(late_s: float, rate: float, pacing: str = "device") -> int:
+    """Ticks from a sample to its command, which is so late (s), at a rate (Hz): one at least in real time.
+
+    A command that arrives in the course of a tick is active from the next one on, hence whole ticks. A loop that the
+    host paces lets a sample wait for its own tick, one more at most.
+    """
+    return max(1, math.ceil(late_s * rate - 1e-9)) + (1 if pacing == "host" else 0)
+
+
+def ticks_text(number: int) -> str:
+    """``1 tick``, ``2 ticks``."""
+    return f"{number} tick{'' if number == 1 else 's'}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,7 +13,7 @@ from rig.core.check import Check
 from rig.core.errors import ConfigError
 from rig.core.operators import NO_OPERATOR, hand_text
 from rig.core.sample import unit_of
-from rig.doctor.delay import ticks_text
+from rig.doctor.gate_result import ticks_text
 from rig.doctor.late_loops import LateLoops, unstable_hands
 
 

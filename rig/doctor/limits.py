@@ -7,7 +7,7 @@ import sys
 
 from rig.core.answers import ok, question, refused, warning
 from rig.core.check import Check, Outcome
-from rig.realtime.scheduling import idle, refusals
+from rig.realtime.scheduling import IDLE_DEVICE, refusals
 from rig.realtime.scheduling.facts import rt_period_us, rt_runtime_us, status_kilobytes, text_of
 
 if sys.platform == "linux":
@@ -41,7 +41,7 @@ def memory(machine: Machine) -> Check:
 @question(refusals.IDLE, "waking from deep sleep takes 0.1 ms or more")
 def idle_states(machine: Machine) -> Check:
     """Whether processors can be kept from deep sleep."""
-    device = machine.root / idle.DEVICE
+    device = machine.root / IDLE_DEVICE
     if device.exists() and machine.openable(device):
         return ok("processors can be kept from deep sleep (/dev/cpu_dma_latency)")
     refusal = refusals.of_idle(errno.EACCES if device.exists() else errno.ENOENT, machine.root)

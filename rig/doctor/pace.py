@@ -21,6 +21,17 @@ from rig.doctor.ping import EXCHANGE
 from rig.doctor.round_trip import TIMEOUT_S, LinkMeasurement, measure_link
 from rig.realtime.scheduling import obtained
 
+__all__ = [
+    "QUARTERS",
+    "SECONDS",
+    "SLOWEST_HZ",
+    "LinkMeasurement",
+    "Pace",
+    "measure_link",
+    "measured_pace",
+    "pace_of",
+]
+
 SECONDS = 2.0
 QUARTERS = 4  # a bad moment is not a bad machine: what counts is what each quarter of the measurement loses
 SLOWEST_HZ = 100  # below this rate no wall feels stiff

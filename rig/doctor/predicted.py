@@ -18,6 +18,22 @@ from rig.control.watch import UNMOVED_COUNTS, UNMOVED_SPEED
 from rig.core.board import current_sensor
 from rig.core.check import Check, Outcome
 from rig.core.sample import unit_of
+from rig.doctor.late_walls import late_wall
+
+__all__ = [
+    "COUNT_SPEED_SHARE",
+    "LEAST_MARGIN",
+    "QUIET_SHARE",
+    "SETTLES",
+    "SPARE",
+    "finding",
+    "homing_checks",
+    "late_wall",
+    "predicted",
+    "quieter_changes",
+    "round_up",
+    "speed_reading",
+]
 
 SPARE = 1.1  # of a named value over the least or below the largest one that works
 SETTLES = 10.0  # time constants after which the homing servo is at rest

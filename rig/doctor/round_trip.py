@@ -21,7 +21,7 @@ from firmware_protocol import messages
 from rig.core.errors import LinkLostError
 from rig.core.present import Row, reported
 from rig.devices.framed import FramedDevice
-from rig.doctor.delay import ticks_late
+from rig.doctor.gate_result import ticks_late
 from rig.doctor.ping import EXCHANGE, TALLY, PingBuffers, ping
 from rig.realtime.handlers import take_no_signals
 from rig.realtime.scheduling import Realtime

@@ -14,7 +14,7 @@ from rig.realtime.scheduling import RealtimeRequest, Rights
 from rig.realtime.scheduling.facts import ROOT
 
 if sys.platform == "linux":
-    from rig.realtime.scheduling.thread import tried
+    from rig.realtime.scheduling import tried
 
 assert sys.platform == "linux"
 

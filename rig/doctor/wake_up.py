@@ -18,7 +18,7 @@ from rig.realtime.scheduling import RealtimeRequest, obtained
 from rig.realtime.system import monotonic_now, sleep_until
 
 if sys.platform == "linux":
-    from rig.realtime.scheduling.thread import ThreadState
+    from rig.realtime.scheduling import ThreadState
 
 assert sys.platform == "linux"
 

@@ -10,7 +10,17 @@ import numpy as np
 from rig.control.estimators.estimator import Ints
 from rig.core.scratch import scratch
 from rig.firmware.cortex import CORES, Simulator, build
-from rig.firmware.estimator_c import EstimatorC
+from rig.firmware.estimator_c import FIXED, EstimatorC, c_float, estimator_c
+
+__all__ = [
+    "FIXED",
+    "REPORTED",
+    "Cost",
+    "EstimatorC",
+    "c_float",
+    "cost_of",
+    "estimator_c",
+]
 
 REPORTED = ("M0+", "M4F", "M33F")
 _ENTRIES = ("begin", "velocity")

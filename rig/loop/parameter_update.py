@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numba import types
 
+from firmware_protocol import transaction
 from firmware_protocol.faults import Status
 from firmware_protocol.parameters import ENTRY_BYTES
 from firmware_protocol.transaction import BEGIN, CHUNK, CHUNK_BYTES, COMMIT, DONE, ENDLESS, Transaction
@@ -39,7 +40,12 @@ from rig.realtime import codec
 from rig.realtime.codec import ACK, SET_BEGIN, SET_CHUNK
 from rig.realtime.kernel import kernel
 from rig.realtime.mailbox import MOST_BYTES, take
-from rig.realtime.transaction import TRANSACTION, after_answer, after_time
+
+_i64 = types.int64
+TRANSACTION = types.NamedUniTuple(_i64, len(Transaction._fields), Transaction)
+# The host's side of a transaction, compiled: the very functions of `firmware_protocol.transaction`.
+after_time = kernel(TRANSACTION(TRANSACTION, _i64, _i64))(transaction.after_time)
+after_answer = kernel(TRANSACTION(TRANSACTION, _i64, _i64, _i64, _i64))(transaction.after_answer)
 
 # Steps of an update.
 IDLE = 0

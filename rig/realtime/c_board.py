@@ -8,7 +8,15 @@ from typing import Self
 
 from rig.core import board, current_sensor
 from rig.core.model import RigModel
-from rig.realtime.c_library import doubles
+from rig.realtime.c_library import FLAGS, CLibrary, doubles
+
+__all__ = [
+    "FLAGS",
+    "BoardSetup",
+    "CLibrary",
+    "CurrentSensor",
+    "Mechanics",
+]
 
 Mechanics = doubles(board.MovedMechanics)
 CurrentSensor = doubles(current_sensor.CurrentSensor)

@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.deferred import pandas, xarray
-from rig.core.drawn import Drawn
 from rig.core.errors import RecordingError, RigError
 from rig.core.present import Item, Row, Table
-from rig.core.shown import Shown
+from rig.core.shown import Drawn, Shown
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import firmware_protocol
-from rig.realtime.c_board import BoardSetup
-from rig.realtime.c_library import CLibrary
+from rig.realtime.c_board import BoardSetup, CLibrary
 from rig.realtime.kernel import CACHE_DIRECTORY
 
 FIRMWARE = CLibrary(

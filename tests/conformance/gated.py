@@ -12,9 +12,8 @@ from rig import config
 from rig.config import Experiment
 from rig.devices.framed import FramedDevice
 from rig.doctor import gate
-from rig.doctor.in_effect import in_effect
 from rig.experiments.hits import hit as hits
-from rig.experiments.hits.hit import HitRequest
+from rig.experiments.hits.hit import HitRequest, in_effect
 from sim_backend.board.make_device import make_device
 from sim_backend.ends.link import MemoryLink
 from tests.conformance.claimed import claim_to_be_real

@@ -23,12 +23,11 @@ from rig.analysis.theory.loop import (
 from rig.analysis.theory.passivity import PassivityBound, passive_curve, passivity_bound, rigid_b_max
 from rig.config import Experiment
 from rig.config.schemes import Scheme, describe_cutoffs
-from rig.core.drawn import Drawn
 from rig.core.model import Operator
 from rig.core.operators import NO_OPERATOR
 from rig.core.present import Item, Row, reported, written
 from rig.core.sample import Motion, unit_of
-from rig.core.shown import Shown
+from rig.core.shown import Drawn, Shown
 
 Floats = NDArray[np.float64]
 

@@ -26,7 +26,7 @@ from rig.config.schemes import Scheme
 from rig.control import estimators
 from rig.core.check import refused
 from rig.core.errors import ConfigError
-from rig.doctor.delay import ticks_late
+from rig.doctor.gate_result import ticks_late
 from rig.experiments.design import paths
 from rig.experiments.trials.plan import link_checks
 from rig.experiments.trials.planned import check_positive

@@ -7,10 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rig.config import Experiment
-from rig.core.drawn import Drawn
 from rig.core.present import Item, Row, Table, plain, written
 from rig.core.sample import unit_of
-from rig.core.shown import Shown
+from rig.core.shown import Drawn, Shown
 from rig.experiments.design import rules
 from rig.experiments.design.listing import Candidate, LawPlace
 from rig.experiments.design.margin import Margin

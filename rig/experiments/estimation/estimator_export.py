@@ -35,8 +35,7 @@ from rig.core.sample import unit_of
 from rig.core.signals import SIGNALS
 from rig.experiments.estimation.cases import Case, signal_case
 from rig.experiments.estimation.estimators import Variant
-from rig.firmware.cycles import Cost, cost_of
-from rig.firmware.estimator_c import FIXED, EstimatorC, c_float, estimator_c
+from rig.firmware.cycles import FIXED, Cost, EstimatorC, c_float, cost_of, estimator_c
 from rig.recording.files import refuse_existing, whole_file
 
 HALF_ULP = 2.0**-24  # of float32, relative

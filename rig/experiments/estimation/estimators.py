@@ -21,11 +21,10 @@ import numpy as np
 from rig.control import estimators
 from rig.control.estimators.arrays import inputs, run
 from rig.control.estimators.estimator import Estimator, Floats
-from rig.core.drawn import Drawn
 from rig.core.errors import ConfigError
 from rig.core.present import Item, Row
 from rig.core.sample import unit_of
-from rig.core.shown import Shown
+from rig.core.shown import Drawn, Shown
 from rig.experiments.estimation.cases import DELAY_STEP_S, Case
 
 APPROACH_S, REST_S, LISTENED_S = 0.2, 1.0, 0.5  # of the rest that noise is measured in

@@ -23,11 +23,10 @@ from rig import config, devices
 from rig.config import Experiment, Wall, controller
 from rig.config.schemes import Scheme, describe_cutoffs
 from rig.control.step import ENDS_RUN, TRIAL, ControllerState
-from rig.core.drawn import Drawn
 from rig.core.errors import ConfigError
 from rig.core.present import Item, Row, Table, reported
 from rig.core.sample import ROW, Motion, unit_of
-from rig.core.shown import Shown
+from rig.core.shown import Drawn, Shown
 from rig.experiments.hits.impact import Impact, ImpactNumbers, mean, measure
 from rig.loop.replay import NO_SETS, replay_rows
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -24,18 +23,22 @@ from rig.devices.framed import FramedDevice
 from rig.devices.local import host_beside, opened
 from rig.doctor.gate import gate
 from rig.doctor.gate_result import Gate
-from rig.doctor.in_effect import in_effect
-from rig.doctor.ports import NO_PORTS, Port, ports_here, serial_port
-from rig.doctor.round_trip import LinkMeasurement, measure_link
-from rig.doctor.walls import Supported, supported_walls, wall_items
+from rig.doctor.interface import (
+    NO_PORTS,
+    LinkMeasurement,
+    Port,
+    Supported,
+    machine_checks,
+    measure_link,
+    ports_here,
+    serial_port,
+    supported_walls,
+    wall_items,
+)
 from rig.experiments.hits.admission import admission_checks
+from rig.experiments.hits.hit import in_effect
 from rig.experiments.trials.preparation import prepared_on
 from rig.realtime.scheduling import obtained
-
-if sys.platform == "linux":
-    from rig.doctor.machine import machine_checks
-else:
-    from rig.doctor.elsewhere import machine_checks
 
 SECONDS = 4.0  # of measuring: bounds p99.9 from some 750 questions a second on
 

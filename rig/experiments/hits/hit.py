@@ -5,7 +5,7 @@ Whether a device may be armed is decided before, by what the caller must pass: `
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
@@ -18,15 +18,13 @@ from rig.config import Experiment
 from rig.config.prepared_run import PreparedRun
 from rig.control.law import Law
 from rig.control.verdict import Verdict
-from rig.core.drawn import Drawn
 from rig.core.keyword import Keyword
 from rig.core.model import RigModel
 from rig.core.present import Item, Row, plain
-from rig.core.shown import Shown
+from rig.core.shown import Drawn, Shown
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
 from rig.doctor.gate_result import Gate
-from rig.doctor.in_effect import in_effect
 from rig.experiments.trials.judgement import Judgement, judge
 from rig.experiments.trials.settings import RigRequest
 from rig.experiments.trials.trial import TrialEnd, TrialRequest, end_of, run_trial
@@ -34,6 +32,8 @@ from rig.realtime import stop_requests
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors, reserved_name
 from rig.recording.reader import open_recording
+
+RATES = ("controller.position_rate", "controller.velocity_rate")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -197,6 +197,21 @@ class Admitted:
 
 Admit = Callable[[HitRequest, FramedDevice, Experiment], Admitted]
 Watch = Callable[[int, Experiment], Callable[[int, int], None] | None]
+
+
+def in_effect(experiment: Experiment, device: FramedDevice, changes: Mapping[str, Any]) -> Experiment:
+    """Return the experiment as it runs on this device: in real time its gentler variant at the device's own rate.
+
+    `changes` are the keys that the user set by hand; they win over everything else. Where the law runs on the device
+    itself, rates and wall are the experiment's.
+    """
+    if device.link.clock.virtual:
+        return config.override(experiment, changes)
+    wanted = config.realtime_changes(experiment, changes)
+    on_the_host = wanted.get("controller.loop", experiment.controller.loop) == "host"
+    if on_the_host and not any(key in changes for key in RATES):
+        wanted |= dict.fromkeys(RATES, device.dictionary.position_rate_default)
+    return config.override(experiment, wanted, "real time and command line")
 
 
 def hit(request: HitRequest, admit: Admit, watch: Watch | None = None) -> Iterator[HitResult]:

@@ -42,14 +42,13 @@ from rig.analysis.impedance import ExcitedRun
 from rig.config import Experiment
 from rig.control.excitation import Multisine
 from rig.core.check import refuse
-from rig.core.drawn import Drawn
 from rig.core.errors import ConfigError, PlanError, RigError
 from rig.core.keyword import Keyword
 from rig.core.model import Cogging
 from rig.core.present import Item, Row, reported
 from rig.core.same_rig import check_rig
 from rig.core.sample import RowFlag, unit_of
-from rig.core.shown import Shown
+from rig.core.shown import Drawn, Shown
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
 from rig.doctor.pace import SECONDS

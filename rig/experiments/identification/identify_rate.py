@@ -12,8 +12,7 @@ from rig.devices.device import LINK_SHARE, STATE_BYTES
 from rig.devices.framed import FramedDevice
 from rig.devices.local import host_beside
 from rig.doctor.gate import LIFETIME_SHARE
-from rig.doctor.pace import SECONDS, pace_of
-from rig.doctor.round_trip import LinkMeasurement, measure_link
+from rig.doctor.pace import SECONDS, LinkMeasurement, measure_link, pace_of
 from rig.experiments.motion.motion_run import MOST_LOST_SHARE, SLOWEST_HZ, bearing_rate
 from rig.experiments.trials.identify_motions import RATE_STEP, still
 from rig.realtime.scheduling import obtained

@@ -40,12 +40,11 @@ from rig.analysis.impedance import (
 from rig.config import Excitation, Experiment
 from rig.config.schemes import Scheme
 from rig.core.check import refuse
-from rig.core.drawn import Drawn
 from rig.core.errors import ConfigError, PlanError, RecordingError, UnexpectedVerdictError
 from rig.core.keyword import Keyword
 from rig.core.present import Item, Row, plain, reported
 from rig.core.sample import Motion, Phase, unit_of
-from rig.core.shown import Shown
+from rig.core.shown import Drawn, Shown
 from rig.experiments.hits.on_device import Ended, OnDevice, Trials, kept_open
 from rig.experiments.trials.excitation_plan import excitation_checks
 from rig.experiments.trials.excitation_run import (

@@ -12,7 +12,7 @@ from typing import Any
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.control.verdict import CRITERIA
-from rig.core.drawn import Drawn
+from rig.core.shown import Drawn
 from rig.experiments.mapping.searches import StiffnessSearch
 from rig.experiments.mapping.zwidth import Boundary, MapPlan, ZWidth
 

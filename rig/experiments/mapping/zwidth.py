@@ -27,11 +27,10 @@ from rig.config import Experiment
 from rig.config.schemes import Scheme, describe_cutoffs
 from rig.control.measure import NUMBERS, UNITS
 from rig.control.verdict import CRITERIA, INVALID, Measured, Objection, objections
-from rig.core.drawn import Drawn
 from rig.core.errors import PlanError
 from rig.core.present import Item, Row, Table, plain, written
 from rig.core.sample import unit_of
-from rig.core.shown import Shown
+from rig.core.shown import Drawn, Shown
 from rig.experiments import sweep
 from rig.experiments.hits.hit_simulator import HitSimulator
 from rig.experiments.mapping.rendering import RENDERED, rendered_share

@@ -29,10 +29,9 @@ from rig import config
 from rig.analysis.impedance import Floats
 from rig.config import Experiment
 from rig.config.schemes import Scheme
-from rig.core.drawn import Drawn
 from rig.core.present import Item, Row, plain
 from rig.core.sample import unit_of
-from rig.core.shown import Shown
+from rig.core.shown import Drawn, Shown
 from rig.experiments import sweep
 from rig.experiments.mapping.impedance import ImpedanceResult, Judging, concluded, refuse_excitations
 from rig.experiments.mapping.searches import check_values

@@ -31,12 +31,12 @@ from rig.config.velocity_reading import highest_reading
 from rig.core.check import Check, Outcome
 from rig.core.sample import unit_of
 from rig.devices.device import LINK_SHARE, STATE_BYTES
-from rig.doctor.delay import ticks_late
-from rig.doctor.late_walls import late_wall
+from rig.doctor.gate_result import ticks_late
 from rig.doctor.predicted import (
     COUNT_SPEED_SHARE,
     finding,
     homing_checks,
+    late_wall,
     predicted,
     quieter_changes,
     speed_reading,

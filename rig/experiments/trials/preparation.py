@@ -1,4 +1,8 @@
-"""Prepare a run for an open device, and find its position zero, for every trial: hits, motions, reference searches."""
+"""What an open device needs before a trial: its position zero, and the prepared run.
+
+Hits, motions, searches for a reference and sessions call it with a device that they have opened. It must not move the
+handle or change a setting of the device; it only reads from it.
+"""
 
 from __future__ import annotations
 

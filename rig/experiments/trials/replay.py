@@ -19,11 +19,10 @@ from rig import config
 from rig.config import controller
 from rig.control.law import Law
 from rig.control.step import DONE, ControllerState
-from rig.core.drawn import Drawn
 from rig.core.errors import LawError, RecordingError
 from rig.core.present import Item, Row, reported
 from rig.core.sample import COLUMNS, ROW, unit_of
-from rig.core.shown import Shown
+from rig.core.shown import Drawn, Shown
 from rig.experiments.trials.judgement import experiment_of
 from rig.loop.replay import NO_SETS, replay_rows
 from rig.recording.data import Recording

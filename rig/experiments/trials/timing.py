@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from rig.core.drawn import Drawn
+from rig.core.shown import Drawn
 from rig.recording.data import Recording
 from rig.recording.ledger import ledger_of
 from rig.recording.reader import open_recording

@@ -19,8 +19,7 @@ from rig.core.board import describe
 from rig.core.model import RigModel
 from rig.extras.drives.faults import explained
 from rig.firmware.board_config import narrower
-from rig.realtime.c_board import BoardSetup
-from rig.realtime.c_library import FLAGS, CLibrary
+from rig.realtime.c_board import FLAGS, BoardSetup, CLibrary
 from rig.realtime.kernel import CACHE_DIRECTORY
 
 BRIDGE = CLibrary(

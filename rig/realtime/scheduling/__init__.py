@@ -20,8 +20,13 @@ from rig.realtime.scheduling.request import BoardScheduling, RealtimeRequest
 from rig.realtime.scheduling.rights import Rights
 
 if sys.platform == "linux":
+    from rig.realtime.scheduling.idle import DEVICE as IDLE_DEVICE
     from rig.realtime.scheduling.realtime import Realtime, obtained
+    from rig.realtime.scheduling.rights import name_of_group
+    from rig.realtime.scheduling.thread import ThreadState, tried
 else:
     from rig.realtime.scheduling.elsewhere import Realtime, obtained
 
 __all__ = ["BoardScheduling", "Realtime", "RealtimeRequest", "Rights", "obtained"]
+if sys.platform == "linux":  # for the doctor
+    __all__ += ["IDLE_DEVICE", "ThreadState", "name_of_group", "tried"]

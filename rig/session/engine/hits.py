@@ -23,10 +23,9 @@ from rig.core.same_rig import check_rig
 from rig.devices.device import Link
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
-from rig.doctor.in_effect import in_effect
 from rig.doctor.pace import Pace, measured_pace
 from rig.experiments.hits.admission import admit, vetted
-from rig.experiments.hits.hit import HitRequest, Recorded, hit, left_by
+from rig.experiments.hits.hit import HitRequest, Recorded, hit, in_effect, left_by
 from rig.experiments.motion.pulse import Pulse, pulse
 from rig.experiments.trials.judgement import THREW_OUT, THROWN_OUT
 from rig.experiments.trials.plan import device_checks, link_checks

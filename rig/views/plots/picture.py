@@ -1,6 +1,6 @@
 """Figures of results that need more than the result, for the table of this room (``rig/views/table.json``).
 
-`rig.core.drawn` calls them. They must not compute what a command would not print.
+`rig.core.shown` calls them. They must not compute what a command would not print.
 """
 
 from __future__ import annotations

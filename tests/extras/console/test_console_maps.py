@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 import rig.cli
 from rig.core.errors import ConfigError, RecordingError, RigError
-from rig.experiments.mapping import maps
+from rig.experiments.mapping import interface as maps
 from rig.experiments.sweep import run_here
 from rig.experiments.sweep.journal import Journal, read_on
 from rig.extras.console import map_errands, map_jobs

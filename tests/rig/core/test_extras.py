@@ -16,8 +16,8 @@ import rig.cli
 from rig import devices
 from rig.cli import listing
 from rig.core import extras, plugins
-from rig.core.drawn import Drawn, plot
 from rig.core.errors import ConfigError, RigError
+from rig.core.shown import Drawn, plot
 from rig.experiments.sweep.executors import executor_for
 
 Install = Callable[..., Path]

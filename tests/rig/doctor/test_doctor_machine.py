@@ -23,9 +23,7 @@ from rig.doctor import access, kernel, limits, wake_up
 from rig.doctor.machine import CHECKS, machine_checks
 from rig.doctor.subject import Machine
 from rig.doctor.udev import RIGS, udev_rules
-from rig.realtime.scheduling import Rights, facts, refusals
-from rig.realtime.scheduling.rights import name_of_group
-from rig.realtime.scheduling.thread import ThreadState
+from rig.realtime.scheduling import Rights, ThreadState, facts, name_of_group, refusals
 
 OK, WARNING, REFUSED = Outcome.OK, Outcome.WARNING, Outcome.REFUSED
 CPU = "sys/devices/system/cpu"

@@ -19,13 +19,12 @@ from rig.core.errors import PlanError
 from rig.devices.framed import FramedDevice
 from rig.doctor import gate as gates
 from rig.doctor.gate import check_armable
-from rig.doctor.in_effect import in_effect
 from rig.experiments.hits import admission
 from rig.experiments.hits import examine as examining
 from rig.experiments.hits import hit as hits
 from rig.experiments.hits.admission import admission_checks, admit
 from rig.experiments.hits.examine import Examination, ExaminationRequest
-from rig.experiments.hits.hit import HitRequest
+from rig.experiments.hits.hit import HitRequest, in_effect
 from rig.experiments.hits.on_device import OnDevice, Trials
 from rig.experiments.trials.preparation import prepared_on
 from rig.session.engine.hits import DeviceRunner

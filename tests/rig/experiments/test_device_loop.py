@@ -19,8 +19,8 @@ from rig.control.excitation_table import PHASES, ExcitationTable
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, PlanError
 from rig.doctor.gate import gate
-from rig.doctor.in_effect import in_effect
 from rig.doctor.walls import candidate_rates
+from rig.experiments.hits.hit import in_effect
 from rig.experiments.identification.identify import IdentifyRequest, identify
 from rig.experiments.trials import excitation_run, live
 from rig.experiments.trials.plan import device_checks, link_checks, make_plan

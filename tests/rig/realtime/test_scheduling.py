@@ -30,13 +30,13 @@ from rig.core.errors import RealtimeError
 from rig.realtime.scheduling import (
     Realtime,
     Rights,
+    ThreadState,
     calls,
     facts,
     memory,
     obtained,
     refusals,
 )
-from rig.realtime.scheduling.thread import ThreadState
 
 CHILD_S = 60.0
 PATIENCE_S = 5.0

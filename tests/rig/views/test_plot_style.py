@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 import rig.views.plots
-from rig.core.drawn import Picture
 from rig.core.errors import RecordingError
+from rig.core.shown import Picture
 from rig.views.plots import style
 from tests.conformance.commands import commands
 

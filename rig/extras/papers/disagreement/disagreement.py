@@ -25,11 +25,10 @@ from numpy.typing import NDArray
 from rig import config
 from rig.analysis.theory import linear_loop
 from rig.config import Experiment
-from rig.core.drawn import Drawn
 from rig.core.errors import PlanError
 from rig.core.present import Item, Row, Table, plain, reported
 from rig.core.sample import unit_of
-from rig.core.shown import Shown
+from rig.core.shown import Drawn, Shown
 from rig.experiments import sweep
 from rig.experiments.mapping import interface as maps
 from rig.experiments.mapping.interface import MapPlan, Series, check_values

@@ -1,0 +1,30 @@
+"""Interface of this room for a whole examination: machine, ports, link, and the walls that are stable there.
+
+`rig doctor` and `rig.experiments.hits.examine` import it. It defines nothing, and no file of the room imports it: what
+arms a wall needs `gate` alone, what plans one `predicted`.
+"""
+
+import sys
+
+from rig.doctor.ports import NO_PORTS, Port, ports_here, rules_for_rigs, serial_port
+from rig.doctor.round_trip import LinkMeasurement, measure_link
+from rig.doctor.walls import Supported, supported_walls, wall_items
+
+if sys.platform == "linux":
+    from rig.doctor.machine import machine_checks
+else:
+    from rig.doctor.elsewhere import machine_checks
+
+__all__ = [
+    "NO_PORTS",
+    "LinkMeasurement",
+    "Port",
+    "Supported",
+    "machine_checks",
+    "measure_link",
+    "ports_here",
+    "rules_for_rigs",
+    "serial_port",
+    "supported_walls",
+    "wall_items",
+]
