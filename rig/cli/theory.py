@@ -134,7 +134,7 @@ def _pairs(found: Theory, scheme: SchemeTheory) -> list[tuple[str, str]]:
 def _beta(passivity: PassivityBound) -> str:
     worst = passivity.rig_damping / passivity.largest_damping if passivity.largest_damping > 0.0 else 0.0
     late = f" ({worst:.3f} with lag and delay)" if abs(worst - passivity.beta) > 5e-4 and worst > 0.0 else ""
-    return f"{passivity.beta:.3f}{late}: damping of the rig asked for by each unit of B"
+    return f"{passivity.beta:.3f}{late}: damping of the rig required per unit of B"
 
 
 def _limit(at: AtDamping, unit: str) -> str:

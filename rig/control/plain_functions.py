@@ -164,7 +164,7 @@ def _check_names(what: str, noun: str, names: Iterable[str], taken: Sequence[str
                 f"{what}: {noun} {name!r} is not a valid name", remedy="use letters, digits and _"
             )
         if name in seen:
-            why = f"stands for what every p has: {', '.join(taken)}" if name in taken else "is there twice"
+            why = f"is reserved: every p has {', '.join(taken)}" if name in taken else "is given twice"
             raise ConfigError(f"{what}: {noun} {name!r} {why}", remedy="choose another name")
         seen.add(name)
 
@@ -176,7 +176,7 @@ def _arguments(form: Form, what: str, function: Callable[..., float], memory: Se
             f"{what} is not a plain function", remedy="decorate a function that is defined by def"
         )
     known = {name: meaning for name, (meaning, _) in form.quantities.items()}
-    known |= {MEMORY: "what it remembers", PARAMETERS: "its parameters"}
+    known |= {MEMORY: "values that it stores", PARAMETERS: "its parameters"}
     for argument in inspect.signature(function).parameters.values():
         where = f"{what} ({_place(function)}): argument {argument.name!r}"
         if argument.kind is not argument.POSITIONAL_OR_KEYWORD or argument.default is not argument.empty:

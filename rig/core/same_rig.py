@@ -54,7 +54,8 @@ def check_rig(model: RigModel, device: Dictionary) -> Check:
             "rig of the device",
             Outcome.REFUSED,
             f"{device.device} was built for another rig than {model.name}: {'; '.join(differ)}",
-            f"open another device, say `rig` {device.device}, or build and flash the firmware of {model.name}",
+            f"open another device, set `rig` to {device.device}, or build and flash the firmware of "
+            f"{model.name}",
         )
     untold = ", ".join(name for name in wanted if name not in theirs)
     text = f"{device.device}, of the same scales and limits as {model.name}"

@@ -587,13 +587,13 @@ def _correct(draft: _Draft, *, in_real_time: bool) -> None:
         changes = {f"{before}{key}": value for check in found for key, value in check.changes.items()}
         if not changes:
             break
-        draft.set("[computed] as rig experiment plan asks", changes)
+        draft.set("[computed] as rig experiment plan requires", changes)
     if found:
         text = "; ".join(f"{check.name}: {check.text}" for check in found)
         remedy = found[0].remedy
         if draft.keys["rig.mechanics.motor_coulomb"][1].startswith("[assumed]"):
-            remedy += "; friction is assumed: give `friction` as measured"
-        raise PlanError(f"{draft.name}: no first hit was found: {text}", remedy=remedy)
+            remedy += "; friction is assumed: give the measured `friction`"
+        raise PlanError(f"{draft.name}: no settings for a first hit were found: {text}", remedy=remedy)
 
 
 def _digits(value: float, way: Any = round) -> float:

@@ -256,7 +256,7 @@ def _number_of(path: Path, wanted: str | int, names: list[str], columns: int) ->
         )
     if not names:
         raise RecordingError(
-            f"{path} has no line of names", remedy=f"give column numbers, 0 to {columns - 1}"
+            f"{path} has no header line with names", remedy=f"give column numbers, 0 to {columns - 1}"
         )
     close = get_close_matches(wanted, names, n=1)
     raise RecordingError(

@@ -47,7 +47,7 @@ def assert_safe(subject: Subject, *, within_ms: float) -> None:
         recording = recording_of(subject)
         if not recording.complete or recording.trailer is None:
             raise AssertionError(
-                f"not safe: the recording is incomplete and has no reason of the end\n{_where(recording)}"
+                f"not safe: the recording is incomplete and gives no reason for its end\n{_where(recording)}"
             )
         _check_rows(recording, within_ms)
     if not hasattr(subject, "rest"):

@@ -62,7 +62,7 @@ DELAYS_S = (*sorted({amplifiers.load(name).set_point_delay_s for name in amplifi
 DRIVES = ("current", "voltage")
 ALARMS = (
     Fault.CURRENT_MISMATCH.text,
-    "the measured current was not the one that was set",
+    "the measured current differed from the set current",
 )  # of device and host
 BROKEN: dict[str, dict[str, float]] = {
     "lead off": {"drive": 0.0},

@@ -222,4 +222,4 @@ def test_arm_anyway_arms_says_so_and_is_recorded(
     assert said["forced"] is True
     assert said["armable"] is False
     assert [one["name"] for one in said["checks"] if one["outcome"] == "refused"] == ["losses"]
-    assert "arming although (--arm-anyway)" in err, "before it arms, however the run ends"
+    assert "arming despite the warning (--arm-anyway)" in err, "before it arms, however the run ends"

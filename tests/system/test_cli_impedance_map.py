@@ -19,7 +19,7 @@ def test_the_papers_four_estimators_stand_beside_the_paper(run: Any, tmp_path: P
     for text in (
         "chawda-linear: passive from 1 to 250 Hz", "1 fdm-butterworth", "2 foaw-best", "3 kalman", "4 levant",
         "tuned: alpha, lambda", "all together", "each of 2", "paper, on its rig", "894.9", "fidelity at",
-        "boundary search", "K 5000, B 60", "takes no part",
+        "boundary search", "K 5000, B 60", "left out of the fidelity",
     ):  # fmt: skip
         assert text in out
     (place,) = (tmp_path / "maps").iterdir()

@@ -210,7 +210,7 @@ def test_a_picture_does_not_overwrite_the_recording(command: Any, sealed: Any) -
     content = sealed.read_bytes()
     code, out, err = command("recording", "timing", sealed, "-o", sealed)
     assert (code, "counted apart" in out) == (9, True)
-    assert "not a name for a picture" in err
+    assert "does not end in a format" in err
     assert sealed.read_bytes() == content
 
 

@@ -265,4 +265,4 @@ def test_a_device_that_applies_another_current_than_the_commanded_one_is_noticed
     assert (recording.rows["flags"] & RowFlag.OTHER_CURRENT).sum() > 100
     judged = judge(recording, BASE).verdict
     assert judged.kind is Kind.INVALID
-    assert "not the commanded one" in judged.reasons[0]
+    assert "and the set current from the commanded one" in judged.reasons[0]

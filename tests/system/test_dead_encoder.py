@@ -92,7 +92,7 @@ def test_a_servo_that_pushes_less_than_the_device_minds_is_stopped_by_the_host(
     link = MemoryLink(device, Faults(device=(Happening(5, die),)))
     with (
         FramedDevice(link) as framed,
-        pytest.raises(GuardError, match="encoder is dead or the rig is blocked"),
+        pytest.raises(GuardError, match="encoder is dead or the handle is blocked"),
     ):
         tuple(hit(HitRequest(experiment=x, device=framed, output=tmp_path), admit))
     assert 0.0 < device.hardware.fastest < x.rig.limits.speed

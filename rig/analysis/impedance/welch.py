@@ -111,7 +111,7 @@ def estimate_welch(
     inside = (grid >= low * (1.0 - 1e-9)) & (grid <= high * (1.0 + 1e-9))
     if not inside.any():
         raise ConfigError(
-            f"no frequency of the transform between {low:g} and {high:g} Hz",
+            f"no frequency of the transform lies between {low:g} and {high:g} Hz",
             remedy="give a longer record or transform",
         )
     ff, vv, rr, vf, rf, rv = (

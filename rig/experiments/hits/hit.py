@@ -70,7 +70,7 @@ class HitRequest(RigRequest):
     arm_anyway: Annotated[
         bool,
         Keyword(
-            "Arm a real rig although its link, as measured, makes this wall dangerous; `rig doctor` says why.",
+            "Arm a real rig although the measured link makes this wall dangerous; `rig doctor` explains why.",
             group="Device",
         ),
     ] = False

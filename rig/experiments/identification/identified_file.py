@@ -16,8 +16,8 @@ def format_identification(found: Identification) -> str:
     where = "its simulation" if found.simulated else "the rig itself"
     lines = [
         f"# {x.rig.name}, identified on {where}.",
-        "# Keys marked [identified] carry their 95 % interval and the recordings behind them; it holds scatter,",
-        "# not bias. All others are as they were described.",
+        "# Keys marked [identified] have their 95 % interval and the names of their recordings; the interval covers",
+        "# scatter, not bias. All other keys are unchanged.",
         "",
     ]
     lines += [f"# {warning}" for warning in found.warnings]

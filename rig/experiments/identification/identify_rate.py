@@ -96,7 +96,9 @@ def judge_rate(x: Experiment, measurement: LinkMeasurement, rate_hz: int) -> Rat
             f"{100 * LOST_MARGIN * MOST_LOST_SHARE:.2g} %"
         )
     if capacity is not None and rate_hz * STATE_BYTES > LINK_SHARE * capacity:
-        reasons.append(f"the link carries {int(LINK_SHARE * capacity // STATE_BYTES)} samples a second")
+        reasons.append(
+            f"the capacity of the link is {int(LINK_SHARE * capacity // STATE_BYTES)} samples per second"
+        )
     return RateChoice(rate_hz, "; ".join(reasons), silence_s)
 
 

@@ -180,14 +180,14 @@ def test_a_set_of_the_mailbox_becomes_live_parameters() -> None:
     live = device_law.live_parameters(armed, "float32", numbers)
     c = armed.control[0]
     assert live["float_stiffness"] == pytest.approx(200.0 * c["resolution"] / c["effort_quantum"])
-    with pytest.raises(PlanError, match=r"wall.pull and wall.damping_on do not change"):
+    with pytest.raises(PlanError, match=r"wall.pull and wall.damping_on cannot change"):
         device_law.live_parameters(armed, "float32", [*numbers[:-1], 1.0])
 
 
 REFUSED = {
     "an estimator": (
         {"estimator": "period"},
-        r'controller.estimator = "period".*no such estimator',
+        r'controller.estimator = "period".*does not have this estimator',
         "kalman",
     ),
     "optimal": ({"estimator": "optimal"}, r'controller.estimator = "optimal"', "foaw-best"),
@@ -230,7 +230,7 @@ def test_what_a_device_does_not_have_is_refused_by_key_value_and_remedy(case: An
 def test_a_foreign_law_and_a_table_of_the_host_are_refused() -> None:
     x = config.override(PRESETS["koul-rigid"], {"controller.loop": "device"})
     foreign = Law("mine", "", laws.get("bilateral").function, 1, laws.get("bilateral").design)
-    with pytest.raises(PlanError, match=r'wall.law = "mine".*no such law'):
+    with pytest.raises(PlanError, match=r'wall.law = "mine".*does not have this law'):
         values_of(x, foreign)
     with pytest.raises(PlanError, match="a table of the host cannot be sent to the device"):
         values_of(x, bilateral.excited_law([0.1, -0.1]))
@@ -242,9 +242,9 @@ def test_values_beyond_the_wire_name_what_is_behind_them() -> None:
         {"controller.loop": "device", "homing.speed": 2.0, "rig.limits.speed": 3.0},
     )
     slow = config.override(x, {"controller.position_rate": 1000, "controller.velocity_rate": 1000})
-    with pytest.raises(PlanError, match=r"homing.speed: home_step = .* does not fit the device"):
+    with pytest.raises(PlanError, match=r"homing.speed: home_step = .* is out of range for the device"):
         values_of(slow)
-    with pytest.raises(PlanError, match="position_rate = 100000 Hz does not fit"):
+    with pytest.raises(PlanError, match="position_rate = 100000 Hz is out of range"):
         values_of(config.override(x, {"controller.position_rate": 100_000}))
 
 

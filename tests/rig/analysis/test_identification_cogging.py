@@ -89,7 +89,7 @@ def test_without_cogging_no_harmonic_is_certain_and_a_bound_is_stated() -> None:
 
 
 def test_sweeps_of_less_than_a_period_are_refused() -> None:
-    with pytest.raises(IdentificationError, match="cannot be told apart"):
+    with pytest.raises(IdentificationError, match="too little to separate its harmonics"):
         fitted(Cogging(), travel=0.25)
 
 

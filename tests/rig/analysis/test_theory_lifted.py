@@ -318,7 +318,7 @@ def test_what_cannot_be_meant_is_said() -> None:
     for rig, scheme, operator, message in (
         ("koul-stiff", "uniform:1k", None, "koul-stiff"),
         ("nowhere/rig.toml", "uniform:1k", None, "nowhere"),
-        ("koul-rigid", "uniform:1k", "iron", "no grip 'iron'"),
+        ("koul-rigid", "uniform:1k", "iron", "unknown grip 'iron'"),
         ("koul-rigid", "dual:20k/3k", None, "multiple"),
         ("koul-rigid", "uniform:1k,estimator=levant", None, "levant is not linear"),
         ("koul-rigid", "dual:20k/2k,slow_velocity_rate=500,slow_below=0.1", None, "500 Hz below 0.1"),

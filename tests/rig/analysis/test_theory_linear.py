@@ -192,7 +192,7 @@ def test_one_that_changes_with_time_is_not_linear_and_time_invariant(foreign: An
         return moving_chord(count, edge, elapsed, state_f, state_i, parameters) / (1.0 + 1e-6 * state_f[40])
 
     foreign(third_party("tiring", tiring))
-    with pytest.raises(ConfigError, match="time of an impulse matters"):
+    with pytest.raises(ConfigError, match="depends on the time of an impulse"):
         linear.realise("tiring", {}, 1e-3, RESOLUTION)
 
 

@@ -262,12 +262,12 @@ def test_an_argument_that_it_is_not_given_is_refused_with_those_that_it_is(funct
     [
         (
             {"parameters": {"stiffness": 1.0}},
-            r"'stiffness' stands for what every p has: stiffness, damping, tick_s",
+            r"'stiffness' is reserved: every p has stiffness, damping, tick_s",
         ),
         ({"parameters": {"two words": 1.0}}, r"parameter 'two words' is not a valid name"),
         ({"parameters": {"gain": math.inf}}, r"gain = inf is out of range"),
         ({"parameters": {"gain": "much"}}, r"gain = 'much' is out of range"),
-        ({"memory": ("x", "x")}, r"memory 'x' is there twice"),
+        ({"memory": ("x", "x")}, r"memory 'x' is given twice"),
         ({"memory": ("_x",)}, r"memory '_x' is not a valid name"),
         ({"memory": ("class",)}, r"memory 'class' is not a valid name"),
     ],

@@ -660,13 +660,13 @@ def test_a_saved_controller_with_a_memory_of_another_size_is_refused() -> None:
     """Compiled code checks no size."""
     for part, name in (("estimator", "state_f"), ("estimator", "state_i"), ("law", "state")):
         saved = Tick(**DUAL).controller.as_mapping()
-        with pytest.raises(RecordingError, match="another size"):
+        with pytest.raises(RecordingError, match="a different size"):
             ControllerState.from_mapping({**saved, part: {**saved[part], name: [0.0] * 1000}})
 
 
 def test_a_saved_controller_whose_law_is_not_known_here_needs_it_given() -> None:
     saved = Tick(law=law_of(spy)).controller.as_mapping()
-    with pytest.raises(ConfigError, match="no law 'test'"):
+    with pytest.raises(ConfigError, match="unknown law 'test'"):
         ControllerState.from_mapping(saved)
     assert ControllerState.from_mapping(saved, law=law_of(spy)).law.law.function is spy
 

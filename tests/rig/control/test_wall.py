@@ -92,7 +92,7 @@ def test_a_velocity_that_is_not_a_number_is_passed_on_for_the_guard_to_stop() ->
 
 def test_an_unknown_law_lists_the_known_ones() -> None:
     assert laws.names()[0] == "spring-damper"
-    with pytest.raises(ConfigError, match=r"no law 'spring'.*spring-damper"):
+    with pytest.raises(ConfigError, match=r"unknown law 'spring'.*spring-damper"):
         laws.get("spring")
 
 

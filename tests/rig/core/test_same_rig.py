@@ -34,7 +34,7 @@ def with_mechanics(**changes: Any) -> RigModel:
 def test_a_device_of_the_rig_is_one(name: str) -> None:
     model = config.rig_model(presets.load(name))
     found = check_rig(model, built_for(model))
-    assert (found.outcome, "does not tell" in found.text) == (Outcome.OK, False)
+    assert (found.outcome, "does not report" in found.text) == (Outcome.OK, False)
 
 
 OTHERS = {

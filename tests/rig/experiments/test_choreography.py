@@ -134,7 +134,7 @@ def test_the_foreperiod_is_the_seeds_and_spreads_over_its_range() -> None:
 
 @pytest.mark.parametrize("key", ["trial.baseline_s", "trial.foreperiod_s", "trial.hold_s"])
 def test_a_motor_keeps_its_clock(key: str) -> None:
-    with pytest.raises(ConfigError, match="keeps its clock"):
+    with pytest.raises(ConfigError, match="starts at a fixed time"):
         config.override(presets.load("koul-compliant"), {key: 0.5})
 
 

@@ -101,5 +101,5 @@ def test_the_second_paper_is_held_to_its_table_one(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_rig_of_no_paper_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"hapkit is the rig of no paper.*chawda-linear"):
+    with pytest.raises(ConfigError, match=r"hapkit is not the rig of a paper.*chawda-linear"):
         PaperSchemes.of("hapkit")

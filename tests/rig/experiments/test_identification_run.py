@@ -294,7 +294,8 @@ def test_ripple_of_the_effort_is_told_by_sweeps_with_a_mass_and_kept_in_the_file
     assert "% of the effort at harmonic 1, phase 0.58" in said
     assert "harmonic 2, phase -1.57" in second
     assert (
-        "friction that varies with place; a mass tells it" in _ripple_pairs(replace(found, ripple=None))[0][1]
+        "friction that varies with position; measure it with a mass"
+        in _ripple_pairs(replace(found, ripple=None))[0][1]
     )
     path = tmp_path / "rig.toml"
     path.write_text(format_identification(found))
@@ -364,7 +365,7 @@ def test_a_mass_needs_sweeps_and_a_real_rig_somebody_who_hangs_it(tmp_path: Path
         IdentifyRequest(experiment=COMPLIANT, mass_kg=0.1)
     with pytest.raises(ConfigError, match="the arm is 0"):
         IdentifyRequest(experiment=COMPLIANT, cogging=4, mass_kg=0.1, arm_m=0.0)
-    with pytest.raises(ConfigError, match="nobody is asked"):
+    with pytest.raises(ConfigError, match="no function that asks"):
         identified(COMPLIANT, tmp_path, url="usb://1209:0001", cogging=4, mass_kg=0.1)
 
 

@@ -129,13 +129,16 @@ def test_a_file_is_not_replaced_unless_asked(tmp_path: Path) -> None:
     [
         ({"mechanism": "lever"}, r"(?s)missing for a lever.*`torque_constant`.*`handle_mass`"),
         ({}, "`mechanism` is missing"),
-        ({**LEVER, "pulley_radius": 0.01}, "a lever has no `pulley_radius`"),
+        ({**LEVER, "pulley_radius": 0.01}, "`pulley_radius` cannot be given for a lever"),
         ({**LEVER, "rotor_inertia": 110.0}, "rotor_inertia = 110 kg·m² is out of range.*g·cm²"),
         ({**LEVER, "encoder_lines": 2048.5}, "encoder_lines"),
         ({**LEVER, "amplifier": "escon"}, "escon.*known"),
-        ({**LEVER, "amplifier": "escon-50-5-pwm", "peak_current": 20.0}, "more than escon-50-5-pwm gives"),
+        (
+            {**LEVER, "amplifier": "escon-50-5-pwm", "peak_current": 20.0},
+            "above the maximum of escon-50-5-pwm",
+        ),
         ({**LEVER, "amplifier": "voltage-bridge"}, "winding_resistance and supply_voltage"),
-        ({**LEVER, "gear": 3.0}, "no answer 'gear'"),
+        ({**LEVER, "gear": 3.0}, "unknown data-sheet value 'gear'"),
     ],
 )
 def test_what_cannot_be_is_refused_with_what_is_allowed(answers: dict[str, Any], says: str) -> None:
@@ -150,7 +153,7 @@ def test_assumed_friction_that_holds_the_carriage_anywhere_is_refused_with_what_
         "carriage_mass": 0.0534,
     }  # fmt: skip
     with pytest.raises(
-        PlanError, match=r"reduce the friction, 6.2 N; or widen .* give `friction` as measured"
+        PlanError, match=r"reduce the friction, 6.2 N; or widen .* give the measured `friction`"
     ):
         rig.new_rig(**strong)
     assert make_plan(rig.new_rig(**strong, friction=1.0).experiment).ok

@@ -255,7 +255,7 @@ def test_a_lost_beginning_or_middle_is_refused(finished: Any) -> None:
 
 def test_the_law_of_the_recording_must_be_installed(tmp_path: Path) -> None:
     recording = recorded(tmp_path, law=NAN_LAW, error=LawError)
-    with pytest.raises(ConfigError, match="no law 'nan'"):
+    with pytest.raises(ConfigError, match="unknown law 'nan'"):
         replay(recording)
 
 

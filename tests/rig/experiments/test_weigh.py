@@ -112,7 +112,7 @@ def test_a_load_that_the_motor_does_not_bear_is_refused(
 
 
 def test_a_weight_that_friction_hides_is_no_calibration(tmp_path: Path) -> None:
-    with pytest.raises(IdentificationError, match="lost in the friction"):
+    with pytest.raises(IdentificationError, match="masked by the friction"):
         weighed(tmp_path, mass_kg=1e-6)
 
 
@@ -134,5 +134,5 @@ def test_the_command_names_the_key_and_tells_it_to_machines(
     monkeypatch.setattr("sys.stdin", io.StringIO(""))
     from rig.cli.identify import _ask  # noqa: PLC0415
 
-    with pytest.raises(ConfigError, match="nobody pressed Enter"):
+    with pytest.raises(ConfigError, match="standard input ended before Enter"):
         _ask("hang it")

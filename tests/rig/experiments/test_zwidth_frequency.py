@@ -227,7 +227,7 @@ def test_files_hold_units_and_every_wall_and_a_finished_map_is_read(tmp_path: Pa
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"stiffnesses": []}, r"stiffnesses \(`stiffness`\): nothing to map"),
+        ({"stiffnesses": []}, r"stiffnesses \(`stiffness`\): the list is empty"),
         ({"stiffnesses": [2.0, 1.0]}, r"`stiffness`\) are not in rising order"),
         ({"dampings": [0.0, 0.0]}, r"dampings \(`damping`\): 0.0 is given twice"),
         ({"dampings": [-1.0]}, r"dampings \(`damping`\): -1 is out of range"),

@@ -163,10 +163,10 @@ def test_a_guard_that_trips_before_the_wall_ends_the_session(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def tripped(request: Any, admit: Any) -> None:
-        raise GuardError("the start was not reached in time")
+        raise GuardError("homing did not reach the start in time")
 
     monkeypatch.setattr(on_device, "hit", tripped)
-    with pytest.raises(GuardError, match="the start was not reached"):
+    with pytest.raises(GuardError, match="did not reach the start"):
         zwidth_on_rig(planned(), Person().session(tmp_path))
 
 

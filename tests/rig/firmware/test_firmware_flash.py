@@ -80,7 +80,7 @@ def test_a_device_that_runs_is_asked_for_its_drive(
 
 
 def test_a_device_without_a_boot_loader_says_so(image: Any, drive: Any) -> None:
-    with pytest.raises(DeviceRefusedError, match="does not know the request"):
+    with pytest.raises(DeviceRefusedError, match="does not support this request"):
         flash(image, url="sim://koul-rigid")
 
 

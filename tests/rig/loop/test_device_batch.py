@@ -58,7 +58,7 @@ def test_no_frame_is_late_too_long_or_out_of_range(rate: int, measured: bool, sp
 
 
 def test_a_handle_too_fast_for_any_layout_is_refused() -> None:
-    with pytest.raises(PlanError, match=r"rig.limits.speed = 500.*may pass 127325 counts") as refused:
+    with pytest.raises(PlanError, match=r"rig.limits.speed = 500.*may move by 127325 counts") as refused:
         batch.batch_layout(at(50, **{"rig.limits.speed": 500.0}))
     assert "position_rate" in refused.value.remedy
 

@@ -140,7 +140,7 @@ BROKEN: dict[str, tuple[str, str]] = {
     ),
     "no such column": ("time,c\n0,1\n1,2\n2,3\n", "no column 't'; its columns are time, c"),
     "two of a name": ("t,c,c\n0,1,1\n1,2,2\n", "several columns 'c'"),
-    "no names": ("0,1\n1,2\n2,3\n", "no line of names"),
+    "no names": ("0,1\n1,2\n2,3\n", "no header line with names"),
     "text": ("t,c\n0,one\n1,two\n2,three\n", "'c' does not hold numbers.*'one'"),
     "fractions": ("t,c\n0,0.5\n1,1.5\n2,2.5\n", r"counts\[0\] = 0.5 is not a whole number"),
     "a wrap without a width": ("t,c\n0,0\n1,250\n2,4\n3,14\n", "more than half of the range"),

@@ -117,7 +117,7 @@ def test_a_law_that_ends_a_hit_is_survived_with_its_recording(
 
     def broken(request: Any, admit: Any, watch: Any) -> Any:
         (result,) = ran(request, admit, watch)
-        error = LawError("the law gave a value that is not finite")
+        error = LawError("the law returned a value that is not finite")
         left = result.recorded
         error.recording = left.path
         vars(error)["end"] = TrialEnd(

@@ -112,16 +112,16 @@ def test_an_effort_under_an_old_command_or_behind_a_fault_is_not_safe(rig_hit: H
     with pytest.raises(AssertionError, match=r" 20\.1 ms after the device latched a fault"):
         assert_safe(edited(recording, row, fault=3, effort_applied=0.15), within_ms=20.0)
     assert_safe(edited(recording, row, fault=3, effort_applied=0.0), within_ms=1.0)
-    with pytest.raises(AssertionError, match="breaks off without a reason"):
+    with pytest.raises(AssertionError, match="is incomplete and gives no reason for its end"):
         assert_safe(replace(recording, trailer=None), within_ms=20.0)
 
 
 @pytest.mark.parametrize(
     ("rest", "what"),
     [
-        (None, "nobody knows its effort"),
+        (None, "its effort is unknown"),
         (DeviceAfterwards(None, False), "was never zero"),
-        (DeviceAfterwards(0.0205, False), r"was zero 20\.5 ms after the host's last word"),
+        (DeviceAfterwards(0.0205, False), r"was zero 20\.5 ms after the host's last command"),
         (DeviceAfterwards(0.0, True), "stayed armed"),
     ],
 )

@@ -44,7 +44,7 @@ def test_one_count_is_a_difference_unless_it_is_tolerated(golden: Recording) -> 
     assert first.startswith("differs from the golden recording from row 20 on (20 ms, ")
     assert line == f"  count: {count[20]} count, was {count[20] - 1} (by 1, allowed 0)"
     assert difference(golden, today, {"count": 1}) == ""
-    with pytest.raises(RecordingError, match="no column 'counts'"):
+    with pytest.raises(RecordingError, match="unknown column 'counts'"):
         difference(golden, today, {"counts": 1})
 
 
