@@ -1,4 +1,7 @@
-"""How every command looks and behaves: its options in groups, and ``-q``."""
+"""How every command looks and behaves: its options in groups, and ``-q``.
+
+Every command of the core and of the extras is made with it. It must not know any single command.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,8 @@
 """Makes ``completion.json`` of the core's commands and of each extra's: ``python -m rig.cli.completion_table``.
 
 A test finds them stale.
+
+The builder of documents reads its rows. No command may import it.
 """
 
 from __future__ import annotations

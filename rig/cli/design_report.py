@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rig.experiments.design import RULES, Design
 from rig.recording.files import whole_file
-from rig.views.report.template import data_uris, fill
+from rig.views.report import data_uris, fill
 
 TEMPLATE, PAGE = "design.html.j2", "design.html"
 

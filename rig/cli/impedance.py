@@ -17,10 +17,8 @@ from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, GuardError
 from rig.core.sample import unit_of
-from rig.experiments.hits.on_device import OnDevice
 from rig.experiments.mapping import impedance as measuring
-from rig.experiments.mapping.impedance import ImpedanceResult, Judging, Wall
-from rig.experiments.mapping.searches import numbers_of
+from rig.experiments.mapping.impedance import ImpedanceResult, Judging, OnDevice, Wall, numbers_of
 from rig.experiments.trials.plan import STANDS_FOR_DEVICE
 from rig.experiments.trials.settings import ExcitationSettings
 from rig.views.plots.impedance import draw_impedance

@@ -1,4 +1,7 @@
-"""Options that the commands for maps share: whose walls are hit; how a map is computed, and where it is written."""
+"""Options that the commands for maps share: whose walls are hit; how a map is computed, and where it is written.
+
+Commands that run a map use them as decorators. This file must not run one.
+"""
 
 from __future__ import annotations
 

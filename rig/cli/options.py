@@ -1,4 +1,7 @@
-"""Options that several commands share, each defined once: the same thing has the same name and values everywhere."""
+"""Options that several commands share, each defined once: the same thing has the same name and values everywhere.
+
+Commands of the core and of extras use them as decorators. This file must not run anything: it only refuses values.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ import click
 from rig import config
 from rig.cli import command, output, values
 from rig.cli.command import DEVICE, EXPERIMENT, RESULT, option
+from rig.cli.keyword_options import gathered_options as gathered_options  # noqa: PLC0414  (extras take it)
 from rig.cli.keyword_options import keyword_options
 from rig.config import Experiment, SchemeCutoff, presets
 from rig.config.schemes import parse_rates

@@ -1,4 +1,7 @@
-"""How commands print: aligned lines for people, JSON for machines, signs of life on standard error."""
+"""How commands print: aligned lines for people, JSON for machines, signs of life on standard error.
+
+Commands of the core and of extras print through it alone. It must not compute a result.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""How far a sweep is, on standard error: a bar with rate and time left on a terminal, else a line every ten seconds."""
+"""How far a sweep is, on standard error: a bar with rate and time left on a terminal, else a line every ten seconds.
+
+Commands that run a sweep show it. It must not write to standard output, which is for results.
+"""
 
 from __future__ import annotations
 

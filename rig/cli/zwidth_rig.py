@@ -13,9 +13,8 @@ from rig.control.verdict import Kind, Measured
 from rig.core.errors import ConfigError, RigError, StoppedError
 from rig.core.sample import unit_of
 from rig.devices import load_backend
-from rig.experiments.hits.on_device import OnDevice
 from rig.experiments.mapping import interface as maps
-from rig.experiments.mapping.interface import DeviceMap, MapPlan, Next, ZWidth, work_of
+from rig.experiments.mapping.interface import DeviceMap, MapPlan, Next, OnDevice, ZWidth, work_of
 
 CONFIRM = ("each", "series", "no")
 CRITERIA = ("felt", "heard", "any")  # rig.control.verdict.CRITERIA, without its imports

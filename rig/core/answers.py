@@ -1,4 +1,7 @@
-"""Questions about a machine or a device: a name and a reason stated once, and a function that answers with a check."""
+"""Questions about a machine or a device: a name and a reason stated once, and a function that answers with a check.
+
+The rooms `doctor`, `firmware` and `experiments` state their checks with it. It must not examine anything itself.
+"""
 
 from __future__ import annotations
 

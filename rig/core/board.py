@@ -1,17 +1,21 @@
 """Data of a rig that its device needs, as constants of the firmware; simulated devices have the same.
 
 All in the device's own units: current quanta and counts. Only the mechanics stay in SI.
+
+Images, simulated devices and plans are made from it. It must not depend on a particular board (`rig.firmware`).
 """
 
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 from firmware_protocol import dictionary as dictionaries
 from firmware_protocol.dictionary import ConstantInfo, SettingValue
-from firmware_protocol.parameter import Value
+from firmware_protocol.parameter import Parameter, Value
+from firmware_protocol.parameters import PARAMETERS
 from rig.core.current_sensor import SPEED_LAG_S, CurrentSensor
 from rig.core.model import RigModel
 from rig.core.sample import unit_of
@@ -169,3 +173,24 @@ def describe(
             **(narrower or {}),
         },
     )
+
+
+def narrower(dictionary: dictionaries.Dictionary) -> list[tuple[Parameter, int, int]]:
+    """Parameters whose range is not the table's, with both bounds as on the wire, rising by parameter."""
+    found: list[tuple[Parameter, int, int]] = []
+    for parameter in PARAMETERS:
+        info = dictionary.parameter(parameter.name)
+        assert info is not None
+        if (info.minimum, info.maximum) != (parameter.minimum, parameter.maximum):
+            low, high = (_bits(parameter.ctype, bound) for bound in (info.minimum, info.maximum))
+            found.append((parameter, low, high))
+    return found
+
+
+def _bits(ctype: str, value: Value) -> int:
+    """Return a value as its four bytes on the wire, read as a number."""
+    if ctype == "f32":
+        (bits,) = struct.unpack("<I", struct.pack("<f", value))
+        return int(bits)
+    assert math.trunc(value) == value
+    return int(value) & 0xFFFFFFFF

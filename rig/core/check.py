@@ -1,6 +1,8 @@
 """The one vocabulary of checks: what was looked at, the outcome, and what to do about it.
 
 A plan, the examination of a machine, the self test of a board and the limits of an excitation all consist of these.
+
+Every room that examines or refuses something makes them. This file must not examine anything itself.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Where processes are found, and the environment of a process of this package's own."""
+"""Where processes are found, and the environment of a process of this package's own.
+
+Rooms that start a compiler, git or a process of this package call it. It must not start anything itself.
+"""
 
 from __future__ import annotations
 

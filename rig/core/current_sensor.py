@@ -1,4 +1,8 @@
-"""Expected motor current for a given set current: the same numbers for host and device."""
+"""Expected motor current for a given set current: the same numbers for host and device.
+
+`rig.core.board` computes them; the loop and the C board take them. It must not import the description of a rig:
+a loop loads this file alone.
+"""
 
 from __future__ import annotations
 

@@ -2,6 +2,8 @@
 
 `scipy.linalg.expm` has it, and takes a tenth of a second to load, which every simulated device would spend on one small
 matrix.
+
+Theory, experiments and simulated plants call it. It must not import scipy.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 A request says it once, at its field: ``Annotated[int, Ge(1), Keyword("How many hits.", key="trial.repeats")]``. What
 checks, explains and asks for the value reads type, range, default and text there.
+
+Requests of experiments and firmware have them; commands and pages read them. It must not parse or check a value.
 """
 
 from __future__ import annotations

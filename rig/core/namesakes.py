@@ -1,4 +1,7 @@
-"""Packages of others with the import name of one that is needed here, which pip installs over it without a word."""
+"""Packages of others with the import name of one that is needed here, which pip installs over it without a word.
+
+Commands and devices call it after an import that failed. It must not install or remove a package.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""First steps of each program of the package: the command line, and the processes that it starts."""
+"""First steps of each program of the package: the command line, and the processes that it starts.
+
+`rig.__main__` and each process of the package call it first. It must not load anything beyond the standard library.
+"""
 
 from __future__ import annotations
 

@@ -3,6 +3,8 @@
 Descriptions (`rig.core.model`, `rig.config`) are frozen dataclasses whose fields are ``Annotated[float, Gt(0),
 Quantity("inertia", "…")]``. The validator, the error messages, the documentation and the metadata of
 recordings all read these annotations.
+
+This file must not validate a value; `rig.config` does.
 """
 
 from __future__ import annotations

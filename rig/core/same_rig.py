@@ -1,4 +1,7 @@
-"""Check that a device was built for the experiment's rig: the same name, scales, limits and monitors."""
+"""Check that a device was built for the experiment's rig: the same name, scales, limits and monitors.
+
+Experiments, sessions and firmware checks call it before a device moves. It must not change the experiment.
+"""
 
 from __future__ import annotations
 

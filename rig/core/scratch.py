@@ -1,4 +1,7 @@
-"""Temporary directories that end with their process or, after a kill -9, with the next process that makes one."""
+"""Temporary directories that end with their process or, after a kill -9, with the next process that makes one.
+
+Exports, builds, pictures and the console work in them. They must not hold what a user may want to keep.
+"""
 
 from __future__ import annotations
 

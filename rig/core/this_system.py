@@ -1,4 +1,8 @@
-"""Facilities of this operating system for a process, and what it does not support."""
+"""Facilities of this operating system for a process, and what it does not support.
+
+Devices, experiments and the bridge of drives call it before they run in real time. It must not set anything up;
+`rig.realtime.scheduling` does.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""What a computer has to do with rigs: backends, ports, USB devices, and rigs that it can simulate."""
+"""What a computer has to do with rigs: backends, ports, USB devices, and rigs that it can simulate.
+
+`rig device list` and the console show it. It must not open a port or a device.
+"""
 
 from __future__ import annotations
 

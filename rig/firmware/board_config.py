@@ -7,14 +7,10 @@
 from __future__ import annotations
 
 import math
-import struct
 from dataclasses import asdict, dataclass, replace
 
-from firmware_protocol import dictionary as dictionaries
 from firmware_protocol.dictionary import SettingValue
-from firmware_protocol.parameter import Parameter, Value
-from firmware_protocol.parameters import PARAMETERS
-from rig.core.board import current_sensor, describe, moved_mechanics, over_current
+from rig.core.board import current_sensor, describe, moved_mechanics, narrower, over_current
 from rig.core.model import RigModel
 from rig.firmware.boards import Board
 from rig.firmware.record import ImageFacts, Record, pack
@@ -184,27 +180,6 @@ def _byte_lines(content: bytes) -> list[str]:
         "    " + " ".join(f"{byte:#04x}," for byte in content[at : at + _BYTES_A_LINE])
         for at in range(0, len(content), _BYTES_A_LINE)
     ]
-
-
-def narrower(dictionary: dictionaries.Dictionary) -> list[tuple[Parameter, int, int]]:
-    """Parameters whose range is not the table's, with both bounds as on the wire, rising by parameter."""
-    found: list[tuple[Parameter, int, int]] = []
-    for parameter in PARAMETERS:
-        info = dictionary.parameter(parameter.name)
-        assert info is not None
-        if (info.minimum, info.maximum) != (parameter.minimum, parameter.maximum):
-            low, high = (_bits(parameter.ctype, bound) for bound in (info.minimum, info.maximum))
-            found.append((parameter, low, high))
-    return found
-
-
-def _bits(ctype: str, value: Value) -> int:
-    """Return a value as its four bytes on the wire, read as a number."""
-    if ctype == "f32":
-        (bits,) = struct.unpack("<I", struct.pack("<f", value))
-        return int(bits)
-    assert math.trunc(value) == value
-    return int(value) & 0xFFFFFFFF
 
 
 def _one_line(text: str) -> str:

@@ -1,4 +1,7 @@
-"""What one call of an estimator in C costs on a microcontroller: instructions, cycles, code and memory."""
+"""What one call of an estimator in C costs on a microcontroller: instructions, cycles, code and memory.
+
+The export of an estimator states it. It must not be reported as a measurement: the processor is emulated.
+"""
 
 from __future__ import annotations
 

@@ -2,6 +2,8 @@
 
 A tick takes at most `SHARE` of its period, so that link and host have the rest. The cycles are those of
 `rig.firmware.cortex`: estimates for memory without wait states, not a measurement on a board.
+
+Plans and designs call it. It must not load a toolchain.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""Struct board_setup of the firmware: the description of the rig that its ports to this computer receive."""
+"""Struct board_setup of the firmware: the description of the rig that its ports to this computer receive.
+
+The simulated board and the simulated drives fill it, and load their libraries with `CLibrary`. It must not hold a
+default: every field comes from the rig.
+"""
 
 from __future__ import annotations
 

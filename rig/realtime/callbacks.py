@@ -1,4 +1,7 @@
-"""Plugs of the loop that come back into Python: for a simulation in memory, and what compiled code cannot reach."""
+"""Plugs of the loop that come back into Python: for a simulation in memory, and what compiled code cannot reach.
+
+Threaded devices and simulations in memory use them. They must not serve a device in real time: each call takes the GIL.
+"""
 
 from __future__ import annotations
 

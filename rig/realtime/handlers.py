@@ -1,4 +1,7 @@
-"""Signal handlers for a while, and signals that must wait."""
+"""Signal handlers for a while, and signals that must wait.
+
+Loop, recorder, doctor and sweeps call it. It must not decide what a signal stops (`rig.realtime.stop_requests`).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Read the new rows of a loop's ring as an observer: the loop neither waits for its readers nor registers them."""
+"""Read the new rows of a loop's ring as an observer: the loop neither waits for its readers nor registers them.
+
+The console and LSL follow a run with it. It must not write to the ring.
+"""
 
 from __future__ import annotations
 

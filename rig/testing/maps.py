@@ -9,9 +9,8 @@ from typing import Any
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import StoppedError
-from rig.experiments.hits.on_device import OnDevice
 from rig.experiments.mapping import interface as maps
-from rig.experiments.mapping.interface import DeviceMap, MapPlan, Next, ZWidth, zwidth_on_rig
+from rig.experiments.mapping.interface import DeviceMap, MapPlan, Next, OnDevice, ZWidth, zwidth_on_rig
 from rig.testing.experiments import Experiments, Source
 from rig.testing.hits import Rigs, end_all
 

@@ -46,6 +46,7 @@ from rig.core.present import Item, Row, plain, reported
 from rig.core.sample import Motion, Phase, unit_of
 from rig.core.shown import Drawn, Shown
 from rig.experiments.hits.on_device import Ended, OnDevice, Trials, kept_open
+from rig.experiments.mapping.searches import numbers_of
 from rig.experiments.trials.excitation_plan import excitation_checks
 from rig.experiments.trials.excitation_run import (
     ExcitedRig,
@@ -59,6 +60,29 @@ from rig.experiments.trials.judgement import THREW_OUT, experiment_of, thrown_ou
 from rig.experiments.trials.plan import STANDS_FOR_DEVICE
 from rig.experiments.trials.results import make_directory, write_document, write_table
 from rig.recording.data import Recording
+
+__all__ = [
+    "ATTEMPTS",
+    "SUMMARY",
+    "TABLE",
+    "ImpedanceResult",
+    "Judging",
+    "Method",
+    "OnDevice",
+    "Wall",
+    "Watch",
+    "concluded",
+    "expected",
+    "known_device",
+    "measure_impedance",
+    "measure_on_device",
+    "numbers_of",
+    "prepared",
+    "recorded_impedance",
+    "refuse_excitations",
+    "unexpected",
+    "write_results",
+]
 
 Method = Literal["periodic", "welch"]
 Wall = tuple[float, float]  # stiffness, damping

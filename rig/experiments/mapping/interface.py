@@ -4,6 +4,7 @@ Commands, pages, pictures and papers import it; they all need maps as a whole. I
 sub-room imports it, so that one measured impedance or a table of limit cycles does not load every kind of map.
 """
 
+from rig.experiments.hits.on_device import OnDevice
 from rig.experiments.mapping.impedance import Judging
 from rig.experiments.mapping.kmax import KMax, kmax_plan
 from rig.experiments.mapping.map_request import MapRequest
@@ -82,6 +83,7 @@ __all__ = [
     "MapPlan",
     "MapRequest",
     "Next",
+    "OnDevice",
     "Outcomes",
     "Passes",
     "Printed",

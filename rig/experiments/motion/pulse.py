@@ -44,6 +44,7 @@ from rig.experiments.motion.motion_run import (
     stalled,
     trial_rows,
 )
+from rig.experiments.trials.endings import IN_DOUBT
 from rig.experiments.trials.identify_motions import (
     coulomb_of,
     most_push,
@@ -60,6 +61,7 @@ from rig.realtime import stop_requests
 from rig.recording.files import free_name, plain_errors
 
 __all__ = [
+    "IN_DOUBT",
     "NO_HANDS",
     "PUSHES",
     "FreeRigRequest",

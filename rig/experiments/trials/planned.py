@@ -1,4 +1,7 @@
-"""Plan of a run: steps, checks with their outcome, and the run that it describes."""
+"""Plan of a run: steps, checks with their outcome, and the run that it describes.
+
+Plans of hits, motions and excitations consist of it, and commands show them. It must not touch a device.
+"""
 
 from __future__ import annotations
 

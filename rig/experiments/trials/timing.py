@@ -1,4 +1,7 @@
-"""Timing of a recording: the summary of its latency ledger."""
+"""Timing of a recording: the summary of its latency ledger.
+
+`rig recording timing` shows it and `rig.views` draws it. It must not judge a run.
+"""
 
 from __future__ import annotations
 

@@ -15,10 +15,9 @@ import firmware_protocol
 from firmware_protocol import dictionary as dictionaries
 from firmware_protocol.connection import State
 from firmware_protocol.parameters import PARAMETERS
-from rig.core.board import describe
+from rig.core.board import describe, narrower
 from rig.core.model import RigModel
 from rig.extras.drives.faults import explained
-from rig.firmware.board_config import narrower
 from rig.realtime.c_board import FLAGS, BoardSetup, CLibrary
 from rig.realtime.kernel import CACHE_DIRECTORY
 

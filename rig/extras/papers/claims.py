@@ -27,7 +27,7 @@ from typing import Any
 
 from rig.core.present import reported
 from rig.extras.papers.rules import ClaimStatus, Ruling
-from rig.views.report.template import fill_text
+from rig.views.report import fill_text
 
 HEAD = re.compile(r"\[([\w-]+)\]")
 BEGIN = re.compile(r"(title|source|claim|paper|ours|only with|needs|rule): *(.*)")

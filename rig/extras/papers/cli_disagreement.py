@@ -9,7 +9,7 @@ import click
 
 from rig.cli import map_options, output
 from rig.cli.command import command
-from rig.cli.keyword_options import gathered_options
+from rig.cli.options import gathered_options
 from rig.cli.progress import SweepBar
 from rig.experiments.mapping import interface as maps
 from rig.experiments.mapping.interface import MapRequest

@@ -19,7 +19,7 @@ from rig.extras.papers.claims import Claim, read_claims
 from rig.extras.papers.parts import Part, Parts, run_parts
 from rig.extras.papers.rules import ClaimStatus, Ruling
 from rig.recording.files import whole_file
-from rig.views.report.template import data_uris, fill, provenance_lines
+from rig.views.report import data_uris, fill, provenance_lines
 
 OnFailure = Callable[[Exception, str], None]
 CLAIMS, PAGE = "claims.j2", "page.html.j2"  # templates of a paper

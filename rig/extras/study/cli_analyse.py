@@ -16,7 +16,7 @@ from rig.extras.study import AnalysisOptions, StudyAnalysis, write_study_tables
 from rig.extras.study import analyse as found_in
 from rig.extras.study import report_tables as tables
 from rig.extras.study.cli_report import write_report
-from rig.views.report.writing import counted
+from rig.views.report import counted
 
 MEASURES = {"rule": "rule", "k50-person": "K50 person", "k50-automatic": "K50 automatic"}
 _OFTEN_S = 0.2

@@ -23,7 +23,7 @@ from rig.extras.study.report_events import deviations, invalid_trials, notes
 from rig.extras.study.report_methods import MEASURES, analysed_with, effective, first_experiment, methods
 from rig.extras.study.study import LOG
 from rig.recording.files import whole_file
-from rig.views.report.template import data_uris, fill, provenance_lines
+from rig.views.report import data_uris, fill, provenance_lines
 
 TEMPLATE = "extras/study/session.html.j2"
 PAGE, NUMBERS = "report.html", "report.json"

@@ -13,7 +13,7 @@ from rig.control.verdict import Kind
 from rig.core.sample import unit_of
 from rig.extras.study.study import Study, StudySession
 from rig.session.finished import Event, log_losses, lost_samples, value_words
-from rig.views.report.template import fill_text
+from rig.views.report import fill_text
 
 TEMPLATE = "extras/study/session_events.j2"
 KINDS = ("redone", "amended", "restarted", "skipped", "retried", "stopped", "resumed", "ended", "continued")

@@ -26,7 +26,7 @@ from rig.extras.study.rows import Measure
 from rig.recording.header import checkout
 from rig.session.finished import asked, cells_of, levels_of, rows_of, rule, walls_in
 from rig.session.search import EDGE_VERDICTS, LAPSE_RATES, PsychometricGrid, Rule, of_levels
-from rig.views.report.template import fill_text
+from rig.views.report import fill_text
 
 TEMPLATE = "extras/study/session_methods.j2"
 MEASURES: Mapping[Measure, str] = {

@@ -19,7 +19,7 @@ from rig.extras.study.rows import ENDED_BY_MOST, Measure
 from rig.extras.study.study import StudySession
 from rig.extras.study.tables import PRIOR_LAPSE_RATE
 from rig.session.finished import END, VOIDED
-from rig.views.report.writing import MINUS, NOTHING, clock, interval, number, p, percent, shortest, signed
+from rig.views.report import MINUS, NOTHING, clock, interval, number, p, percent, shortest, signed
 
 MEASURES: dict[Measure, str] = {
     "rule": "the limit by the search rule",

@@ -1,6 +1,8 @@
 """Scheduling facts that the kernel reports, read from /proc and /sys.
 
 `root` is where those trees hang; what cannot be read is an empty text, None or an empty set.
+
+Scheduling reports them and `rig.doctor` judges them. This file must not judge or change anything.
 """
 
 from __future__ import annotations

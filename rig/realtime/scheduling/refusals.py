@@ -1,4 +1,7 @@
-"""Refusals of the kernel, as checks (`rig.core.check`): why, and the command that grants the request."""
+"""Refusals of the kernel, as checks (`rig.core.check`): why, and the command that grants the request.
+
+Scheduling and `rig.doctor` report them. This file must not run a command that it names.
+"""
 
 from __future__ import annotations
 

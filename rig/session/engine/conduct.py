@@ -28,8 +28,7 @@ from rig.core.errors import (
     StoppedError,
 )
 from rig.core.sample import HOLD, Phase, unit_of
-from rig.experiments.motion.pulse import NO_HANDS
-from rig.experiments.trials.endings import IN_DOUBT
+from rig.experiments.motion.pulse import IN_DOUBT, NO_HANDS
 from rig.session.engine.desk import Action, Desk, DeskView, Question, Reply
 from rig.session.engine.directory import TRIALS, Session
 from rig.session.engine.log import Event

@@ -1,4 +1,7 @@
-"""Pictures of schemes compared: penetration and velocity after the first impact."""
+"""Pictures of schemes compared: penetration and velocity after the first impact.
+
+The room's table draws a comparison, papers draw single panels. It must not compute one.
+"""
 
 from __future__ import annotations
 

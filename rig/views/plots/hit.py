@@ -1,4 +1,8 @@
-"""The picture of a hit: position against the wall, velocity, and effort, on one time axis that starts at contact."""
+"""The picture of a hit: position against the wall, velocity, and effort, on one time axis that starts at contact.
+
+The room's table, `rig recording show`, the console and the process that draws beside `rig hit` call it. It must not
+write to a recording.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Measured impedances, like figures 4 and 6 of Chawda et al.: magnitude, phase, real part, and the ideal wall's."""
+"""Measured impedances, like figures 4 and 6 of Chawda et al.: magnitude, phase, real part, and the ideal wall's.
+
+`rig impedance` and papers draw several, the room's table draws one. It must not measure or fit anything.
+"""
 
 from __future__ import annotations
 

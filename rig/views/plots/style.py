@@ -1,4 +1,7 @@
-"""One look for all pictures: quiet axes, units in every label, colours that a colour-blind reader can tell apart."""
+"""One look for all pictures: quiet axes, units in every label, colours that a colour-blind reader can tell apart.
+
+Every figure of the package and of its extras is made with it. It must not import pyplot, a window toolkit or a result.
+"""
 
 from __future__ import annotations
 

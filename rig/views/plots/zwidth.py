@@ -2,6 +2,8 @@
 
 A map of a single damping has no width: there the limits of the schemes stand side by side. Circles are means over
 offsets and repeats.
+
+The room's table draws maps; designs and papers draw single boundaries. It must not run a hit.
 """
 
 from __future__ import annotations

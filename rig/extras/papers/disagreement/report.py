@@ -8,7 +8,7 @@ from __future__ import annotations
 from rig.core.sample import unit_of
 from rig.extras.papers.disagreement.ablation import FINER, FOUR
 from rig.extras.papers.disagreement.disagreement import Disagreement
-from rig.views.report.template import fill_text
+from rig.views.report import fill_text
 
 
 def paragraph(found: Disagreement) -> str:
