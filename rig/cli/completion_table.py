@@ -18,7 +18,7 @@ from rig import cli
 from rig.cli import listing, values
 from rig.control import estimators
 from rig.core import extras
-from rig.core.signals import SIGNALS
+from rig.experiments.estimation.interface import SIGNALS
 
 
 def made() -> dict[Path, str]:

@@ -16,8 +16,8 @@ from rig.control import estimators as family
 from rig.core.errors import ConfigError
 from rig.core.present import Row, Table, plain
 from rig.core.sample import unit_of
-from rig.core.signals import SIGNALS
 from rig.experiments.estimation.interface import (
+    SIGNALS,
     Case,
     Score,
     Tuning,

@@ -161,7 +161,7 @@ def repeats_option(help: str, **more: Any) -> Callable[[F], F]:
 
 
 def signal_option(*names: str, help: str, **more: Any) -> Callable[[F], F]:
-    """Add --signal, a reference signal of `rig.core.signals`."""
+    """Add --signal, a reference signal of `rig.experiments.estimation.signals`."""
     return option("--signal", *names, type=values.SIGNAL, help=help, **more)
 
 

@@ -9,7 +9,7 @@ import click
 from rig.cli import options, output, values
 from rig.cli.command import command
 from rig.core.present import plain
-from rig.experiments.trials.timing import timing_of
+from rig.recording.timing_report import timing_of
 
 
 @command()

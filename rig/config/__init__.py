@@ -34,6 +34,7 @@ from rig.config.load import (
 from rig.config.people import human_limits_exceeded
 from rig.config.sections import (
     BOARD_ARITHMETICS,
+    OSCILLATIONS,
     Controller,
     Excitation,
     Experiment,
@@ -63,6 +64,7 @@ __all__ = [
     "EXPERIMENT",
     "FREE",
     "LOOP",
+    "OSCILLATIONS",
     "ConfigKey",
     "Controller",
     "Excitation",

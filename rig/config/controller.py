@@ -19,14 +19,13 @@ from rig.config import device_law
 from rig.config.derive import free_s, motor_push, push_s, rig_model, verdict_thresholds
 from rig.config.homing import home_tolerance
 from rig.config.prepared_run import LawOnDevice, PreparedRun
-from rig.config.sections import Experiment
+from rig.config.sections import OSCILLATIONS, Experiment
 from rig.control import cogging, estimators, friction, laws
 from rig.control.law import Law
 from rig.control.step import CONTROL, ControllerState, new_memory
 from rig.control.watch import TRAVEL, TRAVEL_COUNTS, UNMOVED_SPEED
 from rig.core.board import moved_mechanics
 from rig.core.errors import PlanError
-from rig.core.oscillation import OSCILLATIONS
 
 LIFETIME_PERIODS = 5
 CONFIRM_S = (

@@ -9,8 +9,7 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from rig.config.derive import press_for, push_at_rest
-from rig.config.sections import Experiment
-from rig.core.oscillation import OSCILLATIONS
+from rig.config.sections import OSCILLATIONS, Experiment
 
 PRESS_SHARE = (
     0.6  # of the effort limit: a press swells by a fifth, and a count deeper must not reach the limit

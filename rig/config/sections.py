@@ -18,11 +18,14 @@ from annotated_types import Ge, Gt, Le, Lt, MinLen
 
 from rig.core.model import Amplifier, Cogging, Encoder, Mechanics, Operator, Reference, Simulation
 from rig.core.operators import GRIPS
-from rig.core.oscillation import OSCILLATION_S, OSCILLATIONS
 from rig.core.present import Item, Row, Table
 from rig.core.quantity import STRICT, Quantity
 from rig.core.sample import Motion, unit_of
 from rig.core.shown import Shown
+
+# Defaults of the watch on violent walls (`rig.control.watch`), beside no compiled code: who reads an experiment loads
+# no kernels. So many oscillations in a row end a run, each within this time of the one before (s).
+OSCILLATIONS, OSCILLATION_S = 10, 0.02
 
 Setting = bool | int | float | str
 

@@ -13,7 +13,7 @@ was sent: where it acts d ticks later, the sum is off by effort times the travel
 **Violence.** An *oscillation* is the effort against the handle rising from next to zero (`LOW`) to its limit (`HIGH`)
 after the handle has moved by a quarter of what the verdict calls *moved*, and by more than one toggling count. An
 impact is one oscillation and a bounce another, each smaller; a buzz does not span the whole range. The defaults are in
-`rig.core.oscillation`; the simulations behind them are in `rig/session/README.md`. One count of a coarse encoder
+`rig.config.sections`; the simulations behind them are in `rig/session/README.md`. One count of a coarse encoder
 that makes the whole effort cannot be distinguished from a buzz.
 
 **Standstill.** While the count stays on two neighbours (all that a dead encoder, or one with a dead channel, shows), a

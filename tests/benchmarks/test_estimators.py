@@ -23,7 +23,7 @@ from rig.control import estimators
 from rig.control.estimators import fdm_butterworth, foaw, kalman, levant
 from rig.control.estimators.arrays import quantise, update_all
 from rig.control.estimators.estimator import PERIOD, RESOLUTION
-from rig.core.signals import SIGNALS
+from rig.experiments.estimation.signals import SIGNALS
 from rig.realtime.plugs import ESTIMATOR_SIGNATURE, NativeFunction
 
 SOURCE = Path(__file__).with_name("estimators.c")

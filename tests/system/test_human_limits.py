@@ -10,9 +10,9 @@ import pytest
 
 from rig import config
 from rig.config import controller, presets
+from rig.config.sections import OSCILLATIONS
 from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError, PlanError
-from rig.core.oscillation import OSCILLATIONS
 from rig.devices.fault_script import Faults, Happening
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit

@@ -32,9 +32,9 @@ from rig.control.estimators.estimator import Floats, Ints, Prepared
 from rig.core.errors import ConfigError, ToolchainError
 from rig.core.present import Row, Table, reported
 from rig.core.sample import unit_of
-from rig.core.signals import SIGNALS
 from rig.experiments.estimation.cases import Case, signal_case
 from rig.experiments.estimation.estimators import Variant
+from rig.experiments.estimation.signals import SIGNALS
 from rig.firmware.cycles import FIXED, Cost, EstimatorC, c_float, cost_of, estimator_c
 from rig.recording.files import refuse_existing, whole_file
 
@@ -150,7 +150,7 @@ def export_estimator(
     case
         Case on which it was tuned; without one, `signal` as the rig's encoder sees it.
     signal
-        One of `rig.core.signals.SIGNALS`.
+        One of `rig.experiments.estimation.signals.SIGNALS`.
     costs
         Count what a call costs, where a cross compiler and the simulator are installed.
     overwrite

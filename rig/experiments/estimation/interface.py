@@ -21,11 +21,13 @@ from rig.experiments.estimation.lipschitz import (
     identify_lipschitz,
     lipschitz_of,
 )
+from rig.experiments.estimation.signals import SIGNALS
 from rig.experiments.estimation.tuning import Tuning, shown_range, tune_estimator
 
 __all__ = [
     "AFTER_CONTACT_S",
     "BEFORE_CONTACT_S",
+    "SIGNALS",
     "Case",
     "EstimatorComparison",
     "Score",

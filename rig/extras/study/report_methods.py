@@ -14,11 +14,10 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from rig.config import Controller, Experiment, parameters
+from rig.config import OSCILLATIONS, Controller, Experiment, parameters
 from rig.control import estimators
 from rig.control.estimators.estimator import Estimator
 from rig.core.errors import RigError
-from rig.core.oscillation import OSCILLATIONS
 from rig.extras.study.agreement import LEAST_PEOPLE
 from rig.extras.study.analyse import StudyAnalysis
 from rig.extras.study.kmax import ENOUGH_REPEATS, LEAST_VALUES, RESAMPLES

@@ -7,9 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.experiments.trials.timing import Timing
-from rig.recording.timing import LATENESS, STAGES, Ledger
-from rig.recording.timing_summary import TimingSummary
+from rig.recording.timing_report import LATENESS, STAGES, Ledger, Timing, TimingSummary
 from rig.views.plots import style
 
 COLOURS = {

@@ -17,8 +17,8 @@ import pytest
 from click.testing import CliRunner
 
 from rig.cli import rig
+from rig.config.sections import OSCILLATIONS
 from rig.config.table import parameters
-from rig.core.oscillation import OSCILLATIONS
 from rig.core.present import Table
 from rig.extras.study import AnalysisOptions, analyse, cli_report
 from rig.extras.study.plots import draw_session, pictures, tracks_name, zwidth_figure

@@ -11,8 +11,8 @@ import pytest
 
 from rig.core.clock_fit import ClockFit
 from rig.core.sample import ROW
-from rig.experiments.trials.timing import Timing
 from rig.recording.timing import LATENESS, NO_AGE, STAGES, ledger
+from rig.recording.timing_report import Timing
 from rig.recording.timing_summary import summarise
 from rig.views.plots.timing import COLOURS, label
 
