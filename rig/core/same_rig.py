@@ -57,7 +57,7 @@ def check_rig(model: RigModel, device: Dictionary) -> Check:
             "rig of the device",
             Outcome.REFUSED,
             f"{device.device} was built for another rig than {model.name}: {'; '.join(differ)}",
-            f"open another device, set `rig` to {device.device}, or build and flash the firmware of "
+            f"open another device, give `rig` {device.device}, or build and flash the firmware of "
             f"{model.name}",
         )
     untold = ", ".join(name for name in wanted if name not in theirs)

@@ -139,7 +139,7 @@ def _check(plan: MapPlan) -> None:
     if plan.judged != "recorded":
         raise PlanError(
             "`judge` = true needs the true signals of a simulation; a device records only measured ones",
-            remedy="give `judge` = recorded",
+            remedy="give `judge` recorded",
         )
     if len(plan.offsets) != 1:
         raise PlanError(
