@@ -21,9 +21,8 @@ from rig.config.homing import home_tolerance
 from rig.config.prepared_run import LawOnDevice, PreparedRun
 from rig.config.sections import OSCILLATIONS, Experiment
 from rig.control import cogging, estimators, friction, laws
-from rig.control.law import Law
-from rig.control.step import CONTROL, ControllerState, new_memory
-from rig.control.watch import TRAVEL, TRAVEL_COUNTS, UNMOVED_SPEED
+from rig.control.laws import Law
+from rig.control.step import CONTROL, TRAVEL, TRAVEL_COUNTS, UNMOVED_SPEED, ControllerState, new_memory
 from rig.core.board import moved_mechanics
 from rig.core.errors import PlanError
 

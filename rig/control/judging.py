@@ -13,9 +13,35 @@ from numpy.typing import NDArray
 
 from firmware_protocol.faults import LimitFlag
 from firmware_protocol.messages import NO_COMMAND_YET
-from rig.control.measure import LOST_BITS, OVERRULED, Meter
+from rig.control.measure import (
+    LOST_BITS,
+    METER_TYPE,
+    NUMBERS,
+    NUMBERS_TYPE,
+    OVERRULED,
+    UNITS,
+    Meter,
+    MeterArguments,
+    measure,
+)
 from rig.control.verdict import Bools, Floats, Measured, Thresholds, Verdict
 from rig.core.sample import Phase, RowFlag
+
+__all__ = [
+    "METER_TYPE",
+    "NUMBERS",
+    "NUMBERS_TYPE",
+    "UNITS",
+    "Ints",
+    "MeterArguments",
+    "TrialSignals",
+    "judge",
+    "measure",
+    "measured",
+    "meter",
+    "recorded_signals",
+    "true_signals",
+]
 
 Ints = NDArray[np.int64]
 

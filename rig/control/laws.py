@@ -1,7 +1,8 @@
 """The family of force laws, by name, as `rig.control.estimators` is that of the estimators.
 
-A third party makes one of a plain function (`rig.control.plain_law`) and passes it to a command's function, or adds it
-by the entry-point group ``rig.laws``: a name and the ``module:attribute`` of a `rig.control.law.Law`.
+Preparations of a run and replays call it; it renders nothing itself. A third party makes a law of a plain function
+(`rig.control.plain_law`) and passes it to a command's function, or adds it by the entry-point group ``rig.laws``: a
+name and the ``module:attribute`` of a `Law`.
 """
 
 from __future__ import annotations
@@ -9,9 +10,17 @@ from __future__ import annotations
 from pkgutil import resolve_name
 from typing import cast
 
-from rig.control.law import Law
+from rig.control.law import Law, PreparedLaw
 from rig.core import plugins
 from rig.core.errors import ConfigError
+
+__all__ = [
+    "BUILT_IN",
+    "Law",
+    "PreparedLaw",
+    "get",
+    "names",
+]
 
 # Name → function that makes the law, imported with the compiled code of it.
 BUILT_IN = {

@@ -36,11 +36,52 @@ from rig.control.estimators.estimator import WINDOW, Prepared
 from rig.control.estimators.family import get as get_estimator
 from rig.control.estimators.fdm import count_difference
 from rig.control.law import Law, PreparedLaw
+from rig.control.watch import TRAVEL, TRAVEL_COUNTS, UNMOVED_COUNTS, UNMOVED_SPEED
 from rig.core.errors import RecordingError
 from rig.core.sample import HOLD, Phase, RowFlag
 from rig.realtime.groups import Floats, Ints, group, type_of
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_CLAMPED, EstimatorPlug, LawPlug
+
+__all__ = [
+    "CLAMPED",
+    "CONTROL",
+    "CONTROLLER_TYPE",
+    "CONTROL_TYPE",
+    "DONE",
+    "ENDS_RUN",
+    "ENERGY",
+    "FREE",
+    "HOMING",
+    "HOMING_FAILED",
+    "INSIDE",
+    "MEMORY",
+    "MEMORY_TYPE",
+    "NONFINITE",
+    "OUT_OF_WINDOW",
+    "RELEASE",
+    "SATURATED",
+    "SETTLE",
+    "SLEW_BOUND",
+    "THROWN_OUT",
+    "TRAVEL",
+    "TRAVEL_COUNTS",
+    "TRIAL",
+    "UNMOVED",
+    "UNMOVED_COUNTS",
+    "UNMOVED_SPEED",
+    "VELOCITY_UPDATED",
+    "VIOLENT",
+    "WAIT",
+    "ControllerArguments",
+    "ControllerState",
+    "Record",
+    "advance_phase",
+    "count_difference",
+    "new_memory",
+    "shown_phase",
+    "step",
+]
 
 CONTROL = np.dtype(
     [

@@ -14,7 +14,7 @@ from rig.config import homing as servos
 from rig.config.homing import ABOVE_FRICTION, USUAL_SHARE, holding_effort, home_tolerance
 from rig.config.velocity_reading import CUTOFF, highest_reading, quiet_cutoff
 from rig.control.current import SIGMAS
-from rig.control.watch import UNMOVED_COUNTS, UNMOVED_SPEED
+from rig.control.step import UNMOVED_COUNTS, UNMOVED_SPEED
 from rig.core.board import current_sensor
 from rig.core.check import Check, Outcome
 from rig.core.sample import unit_of

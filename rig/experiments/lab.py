@@ -16,8 +16,8 @@ from rig import config
 from rig.config import DEFAULT_PRESET, Experiment, controller, presets
 from rig.config.schemes import Scheme
 from rig.control import estimators, laws
-from rig.control.estimators.estimator import Estimator
-from rig.control.law import Law
+from rig.control.estimators import Estimator
+from rig.control.laws import Law
 from rig.core import plugins
 from rig.core.errors import ConfigError
 from rig.devices.framed import FramedDevice

@@ -26,7 +26,7 @@ from rig.config import (
 )
 from rig.config.checked import nest
 from rig.config.velocity_reading import COUNT_PEAK
-from rig.control.watch import UNMOVED_COUNTS
+from rig.control.step import UNMOVED_COUNTS
 from rig.core.check import refused
 from rig.core.errors import ConfigError, PlanError
 from rig.core.present import Item, Row

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.control.estimators.estimator import Ints
+from rig.control.estimators import Ints
 from rig.core.scratch import scratch
 from rig.firmware.cortex import CORES, Simulator, build
 from rig.firmware.estimator_c import FIXED, EstimatorC, c_float, estimator_c

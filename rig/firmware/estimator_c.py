@@ -14,7 +14,7 @@ import numpy as np
 from firmware_protocol.excerpt import excerpt, renamed
 from firmware_protocol.parameter import Value
 from rig.config.device_law import check_values
-from rig.control.estimators.estimator import PERIOD, RESOLUTION, Prepared
+from rig.control.estimators import PERIOD, RESOLUTION, Prepared
 from rig.control.on_device import NotOnDeviceError, estimator_parameters, velocity_format
 from rig.core.errors import ConfigError
 from rig.firmware.boards import FIRMWARE

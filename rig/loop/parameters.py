@@ -11,8 +11,7 @@ from typing import Any
 
 from numba import types
 
-from rig.control.estimators.fdm import count_difference
-from rig.control.step import CONTROL_TYPE, CONTROLLER_TYPE, ControllerArguments
+from rig.control.step import CONTROL_TYPE, CONTROLLER_TYPE, ControllerArguments, count_difference
 from rig.loop.layout import BUFFERS_TYPE, FLOATS, SHARED_TYPE, WORD, Buffers, SharedRing
 from rig.realtime import control_words
 from rig.realtime.atomics import store_word

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.control.estimators.own_counts import COUNTS, age_of_last_change, unwrapped, whole_numbers
+from rig.control.estimators import COUNTS, age_of_last_change, unwrapped, whole_numbers
 from rig.core.deferred import csv, pyarrow
 from rig.core.errors import ConfigError, RecordingError
 from rig.core.present import Row

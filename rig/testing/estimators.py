@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.control import estimators
-from rig.control.estimators.arrays import inputs, run
-from rig.control.estimators.estimator import PERIOD, RESOLUTION, Estimator, Prepared
+from rig.control.estimators import PERIOD, RESOLUTION, Estimator, Prepared, inputs, run
 from rig.testing.compiled import allocations, guarded
 
 Make = Callable[[float, float], Prepared]

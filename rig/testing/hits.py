@@ -17,7 +17,7 @@ import pytest
 from firmware_protocol.connection import State
 from rig import config, devices
 from rig.config import Experiment
-from rig.control.law import Law
+from rig.control.laws import Law
 from rig.control.verdict import Verdict
 from rig.core.errors import ConfigError, RigError, StoppedError
 from rig.devices.fault_script import Faults

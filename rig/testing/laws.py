@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.config import Wall
 from rig.control import laws
-from rig.control.law import Law, PreparedLaw
+from rig.control.laws import Law, PreparedLaw
 from rig.control.plain_law import PlainLaw
 from rig.realtime.plugs import LAW_CLAMPED
 from rig.testing import reactions as arrays

@@ -8,7 +8,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from rig.control.law import PreparedLaw
+from rig.control.laws import PreparedLaw
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW
 

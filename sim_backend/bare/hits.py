@@ -14,7 +14,7 @@ from numba import types
 
 from firmware_protocol.messages import OLDEST_EDGE
 from rig.control import judging
-from rig.control.measure import METER_TYPE, NUMBERS, NUMBERS_TYPE, MeterArguments, measure
+from rig.control.judging import METER_TYPE, NUMBERS, NUMBERS_TYPE, MeterArguments, measure
 from rig.control.step import DONE, THROWN_OUT, TRIAL, ControllerArguments, ControllerState
 from rig.control.verdict import Measured, Thresholds
 from rig.core.errors import LawError

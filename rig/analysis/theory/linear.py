@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.control import estimators
-from rig.control.estimators.arrays import inputs, run
-from rig.control.estimators.estimator import Estimator
+from rig.control.estimators import Estimator, inputs, run
 from rig.core.errors import ConfigError
 from rig.core.model import Matrix
 

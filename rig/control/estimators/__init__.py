@@ -1,9 +1,8 @@
-"""The family of velocity estimators, by name.
+"""The family of velocity estimators: by name, by their settings, and run over an array of counts.
 
-A third party makes one of a plain function (`rig.control.estimators.plain_estimator`), and adds it by the entry-point
-group ``rig.estimators``: a name and the ``module:attribute`` of an
-`rig.control.estimators.estimator.Estimator`. `estimate` runs any of them over an array of counts, `quantise` makes
-counts.
+Controllers, theory, comparisons and the documentation call it. It runs no loop and reads no recording; a third party
+makes an estimator of a plain function (`rig.control.estimators.plain_estimator`) and adds it by the entry-point group
+``rig.estimators``: a name and the ``module:attribute`` of an `Estimator`.
 """
 
 from __future__ import annotations
@@ -11,17 +10,74 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from rig.control.estimators.estimator import (
+    PERIOD,
+    RESOLUTION,
+    Choice,
+    Estimator,
+    Floats,
+    Ints,
+    Prepared,
+    Setting,
+)
 from rig.control.estimators.family import BUILT_IN, broken, get, names
 
 if TYPE_CHECKING:
-    from rig.control.estimators.arrays import estimate, estimate_with_window, quantise
+    from rig.control.estimators.arrays import (
+        estimate,
+        estimate_with_window,
+        inputs,
+        own_inputs,
+        quantise,
+        run,
+    )
+    from rig.control.estimators.own_counts import (
+        COUNTS,
+        age_of_last_change,
+        real_numbers,
+        unwrapped,
+        whole_numbers,
+    )
 
-__all__ = ["BUILT_IN", "broken", "estimate", "estimate_with_window", "get", "names", "quantise"]
+__all__ = [
+    "BUILT_IN",
+    "COUNTS",
+    "PERIOD",
+    "RESOLUTION",
+    "Choice",
+    "Estimator",
+    "Floats",
+    "Ints",
+    "Prepared",
+    "Setting",
+    "age_of_last_change",
+    "broken",
+    "estimate",
+    "estimate_with_window",
+    "get",
+    "inputs",
+    "names",
+    "own_inputs",
+    "quantise",
+    "real_numbers",
+    "run",
+    "unwrapped",
+    "whole_numbers",
+]
 
-_ON_ARRAYS = ("estimate", "estimate_with_window", "quantise")  # of `arrays`, imported on first use
+# Imported on first use: compiled code over arrays, and counts of other loggers.
+_LATER = {
+    "rig.control.estimators.arrays": (
+        "estimate", "estimate_with_window", "inputs", "own_inputs", "quantise", "run",
+    ),
+    "rig.control.estimators.own_counts": (
+        "COUNTS", "age_of_last_change", "real_numbers", "unwrapped", "whole_numbers",
+    ),
+}  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
-    if name in _ON_ARRAYS:
-        return getattr(import_module("rig.control.estimators.arrays"), name)
+    for module, found in _LATER.items():
+        if name in found:
+            return getattr(import_module(module), name)
     raise AttributeError(f"module 'rig.control.estimators' has no attribute {name!r}")

@@ -14,9 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.config.controller import resolution as signed
-from rig.control.estimators.arrays import inputs, own_inputs, quantise
-from rig.control.estimators.estimator import Floats, Ints
-from rig.control.estimators.own_counts import real_numbers
+from rig.control.estimators import Floats, Ints, inputs, own_inputs, quantise, real_numbers
 from rig.core.deferred import signal
 from rig.core.errors import ConfigError
 from rig.core.present import reported

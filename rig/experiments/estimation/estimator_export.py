@@ -27,8 +27,7 @@ import numpy as np
 from rig.config import Experiment
 from rig.config.controller import resolution as signed
 from rig.control import estimators
-from rig.control.estimators.arrays import run
-from rig.control.estimators.estimator import Floats, Ints, Prepared
+from rig.control.estimators import Floats, Ints, Prepared, run
 from rig.core.errors import ConfigError, ToolchainError
 from rig.core.present import Row, Table, reported
 from rig.core.sample import unit_of

@@ -19,8 +19,7 @@ from functools import lru_cache
 import numpy as np
 
 from rig.control import estimators
-from rig.control.estimators.arrays import inputs, run
-from rig.control.estimators.estimator import Estimator, Floats
+from rig.control.estimators import Estimator, Floats, inputs, run
 from rig.core.errors import ConfigError
 from rig.core.present import Item, Row
 from rig.core.sample import unit_of

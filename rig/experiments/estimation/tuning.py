@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.control import estimators
-from rig.control.estimators.estimator import Estimator, Floats, Setting
+from rig.control.estimators import Estimator, Floats, Setting
 from rig.core.deferred import optimize, stats
 from rig.core.errors import ConfigError
 from rig.core.present import Item, Row

@@ -12,7 +12,7 @@ from pathlib import Path
 from rig import config
 from rig.config import Experiment
 from rig.config.prepared_run import PreparedRun
-from rig.control.law import Law
+from rig.control.laws import Law
 from rig.core.check import Check, Outcome, refuse, refused
 from rig.core.errors import ConfigError
 from rig.core.same_rig import check_rig

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 from rig import config, devices
 from rig.config import Experiment
 from rig.config.prepared_run import PreparedRun
-from rig.control.law import Law
+from rig.control.laws import Law
 from rig.control.verdict import Verdict
 from rig.core.keyword import Keyword
 from rig.core.model import RigModel

@@ -12,7 +12,7 @@ import numpy as np
 
 from rig import config, devices
 from rig.config import Experiment, controller
-from rig.control.law import Law
+from rig.control.laws import Law
 from rig.devices.simulated import SimulatedHit
 
 HOMING_ALLOWANCE_S = 0.5  # beyond settling: the handle starts within the tolerance of its start

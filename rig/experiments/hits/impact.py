@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.control.estimators.estimator import Floats
+from rig.control.estimators import Floats
 
 LEAST_SWING = 2.0  # counts that the handle must turn back by, for a peak to be one
 SWING_SHARE = 0.1  # and of the depth of the first peak below the rest

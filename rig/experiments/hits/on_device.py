@@ -15,7 +15,7 @@ from typing import Any
 
 from rig import config, devices
 from rig.config import Experiment
-from rig.control.law import Law
+from rig.control.laws import Law
 from rig.core.errors import DeviceFaultError, GuardError
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened

@@ -25,7 +25,7 @@ import numpy as np
 from rig import config
 from rig.config import Experiment
 from rig.config.schemes import Scheme, describe_cutoffs
-from rig.control.measure import NUMBERS, UNITS
+from rig.control.judging import NUMBERS, UNITS
 from rig.control.verdict import CRITERIA, INVALID, Measured, Objection, objections
 from rig.core.errors import PlanError
 from rig.core.present import Item, Row, Table, plain, written

@@ -19,8 +19,8 @@ from rig.core.errors import (
 )
 from rig.devices.failures import failure
 from rig.devices.framed import FaultReport
+from rig.loop.interface import LoopEnd
 from rig.loop.layout import EndReason
-from rig.loop.run import LoopEnd
 
 # Reason → error, what happened, what to do. In braces: url, why (errno), cause_of_loss and loss_remedy
 # (`rig.devices.failures`), fault, fault_remedy, contradiction, cause (an exception), position and velocity of the last

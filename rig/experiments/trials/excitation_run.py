@@ -29,7 +29,7 @@ from rig.config import Experiment, controller, rig_model
 from rig.control import bilateral, laws
 from rig.control.excitation import Multisine
 from rig.control.excitation_table import ExcitationTable, Phases
-from rig.control.law import Law
+from rig.control.laws import Law
 from rig.core.errors import RecordingError
 from rig.core.exponential import expm
 from rig.core.model import RigModel, state_space

@@ -20,7 +20,7 @@ from rig.config.homing import holding_effort
 from rig.config.velocity_reading import COUNT_PEAK
 from rig.control import bilateral
 from rig.control.excitation import Multisine
-from rig.control.law import Law
+from rig.control.laws import Law
 from rig.control.motions import nudging, tracing
 from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError

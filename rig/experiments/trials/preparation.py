@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from rig.config import Experiment, controller
 from rig.config.prepared_run import PreparedRun
-from rig.control.law import Law
+from rig.control.laws import Law
 from rig.core.errors import DeviceRefusedError
 from rig.core.this_system import refuse_real_time
 from rig.devices.framed import FramedDevice

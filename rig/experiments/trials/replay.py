@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from firmware_protocol.connection import State
 from rig import config
 from rig.config import controller
-from rig.control.law import Law
+from rig.control.laws import Law
 from rig.control.step import DONE, ControllerState
 from rig.core.errors import LawError, RecordingError
 from rig.core.present import Item, Row, reported

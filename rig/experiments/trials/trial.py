@@ -33,11 +33,18 @@ from rig.devices.framed import SUPERVISE_EVERY_S, Echo, FaultReport, FramedDevic
 from rig.devices.local import host_beside
 from rig.experiments.trials.endings import IN_DOUBT, error_of
 from rig.experiments.trials.judgement import Judgement
-from rig.loop import exchange
+from rig.loop.interface import (
+    BOUNDS,
+    EVERY_NS,
+    NO_BOUND,
+    LoopEnd,
+    LoopSettings,
+    LoopThread,
+    Signals,
+    SupervisedThread,
+    stop_on_signals,
+)
 from rig.loop.layout import EndReason
-from rig.loop.run import LoopEnd, LoopSettings, LoopThread
-from rig.loop.signals import Signals, stop_on_signals
-from rig.loop.supervised import BOUNDS, NO_BOUND, SupervisedThread
 from rig.realtime import stop_requests
 from rig.realtime.ring import Ring
 from rig.realtime.scheduling import Realtime, obtained
@@ -247,7 +254,7 @@ def _arm(
         spin_ns=0 if virtual else round(min(experiment.host.spin_s, SPIN_SHARE * period_s) * 1e9),
         stop_requests=stop_requests.address(),
         stop_requests_before=signals.series.since,
-        exchange_every_ns=exchange.EVERY_NS,
+        exchange_every_ns=EVERY_NS,
         limit_switch=_switch_rule(experiment, leaves=request.leaves_switch),
     )
     if run.on_device is not None:

@@ -21,7 +21,7 @@ from typing import Any
 
 from rig.config import presets
 from rig.control import estimators
-from rig.control.estimators.estimator import Choice, Setting
+from rig.control.estimators import Choice, Setting
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import COLUMNS, UNITS, unit_of
 from rig.core.scratch import scratch

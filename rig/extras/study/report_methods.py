@@ -16,7 +16,7 @@ from typing import Any
 
 from rig.config import OSCILLATIONS, Controller, Experiment, parameters
 from rig.control import estimators
-from rig.control.estimators.estimator import Estimator
+from rig.control.estimators import Estimator
 from rig.core.errors import RigError
 from rig.extras.study.agreement import LEAST_PEOPLE
 from rig.extras.study.analyse import StudyAnalysis

@@ -21,7 +21,7 @@ from rig import config
 from rig.config import Experiment, presets
 from rig.config.controller import resolution
 from rig.config.schemes import Scheme
-from rig.control.estimators.estimator import Floats
+from rig.control.estimators import Floats
 from rig.core.errors import ConfigError
 from rig.core.present import plain, reported
 from rig.experiments.estimation.interface import Case, Variant, delay, estimates
