@@ -1,4 +1,4 @@
-"""Files of a kind of one's own in TOML: read, nest, check by a dataclass, and report every problem at once.
+"""Read TOML files of a declared kind: nest and check them by a dataclass, and report every problem at once.
 
 Experiments, protocols of studies and descriptions of boards are such files; each kind declares its dataclass as a
 `FileKind`. Types and ranges of every key are checked here, each by itself; rules that tie keys together belong to the

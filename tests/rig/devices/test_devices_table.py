@@ -208,7 +208,7 @@ def test_the_name_in_the_url_wins_over_the_model() -> None:
 
 
 def test_sim_without_a_name_needs_a_model() -> None:
-    with pytest.raises(ConfigError, match="nothing to simulate"):
+    with pytest.raises(ConfigError, match="names no rig to simulate"):
         devices.open_link("sim://")
     with pytest.raises(ConfigError, match="koul-compliant"):
         devices.open_link("sim://koul-complaint")
