@@ -19,8 +19,18 @@ from numpy.typing import NDArray
 from firmware_protocol import messages
 from firmware_protocol.packing import encoded_bytes
 from rig.core.errors import ConfigError
+from rig.devices.failures import failure
 from rig.devices.port import LoopPort
 from rig.realtime.clock import Clock
+
+__all__ = [
+    "LINK_SHARE",
+    "STATE_BYTES",
+    "DeviceUrl",
+    "Link",
+    "RealLink",
+    "failure",
+]
 
 STATE_BYTES = encoded_bytes(messages.State)  # of the host loop's larger frame, on the wire
 LINK_SHARE = 0.7  # of a link's capacity that a loop may use; the rest is for answers and retries

@@ -15,8 +15,22 @@ from rig.core.clock_fit import ClockFit
 from rig.core.errors import RecordingError, RigError
 from rig.recording.canonical import lossless
 from rig.recording.data import Recording
-from rig.recording.timing import Ledger, ledger
-from rig.recording.timing_summary import summarise
+from rig.recording.timing import LATENESS, STAGES, Ledger, ledger
+from rig.recording.timing_summary import TimingSummary, summarise
+
+__all__ = [
+    "CLOCK_KEY",
+    "LATENESS",
+    "STAGES",
+    "TIMING_KEY",
+    "Ledger",
+    "TimingSummary",
+    "clock_of",
+    "ledger_of",
+    "period_ns_of",
+    "summarise",
+    "with_ledger",
+]
 
 CLOCK_KEY = "clock"  # of the trailer: a `rig.core.clock_fit.ClockFit`
 TIMING_KEY = "timing"  # of the trailer: a `rig.recording.timing_summary.TimingSummary`

@@ -17,7 +17,7 @@ from rig.core.errors import (
     RigError,
     StoppedError,
 )
-from rig.devices.failures import failure
+from rig.devices.device import failure
 from rig.devices.framed import FaultReport
 from rig.loop.interface import LoopEnd
 from rig.loop.layout import EndReason

@@ -18,11 +18,10 @@ from pathlib import Path
 from rig.core import locks
 from rig.core.errors import ConfigError, RecordingError, RigError
 from rig.realtime import running
-from rig.recording.capture import SUFFIX
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording
 from rig.recording.recorder import AT_RISK_S
-from rig.recording.seal import SEALED_SUFFIX, seal
+from rig.recording.seal import SEALED_SUFFIX, SUFFIX, seal
 
 SEALING_S = 5.0  # a run that ended as it should seals its recording within this time
 

@@ -19,12 +19,12 @@ from rig.experiments.trials.replay import ReplayResult
 from rig.experiments.trials.replay import replay as replayed
 from rig.extras.console.history import HistoryExcerpt
 from rig.extras.console.view import packed
-from rig.recording.capture import SUFFIX as CAPTURE
 from rig.recording.data import Recording
 from rig.recording.export import EXPORTERS, write_sidecar
 from rig.recording.origin import cut_facts
 from rig.recording.reader import open_facts, open_recording
 from rig.recording.seal import SEALED_SUFFIX
+from rig.recording.seal import SUFFIX as CAPTURE
 from rig.views.plots.hit import draw_hit
 
 SUFFIXES = (SEALED_SUFFIX, CAPTURE)
