@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 import rig.cli
 from rig.core.errors import ConfigError, RecordingError, RigError
-from rig.experiments.mapping import interface as maps
+from rig.experiments.mapping import interface, maps
 from rig.experiments.sweep import run_here
 from rig.experiments.sweep.journal import Journal, read_on
 from rig.extras.console import map_errands, map_jobs
@@ -216,7 +216,7 @@ def test_the_page_starts_the_map_that_the_command_starts(
         asked.append((plan, place))
         raise ConfigError("not in this test")
 
-    monkeypatch.setattr(maps, "map_into", map_into)
+    monkeypatch.setattr(interface, "map_into", map_into)
     CliRunner().invoke(rig.cli.rig, [*options, "-o", str(tmp_path)])
     held = (
         {} if fields.get("domain") else {"trial.kind": "human", "operator.grip": "normal"}
