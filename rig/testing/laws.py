@@ -18,7 +18,7 @@ from rig.control import laws
 from rig.control.laws import Law, PreparedLaw
 from rig.control.plain_law import PlainLaw
 from rig.realtime.plugs import LAW_CLAMPED
-from rig.testing import reactions as arrays
+from rig.testing import law_arrays as arrays
 from rig.testing.compiled import allocations, guarded
 
 Floats = NDArray[np.float64]
