@@ -23,7 +23,7 @@ from rig.session.protocols import (
     CellPlan,
     ExpectedRange,
     StudyPlan,
-    in_words,
+    format_size,
     json_schema,
     load_protocol,
     study_directory,
@@ -137,7 +137,7 @@ def _print(plan: StudyPlan, *, unblind: bool) -> None:
             *_taken(plan),
             (
                 "on disk",
-                f"{in_words(plan.trial_bytes)} a trial, {in_words(plan.disk_bytes.likely)} a participant",
+                f"{format_size(plan.trial_bytes)} a trial, {format_size(plan.disk_bytes.likely)} a participant",
             ),
             ("a rehearsal", f"about {_minutes(plan.rehearsal_s)} min of computing"),
             *(("hidden from", who) for who in plan.hidden),

@@ -29,7 +29,7 @@ from rig.session.conducting import (
     event_of_trial,
     last_opened,
     line_of_event,
-    lost_samples,
+    list_lost_samples,
     rehearsal_desk,
     session_state,
     set_damaged_line_aside,
@@ -223,7 +223,7 @@ def resume(
         kept = set_damaged_line_aside(directory / LOG)
         found = "no line is damaged" if kept is None else f"the damaged line was moved to {kept}"
         click.echo(f"rig: {found}", err=True)
-    person, place = conducting.rehearsed(directory), conducting.took_place(directory)
+    person, place = conducting.read_person(directory), conducting.took_place(directory)
     runner = _runner(
         url or place.url, realtime or place.realtime or person is None, verified, arm_anyway, lossy_anyway
     )
@@ -258,7 +258,7 @@ def show(directory: Path, with_log: bool, unblind: bool, as_json: bool) -> None:
             raise
         damage, events = error, list(error.events)
         state = SessionState.of(events)
-    result = summary(directory, state, events, tuple(lost_samples(last_opened(events))))
+    result = summary(directory, state, events, tuple(list_lost_samples(last_opened(events))))
     if as_json:
         listed = [
             {

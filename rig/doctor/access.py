@@ -25,7 +25,7 @@ RULES_PLACES = ("etc/udev/rules.d", "run/udev/rules.d", "usr/lib/udev/rules.d", 
 
 @question("serial ports", "the user must be allowed to open the rig's port")
 def serial_ports(machine: Machine) -> Check:
-    """Whether this user may open the serial ports that are here, or those that will be."""
+    """Check whether this user may open the serial ports that are here, or those that will be."""
     ports = sorted(path for pattern in PORTS for path in (machine.root / "dev").glob(pattern))
     closed = [path for path in ports if not machine.openable(path)]
     if not ports:
@@ -65,7 +65,7 @@ def _groups(machine: Machine) -> dict[str, list[str]]:
     "they name the rig's port after its serial number, grant access to it, and keep other programs away",
 )
 def udev_rules_present(machine: Machine) -> Check:
-    """Whether the rules for rigs are installed."""
+    """Check whether the rules for rigs are installed."""
     path = machine.root / RULES_FILE.lstrip("/")
     if path.exists() or any("haptic-rig" in rules.name for rules in _rules(machine)):
         return ok("installed")
@@ -74,7 +74,7 @@ def udev_rules_present(machine: Machine) -> Check:
 
 @question("ModemManager", "it opens every new serial port and sends modem commands for up to half a minute")
 def modem_manager(machine: Machine) -> Check:
-    """Whether a program that looks for modems would open the port first."""
+    """Check whether a program that looks for modems would open the port first."""
     if not running(machine.root, "ModemManager"):
         return ok("not running")
     ignoring = (rules for rules in _rules(machine) if "haptic-rig" in rules.name)
@@ -85,7 +85,7 @@ def modem_manager(machine: Machine) -> Check:
 
 @question("brltty", "it takes some serial adapters (CH340, CP210x, FTDI) for braille displays and keeps them")
 def brltty(machine: Machine) -> Check:
-    """Whether a program for braille displays would take the adapter."""
+    """Check whether a program for braille displays would take the adapter."""
     rules = [rules.name for rules in _rules(machine) if "brltty" in rules.name]
     if not running(machine.root, "brltty") and not rules:
         return ok("not installed")
@@ -96,7 +96,7 @@ def brltty(machine: Machine) -> Check:
 
 
 def running(root: Path, program: str) -> bool:
-    """Whether a program runs, by its name in the process table."""
+    """Return True if a program runs, by its name in the process table."""
     return any(text_of(path) == program for path in (root / "proc").glob("[0-9]*/comm"))
 
 

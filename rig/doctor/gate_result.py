@@ -74,26 +74,26 @@ class Gate:
 
     @reported
     def armable(self) -> bool:
-        """Whether no check refuses."""
+        """Return True if no check refuses."""
         return not self.refused
 
     @property
     def refused(self) -> tuple[Check, ...]:
-        """The checks that refuse."""
+        """Return the checks that refuse to arm the wall."""
         return check.refused(self.checks)
 
     @property
     def text(self) -> str:
-        """All reasons against arming."""
+        """Return the texts of all refusing checks, joined."""
         return "; ".join(one.text for one in self.refused)
 
     @property
     def remedy(self) -> str:
-        """What to do, all of it."""
+        """Return all remedies in one text."""
         return "; ".join(dict.fromkeys(one.remedy for one in self.refused))
 
     def items(self) -> list[Item]:
-        """Return it for people."""
+        """Return the checks of the gate as items to print."""
         verdict = Check("arming", Outcome.OK, "this wall may be armed")
         if not self.armable:
             verdict = Check("arming", Outcome.REFUSED, "this wall must not be armed")

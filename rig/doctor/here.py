@@ -45,7 +45,7 @@ class Here:
         }
 
     def items(self) -> list[Item]:
-        """Return it for people."""
+        """Return what was found as items to print."""
         nothing = [Row("none", "")]
         return [
             "backends",
@@ -60,7 +60,7 @@ class Here:
 
 
 def here() -> Here:
-    """Look; nothing is opened."""
+    """List backends, ports, USB devices and simulated rigs without opening any."""
     return Here(
         backends=tuple((one, devices.broken(one.scheme)) for one in devices.backends()),
         ports=tuple(serial_port(name, text)[0] for name, text in available_ports()),

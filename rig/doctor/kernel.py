@@ -42,7 +42,7 @@ def preemption(machine: Machine) -> Check:
 
 @question("timers", "coarse timers wake the loop at multiples of 1 to 10 ms only")
 def timer(machine: Machine) -> Check:
-    """Whether timers are finer than the kernel's tick."""
+    """Check whether timers are finer than the kernel's tick."""
     listed = re.search(r"\.resolution:\s*(\d+) nsecs", text_of(machine.root / "proc/timer_list"))
     resolution = int(listed[1]) if listed else round(time.clock_getres(time.CLOCK_MONOTONIC) * 1e9)
     if resolution <= COARSE_NS:
@@ -57,7 +57,7 @@ def timer(machine: Machine) -> Check:
     "clock", "the loop reads the clock several times a tick, and a slow counter costs microseconds each time"
 )
 def clock(machine: Machine) -> Check:
-    """Whether reading the clock is cheap."""
+    """Check whether reading the clock is cheap."""
     source = facts.clock_source(machine.root)
     if source not in SLOW_CLOCKS:
         return ok(source or "not known")
@@ -69,7 +69,7 @@ def clock(machine: Machine) -> Check:
 
 @question("frequency", "a processor that lowers its clock between ticks computes the next tick late")
 def governor(machine: Machine) -> Check:
-    """Whether processors stay at their full frequency."""
+    """Check whether processors stay at their full frequency."""
     chosen = facts.governors(machine.root)
     others = sorted(by for by in chosen.values() if by != "performance")
     if not chosen:
@@ -83,7 +83,7 @@ def governor(machine: Machine) -> Check:
 
 @question(refusals.PROCESSOR, "on an isolated processor the loop shares neither time nor caches")
 def isolation(machine: Machine) -> Check:
-    """Whether the loop's processor is its own."""
+    """Check whether the loop's processor is its own."""
     cpu, isolated = machine.request.cpu, sorted(facts.isolated_cpus(machine.root))
     online = sorted(facts.online_cpus(machine.root))
     if cpu is None:
@@ -104,7 +104,7 @@ def isolation(machine: Machine) -> Check:
     "virtual machine", "the hypervisor may stop this machine for milliseconds, which nothing here can prevent"
 )
 def virtual_machine(machine: Machine) -> Check:
-    """Whether this machine is a virtual one."""
+    """Check whether this machine is a virtual one."""
     flags = re.search(r"^flags\s*:.*\bhypervisor\b", text_of(machine.root / "proc/cpuinfo"), re.MULTILINE)
     below = text_of(machine.root / "sys/hypervisor/type") or text_of(
         machine.root / "proc/device-tree/hypervisor/compatible"

@@ -53,7 +53,7 @@ def _not_computed(error: ConfigError) -> Check:
 def stability(
     experiment: Experiment, delay: int, radius: Mapping[str, float], limits: Mapping[str, float]
 ) -> Check:
-    """Whether any hand makes the wall unstable, by its spectral radius and limits in each."""
+    """Check whether any hand makes the wall unstable, by its spectral radius and limits in each."""
     wall, unit = experiment.wall, unit_of("stiffness", experiment.rig.motion)
     hands, largest = unstable_hands(radius, wall.stiffness), min(limits.values())
     what = f"K = {wall.stiffness:g} {unit} with B = {wall.damping:g}"

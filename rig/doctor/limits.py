@@ -21,7 +21,7 @@ assert sys.platform == "linux"
     "without real-time priority a thread waits for other programs, for milliseconds on a busy machine",
 )
 def priority(machine: Machine) -> Check:
-    """Whether SCHED_FIFO is granted: by limits and control group, then by trying it in a short-lived thread."""
+    """Check whether SCHED_FIFO is granted: by limits and control group, then by trying it in a short-lived thread."""
     wanted = machine.request.priority
     if not machine.rights.may_schedule(wanted):
         return machine.judged(refusals.of_policy(wanted, machine.rights, errno.EPERM, machine.root))
@@ -32,7 +32,7 @@ def priority(machine: Machine) -> Check:
 
 @question(refusals.MEMORY, "reading a swapped memory page back from disk stops the loop for milliseconds")
 def memory(machine: Machine) -> Check:
-    """Whether all of the program's memory may be locked."""
+    """Check whether all of the program's memory may be locked."""
     if machine.rights.may_lock(status_kilobytes("VmSize", machine.root) * 1024 + refusals.ROOM):
         return ok("the program may lock its memory")
     return machine.judged(refusals.of_memory(machine.rights, root=machine.root))
@@ -50,7 +50,7 @@ def idle_states(machine: Machine) -> Check:
 
 @question("swap", "swapped memory must be read back from disk before the loop continues")
 def swap(machine: Machine) -> Check:
-    """Whether memory may be moved to a disk."""
+    """Check whether memory may be moved to a disk."""
     areas = [line.split() for line in text_of(machine.root / "proc/swaps").splitlines()[1:]]
     used = sum(int(area[3]) for area in areas if len(area) > 3 and area[3].isdecimal()) // 1024
     if not areas:

@@ -51,5 +51,5 @@ def machine_checks(
     machine = machine or Machine(request=host or Host())
     checks = [check(machine) for check in CHECKS]
     if seconds > 0:
-        checks.append(wake_up.judged(wake_up.measure(machine.request, seconds)))
+        checks.append(wake_up.judge(wake_up.measure(machine.request, seconds)))
     return checks

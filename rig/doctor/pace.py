@@ -64,7 +64,7 @@ class Pace:
 
     @property
     def text(self) -> str:
-        """What was measured, where something was lost; empty where nothing was."""
+        """Return a sentence about the losses; empty if nothing was lost."""
         if self.lost_share == 0.0:
             return ""
         lost = f"{100 * self.lost_share:.2g} % of the samples at {self.rate_hz} Hz, or is late with them"
@@ -101,7 +101,7 @@ def measured_pace(device: FramedDevice, host: Host, rate_hz: int, limits: Verdic
 
 
 def pace_of(measurement: LinkMeasurement, rate_hz: int, limits: VerdictLimits) -> Pace:
-    """What a measurement says of a rate."""
+    """Return the losses at a rate, from a measurement of the link."""
     received_ns = measurement.exchanges[:, EXCHANGE.host_received]
     apart_ns = np.diff(received_ns)
     late_ns = np.maximum(apart_ns - int(np.median(apart_ns)), 0)

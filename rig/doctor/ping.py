@@ -65,7 +65,7 @@ class PingBuffers(NamedTuple):
 
     @classmethod
     def allocate(cls) -> PingBuffers:
-        """Make them, zeroed."""
+        """Allocate the arrays that the compiled ping loop uses, zeroed."""
         return cls(
             received=np.zeros(RECEIVE_BYTES, np.uint8),
             raw=np.zeros(codec.RAW_BYTES, np.uint8),

@@ -34,7 +34,7 @@ def ports_here() -> tuple[list[Port], list[Check]]:
 
 
 def serial_port(name: str, description: str = "") -> tuple[Port, PortFacts]:
-    """What is known of one serial port."""
+    """Return the facts about one serial port."""
     facts = port_facts(name)
     return Port(DeviceUrl.of("serial", name).text, description or facts.product or "", facts), facts
 

@@ -29,7 +29,7 @@ __all__ = [
     "finding",
     "homing_checks",
     "late_wall",
-    "predicted",
+    "predict_checks",
     "quieter_changes",
     "round_up",
     "speed_reading",
@@ -42,7 +42,7 @@ COUNT_SPEED_SHARE = 0.5  # of the speed limit, as which one count may read where
 QUIET_SHARE = 0.9  # of a window's ticks in which a current must be above the noise to be compared
 
 
-def predicted(x: Experiment, ticks: int) -> list[Check]:
+def predict_checks(x: Experiment, ticks: int) -> list[Check]:
     """Return the checks of a run whose commands act so many ticks late, besides the set-point's delay."""
     return [*homing_checks(x, ticks), *_approach_checks(x), *_current_checks(x)]
 
@@ -100,15 +100,15 @@ def finding(
 
 def round_up(value: float) -> float:
     """Return three digits, not below a value."""
-    return _rounded(value, math.ceil)
+    return _round(value, math.ceil)
 
 
 def _down(value: float) -> float:
     """Three digits, not above a value."""
-    return _rounded(value, math.floor)
+    return _round(value, math.floor)
 
 
-def _rounded(value: float, way: Callable[[float], int]) -> float:
+def _round(value: float, way: Callable[[float], int]) -> float:
     if value == 0.0 or not math.isfinite(value):
         return value
     scale = 10.0 ** (math.floor(math.log10(abs(value))) - 2)
@@ -235,7 +235,7 @@ def _homing_time(x: Experiment) -> Check:
 
 
 def _approach_checks(x: Experiment) -> Iterator[Check]:
-    """Whether an automated push moves the handle, and brings it to the wall in time."""
+    """Check whether an automated push moves the handle, and brings it to the wall in time."""
     if x.trial.kind != "constant-effort":
         return
     unit, held, push = unit_of("effort", x.rig.motion), holding_effort(x), abs(motor_push(x))
@@ -273,7 +273,7 @@ def _unseen_speed(x: Experiment, net: float) -> Check:
 
 
 def _current_checks(x: Experiment) -> Iterator[Check]:
-    """What the comparison of currents sees at this rate: delay, quantum, noise."""
+    """Check which current differences can be detected at this rate, with delay, quantum and noise."""
     model, amplifier = rig_model(x), x.rig.amplifier
     sensor = current_sensor(model)
     if sensor.noise < 0.0 or not amplifier.current_monitor:

@@ -125,7 +125,7 @@ class LinkMeasurement:
         return 0 if self.virtual else ticks_late(self.late_s, rate, pacing)
 
     def rows(self) -> list[Row]:
-        """Return it for people."""
+        """Return the measurement as rows to print."""
         asked = (
             "as fast as the device replies" if self.asked_rate_hz is None else f"at {self.asked_rate_hz:g} Hz"
         )
@@ -304,7 +304,7 @@ class _Run:
             )
 
     def measured(self, simulated: bool, time_unit_ns: float) -> LinkMeasurement:
-        """Compute the result."""
+        """Compute the statistics of the measured round trips."""
         tally = dict(zip(TALLY._fields, self._tally.tolist(), strict=True))
         if not tally["answered"]:
             raise LinkLostError(

@@ -20,7 +20,7 @@ assert sys.platform == "linux"
 
 
 def openable(path: Path) -> bool:
-    """Whether this process may read and write a device, by owner, group or access list."""
+    """Return True if this process may read and write a device, by owner, group or access list."""
     return os.access(path, os.R_OK | os.W_OK)
 
 
@@ -35,6 +35,6 @@ class Machine:
     tried: Callable[[int, int | None], tuple[object, list[Check]]] = tried  # with a priority and a processor
 
     def judged(self, refusal: Check) -> Check:
-        """What the kernel refuses (`rig.realtime.scheduling.refusals`), as bad as the experiment takes it."""
+        """Return a refusal of the kernel, as a warning unless the experiment enforces real time."""
         demanded = self.request.realtime == "enforce"
         return refusal if demanded else replace(refusal, outcome=Outcome.WARNING)

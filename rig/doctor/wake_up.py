@@ -95,8 +95,8 @@ def measure(request: RealtimeRequest, seconds: float = 1.0, rate_hz: int = RATE_
 
 
 @question("wake-ups", "wake-up latency shortens each period and varies from tick to tick")
-def judged(woken: WakeUps) -> Check:
-    """Judge a measurement."""
+def judge(woken: WakeUps) -> Check:
+    """Return checks of the measured wake-up latencies."""
     thread = woken.thread
     policy = f"{thread.name} {thread.priority}" if thread.priority else thread.name
     p50, p99, worst = (f"{value * 1e6:.0f} µs" for value in (woken.p50_s, woken.p99_s, woken.worst_s))

@@ -43,7 +43,7 @@ def configure(
     package, sources
         Version of this package, and fingerprint of the C sources.
     """
-    model = _measured(model, settings)
+    model = _with_current_sensor(model, settings)
     facts = ImageFacts(
         package=package, sources=sources, board=board.name, rig=model.name, settings=dict(settings)
     )
@@ -66,7 +66,7 @@ def configure(
     )
 
 
-def _measured(model: RigModel, settings: dict[str, SettingValue]) -> RigModel:
+def _with_current_sensor(model: RigModel, settings: dict[str, SettingValue]) -> RigModel:
     """Return the rig with the current sensor that the board has: none, or one as coarse as converter and output."""
     amplifier, monitor = model.amplifier, settings.get("current_monitor")
     if monitor == "none":

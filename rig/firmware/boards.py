@@ -135,7 +135,7 @@ class Board(BoardFile):
     processor: tuple[str, ...]
 
     def items(self) -> list[Item]:
-        """Return it for people."""
+        """Return the board and its settings as rows to print."""
         named = [
             Row(f"{name} = {one.default}", f"{one.meaning}{f' ({one.unit})' if one.unit else ''}")
             for name, one in self.settings.items()
@@ -216,7 +216,7 @@ def settings_of(board: Board, chosen: Mapping[str, Any]) -> dict[str, SettingVal
                 f"board {board.name} has no setting {name!r}", remedy=f"choose one of its settings: {known}"
             )
     values = {
-        name: _checked(board, setting, chosen.get(name, setting.default))
+        name: _check_setting(board, setting, chosen.get(name, setting.default))
         for name, setting in board.settings.items()
     }
     _check_pins(board, values)
@@ -238,7 +238,7 @@ def _check_pins(board: Board, values: Mapping[str, SettingValue]) -> None:
             used[pin] = name
 
 
-def _checked(board: Board, setting: BoardSetting, value: Any) -> SettingValue:
+def _check_setting(board: Board, setting: BoardSetting, value: Any) -> SettingValue:
     wanted = type(setting.default)
     if wanted is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
@@ -251,12 +251,12 @@ def _checked(board: Board, setting: BoardSetting, value: Any) -> SettingValue:
     if not good:
         raise ConfigError(
             f"{setting.name} = {value!r} of board {board.name}: {setting.meaning}",
-            remedy=f"give {_allowed(setting)}",
+            remedy=f"give {_describe_range(setting)}",
         )
     return value  # type: ignore[no-any-return]
 
 
-def _allowed(setting: BoardSetting) -> str:
+def _describe_range(setting: BoardSetting) -> str:
     if setting.choices:
         return " or ".join(setting.choices)
     kind = "a whole number" if isinstance(setting.default, int) else "a number"

@@ -137,7 +137,7 @@ class BuildResult:
     warnings: tuple[str, ...] = ()
 
     def rows(self) -> list[Row]:
-        """Return it for people."""
+        """Return the result of the build as rows to print."""
         return [
             Row("firmware", self.firmware),
             Row("rig", self.rig),
@@ -163,7 +163,7 @@ def _share(taken: int, room: int) -> str:
 
 
 def _warnings(request: BuildRequest, budget: TickBudget | None, step_a: float | None) -> tuple[str, ...]:
-    """What the experiment of the rig asks for, and this image and its output do not have."""
+    """Return warnings about what the rig's experiment needs and this image does not provide."""
     found, own, quantum = [], request.controller, request.model.amplifier.current_quantum_a
     if budget is not None and own is not None and own.loop == "device":
         most = budget.rate_maximum(own.estimator)
@@ -217,9 +217,9 @@ def build(request: BuildRequest, on_progress: Progress = lambda _what, _share: N
     sources = (*shared_sources(request.application), *board.sources(ports))
     config = configure(board, request.model, settings, package=package_version(), sources=sources_hash(board))
     with scratch("firmware") as place:
-        content = _compiled(compiler, board, sources, config, place, on_progress)
+        content = _compile(compiler, board, sources, config, place, on_progress)
     segments = read_segments(content, "the new program")
-    return _written(request, board, compiler, config, content, segments, settings, step_a)
+    return _write(request, board, compiler, config, content, segments, settings, step_a)
 
 
 def shared_sources(application: str = DEVICE) -> tuple[Path, ...]:
@@ -234,12 +234,12 @@ def sources_hash(board: Board) -> str:
     digest = hashlib.sha256()
     directories = [*(FIRMWARE / part for part in SHARED), board.directory]
     files = (path for directory in directories for path in directory.iterdir() if path.is_file())
-    for name, path in sorted((_in_tree(path, board).as_posix(), path) for path in files):
+    for name, path in sorted((_path_in_tree(path, board).as_posix(), path) for path in files):
         digest.update(name.encode() + b"\0" + hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()[:12]
 
 
-def _in_tree(path: Path, board: Board) -> Path:
+def _path_in_tree(path: Path, board: Board) -> Path:
     """Where the compiler finds a source: its board may lie anywhere."""
     if path.is_relative_to(board.directory):
         return Path("board") / path.relative_to(board.directory)
@@ -247,14 +247,14 @@ def _in_tree(path: Path, board: Board) -> Path:
 
 
 def package_version() -> str:
-    """Version of this package."""
+    """Return the version of the installed haptic-rig."""
     try:
         return version("haptic-rig")
     except PackageNotFoundError:
         return "0"  # a tree that was never installed
 
 
-def _compiled(
+def _compile(
     compiler: Compiler,
     board: Board,
     sources: tuple[Path, ...],
@@ -270,7 +270,7 @@ def _compiled(
             shutil.copytree(directory, scratch / name)
     (scratch / "board_config.h").write_text(config.header, encoding="utf-8")
     (scratch / "board_config.c").write_text(config.source, encoding="utf-8")
-    names = [_in_tree(path, board).as_posix() for path in sources] + ["board_config.c"]
+    names = [_path_in_tree(path, board).as_posix() for path in sources] + ["board_config.c"]
     include = ["-I.", *(f"-Ifirmware/{part}" for part in SHARED), "-Iboard"]
     nowhere = f"-ffile-prefix-map={os.path.realpath(scratch)}=."  # the debugger's own notes have paths, too
     common = [*WARNINGS, *CODE, nowhere, *board.processor, *board.compile, *include]
@@ -294,7 +294,7 @@ def _compiled(
     return content if board.sealed_behind is None else sealed(content, board.sealed_behind)
 
 
-def _written(
+def _write(
     request: BuildRequest,
     board: Board,
     compiler: Compiler,
@@ -345,7 +345,7 @@ def _written(
             paths["uf2"].write_bytes(write_uf2(pieces, board.uf2_family))
         paths["json"].write_text(json.dumps(facts, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
     except OSError as error:
-        raise _not_written(request.output, error) from None
+        raise _write_error(request.output, error) from None
     return result
 
 
@@ -353,10 +353,10 @@ def _make_directory(directory: Path) -> None:
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise _not_written(directory, error) from None
+        raise _write_error(directory, error) from None
 
 
-def _not_written(directory: Path, error: OSError) -> RecordingError:
+def _write_error(directory: Path, error: OSError) -> RecordingError:
     return RecordingError(
         f"the image cannot be written to {directory}: {error.strerror or error}",
         remedy="give another directory with `output`",

@@ -44,7 +44,7 @@ class CortexCore:
 
     @property
     def cycles_known(self) -> bool:
-        """Whether the cycles that are estimated say something of this processor."""
+        """Return True if the cycles that are estimated say something of this processor."""
         return self.name != "M33F"
 
 

@@ -75,7 +75,7 @@ def _cost(name: str, estimator: EstimatorC, counts: Ints, elapsed: Ints) -> Cost
     core = CORES[name]
     with scratch("cycles") as place:
         source = place / "called.c"
-        source.write_text(estimator.code + _called(estimator), encoding="utf-8")
+        source.write_text(estimator.code + _write_harness(estimator), encoding="utf-8")
         image = build(core, place, [source], _ENTRIES)
     simulator = Simulator(image)
     simulator.call("begin")
@@ -95,7 +95,7 @@ def _cost(name: str, estimator: EstimatorC, counts: Ints, elapsed: Ints) -> Cost
     )
 
 
-def _called(estimator: EstimatorC) -> str:
+def _write_harness(estimator: EstimatorC) -> str:
     """Functions that the simulator can call, and the memory that they share."""
     prefix = estimator.prefix
     return f"""

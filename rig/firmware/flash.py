@@ -247,7 +247,7 @@ def _copy(content: bytes, drive: BootDrive, name: str, on_progress: Progress) ->
 
 
 def _is_there(drive: BootDrive) -> bool:
-    """Whether the drive still shows its file; a stale mount, which gives an error, is one that is gone."""
+    """Return True if the drive still shows its file; a stale mount, which gives an error, is one that is gone."""
     try:
         return (drive.path / INFO_FILE).exists()
     except OSError:

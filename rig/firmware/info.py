@@ -40,11 +40,11 @@ class FirmwareInfo(FirmwareFacts):
 
     @reported
     def compatible(self) -> bool:
-        """Whether this package can run it."""
+        """Return True if this package can run it."""
         return not refused(self.checks)
 
     def items(self) -> list[Item]:
-        """Return it for people."""
+        """Return the facts and checks of the firmware as items to print."""
         board = [Row("board", self.facts.board)] if self.facts else []
         return [*board, *self.rows(), Row("compatible", self.compatible), *self.checks]
 
@@ -86,7 +86,7 @@ def compatibility(dictionary: Dictionary) -> Iterator[Check]:
         if mismatch := _mismatch(parameter, known.pop(parameter.id, None)):
             yield Check("parameters", Outcome.REFUSED, mismatch, FLASH)
     if known:
-        text = f"the firmware has {len(known)} parameters unknown to this package: {_listed(list(known.values()))}"
+        text = f"the firmware has {len(known)} parameters unknown to this package: {_list_names(list(known.values()))}"
         yield Check("parameters", Outcome.WARNING, text)
 
 
@@ -101,5 +101,5 @@ def _mismatch(ours: Parameter, theirs: ParameterInfo | None) -> str:
     return ""
 
 
-def _listed(parameters: list[ParameterInfo]) -> str:
+def _list_names(parameters: list[ParameterInfo]) -> str:
     return ", ".join(info.name for info in parameters[:5]) + ("" if len(parameters) <= 5 else ", …")

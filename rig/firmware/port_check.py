@@ -121,11 +121,11 @@ class PortCheck:
 
     @reported
     def passed(self) -> bool:
-        """Whether no duty is broken."""
+        """Return True if no duty is broken."""
         return not check.refused(self.checks)
 
     def items(self) -> list[Item]:
-        """Return it for people."""
+        """Return the checks of the duties as items to print."""
         return list(self.checks)
 
 
@@ -168,11 +168,11 @@ class BoardUnderTest:
         numbers = struct.pack(f"<{len(arguments)}I", *(one % 2**32 for one in arguments))
         self.link.write(b"\0" + encode_frame(header + _HEAD.pack(self._nonce, probe) + numbers))
         clock = self.link.clock
-        heard = clock.now_ns()
-        deadline = heard + round(self.patience * wait_s * 1e9)
-        while clock.now_ns() < min(deadline, heard + round(self.patience * quiet_s * 1e9)):
+        received_ns = clock.now_ns()
+        deadline = received_ns + round(self.patience * wait_s * 1e9)
+        while clock.now_ns() < min(deadline, received_ns + round(self.patience * quiet_s * 1e9)):
             data = self.link.read(0.01)
-            heard = clock.now_ns() if data else heard
+            received_ns = clock.now_ns() if data else received_ns
             for raw in self._splitter.feed(data):
                 answer = self._answer(raw)
                 if answer is not None:
@@ -199,7 +199,7 @@ class BoardUnderTest:
         return self.ask(PortProbe.BOARD)
 
     def answers(self, wait_s: float) -> bool:
-        """Whether it answers in time."""
+        """Return True if it answers in time."""
         try:
             self.ask(PortProbe.BOARD, wait_s=wait_s)
         except (NoAnswerError, LinkLostError):
@@ -220,7 +220,7 @@ class BoardUnderTest:
         raise NoAnswerError
 
     def pause(self, seconds: float) -> None:
-        """Let time pass."""
+        """Wait for so many seconds while reading the link."""
         ends = self.link.clock.now_ns() + round(seconds * 1e9)
         while (left := ends - self.link.clock.now_ns()) > 0:
             self._splitter.feed(self.link.read(left * 1e-9))
@@ -246,8 +246,8 @@ class PortTrial:
 
     @classmethod
     def begin(cls, board: BoardUnderTest, request: PortCheckRequest) -> PortTrial:
-        """Meet the board."""
-        rate, maximum, law, senses, lag, noise, bootloader, _told, _place, limit = board.meet()
+        """Read the facts about a board and prepare its trial; raise `ConfigError` for a current above its limit."""
+        rate, maximum, law, senses, lag, noise, bootloader, _reports_reset, _place, limit = board.meet()
         if abs(request.current) > limit:
             raise ConfigError(
                 f"current = {request.current} quanta exceeds the rig's over-current limit",
@@ -302,7 +302,7 @@ def check_port(
             ) from None
         for number, (step, names) in enumerate(STEPS.items()):
             on_progress(step.__name__.strip("_").replace("_", " "), number / len(STEPS))
-            trial.verdicts |= _tried(step, names, trial)
+            trial.verdicts |= _try_step(step, names, trial)
         trial.distrust()
         return PortCheck(
             url=board.link.url.text, checks=tuple(_check(one, trial.verdicts[one.name]) for one in duties())
@@ -311,7 +311,7 @@ def check_port(
         board.link.close()
 
 
-def _tried(step: Step, names: tuple[str, ...], trial: PortTrial) -> dict[str, Verdict]:
+def _try_step(step: Step, names: tuple[str, ...], trial: PortTrial) -> dict[str, Verdict]:
     if trial.silent:
         return dict.fromkeys(names, "the board no longer replies")
     try:
@@ -353,10 +353,10 @@ def _time(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
         before = clock.now_ns()
         low, high = trial.board.ask(PortProbe.TIME)
         looks.append((before, clock.now_ns(), high << 32 | low))
-    (begun, heard, first), (asked, ended, second) = looks
+    (begun, replied, first), (asked, ended, second) = looks
     trial.times = [first, second]
     passed_s = ((second - first) % (2**32 if second < first else 2**64)) / UNITS_A_SECOND
-    least, most = passed_s / ((ended - begun) * 1e-9), passed_s / ((asked - heard) * 1e-9)
+    least, most = passed_s / ((ended - begun) * 1e-9), passed_s / ((asked - replied) * 1e-9)
     if not trial.request.real_time:
         yield "time_unit", "not judged: the board's time does not follow this computer's clock"
     elif least > 1.0 + RATE_SHARE or most < 1.0 - RATE_SHARE:
@@ -370,7 +370,7 @@ def _ticks(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     rates = dict.fromkeys((trial.rate_initial, min(ODD_RATE, trial.rate_maximum), trial.rate_maximum))
     drift_ppm, wrong, grid = 0.0, None, None
     for rate in [*rates, trial.rate_initial]:
-        found, accepted, off_s = _ticked(trial, rate, rate)
+        found, accepted, off_s = _measure_ticks(trial, rate, rate)
         away = found / rate - 1.0
         if abs(away) > RATE_SHARE and (accepted or rate != ODD_RATE):
             wrong = wrong or {
@@ -387,7 +387,7 @@ def _ticks(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     yield "tick_grid", grid if wrong is None else "not judged: the tick rate is not the set rate"
 
 
-def _ticked(trial: PortTrial, rate: int, expected: int) -> tuple[float, bool, float]:
+def _measure_ticks(trial: PortTrial, rate: int, expected: int) -> tuple[float, bool, float]:
     """Ticks a second (by device time, made right), whether the rate was taken, distance from the grid (s)."""
     wanted = max(TICKS_LEAST, round(min(TICKS_S, TICKS_SHARE * trial.request.seconds) * expected))
     accepted, count, passed, *off = trial.ask_signed(PortProbe.TICKS, rate, wanted)
@@ -400,7 +400,7 @@ def _refusal(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     (accepted,) = trial.board.ask(PortProbe.RATE, UNDOABLE_RATE)
     yield "rate_refused", {"wanted": UNDOABLE_RATE} if accepted else None
     rate = trial.rate_initial
-    found = rate if accepted else _ticked(trial, 0, rate)[0]
+    found = rate if accepted else _measure_ticks(trial, 0, rate)[0]
     broken = {"wanted": UNDOABLE_RATE, "found": found, "rate": rate}
     if accepted:
         yield "rate_kept", "not judged: no rate was refused"
@@ -436,11 +436,11 @@ def _wires(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
         return
     counted = {"wrong": wrong, "edges": SYNC_EDGES, "missed": missed}
     yield "encoder_count", counted if wrong or missed else None
-    said = {
+    results = {
         name: str(bool(one)).lower()
         for name, one in (("alarmed", alarmed), ("failed", failed), ("again", again))
     }
-    yield "encoder_failed", said if (alarmed, failed, again) != (0, 1, 0) else None
+    yield "encoder_failed", results if (alarmed, failed, again) != (0, 1, 0) else None
     edge_us = edge_off % 2**32 / UNITS_PER_US
     yield "edge_time", {"us": edge_us} if edge_us > EDGE_OFF_S * 1e6 else None
     sync_us = sync_off % 2**32 / UNITS_PER_US
@@ -452,9 +452,9 @@ def _wires(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
 
 
 def _writing(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
-    board, before = trial.board, _damaged(trial.board.statistics)
+    board, before = trial.board, _count_damaged(trial.board.statistics)
     taken, room, refused, longest, total = board.ask(PortProbe.FILL, FILL_FRAMES, wait_s=FILL_S)
-    came, torn = board.counted, _damaged(board.statistics) - before
+    came, torn = board.counted, _count_damaged(board.statistics) - before
     broken = {"taken": taken, "came": len(came), "torn": torn, "others": ""}
     if len(came) == taken and sum(came) % 2**32 != total:
         broken["others"] = ", including frames reported as dropped"
@@ -469,7 +469,7 @@ def _writing(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
         yield "write_room", short if refused and room < wanted else None
 
 
-def _damaged(statistics: LinkStatistics) -> int:
+def _count_damaged(statistics: LinkStatistics) -> int:
     return statistics.framing_errors + statistics.crc_errors
 
 
@@ -499,7 +499,7 @@ def _meanwhile(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
 
 def _bites(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     slow_us, fast_us = BITES_US
-    lived_ms, bitten = _starved(trial.board, slow_us)
+    lived_ms, bitten = _starve(trial.board, slow_us)
     if not bitten:
         yield "watchdog_bites", {"ms": lived_ms, "bite": slow_us * 1e-3}
         yield from dict.fromkeys(
@@ -507,10 +507,10 @@ def _bites(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
         ).items()
         return
     yield "watchdog_bites", None
-    told = bool(trial.board.meet_again()[7])
-    yield "reset_told", None if told else {}
+    is_reported = bool(trial.board.meet_again()[7])
+    yield "reset_told", None if is_reported else {}
     found = [(lived_ms, slow_us * 1e-3)]
-    lived_ms, bitten = _starved(trial.board, fast_us)
+    lived_ms, bitten = _starve(trial.board, fast_us)
     found.append((lived_ms, fast_us * 1e-3))
     if bitten:
         trial.board.meet_again()
@@ -518,7 +518,7 @@ def _bites(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     yield "watchdog_time", {"ms": wrong[0][0], "bite": wrong[0][1]} if wrong else None
 
 
-def _starved(board: BoardUnderTest, bite_us: int) -> tuple[int, bool]:
+def _starve(board: BoardUnderTest, bite_us: int) -> tuple[int, bool]:
     """How long it lived unfed (ms), and whether it was bitten."""
     try:
         (lived_ms,) = board.ask(PortProbe.BITE, bite_us, wait_s=8e-6 * bite_us + 0.2, quiet_s=QUIET_S)
@@ -540,8 +540,8 @@ def _current(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     first, mean, zero_units = trial.ask_signed(PortProbe.ON, quanta)
     (off_units,) = trial.ask_signed(PortProbe.DISABLE, quanta)
     if first == last == quanta:
-        said = {"quanta": quanta, "wanted": 0, "echo": " with the amplifier off: it repeats the set-point"}
-        yield "measured_flows", said
+        echoed = {"quanta": quanta, "wanted": 0, "echo": " with the amplifier off: it repeats the set-point"}
+        yield "measured_flows", echoed
         yield from dict.fromkeys(
             names[1:], "not judged: measured_current does not measure the current"
         ).items()

@@ -57,7 +57,7 @@ class Record:
 
     @property
     def dictionary_hash(self) -> int:
-        """As in IDENTITY and ARM."""
+        """Return the hash of the dictionary, as in IDENTITY and ARM."""
         return dictionaries.dictionary_hash(self.packed)
 
     @property

@@ -69,7 +69,7 @@ class SelfTestRequest:
 
     @property
     def model(self) -> RigModel | None:
-        """The rig to compare with."""
+        """Return the rig to compare the device with, if one was given."""
         return None if self.experiment is None else config.rig_model(self.experiment)
 
 
@@ -88,11 +88,11 @@ class SelfTest:
 
     @reported
     def passed(self) -> bool:
-        """Whether no check failed."""
+        """Return True if no check failed."""
         return not check.refused(self.checks)
 
     def items(self) -> list[Item]:
-        """Return it for people."""
+        """Return the device and its checks as items to print."""
         return [f"{self.device}, firmware {self.firmware}", *self.checks]
 
 

@@ -75,7 +75,7 @@ class TickBudget:
 
     @property
     def has_float_unit(self) -> bool:
-        """Whether float32 is computed in hardware."""
+        """Return True if float32 is computed in hardware."""
         return "-mfloat-abi=hard" in self.core.flags
 
     def text(self, estimator: str) -> str:

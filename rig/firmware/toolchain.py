@@ -31,14 +31,14 @@ class Compiler:
 
     def run(self, arguments: Sequence[str], directory: Path) -> None:
         """Compile or link in a directory; raises `ToolchainError` with the first lines of its complaint."""
-        done = _called([self.path, *arguments], directory)
+        done = _call([self.path, *arguments], directory)
         if done.returncode != 0:
             shown = "\n".join(done.stderr.strip().splitlines()[:_SHOWN_LINES])
             raise ToolchainError(f"the firmware cannot be built:\n{shown}\n", remedy=_remedy(done.stderr))
 
     def tool(self, name: str, arguments: Sequence[str], directory: Path) -> str:
         """Run a tool that came with the compiler, such as ``nm``, and return what it printed."""
-        done = _called([f"{self.path.removesuffix('gcc')}{name}", *arguments], directory)
+        done = _call([f"{self.path.removesuffix('gcc')}{name}", *arguments], directory)
         if done.returncode != 0:
             raise ToolchainError(f"{name} failed: {done.stderr.strip()}", remedy=INSTALL)
         return done.stdout
@@ -55,16 +55,16 @@ def find_compiler() -> Compiler:
             else f"{COMPILER} is not installed"
         )
         raise ToolchainError(missing, remedy=INSTALL)
-    version = _called([path, "--version"], None)
+    version = _call([path, "--version"], None)
     if version.returncode != 0 or not version.stdout:
         raise ToolchainError(f"{path} cannot be run: {version.stderr.strip()}", remedy=INSTALL)
-    header = _called([path, "-E", "-include", "string.h", "-x", "c", os.devnull], None)
+    header = _call([path, "-E", "-include", "string.h", "-x", "c", os.devnull], None)
     if header.returncode != 0:
         raise ToolchainError(f"{path} has no C library: string.h is missing", remedy=INSTALL)
     return Compiler(path, version.stdout.splitlines()[0])
 
 
-def _called(command: list[str], directory: Path | None) -> subprocess.CompletedProcess[str]:
+def _call(command: list[str], directory: Path | None) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "LC_ALL": "C", "PATH": installed_path()}
     if directory is not None:  # what an interrupted compiler leaves goes with it
         environment["TMPDIR"] = str(directory)

@@ -43,7 +43,7 @@ class Uf2:
 
 
 def is_uf2(content: bytes) -> bool:
-    """Whether a file begins as a UF2 does."""
+    """Return True if a file begins as a UF2 does."""
     return content[:8] == struct.pack("<2I", MAGIC_FIRST, MAGIC_SECOND)
 
 
@@ -80,18 +80,20 @@ def read_uf2(content: bytes, name: str) -> Uf2:
         It is no UF2, or a damaged one: a block without its magic numbers, a block missing, two families.
     """
     if not content or len(content) % BLOCK_BYTES:
-        raise _damaged(name, f"{len(content)} bytes are not a multiple of {BLOCK_BYTES}, the size of a block")
+        raise _damage_error(
+            name, f"{len(content)} bytes are not a multiple of {BLOCK_BYTES}, the size of a block"
+        )
     blocks = [_block(content[at : at + BLOCK_BYTES], name) for at in range(0, len(content), BLOCK_BYTES)]
     numbers = [number for number, *_ in blocks]
     totals = {total for _, total, *_ in blocks}
     if numbers != list(range(len(blocks))) or totals != {len(blocks)}:
-        raise _damaged(name, "blocks are missing or out of order")
+        raise _damage_error(name, "blocks are missing or out of order")
     families = {family for *_, family, _ in blocks}
     if len(families) != 1:
         raise ConfigError(
             f"{name} contains images for several processors", remedy="use an image for one processor"
         )
-    return Uf2(_joined(piece for *_, piece in blocks if piece is not None), families.pop())
+    return Uf2(_join(piece for *_, piece in blocks if piece is not None), families.pop())
 
 
 def _block(block: bytes, name: str) -> tuple[int, int, int | None, Piece | None]:
@@ -99,14 +101,14 @@ def _block(block: bytes, name: str) -> tuple[int, int, int | None, Piece | None]
     first, second, flags, address, size, number, total, family = _HEAD.unpack_from(block)
     (last,) = struct.unpack_from("<I", block, BLOCK_BYTES - 4)
     if (first, second, last) != (MAGIC_FIRST, MAGIC_SECOND, MAGIC_LAST):
-        raise _damaged(name, "a block has wrong magic numbers")
+        raise _damage_error(name, "a block has wrong magic numbers")
     if size > DATA_ROOM:
-        raise _damaged(name, f"block {number} has an invalid size of {size} bytes")
+        raise _damage_error(name, f"block {number} has an invalid size of {size} bytes")
     piece = None if flags & NOT_FOR_FLASH else Piece(address, block[_HEAD.size : _HEAD.size + size])
     return number, total, family if flags & FAMILY_PRESENT else None, piece
 
 
-def _joined(pieces: Iterable[Piece]) -> tuple[Piece, ...]:
+def _join(pieces: Iterable[Piece]) -> tuple[Piece, ...]:
     joined: list[Piece] = []
     for piece in sorted(pieces, key=lambda piece: piece.address):
         if joined and joined[-1].address + len(joined[-1].data) == piece.address:
@@ -116,5 +118,5 @@ def _joined(pieces: Iterable[Piece]) -> tuple[Piece, ...]:
     return tuple(joined)
 
 
-def _damaged(name: str, why: str) -> ConfigError:
+def _damage_error(name: str, why: str) -> ConfigError:
     return ConfigError(f"{name} is not a valid UF2 file: {why}", remedy="build it again: rig firmware build")

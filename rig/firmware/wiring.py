@@ -48,7 +48,7 @@ class Wiring:
     parts: tuple[WiringPart, ...]
 
     def nets(self) -> dict[str, list[str]]:
-        """What each net joins, as ``PART.pin``."""
+        """Return the pins of each net, as ``PART.pin``."""
         found: dict[str, list[str]] = {}
         for part in self.parts:
             for pin in (*part.left, *part.right):
@@ -108,14 +108,14 @@ def draw(found: Wiring, path: Path) -> Path:
 
 
 def svg(found: Wiring) -> str:
-    """Return the drawing."""
+    """Return the drawing of the netlist as SVG."""
     shapes: list[str] = []
     bottom = 0
     for column, parts in groupby(sorted(found.parts, key=lambda part: part.column), lambda part: part.column):
         top = _MARGIN
         for part in parts:
             shapes += _box(part, _MARGIN + 70 + column * _COLUMN, top)
-            top += _height(part) + _MARGIN + _PITCH * len(_wrapped(part.what))
+            top += _height(part) + _MARGIN + _PITCH * len(_wrap(part.what))
         bottom = max(bottom, top)
     width = _MARGIN + (1 + max(part.column for part in found.parts)) * _COLUMN
     head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {bottom}" font-family="sans-serif" '
@@ -129,7 +129,7 @@ def _height(part: WiringPart) -> int:
 
 
 def _box(part: WiringPart, x: int, y: int) -> Iterator[str]:
-    words = [part.name, *_wrapped(part.what)]
+    words = [part.name, *_wrap(part.what)]
     for line, text in enumerate(words):
         yield _text(x, y - 4 + 13 * line, text, 'font-weight="bold"' if line == 0 else 'fill="#555"')
     y += 13 * (len(words) - 1)
@@ -148,5 +148,5 @@ def _text(x: int, y: int, text: str, look: str) -> str:
     return f'<text x="{x}" y="{y}" {look}>{escape(text)}</text>'
 
 
-def _wrapped(text: str) -> list[str]:
+def _wrap(text: str) -> list[str]:
     return textwrap.wrap(text, _LINE, break_long_words=False)

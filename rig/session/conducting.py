@@ -9,15 +9,15 @@ from rig.session.engine.device_checks import device_checks
 from rig.session.engine.directory import LOG, REHEARSALS, SESSIONS, amend, event_of_trial
 from rig.session.engine.hits import DeviceRunner
 from rig.session.engine.log import DamagedLineError, Event, read, set_damaged_line_aside
-from rig.session.engine.place import last_opened, lost_samples
+from rig.session.engine.place import last_opened, list_lost_samples
 from rig.session.engine.protocol_changes import ChangedProtocolError
 from rig.session.engine.rehearsal import Person, thresholds_of
 from rig.session.engine.run import (
     DeskFor,
     SessionResult,
     compare_with_study,
+    read_person,
     rehearsal_desk,
-    rehearsed,
     resume_session,
     run_session,
     session_state,
@@ -49,10 +49,10 @@ __all__ = [
     "event_of_trial",
     "last_opened",
     "line_of_event",
-    "lost_samples",
+    "list_lost_samples",
     "read",
+    "read_person",
     "rehearsal_desk",
-    "rehearsed",
     "resume_session",
     "run_session",
     "session_state",

@@ -5,19 +5,19 @@ a file, and it loads neither the loop nor the simulation.
 """
 
 from rig.session.engine.log import Event, log_losses, read
-from rig.session.engine.place import device_words, lost_samples
+from rig.session.engine.place import device_words, list_lost_samples
 from rig.session.engine.place import differences as place_differences
 from rig.session.engine.protocol_changes import (
     Difference,
     is_within,
-    listed,
+    list_names,
     settings_of,
     value_words,
     walls_in,
 )
 from rig.session.engine.protocol_changes import differences as protocol_differences
 from rig.session.engine.state import END, WALKING, SessionState
-from rig.session.planning.bands import asked
+from rig.session.planning.bands import describe_task
 from rig.session.planning.names import distinct_names
 from rig.session.planning.protocol import Condition, Protocol
 from rig.session.planning.schedule import SearchRun, cells_of, levels_of, rows_of, rule
@@ -34,15 +34,15 @@ __all__ = [
     "RecordedTrial",
     "SearchRun",
     "SessionState",
-    "asked",
     "cells_of",
+    "describe_task",
     "device_words",
     "distinct_names",
     "is_within",
     "levels_of",
-    "listed",
+    "list_lost_samples",
+    "list_names",
     "log_losses",
-    "lost_samples",
     "place_differences",
     "protocol_differences",
     "read",

@@ -6,7 +6,7 @@ device is opened at most to ask whether it can carry the conditions (`rig.sessio
 
 from rig.session.engine.check import check
 from rig.session.engine.directory import study_directory
-from rig.session.planning.disk import in_words
+from rig.session.planning.disk import format_size
 from rig.session.planning.expected import ExpectedRange
 from rig.session.planning.load import as_mapping, json_schema, load_protocol, load_walls
 from rig.session.planning.plan import CellPlan, StudyPlan
@@ -29,7 +29,7 @@ __all__ = [
     "StudyPlan",
     "as_mapping",
     "check",
-    "in_words",
+    "format_size",
     "json_schema",
     "load_protocol",
     "load_walls",

@@ -55,7 +55,7 @@ class Trace(NamedTuple):
         return cls(states=states, **{name: np.zeros(ticks, np.int64) for name in cls._fields[1:]})
 
     def first(self, ticks: int) -> Trace:
-        """Return its first ticks."""
+        """Return the trace cut to its first ticks."""
         return Trace._make(array[:ticks] for array in self)
 
 

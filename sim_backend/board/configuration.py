@@ -78,22 +78,22 @@ class Configuration:
         self._activate({info.name: info.default for info in self._dictionary.parameters})
 
     def identity(self, request: m.Identify, state: int) -> m.Identity:
-        """Page of the dictionary."""
+        """Return the requested page of the dictionary as IDENTITY."""
         packed = self._packed
         piece = page(packed, request.offset, data_limit(m.Identity))
         return m.Identity(request.nonce, m.MINOR, state, self.hash, len(packed), request.offset, piece)
 
     def parameters(self, request: m.GetParameters) -> m.Parameters:
-        """Page of the active block."""
+        """Return the requested page of the active parameter block."""
         piece = page(self._block, request.offset, data_limit(m.Parameters))
         return m.Parameters(request.nonce, len(self._block), self.crc, request.offset, piece)
 
     def begin(self, request: m.SetBegin) -> Status:
-        """Make room for a block."""
+        """Begin the transfer of a parameter block; return its status."""
         return self._assembler.begin(request)
 
     def chunk(self, request: m.SetChunk) -> Status:
-        """Take a piece of it."""
+        """Accept a piece of the transferred block; return its status."""
         return self._assembler.chunk(request)
 
     def commit(self, request: m.SetCommit, *, armed: bool = False) -> tuple[Status, int]:

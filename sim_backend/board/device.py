@@ -60,8 +60,8 @@ from sim_backend.board.safety import (
     Safety,
     flat,
     idle,
-    in_window,
-    overheated,
+    is_in_window,
+    is_overheated,
 )
 from sim_backend.board.ticks import (
     BOARD_WORDS,
@@ -88,11 +88,9 @@ class DeviceWord:
         self._place = place
 
     def __get__(self, device: SimulatedDevice, owner: object = None) -> int:
-        """Read it."""
         return int(device.board.words[self._place])
 
     def __set__(self, device: SimulatedDevice, value: int) -> None:
-        """Write it."""
         device.board.words[self._place] = value
 
 
@@ -229,7 +227,7 @@ class SimulatedDevice:
 
     @property
     def rate(self) -> int:
-        """Ticks a second (Hz)."""
+        """Return the rate of the device's ticks (Hz)."""
         return int(self.board.words[OWN.rate])
 
     @property
@@ -264,9 +262,9 @@ class SimulatedDevice:
         for ticks in range(most):
             if self.next_tick_ns > until_ns:
                 return b"", ticks
-            said = self.tick()
-            if said:
-                return said, ticks + 1
+            output = self.tick()
+            if output:
+                return output, ticks + 1
         return b"", most
 
     def miss(self) -> None:
@@ -390,7 +388,7 @@ class SimulatedDevice:
         if not configuration.values["verified"]:
             return Status.NOT_VERIFIED, 0
         present = self._present_fault()
-        if not present and not in_window(self._safety.rules, self.hardware.count):
+        if not present and not is_in_window(self._safety.rules, self.hardware.count):
             present = Fault.POSITION_WINDOW
         if present:
             return Status.FAULT_PRESENT, present
@@ -410,7 +408,7 @@ class SimulatedDevice:
         """Return the cause of a fault that is there now and will not go by itself when the effort is zero."""
         if self.inputs & _EMERGENCY:
             return Fault.EMERGENCY_STOP
-        return Fault.THERMAL if overheated(self._safety.heat) else Fault.NONE
+        return Fault.THERMAL if is_overheated(self._safety.heat) else Fault.NONE
 
     def _commit(self, request: m.SetCommit) -> tuple[Status, int]:
         return self._configuration.commit(request, armed=self._armed)
@@ -446,7 +444,7 @@ class SimulatedDevice:
 
     @property
     def state(self) -> State:
-        """State of the protocol."""
+        """Return the protocol's state, as STATE reports it."""
         return State(self.connection.state)
 
     @property

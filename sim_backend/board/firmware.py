@@ -86,7 +86,7 @@ class Core:
             library.host_narrow(self.address, _INDEX[narrow], *bounds)
 
     def start(self) -> None:
-        """Power up."""
+        """Start the firmware at a device time, as at power-up."""
         self.library.host_start(self.address)
 
     @property
@@ -116,7 +116,7 @@ class Core:
         return self.take()
 
     def take(self) -> bytes:
-        """What the device has sent."""
+        """Return the bytes that the device has sent."""
         count = self.library.host_take(self.address, self._output, OUTPUT_BYTES)
         return ctypes.string_at(self._output, count)  # `raw` would copy all of its 64 KiB
 
@@ -203,7 +203,7 @@ class FirmwareDevice:
 
     @property
     def rate(self) -> int:
-        """Ticks a second (Hz)."""
+        """Return the rate of the device's ticks (Hz)."""
         return int(self._seen.rate)
 
     @property
@@ -218,7 +218,7 @@ class FirmwareDevice:
 
     @property
     def state(self) -> State:
-        """State of the protocol."""
+        """Return the protocol's state, as STATE reports it."""
         return State(self._seen.state)
 
     @property
@@ -233,7 +233,7 @@ class FirmwareDevice:
 
     @property
     def status(self) -> HostStatus:
-        """What the software reports beside the protocol: counters, frames that it dropped."""
+        """Return what the software reports outside of the protocol: counters and dropped frames."""
         return self._seen
 
     # ------------------------------------------------------------------ the tick
@@ -251,22 +251,25 @@ class FirmwareDevice:
             Bytes of output after which it returns.
         """
         until = (2 * (until_ns - self._epoch_ns) + 1) // _NS_NUMERATOR  # the last unit that is not later
-        ticks, said = 0, b""
+        ticks, output = 0, b""
         if most > 0 and self._seen.due <= until:
-            ticks, said = 1, self.tick()  # to call a compiled run takes as long as three ticks by their parts
+            ticks, output = (
+                1,
+                self.tick(),
+            )  # to call a compiled run takes as long as three ticks by their parts
         self._words[INPUTS] = self.inputs
         self._words[DUE] = self._seen.due
-        while ticks < most and len(said) < enough:
-            ran = self.hardware.run(self._lockstep, until, most - ticks, enough - len(said), self._truth)
+        while ticks < most and len(output) < enough:
+            ran = self.hardware.run(self._lockstep, until, most - ticks, enough - len(output), self._truth)
             if ran == 0:
                 break
             ticks += ran
-            said += self.core.take()
+            output += self.core.take()
         if ticks:
             self._seen = self.core.status
             self.time = int(self._seen.time)
             self.inputs = self._words.item(INPUTS)
-        return said, ticks
+        return output, ticks
 
     def compiled(self) -> tuple[Lockstep, World]:
         """Return what compiled ticks take of the device and its rig as they are now."""

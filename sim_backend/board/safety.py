@@ -134,7 +134,7 @@ def feed(rules: Ints, now: int, current: int, lifetime: int, ramp: int) -> None:
     rules[AT.applied] = rules[AT.ramping] = 0
 
 
-def wanted(rules: Ints, until: int) -> int:
+def compute_wanted(rules: Ints, until: int) -> int:
     """Return the current for a tick that ends at `until`: that of the command, which fades when its lifetime is over.
 
     Effort is held over a tick, so everything is judged at the tick's end: the current is exactly zero when the
@@ -163,8 +163,8 @@ def warm(heat: Floats, measured: int) -> None:
     heat[HEAT] += (measured * measured - heat[HEAT]) * heat[DECAY]
 
 
-def overheated(heat: Floats) -> bool:
-    """Whether the heat is so far above the budget that reducing the current has failed."""
+def is_overheated(heat: Floats) -> bool:
+    """Return True if the heat is so far above the budget that reducing the current has failed."""
     return bool(heat[HEAT] > THERMAL_CUT * heat[BUDGET] > 0.0)
 
 
@@ -178,7 +178,7 @@ def configure_heat(heat: Floats, continuous_current: float, time_constant_s: flo
     heat[DECAY] = -math.expm1(-1.0 / (rate * time_constant_s))
 
 
-def _confirmed(rules: Ints, wanted: int) -> int:
+def _fade_unconfirmed(rules: Ints, wanted: int) -> int:
     """Fade an effort that has lasted for longer than any trial holds a handle, with the count on two neighbours.
 
     On two channels a dead encoder and a hand that holds still look alike, and where one channel is dead, the other one
@@ -196,13 +196,13 @@ def _confirmed(rules: Ints, wanted: int) -> int:
     return int(wanted * left // rules[AT.fade] if wanted > 0 else -(-wanted * left // rules[AT.fade]))
 
 
-def limited(rules: Ints, heat: Floats, wanted: int) -> int:
+def limit_current(rules: Ints, heat: Floats, wanted: int) -> int:
     """Put into force what is allowed of a current, and return it.
 
     A position that nothing confirms, current limit, thermal model, slew limit, in this order.
     """
     limit, continuous, slew = rules[AT.limit], rules[AT.continuous], rules[AT.slew]
-    current = _confirmed(rules, wanted)
+    current = _fade_unconfirmed(rules, wanted)
     if not -limit <= current <= limit:
         current = limit if current > 0 else -limit
         rules[AT.flags] |= _CURRENT
@@ -220,7 +220,7 @@ def limited(rules: Ints, heat: Floats, wanted: int) -> int:
 # ---------------------------------------------------------------------- must the motor be cut?
 
 
-def zeroed(rules: Ints, measured: int, off: bool) -> int:
+def remove_zero(rules: Ints, measured: int, off: bool) -> int:
     """Take the sensor's zero off a measured current (quanta); while the amplifier is off, the zero follows it."""
     if off:
         step = measured * _ZERO_UNIT - rules[AT.zero]
@@ -253,7 +253,7 @@ def check(
                 faults |= _RUNAWAY
     if not rules[AT.near_first] <= count <= rules[AT.near_last]:
         rules[AT.flags] |= _POSITION
-        if not in_window(rules, count):
+        if not is_in_window(rules, count):
             faults |= _WINDOW
     high = 1 if abs(measured) > rules[AT.peak] else 0
     if (
@@ -263,13 +263,13 @@ def check(
     rules[AT.peaks] = (rules[AT.peaks] << 1 | high) & 3
     if compare(currents, count, current, measured) == DISAGREES:
         faults |= _MISMATCH
-    if overheated(heat):
+    if is_overheated(heat):
         faults |= _TOO_HOT
     return faults
 
 
-def in_window(rules: Ints, count: int) -> bool:
-    """Whether a count lies in the position window."""
+def is_in_window(rules: Ints, count: int) -> bool:
+    """Return True if a count lies in the position window."""
     return bool(rules[AT.first] <= count <= rules[AT.last])
 
 

@@ -33,13 +33,13 @@ from sim_backend.board.safety import (
     UNITS_PER_SECOND,
     UNITS_PER_US,
     check,
+    compute_wanted,
     feed,
     idle,
-    limited,
+    limit_current,
     remember,
-    wanted,
+    remove_zero,
     warm,
-    zeroed,
 )
 
 UNARMED_STATES_HZ = 100  # STATE frames a second while the device is not armed: enough to home by hand
@@ -106,7 +106,7 @@ def drive(board: DeviceMemory) -> int:
     if words[INPUTS] & _EMERGENCY:
         words[OWN.found] = _PRESSED
         return 0
-    current = wanted(rules, words[DUE])
+    current = compute_wanted(rules, words[DUE])
     if rules[AT.ramping]:
         rules[AT.flags] |= _RAMPING
         if rules[AT.lost]:
@@ -119,7 +119,7 @@ def drive(board: DeviceMemory) -> int:
         rules[AT.current] = 0  # regardless of the slew limit
         words[CUTS] = 1
         return 0
-    words[OWN.driven] = limited(rules, board.heat, current)
+    words[OWN.driven] = limit_current(rules, board.heat, current)
     return int(words[OWN.driven])
 
 
@@ -128,7 +128,7 @@ def sample(board: DeviceMemory) -> None:
     words, rules = board.words, board.rules
     count, current = words[COUNT], words[OWN.driven]
     armed = words[OWN.protocol_state] == _ARMED or words[OWN.protocol_state] == _RUNNING
-    measured = words[MEASURED] = zeroed(rules, words[MEASURED], not armed)
+    measured = words[MEASURED] = remove_zero(rules, words[MEASURED], not armed)
     words[CUTS] = 0
     words[SAMPLE_INDEX] += 1
     words[TIME] = words[DUE]
@@ -183,7 +183,7 @@ def lifetime_of(words: Ints, mode: int, lifetime_us: int) -> int:
 
 
 def is_too_old(board: DeviceMemory, mode: int, lifetime_us: int, to_come: int, answered: int) -> bool:
-    """Whether a COMMAND was under way for longer than its lifetime, by the STATEs since the one that it answers.
+    """Return True if a COMMAND was under way for longer than its lifetime, by the STATEs since the one that it answers.
 
     `to_come` is the sequence of the next STATE. Before the first one a host answers that. STOP is never too old.
     """
@@ -196,7 +196,7 @@ def is_too_old(board: DeviceMemory, mode: int, lifetime_us: int, to_come: int, a
 
 
 def obey(board: DeviceMemory, sequence: int, mode: int, flags: int, current: int, lifetime_us: int) -> None:
-    """Take a COMMAND."""
+    """Activate a COMMAND, or refuse it with a flag."""
     words = board.words
     words[OWN.command_sequence], words[OWN.command_index] = sequence, words[SAMPLE_INDEX]
     words[OWN.command_sync] = words[CUTS] = 0

@@ -50,7 +50,7 @@ class DriveModel(Protocol):
 
     @property
     def events(self) -> frozenset[str]:
-        """Names of what `happen` takes."""
+        """Return the names of the events that `happen` accepts."""
         ...
 
     def happen(self, name: str, value: float) -> list[Frame]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from sim_backend.drives.bus import Frame
 from sim_backend.drives.multiplex import NOP
-from sim_backend.drives.socket_can import STANDARD_IDS, filled
+from sim_backend.drives.socket_can import STANDARD_IDS, pad
 
 LONGEST_LINE = 254  # fw/uart_fdcanusb_micro_server.h; what is longer is thrown away
 DATA_BYTES = 64  # of a CAN FD frame
@@ -38,8 +38,8 @@ def checksum(text: bytes) -> int:
     return crc
 
 
-def sealed(text: bytes) -> bytes:
-    """A line with its checksum."""
+def seal(text: bytes) -> bytes:
+    """Append the checksum of the adapter's protocol to a line."""
     return b"%b *%02X" % (text, checksum(text + b" "))
 
 
@@ -110,7 +110,7 @@ class Uart:
         return self._say(b"rcv %08x %b" % (identifier, frame.data.hex().encode()))
 
     def _unsealed(self, line: bytes) -> bytes:
-        """What a line says, without its checksum, which one line may lack until the first has had one."""
+        """Return a line without its checksum, which may be missing until a first line has had one."""
         text, star, digits = line.rpartition(b"*")
         claimed = _hex(digits) if star and len(digits) == 2 else None
         if claimed is None and not self._checked:
@@ -121,7 +121,7 @@ class Uart:
         return text.rstrip(b" ")
 
     def _say(self, text: bytes) -> list[bytes]:
-        return [(sealed(text) if self._checked else text) + b"\r\n"]
+        return [(seal(text) if self._checked else text) + b"\r\n"]
 
 
 class Fdcanusb:
@@ -158,7 +158,7 @@ class Fdcanusb:
         data = _hex(rest[0])
         if data is None or len(data) > DATA_BYTES:
             raise _RefusedError(b"invalid data")
-        return Frame(identifier & 0xFFFF, filled(data, NOP))
+        return Frame(identifier & 0xFFFF, pad(data, NOP))
 
     def close(self, frame: Frame) -> list[bytes]:
         """Say a frame in a line."""
@@ -166,7 +166,7 @@ class Fdcanusb:
         identifier = identifier.zfill(len(identifier) + len(identifier) % 2)
         kind = b"E" if frame.identifier > STANDARD_IDS else b"e"
         return [
-            b"rcv %b %b %b B F r x-1\r\n" % (identifier, filled(frame.data, NOP).hex().upper().encode(), kind)
+            b"rcv %b %b %b B F r x-1\r\n" % (identifier, pad(frame.data, NOP).hex().upper().encode(), kind)
         ]
 
 

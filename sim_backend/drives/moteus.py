@@ -63,7 +63,7 @@ from sim_backend.drives.multiplex import (
     error,
     reply,
     subframes,
-    unscaled,
+    unscale,
     varuint,
 )
 
@@ -142,8 +142,8 @@ class SimulatedMoteus:
             0x100: 0,
             0x101: options.firmware,
             0x102: MAP_VERSION,
-            **{0x120 + i: _signed(word) for i, word in enumerate(options.serial)},
-            **{0x150 + i: _signed(word) for i, word in enumerate((*options.serial, 0x5349_4D00))},
+            **{0x120 + i: _to_signed(word) for i, word in enumerate(options.serial)},
+            **{0x150 + i: _to_signed(word) for i, word in enumerate((*options.serial, 0x5349_4D00))},
         }
         self._others = self._computed()
         self.power_up()
@@ -174,7 +174,7 @@ class SimulatedMoteus:
 
     @property
     def events(self) -> frozenset[str]:
-        """Names of what `happen` takes."""
+        """Return the names of the events that `happen` accepts."""
         return frozenset(self._happenings())
 
     def happen(self, name: str, value: float) -> list[Frame]:
@@ -221,7 +221,7 @@ class SimulatedMoteus:
             elif isinstance(part, ReadRegisters):
                 answer += self._asked(part)
             elif isinstance(part, StreamData):
-                answer += self._heard(part, wanted)
+                answer += self._receive_console(part, wanted)
             elif wanted:
                 answer += self._polled(part)
         if registers.MODE in self._writes:
@@ -231,7 +231,7 @@ class SimulatedMoteus:
     def _write(self, part: WriteRegisters) -> bytes:
         refused = b""
         for number, raw in enumerate(part.raws, part.first):
-            found = registers.written(number, part.kind, raw)
+            found = registers.parse_write(number, part.kind, raw)
             if isinstance(found, int):
                 refused += error(WRITE_ERROR, number, found)
                 continue
@@ -259,14 +259,14 @@ class SimulatedMoteus:
         return reply(part.first, part.kind, values)
 
     def _value(self, register: int, kind: int, words: list[float]) -> float | None:
-        """What stands in a frame for a register, None for one that cannot be read so."""
+        """Return the value of a register for a frame; None if it cannot be read in this form."""
         if register in self._numbers:
             return self._numbers[register] if kind == INT32 else None
         other = self._others.get(register)
         if other is None:
             return registers.read(register, kind, words, self._command)
         value, steps = other[0](words), other[1]
-        return value if kind == FLOAT else unscaled(value, kind, steps)
+        return value if kind == FLOAT else unscale(value, kind, steps)
 
     def _computed(self) -> dict[int, tuple[Callable[[list[float]], float], Steps]]:
         """Registers that follow from several words, or that this drive has nothing to say about."""
@@ -299,7 +299,7 @@ class SimulatedMoteus:
 
     # ------------------------------------------------------------------ stream
 
-    def _heard(self, part: StreamData, wanted: bool) -> bytes:
+    def _receive_console(self, part: StreamData, wanted: bool) -> bytes:
         if part.channel != CONSOLE_CHANNEL:
             return b""
         self._console.hear(part.data)
@@ -466,6 +466,6 @@ _FOLLOWED: dict[int, str] = {
 }
 
 
-def _signed(word: int) -> int:
+def _to_signed(word: int) -> int:
     """A word of 32 bits as int32."""
     return (word & 0xFFFFFFFF ^ 0x80000000) - 0x80000000

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from sim_backend.drives.moteus_law import MODES, W
-from sim_backend.drives.multiplex import FLOAT, NOT_WRITEABLE, UNKNOWN_REGISTER, scaled, unscaled
+from sim_backend.drives.multiplex import FLOAT, NOT_WRITEABLE, UNKNOWN_REGISTER, scale, unscale
 
 Steps = tuple[float, float, float]  # of one step as int8, int16, int32
 CURRENT: Steps = (1.0, 0.1, 0.001)
@@ -111,24 +111,24 @@ _FRESH = {register: default for register, (_, default) in _WRITTEN.items()}
 
 
 def fresh_command() -> dict[int, float]:
-    """What a command is when only its mode has been written."""
+    """Return a command in which only the mode has been written."""
     return dict(_FRESH)
 
 
-def written(register: int, kind: int, raw: float) -> tuple[int, float] | int:
+def parse_write(register: int, kind: int, raw: float) -> tuple[int, float] | int:
     """Register and value of a write, a shadow resolved; or the number of the error that is its answer."""
     register = SHADOWS.get(register, register)
     if register == MODE:
         return (MODE, raw) if 0 <= raw < MODES else UNKNOWN_REGISTER
     if register in _WRITTEN:
-        return register, scaled(raw, kind, _WRITTEN[register][0])
+        return register, scale(raw, kind, _WRITTEN[register][0])
     if register in _ACTIONS:
-        return register, scaled(raw, kind, _ACTIONS[register])
+        return register, scale(raw, kind, _ACTIONS[register])
     return NOT_WRITEABLE if register in _NEVER_WRITTEN else UNKNOWN_REGISTER
 
 
 def read(register: int, kind: int, words: list[float], command: dict[int, float]) -> float | None:
-    """What stands in a frame for a register, None for one that cannot be read.
+    """Return the value of a register for a frame; None if it cannot be read.
 
     `words` are the law's, `command` the last one.
     """
@@ -140,4 +140,4 @@ def read(register: int, kind: int, words: list[float], command: dict[int, float]
         if register not in _WRITTEN:
             return None
         value, steps = command[register], _WRITTEN[register][0]
-    return value if kind == FLOAT else unscaled(value, kind, steps)
+    return value if kind == FLOAT else unscale(value, kind, steps)

@@ -102,7 +102,7 @@ class MoteusSettings:
         self._updated: Callable[[], None] = lambda: None
 
     def watch(self, updated: Callable[[], None]) -> None:
-        """Call something after each change."""
+        """Register a function that is called after each change of a setting."""
         self._updated = updated
 
     def set(self, name: str, text: str) -> bool:
@@ -118,7 +118,7 @@ class MoteusSettings:
         return True
 
     def store(self) -> None:
-        """``conf write``."""
+        """Store the settings, as ``conf write`` does."""
         self._stored = dict(self.values)
 
     def load(self) -> None:
@@ -127,12 +127,12 @@ class MoteusSettings:
         self._updated()
 
     def reset(self) -> None:
-        """``conf default``."""
+        """Restore the maker's settings in RAM, as ``conf default`` does."""
         self.values = dict(self._factory)
         self._updated()
 
 
-def shown(value: Value) -> str:
+def format_value(value: Value) -> str:
     """A value as the console prints it."""
     return str(value) if isinstance(value, int) else f"{value:f}"
 
@@ -163,8 +163,8 @@ class DiagnosticChannel:
 
     def say(self, most: int) -> bytes:
         """Give at most so many of the bytes that wait."""
-        said, self.out = self.out[:most], self.out[most:]
-        return said
+        output, self.out = self.out[:most], self.out[most:]
+        return output
 
     def _answer(self, words: list[str]) -> str:
         group, *rest = words
@@ -185,7 +185,7 @@ class DiagnosticChannel:
                 return "ERR unknown group\r\n"
             return "OK\r\n" if settings.set(*rest) else "ERR error setting\r\n"
         if verb == "enumerate":
-            return "".join(f"{n} {shown(v)}\r\n" for n, v in settings.values.items()) + "OK\r\n"
+            return "".join(f"{n} {format_value(v)}\r\n" for n, v in settings.values.items()) + "OK\r\n"
         acts = {"write": settings.store, "load": settings.load, "default": settings.reset}
         if verb not in acts:
             return "ERR unknown subcommand\r\n"
@@ -197,7 +197,7 @@ class DiagnosticChannel:
             return "ERR unknown group\r\n"
         if name not in self._settings.values:
             return "ERR error reading\r\n"
-        return f"{shown(self._settings.values[name])}\r\n"
+        return f"{format_value(self._settings.values[name])}\r\n"
 
     def _group(self, name: str) -> bool:
         group = name.partition(".")[0]

@@ -85,7 +85,7 @@ def put(handle: int, moving: Moving) -> None:
 
 @kernel(types.void(types.int64, types.int64), no_refcount=True)
 def run(handle: int, ticks: int) -> None:
-    """Let ticks pass."""
+    """Let a number of the drive's control cycles pass."""
     moving = _at(handle)
     plant, script, shaft = moving.plant, moving.script, moving.shaft
     places = shaft.places
@@ -174,13 +174,13 @@ class Motor:
         self._sessions += 1
 
     def run(self, ticks: int) -> None:
-        """Let ticks pass."""
+        """Let a number of the drive's control cycles pass."""
         run(self._handle, ticks)
 
     def happenings(
         self, words: Any, watchdog: int, reboot: Callable[[], None]
     ) -> dict[str, Callable[[float], None]]:
-        """What happens to any drive, by name.
+        """Return the events that any drive can be subjected to, by name.
 
         ``fault`` (its own), ``voltage`` (V), ``temperature`` (°C), ``slip`` (counts), ``expire`` (the watchdog, now),
         ``reboot``.

@@ -144,15 +144,15 @@ def error(head: int, register: int, number: int) -> bytes:
     return bytes((head,)) + varuint(register) + varuint(number)
 
 
-def scaled(raw: float, kind: int, steps: tuple[float, float, float]) -> float:
+def scale(raw: float, kind: int, steps: tuple[float, float, float]) -> float:
     """Value of what stands in a frame; `steps` are those of the integers, the most negative of which is NaN."""
     if kind == FLOAT:
         return raw
     return math.nan if raw == _NO_NUMBER[kind] else raw * steps[kind]
 
 
-def unscaled(value: float, kind: int, steps: tuple[float, float, float]) -> float:
-    """What stands in a frame for a value: within ± the greatest integer, and the most negative for what is no number.
+def unscale(value: float, kind: int, steps: tuple[float, float, float]) -> float:
+    """Convert a value to a frame's integer, limited to ± the largest one; NaN becomes the most negative one.
 
     An integer is truncated towards zero, as fw/moteus_controller.cc converts.
     """

@@ -213,7 +213,7 @@ class SimulatedOdrive:
 
     @property
     def events(self) -> frozenset[str]:
-        """Names of what `happen` takes."""
+        """Return the names of the events that `happen` accepts."""
         return frozenset(self._happenings())
 
     def happen(self, name: str, value: float) -> list[Frame]:
@@ -271,9 +271,9 @@ class SimulatedOdrive:
         return []
 
     def _reply(self, command: CanSimpleCommand) -> Frame:
-        return Frame(self._identifier(command), self._told(command))
+        return Frame(self._identifier(command), self._payload(command))
 
-    def _told(self, command: CanSimpleCommand) -> bytes:
+    def _payload(self, command: CanSimpleCommand) -> bytes:
         w, kt = self._words, self._words[W.torque_constant]
         if command is CanSimpleCommand.GET_VERSION:
             return bytes((PROTOCOL, *HARDWARE, *self._options.firmware, 0))
@@ -361,7 +361,7 @@ class SimulatedOdrive:
 
     @staticmethod
     def flat_endpoints(firmware: tuple[int, int, int] = FIRMWARE) -> dict[str, Any]:
-        """What the maker publishes of each firmware, for this one: where to find a parameter by its path."""
+        """Return the flat_endpoints.json of this firmware: the number of each parameter by its path."""
         endpoints: dict[str, Any] = {
             path: {"id": _IDS[path], "type": kind, "access": "rw"}
             for path, (kind, _, _) in _PARAMETERS.items()
@@ -380,7 +380,7 @@ class SimulatedOdrive:
         path = _PATHS.get(number)
         if path is None or opcode not in {READ, WRITE}:
             return []
-        told = b""
+        stored = b""
         if path == _SAVE:
             self._saved = dict(self.values)
         else:
@@ -391,10 +391,10 @@ class SimulatedOdrive:
                 (value,) = form.unpack_from(data, SDO.size)
                 self._write(path, value)
             else:
-                told = form.pack(self.values[path])
+                stored = form.pack(self.values[path])
         if opcode == WRITE and self._options.firmware < FIRMWARE:
             return []  # confirmed from 0.6.11 on
-        return [Frame(self._identifier(CanSimpleCommand.TX_SDO), SDO.pack(0, number, 0) + told)]
+        return [Frame(self._identifier(CanSimpleCommand.TX_SDO), SDO.pack(0, number, 0) + stored)]
 
     def _set_text(self, path: str, text: str) -> None:
         known = _PARAMETERS.get(path)
@@ -414,7 +414,6 @@ class SimulatedOdrive:
         self._configure()
 
     def _configure(self) -> None:
-        """Let the configuration act."""
         w = self._words
         for path, (_, _, word) in _PARAMETERS.items():
             if word is not None:

@@ -49,7 +49,7 @@ class UnpluggableTerminal(RawTerminal):
         return super().read(deadline_ns)
 
     def write(self, frames: bytes) -> None:
-        """Send to the host."""
+        """Send bytes to the host at this outlet."""
         if not self._pulled:
             super().write(frames)
 
@@ -102,10 +102,10 @@ class DriveSockets:
         frames = b""
         for end in readable:
             if end is not self._listener:
-                frames += self._heard(end)
+                frames += self._receive(end)
         return frames
 
-    def _heard(self, end: socket.socket) -> bytes:
+    def _receive(self, end: socket.socket) -> bytes:
         message = b""
         with suppress(OSError):
             message = end.recv(FD_BYTES)

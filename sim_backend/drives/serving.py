@@ -89,7 +89,7 @@ class Serving:
         self.held_up_ns = 0
 
     def run(self, duration_s: float | None = None) -> None:
-        """Serve."""
+        """Serve hosts and let the drive's ticks pass until stopped."""
         end_ns = None if duration_s is None else self._started_ns + round(duration_s * 1e9)
         while not self._stop.is_set():
             data = self._port.read(self._deadline_ns())
@@ -137,10 +137,10 @@ class Serving:
             if self._is_off:
                 continue
             self._units += 1
-            frame, said = self._adapter.open(unit)
+            frame, line = self._adapter.open(unit)
             for answer in self._answer(frame) if frame is not None else ():
-                said += self._adapter.close(answer)
-            self._send(said)
+                line += self._adapter.close(answer)
+            self._send(line)
         if failing is not None:
             self._send([])
             if failing.unplugged and not self._unplugged:

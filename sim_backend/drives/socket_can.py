@@ -21,7 +21,7 @@ _FRAME = struct.Struct("=IBB2x64s")
 _LENGTHS: tuple[int, ...] = (*range(9), 12, 16, 20, 24, 32, 48, 64)  # of the data of CAN FD
 
 
-def filled(data: bytes, padding: int = 0) -> bytes:
+def pad(data: bytes, padding: int = 0) -> bytes:
     """Data up to the next length that CAN FD has."""
     size = next(size for size in _LENGTHS if size >= len(data))
     return data + bytes((padding,)) * (size - len(data))
@@ -80,12 +80,12 @@ class SocketCan:
         return Frame(word & _ID, data, extended=bool(word & EXTENDED), remote=remote), []
 
     def close(self, frame: Frame) -> list[bytes]:
-        """Write a frame."""
+        """Return the messages that carry a frame, including an error frame."""
         word = frame.identifier
         for flag, holds in ((EXTENDED, frame.extended), (REMOTE, frame.remote), (ERROR, frame.error)):
             word |= flag if holds else 0
         if self._fd and not frame.error:
             word |= EXTENDED if frame.identifier > STANDARD_IDS else 0
-            data = filled(frame.data, self._padding)
+            data = pad(frame.data, self._padding)
             return [_FRAME.pack(word, len(data), FD_FORMAT | BIT_RATE_SWITCH, data)]
         return [_FRAME.pack(word, len(frame.data), 0, frame.data)]

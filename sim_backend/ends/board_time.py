@@ -57,8 +57,8 @@ SHORTEST_STEP_NS = (
     250_000  # of faster ticks several pass at once: a process that is woken more often does little else
 )
 PENDING_BYTES = 1 << 16  # that the host has not read yet: BATCH of 100 ms and more
-SAID_BYTES = 1 << 16  # that a device says in one go at most
-HEARD_BYTES = 1 << 12  # that are taken from the host in one go
+OUTPUT_BYTES = 1 << 16  # that a device says in one go at most
+RECEIVED_BYTES = 1 << 12  # that are taken from the host in one go
 BURST_BYTES = 1 << 12  # that end a run of ticks to be written
 
 # What a call shares with the next one: device time 0 on the clock (ns), half of what one pass may make up (ns), when
@@ -83,33 +83,33 @@ def _keep(line: int, port: LoopPort) -> None:
 
 
 @kernel(types.void(PORT_TYPE, _INTS, _BYTES))
-def _flush(port: LoopPort, grid: Any, said: Any) -> None:
+def _flush(port: LoopPort, grid: Any, output: Any) -> None:
     """Write what waits, as far as the port takes it; a port that is broken shows it when it is read."""
-    sent = port.write(port.handle, np.int64(said.ctypes.data), grid[PENDING])
+    sent = port.write(port.handle, np.int64(output.ctypes.data), grid[PENDING])
     if sent > 0:
         for i in range(sent, grid[PENDING]):
-            said[i - sent] = said[i]
+            output[i - sent] = output[i]
         grid[PENDING] -= sent
 
 
 @kernel(types.void(type_of(Lockstep), PORT_TYPE, _INTS, _BYTES))
-def _say(software: Lockstep, port: LoopPort, grid: Any, said: Any) -> None:
+def _send_output(software: Lockstep, port: LoopPort, grid: Any, output: Any) -> None:
     """Send the device's output. Output without room is discarded, newest first, whole frames only."""
-    behind = np.int64(said.ctypes.data) + grid[PENDING]
-    count = _take(software.take, software.device, behind, SAID_BYTES)
+    behind = np.int64(output.ctypes.data) + grid[PENDING]
+    count = _take(software.take, software.device, behind, OUTPUT_BYTES)
     if grid[HUNG_UP] == 0 and grid[PENDING] + count <= PENDING_BYTES:
         grid[PENDING] += count
     if grid[PENDING] != 0:
-        _flush(port, grid, said)
+        _flush(port, grid, output)
 
 
 @kernel(types.boolean(type_of(Lockstep), PLANT_TYPE, PORT_TYPE, _INTS, _BYTES, _BYTES))
-def _hear(
-    software: Lockstep, plant: PlantArguments, port: LoopPort, grid: Any, said: Any, heard: Any
+def _pass_input(
+    software: Lockstep, plant: PlantArguments, port: LoopPort, grid: Any, output: Any, received: Any
 ) -> bool:
     """Hand the device what the host sent, and send its answers; False when the port is broken."""
-    words, address = software.words, np.int64(heard.ctypes.data)
-    count = port.read(port.handle, address, HEARD_BYTES)
+    words, address = software.words, np.int64(received.ctypes.data)
+    count = port.read(port.handle, address, RECEIVED_BYTES)
     if count <= 0:
         return bool(count == 0)
     now = (port.now(port.clock_handle) - grid[BOOT_NS]) * _UNITS // _UNITS_NS
@@ -118,7 +118,7 @@ def _hear(
     _receive(software.receive, software.device, software.address)
     if words[CUTS] != 0:
         cut(plant)
-    _say(software, port, grid, said)
+    _send_output(software, port, grid, output)
     return True
 
 
@@ -136,8 +136,8 @@ def keep_time(
     supplies: Supplies,
     line: int,
     grid: Any,
-    said: Any,
-    heard: Any,
+    output: Any,
+    received: Any,
     end_ns: int,
 ) -> int:
     """Tick and move bytes until `end_ns` on the port's clock, or until Python has to look; say why it returned.
@@ -159,7 +159,11 @@ def keep_time(
             grid[HUNG_UP] = 0
         now_ns = port.now(port.clock_handle)
         late_ns = now_ns - deadline_ns
-        if ready > 0 and not 0 <= late_ns <= LATE_NS and not _hear(software, plant, port, grid, said, heard):
+        if (
+            ready > 0
+            and not 0 <= late_ns <= LATE_NS
+            and not _pass_input(software, plant, port, grid, output, received)
+        ):
             ready = -1
         if ready < 0 and grid[HUNG_UP] == 0:
             grid[HUNG_UP] = 1
@@ -178,7 +182,7 @@ def keep_time(
             while words[DUE] <= until and grid[MOST] > 0:
                 ticks = run_ticks(software, plant, script, wires, supplies, until, grid[MOST], BURST_BYTES)
                 grid[MOST] = grid[MOST] - ticks if ticks != 0 else 0
-                _say(software, port, grid, said)
+                _send_output(software, port, grid, output)
             grid[PASSED_NS] = now_ns
             if grid[MOST] <= 0:
                 return ASK
@@ -203,7 +207,7 @@ class TickedDevice(Protocol):
 
     @property
     def rate(self) -> int:
-        """Ticks a second (Hz)."""
+        """Return the rate of the device's ticks (Hz)."""
         ...
 
     def compiled(self) -> tuple[Lockstep, World]:
@@ -250,12 +254,12 @@ class BoardTime:
         self._hung_up = hung_up
         self._most = most
         self._grid = np.zeros(GRID, np.int64)
-        self._said = np.zeros(PENDING_BYTES + SAID_BYTES, np.uint8)
-        self._heard = np.zeros(HEARD_BYTES, np.uint8)
+        self._output = np.zeros(PENDING_BYTES + OUTPUT_BYTES, np.uint8)
+        self._received = np.zeros(RECEIVED_BYTES, np.uint8)
         self._boot_ns = 0
 
     def run(self, duration_s: float | None) -> None:
-        """Tick until stopped."""
+        """Run the device in real time until it is stopped."""
         port, grid, line = self._port, self._grid, int(self._line.ctypes.data)
         now_ns = port.now(port.clock_handle)
         end_ns = NO_END if duration_s is None else now_ns + round(duration_s * 1e9)
@@ -266,7 +270,7 @@ class BoardTime:
             if why == ASK:
                 software, world = self._asked()
             why = keep_time(
-                software, *world, line, grid, self._said, self._heard, min(now_ns + SLICE_NS, end_ns)
+                software, *world, line, grid, self._output, self._received, min(now_ns + SLICE_NS, end_ns)
             )
             if why == ASK:
                 self.device.passed(world)

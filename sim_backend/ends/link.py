@@ -34,7 +34,6 @@ from sim_backend.ends.far_end import ARRIVED, CLOSED, DISCARDED, OUTPUT_BYTES, P
 
 
 def _times(text: str) -> tuple[float, ...]:
-    """Read ``0.5,0.75``."""
     return tuple(float(part) for part in text.split(","))
 
 
@@ -292,7 +291,7 @@ class MemoryLink:
 
     @property
     def armed(self) -> bool:
-        """Whether the device would take a command."""
+        """Return True if the device would take a command."""
         return self.device.state in (State.ARMED, State.RUNNING)
 
     def _take_back(self) -> None:
@@ -394,15 +393,15 @@ class MemoryLink:
         device = self._device
         most = self._until_something_happens()
         until_ns = self._start_ns + deadline_ns * self._pace // _BILLION
-        said, ticks = device.run(min(until_ns, self._until_a_level_changes()), most)
+        output, ticks = device.run(min(until_ns, self._until_a_level_changes()), most)
         self._progress[TICKS] += ticks
         if self.line is None:
-            self._keep(said)
+            self._keep(output)
         else:
             late = self.line.receive(Direction.TO_DEVICE, self._progress.item(TICKS))
             if late:
-                said += device.receive(late)
-            self._to_host(said)
+                output += device.receive(late)
+            self._to_host(output)
         return self._link_time(device.elapsed_ns)
 
     def _until_something_happens(self) -> int:

@@ -115,13 +115,13 @@ def serve(
             if isinstance(device, FirmwareDevice)
             else RealTime(device, port, stop)
         )
-        with _driven(device, model, hand), _linked(link_path, port.place), stopped_by_signals(stop):
+        with _drive_hand(device, model, hand), _link(link_path, port.place), stopped_by_signals(stop):
             announce(str(link_path) if link_path is not None else port.place)
             body.run(duration_s)
 
 
 @contextlib.contextmanager
-def _driven(
+def _drive_hand(
     device: SimulatedDevice | FirmwareDevice, model: RigModel, hand: str | Path | None
 ) -> Iterator[None]:
     """Let a person drive the hand, if there is a file for it."""
@@ -138,7 +138,7 @@ def _driven(
 
 
 @contextlib.contextmanager
-def _linked(link_path: str | Path | None, target: str) -> Iterator[None]:
+def _link(link_path: str | Path | None, target: str) -> Iterator[None]:
     """Keep a symbolic link to the port while it is open."""
     if link_path is None:
         yield

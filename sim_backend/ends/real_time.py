@@ -54,7 +54,7 @@ class RealTime:
         self._origin_ns = 0
 
     def run(self, duration_s: float | None) -> None:
-        """Tick until stopped."""
+        """Run the device in real time until it is stopped."""
         start_ns = time.monotonic_ns()
         end_ns = start_ns + round(duration_s * 1e9) if duration_s is not None else None
         self._origin_ns = start_ns - self.device.elapsed_ns

@@ -55,7 +55,7 @@ class UsbShape:
     interface_class: int = VENDOR_CLASS
 
     def device(self) -> bytes:
-        """Device descriptor."""
+        """Return the USB device descriptor of this device."""
         return struct.pack(
             "<BBHBBBBHHHBBBB",
             *(18, _DEVICE, 0x0200, 0, 0, 0, 64, self.vendor, self.product, 0x0100, 1, 2, 3, 1),

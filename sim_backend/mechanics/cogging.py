@@ -1,7 +1,7 @@
 """A rig whose motor cogs, stepped: `sim_backend.mechanics.plant` with an effort that the motor's position decides.
 
 One kernel serves all structures, held or not, because a plant is first written in the states of the largest
-(`in_full`): motor, link, motor effort, hand, and what the hand wants. What a rig does not have moves nothing.
+(`expand_states`): motor, link, motor effort, hand, and what the hand wants. What a rig does not have moves nothing.
 
 **Cogging.** Over an inner step it is held, like friction, at its value in the middle of the way that the motor's
 velocity would take it. On a free motor that is drift, kick, drift: the leapfrog, which is symplectic, so that cogging
@@ -38,7 +38,7 @@ from sim_backend.mechanics.inner import (
     STEP_S,
     STEPS,
     Vector,
-    encoded,
+    encode,
     rub_both,
 )
 from sim_backend.mechanics.sensors import cell
@@ -50,7 +50,7 @@ COMMAND, EXTERNAL, RUBS_MOTOR, RUBS_LINK, INPUTS = 0, 1, 2, 3, 7
 _FLOAT, _MATRIX = types.float64, types.float64[:, ::1]
 
 
-def in_full(rig: StateSpace) -> StateSpace:
+def expand_states(rig: StateSpace) -> StateSpace:
     """Write a rig in the states of two masses in a hand; a link of its own that a rigid rig lacks rests at zero."""
     held, rigid = rig.hand_position is not None, len(rig.friction) == 1
     states = [MOTOR, MOTOR + 1, *(() if rigid else (LINK, LINK + 1)), EFFORT]
@@ -80,7 +80,7 @@ def mean_weight(step_s: float, lag_s: float) -> float:
 
 
 @kernel(_FLOAT(_MATRIX, types.int64, *(_FLOAT,) * 8), inline=True, no_refcount=True)
-def _carried(
+def _carry(
     phi: Matrix,
     row: int,
     x: float,
@@ -92,7 +92,7 @@ def _carried(
     g: float,
     goal: float,
 ) -> float:
-    """What the states add to one of them in a step; positions as seen from where that one is."""
+    """Return what the states add to one of them in a step; positions relative to that one."""
     hand = phi[row, 5] * h + phi[row, 6] * g + phi[row, 7] * goal
     return float(
         phi[row, 0] * x + phi[row, 1] * v + phi[row, 2] * y + phi[row, 3] * w + phi[row, 4] * effort + hand
@@ -100,17 +100,17 @@ def _carried(
 
 
 @kernel(_FLOAT(_MATRIX, _MATRIX, types.int64, *(_FLOAT,) * 4), inline=True, no_refcount=True)
-def _pushed(
+def _push(
     phi: Matrix, gamma: Matrix, row: int, command: float, external: float, velocity: float, press: float
 ) -> float:
-    """What the inputs of a tick, which stay the same over its steps, add to a state in each step."""
+    """Return what the inputs of a tick, constant over its steps, add to a state in each step."""
     hand = phi[row, 8] * velocity + phi[row, 9] * press
     return float(gamma[row, COMMAND] * command + gamma[row, EXTERNAL] * external + hand)
 
 
 @kernel(_FLOAT(_MATRIX, types.int64, _FLOAT, _FLOAT), inline=True, no_refcount=True)
 def _rubbed(gamma: Matrix, row: int, motor: float, link: float) -> float:
-    """What efforts that are held over a step add to a state, on the motor and on the link."""
+    """Return what efforts on motor and link, constant over a step, add to a state."""
     return float(gamma[row, RUBS_MOTOR] * motor + gamma[row, RUBS_LINK] * link)
 
 
@@ -124,21 +124,21 @@ def advance(
     begins = int(parameters[RIPPLE])
     harmonics, ripple, last = parameters[PARAMETERS:begins], parameters[begins:], parameters[MEAN]
     step_s, resolution, offset = parameters[STEP_S], parameters[RESOLUTION], parameters[OFFSET]
-    push_x = _pushed(phi, gamma, 0, command, external, velocity, press)
-    push_v = _pushed(phi, gamma, 1, command, external, velocity, press)
-    push_y = _pushed(phi, gamma, 2, command, external, velocity, press)
-    push_w = _pushed(phi, gamma, 3, command, external, velocity, press)
-    push_e = _pushed(phi, gamma, 4, command, external, velocity, press)
-    push_h = _pushed(phi, gamma, 5, command, external, velocity, press)
-    push_g = _pushed(phi, gamma, 6, command, external, velocity, press)
+    push_x = _push(phi, gamma, 0, command, external, velocity, press)
+    push_v = _push(phi, gamma, 1, command, external, velocity, press)
+    push_y = _push(phi, gamma, 2, command, external, velocity, press)
+    push_w = _push(phi, gamma, 3, command, external, velocity, press)
+    push_e = _push(phi, gamma, 4, command, external, velocity, press)
+    push_h = _push(phi, gamma, 5, command, external, velocity, press)
+    push_g = _push(phi, gamma, 6, command, external, velocity, press)
     count = cell(x, resolution, offset)
     for _ in range(int(parameters[STEPS])):
         stretch, reach, far = y - x, h - x, goal - x  # as seen from the motor, and the same from the link
-        kept = _carried(phi, 4, 0.0, v, stretch, w, effort, reach, g, far)
+        kept = _carry(phi, 4, 0.0, v, stretch, w, effort, reach, g, far)
         mean, halfway = effort + last * (kept + push_e - effort), x + 0.5 * step_s * v
         cogs = effort_at(halfway, harmonics) + mean * effort_at(halfway, ripple)
-        free_v = _carried(phi, 1, 0.0, v, stretch, w, effort, reach, g, far) + push_v + gamma[1, 2] * cogs
-        free_w = _carried(phi, 3, -stretch, v, 0.0, w, effort, h - y, g, goal - y) + push_w
+        free_v = _carry(phi, 1, 0.0, v, stretch, w, effort, reach, g, far) + push_v + gamma[1, 2] * cogs
+        free_w = _carry(phi, 3, -stretch, v, 0.0, w, effort, h - y, g, goal - y) + push_w
         rub_v, rub_w, v_next, w_next = rub_both(
             free_v,
             free_w + gamma[3, 2] * cogs,
@@ -151,17 +151,17 @@ def advance(
         on_motor = rub_v + cogs
         x_next, y_next = x, y
         if v != 0.0 or v_next != 0.0:
-            x_next += _carried(phi, 0, 0.0, v, stretch, w, effort, reach, g, far)
+            x_next += _carry(phi, 0, 0.0, v, stretch, w, effort, reach, g, far)
             x_next += push_x + _rubbed(gamma, 0, on_motor, rub_w)
         if w != 0.0 or w_next != 0.0:
-            y_next += _carried(phi, 2, -stretch, v, 0.0, w, effort, h - y, g, goal - y)
+            y_next += _carry(phi, 2, -stretch, v, 0.0, w, effort, h - y, g, goal - y)
             y_next += push_y + _rubbed(gamma, 2, on_motor, rub_w)
-        h_next = h + _carried(phi, 5, -reach, v, y - h, w, effort, 0.0, g, goal - h)
-        g_next = _carried(phi, 6, -reach, v, y - h, w, effort, 0.0, g, goal - h)
+        h_next = h + _carry(phi, 5, -reach, v, y - h, w, effort, 0.0, g, goal - h)
+        g_next = _carry(phi, 6, -reach, v, y - h, w, effort, 0.0, g, goal - h)
         effort = kept + (push_e + _rubbed(gamma, 4, on_motor, rub_w))
         h = h_next + push_h + _rubbed(gamma, 5, on_motor, rub_w)
         g = g_next + push_g + _rubbed(gamma, 6, on_motor, rub_w)
-        count, age = encoded(count, age, x, x_next, step_s, resolution, offset)
+        count, age = encode(count, age, x, x_next, step_s, resolution, offset)
         x, v, y, w = x_next, v_next, y_next, w_next
     state[0], state[1], state[2], state[3], state[4] = x, v, y, w, effort
     state[5], state[6], state[10] = h, g, age

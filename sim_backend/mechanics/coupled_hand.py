@@ -26,7 +26,7 @@ from sim_backend.mechanics.inner import (
     STEP_S,
     STEPS,
     Vector,
-    encoded,
+    encode,
     rub_both,
     rub_one,
 )
@@ -49,7 +49,7 @@ def want(state: Any, edge_age: int, script: Any, row: int, again: int) -> int:
 
 
 @kernel(_FLOAT(_MATRIX, _MATRIX, _INT, _FLOAT, _FLOAT, _FLOAT, _FLOAT), inline=True, no_refcount=True)
-def _pushed(
+def _push(
     phi: Matrix,
     gamma: Matrix,
     row: int,
@@ -58,15 +58,15 @@ def _pushed(
     wanted_velocity: float,
     press: float,
 ) -> float:
-    """What the inputs of a tick, which stay the same over its steps, add to a state in each step."""
+    """Return what the inputs of a tick, constant over its steps, add to a state in each step."""
     order = phi.shape[0]
     hand = phi[row, order - 2] * wanted_velocity + phi[row, order - 1] * press
     return float(gamma[row, 0] * command + gamma[row, 1] * external + hand)
 
 
 @kernel(_FLOAT(_MATRIX, _INT, _FLOAT, _FLOAT, _FLOAT, _FLOAT), inline=True, no_refcount=True)
-def _carried(phi: Matrix, row: int, v: float, w: float, effort: float, g: float) -> float:
-    """What the velocities and the effort of a two-mass rig add to a state in a step."""
+def _carry(phi: Matrix, row: int, v: float, w: float, effort: float, g: float) -> float:
+    """Return what the velocities and the effort of a two-mass rig add to a state in a step."""
     return float(phi[row, 1] * v + phi[row, 3] * w + phi[row, 4] * effort + phi[row, 6] * g)
 
 
@@ -79,11 +79,11 @@ def advance_rigid(
     goal, goal_velocity, press, age = state[5], state[6], state[7], state[8]
     step_s, coulomb = parameters[STEP_S], parameters[COULOMB]
     resolution, offset = parameters[RESOLUTION], parameters[OFFSET]
-    push_x = _pushed(phi, gamma, 0, command, external, goal_velocity, press)
-    push_v = _pushed(phi, gamma, 1, command, external, goal_velocity, press)
-    push_e = _pushed(phi, gamma, 2, command, external, goal_velocity, press)
-    push_h = _pushed(phi, gamma, 3, command, external, goal_velocity, press)
-    push_g = _pushed(phi, gamma, 4, command, external, goal_velocity, press)
+    push_x = _push(phi, gamma, 0, command, external, goal_velocity, press)
+    push_v = _push(phi, gamma, 1, command, external, goal_velocity, press)
+    push_e = _push(phi, gamma, 2, command, external, goal_velocity, press)
+    push_h = _push(phi, gamma, 3, command, external, goal_velocity, press)
+    push_g = _push(phi, gamma, 4, command, external, goal_velocity, press)
     count = cell(x, resolution, offset)
     for _ in range(int(parameters[STEPS])):
         grip, wish, want = h - x, goal - x, goal - h
@@ -101,7 +101,7 @@ def advance_rigid(
         effort += push_e + gamma[2, 2] * friction
         h += h_next + push_h + gamma[3, 2] * friction
         g = g_next + push_g + gamma[4, 2] * friction
-        count, age = encoded(count, age, x, x_next, step_s, resolution, offset)
+        count, age = encode(count, age, x, x_next, step_s, resolution, offset)
         x, v = x_next, v_next
     state[0], state[1], state[2], state[3], state[4] = x, v, effort, h, g
     state[8] = age
@@ -117,40 +117,40 @@ def advance_two_mass(
     h, g, goal, goal_velocity, press, age = state[5], state[6], state[7], state[8], state[9], state[10]
     step_s, coulomb_v, coulomb_w = parameters[STEP_S], parameters[COULOMB], parameters[COULOMB_LINK]
     resolution, offset = parameters[RESOLUTION], parameters[OFFSET]
-    push_x = _pushed(phi, gamma, 0, command, external, goal_velocity, press)
-    push_v = _pushed(phi, gamma, 1, command, external, goal_velocity, press)
-    push_y = _pushed(phi, gamma, 2, command, external, goal_velocity, press)
-    push_w = _pushed(phi, gamma, 3, command, external, goal_velocity, press)
-    push_e = _pushed(phi, gamma, 4, command, external, goal_velocity, press)
-    push_h = _pushed(phi, gamma, 5, command, external, goal_velocity, press)
-    push_g = _pushed(phi, gamma, 6, command, external, goal_velocity, press)
+    push_x = _push(phi, gamma, 0, command, external, goal_velocity, press)
+    push_v = _push(phi, gamma, 1, command, external, goal_velocity, press)
+    push_y = _push(phi, gamma, 2, command, external, goal_velocity, press)
+    push_w = _push(phi, gamma, 3, command, external, goal_velocity, press)
+    push_e = _push(phi, gamma, 4, command, external, goal_velocity, press)
+    push_h = _push(phi, gamma, 5, command, external, goal_velocity, press)
+    push_g = _push(phi, gamma, 6, command, external, goal_velocity, press)
     count = cell(x, resolution, offset)
     for _ in range(int(parameters[STEPS])):
         stretch, reach, far = y - x, h - x, goal - x  # as seen from the motor
         grip, wish, want = h - y, goal - y, goal - h  # from the link; from the hand
         free_v = phi[1, 2] * stretch + phi[1, 5] * reach + phi[1, 7] * far
-        free_v += _carried(phi, 1, v, w, effort, g) + push_v
+        free_v += _carry(phi, 1, v, w, effort, g) + push_v
         free_w = phi[3, 5] * grip + phi[3, 7] * wish - phi[3, 0] * stretch
-        free_w += _carried(phi, 3, v, w, effort, g) + push_w
+        free_w += _carry(phi, 3, v, w, effort, g) + push_w
         rub_v, rub_w, v_next, w_next = rub_both(
             free_v, free_w, gamma[1, 2], gamma[3, 2], gamma[3, 3], coulomb_v, coulomb_w
         )
         x_next, y_next = x, y
         if v != 0.0 or v_next != 0.0:
             x_next += phi[0, 2] * stretch + phi[0, 5] * reach + phi[0, 7] * far
-            x_next += _carried(phi, 0, v, w, effort, g) + push_x + gamma[0, 2] * rub_v + gamma[0, 3] * rub_w
+            x_next += _carry(phi, 0, v, w, effort, g) + push_x + gamma[0, 2] * rub_v + gamma[0, 3] * rub_w
         if w != 0.0 or w_next != 0.0:
             y_next += phi[2, 5] * grip + phi[2, 7] * wish - phi[2, 0] * stretch
-            y_next += _carried(phi, 2, v, w, effort, g) + push_y + gamma[2, 2] * rub_v + gamma[2, 3] * rub_w
+            y_next += _carry(phi, 2, v, w, effort, g) + push_y + gamma[2, 2] * rub_v + gamma[2, 3] * rub_w
         h_next = phi[5, 7] * want - phi[5, 2] * grip - phi[5, 0] * reach
         g_next = phi[6, 7] * want - phi[6, 2] * grip - phi[6, 0] * reach
-        h_next += _carried(phi, 5, v, w, effort, g) + push_h + gamma[5, 2] * rub_v + gamma[5, 3] * rub_w
+        h_next += _carry(phi, 5, v, w, effort, g) + push_h + gamma[5, 2] * rub_v + gamma[5, 3] * rub_w
         e_next = phi[4, 2] * stretch + phi[4, 5] * reach + phi[4, 7] * far
-        e_next += _carried(phi, 4, v, w, effort, g) + push_e + gamma[4, 2] * rub_v + gamma[4, 3] * rub_w
-        g = g_next + _carried(phi, 6, v, w, effort, g) + push_g + gamma[6, 2] * rub_v + gamma[6, 3] * rub_w
+        e_next += _carry(phi, 4, v, w, effort, g) + push_e + gamma[4, 2] * rub_v + gamma[4, 3] * rub_w
+        g = g_next + _carry(phi, 6, v, w, effort, g) + push_g + gamma[6, 2] * rub_v + gamma[6, 3] * rub_w
         h += h_next
         effort = e_next
-        count, age = encoded(count, age, x, x_next, step_s, resolution, offset)
+        count, age = encode(count, age, x, x_next, step_s, resolution, offset)
         x, v, y, w = x_next, v_next, y_next, w_next
     state[0], state[1], state[2], state[3], state[4] = x, v, y, w, effort
     state[5], state[6], state[10] = h, g, age

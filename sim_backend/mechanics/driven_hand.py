@@ -80,7 +80,7 @@ class DrivenHand:
         self._press, self._press_rate = 0.0, 0.0
         self._tick = 0
         # A wish from before the session may be years old: only a new one shows that a person is there.
-        self._said = self._wish() or Wish(0, reach.start, 0.0)
+        self._newest_wish = self._wish() or Wish(0, reach.start, 0.0)
         self._silent_s, self._alone, self._goal = SILENT_S, True, reach.start
         self._led = reach.start  # on its way to the goal: what the hand follows
         self._times: Rows = np.arange(1.0, 1.5 + round(BLOCK_S / tick_s), dtype=np.float64) * tick_s
@@ -130,10 +130,10 @@ class DrivenHand:
 
     def _wanted(self, hand: float) -> tuple[float, float]:
         """Where the hand wants to be now (rad or m), and its press (N)."""
-        said = self._wish()
+        wish = self._wish()
         self._silent_s += len(self._times) * self._tick_s
-        if said is not None and said.sequence != self._said.sequence:
-            self._said, self._silent_s = said, 0.0
+        if wish is not None and wish.sequence != self._newest_wish.sequence:
+            self._newest_wish, self._silent_s = wish, 0.0
         if self._silent_s >= SILENT_S:
             if not self._alone:
                 self._alone, self._goal = True, hand
@@ -146,8 +146,8 @@ class DrivenHand:
             reach.start - self._side * BACK_M / self._radius,
             reach.target + self._side * ahead / self._radius,
         )
-        self._goal = min(max(self._said.position, min(ends)), max(ends))
-        return self._goal, min(max(self._said.press, 0.0), PRESS_N)
+        self._goal = min(max(self._newest_wish.position, min(ends)), max(ends))
+        return self._goal, min(max(self._newest_wish.press, 0.0), PRESS_N)
 
     def _share(self) -> float:
         """Effort of the hand as a share of the scripted one's, 1 at most: what its tremor grows with."""

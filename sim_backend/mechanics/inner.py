@@ -86,7 +86,7 @@ def rub_both(
 
 
 @kernel(types.Tuple((_INT, _FLOAT))(_INT, _FLOAT, _FLOAT, _FLOAT, _FLOAT, _FLOAT, _FLOAT), inline=True)
-def encoded(
+def encode(
     old: int, age: float, before: float, after: float, step_s: float, resolution: float, offset: float
 ) -> tuple[int, float]:
     """Encoder cell and age of the last edge after a step from position `before`, in cell `old`, to `after`.

@@ -43,7 +43,7 @@ class OperatorScript(NamedTuple):
 
     @classmethod
     def silent(cls) -> OperatorScript:
-        """Without any row."""
+        """Return a script without rows, for a rig without a hand."""
         return cls(rows=np.zeros((0, INTENTIONS)))
 
     @classmethod
@@ -63,11 +63,11 @@ class OperatorScript(NamedTuple):
         """
         if model.operator is None or model.reach is None:
             return cls.silent()
-        return _written(model.operator, model.reach, model.mechanics.handle_radius, tick_s, position, session)
+        return _write(model.operator, model.reach, model.mechanics.handle_radius, tick_s, position, session)
 
 
 @lru_cache(maxsize=8)  # rigs of a map differ in nothing that changes the script; 2 MB each, never written to
-def _written(
+def _write(
     operator: Operator, reach: OperatorReach, radius: float, tick_s: float, position: float, session: int
 ) -> OperatorScript:
     along_s = abs(reach.start - position) / reach.pace

@@ -59,7 +59,7 @@ from sim_backend.mechanics.inner import (
     STEPS,
     Vector,
     clip,
-    encoded,
+    encode,
     rub_both,
     rub_one,
 )
@@ -131,11 +131,11 @@ class DiscretePlant:
         """
         if not (tick_s > 0.0 and math.isfinite(tick_s)):
             raise ConfigError(f"tick_s = {tick_s} s must be above 0", remedy="choose a rate above zero")
-        return _discretised(model, tick_s)
+        return _discretise(model, tick_s)
 
     @property
     def arrays(self) -> tuple[Matrix, Matrix, Vector]:
-        """What the steps of this plant are computed with."""
+        """Return the matrices of this plant's steps."""
         return self.phi, self.gamma, self.parameters
 
     def arguments(self, state: Vector) -> PlantArguments:
@@ -176,21 +176,21 @@ class DiscretePlant:
 
     @property
     def cogs(self) -> bool:
-        """Whether the motor cogs: the plant is written in full then (`sim_backend.mechanics.cogging`)."""
+        """Return True if the motor cogs: the plant is written in full then (`sim_backend.mechanics.cogging`)."""
         return len(self.parameters) > PARAMETERS
 
     def count(self, state: Vector) -> int:
-        """Encoder count in a state."""
+        """Return the encoder count of a state of the plant."""
         p = self.parameters
         position = state[self.sensed_position]
         return encoder_count(position, p[RESOLUTION], p[OFFSET], int(p[SIGN]))
 
 
 @lru_cache(maxsize=64)
-def _discretised(model: RigModel, tick_s: float) -> DiscretePlant:
+def _discretise(model: RigModel, tick_s: float) -> DiscretePlant:
     continuous = state_space(model.mechanics, model.amplifier, model.operator)
     if model.cogging.orders:
-        continuous = cogging.in_full(continuous)
+        continuous = cogging.expand_states(continuous)
     steps = max(1, math.ceil(tick_s / model.simulation.inner_step_s - 1e-9))  # 1e-9: 1 ms / 50 µs is 20
     phi, gamma = _exact(continuous, tick_s / steps)
     _check_friction(continuous, gamma, tick_s / steps)
@@ -297,7 +297,7 @@ def _advance_rigid(
         x_next = x
         if v != 0.0 or v_next != 0.0:
             x_next += phi[0, 1] * v + phi[0, 2] * effort + push_x + gamma[0, 2] * friction
-        count, age = encoded(count, age, x, x_next, step_s, resolution, offset)
+        count, age = encode(count, age, x, x_next, step_s, resolution, offset)
         effort = phi[2, 1] * v + phi[2, 2] * effort + push_e + gamma[2, 2] * friction
         x, v = x_next, v_next
     state[0], state[1], state[2], state[3] = x, v, effort, age
@@ -333,7 +333,7 @@ def _advance_two_mass(
         if w != 0.0 or w_next != 0.0:
             y_next += phi[2, 1] * v - phi[2, 0] * stretch + phi[2, 3] * w + phi[2, 4] * effort + push_y
             y_next += gamma[2, 2] * rub_v + gamma[2, 3] * rub_w
-        count, age = encoded(count, age, x, x_next, step_s, resolution, offset)
+        count, age = encode(count, age, x, x_next, step_s, resolution, offset)
         effort = phi[4, 1] * v + phi[4, 2] * stretch + phi[4, 3] * w + phi[4, 4] * effort + push_e
         effort += gamma[4, 2] * rub_v + gamma[4, 3] * rub_w
         x, v, y, w = x_next, v_next, y_next, w_next

@@ -22,7 +22,7 @@ class TruthLog:
         self._states = np.zeros((_FIRST_ROWS, plant.commands.start))
 
     def add(self, sample_index: int, state: Vector) -> None:
-        """Copy one state."""
+        """Append a copy of one state to the log."""
         indices, states, row = self.room()
         indices[row] = sample_index
         states[row] = state[: states.shape[1]]

@@ -11,7 +11,7 @@ from firmware_protocol.faults import LimitFlag
 from firmware_protocol.parameters import DEFAULTS
 from rig import config
 from rig.config import presets
-from sim_backend.board.safety import AT, FADES_A_SECOND, Safety, check, limited
+from sim_backend.board.safety import AT, FADES_A_SECOND, Safety, check, limit_current
 
 RATE, CONFIRM_MS = 1_000, 200
 LIMIT = 5_000
@@ -39,7 +39,7 @@ def run(safety: Safety, wanted: Any, counts: Any) -> tuple[Any, Any]:
     """Currents that flow and limit flags, tick by tick."""
     flowing, flags = [], []
     for want, count in zip(wanted, counts, strict=True):
-        current = limited(safety.rules, safety.heat, int(want))
+        current = limit_current(safety.rules, safety.heat, int(want))
         check(safety.rules, safety.heat, safety.counts, safety.currents, int(count), current, current)
         flowing.append(current)
         flags.append(safety.rules[AT.flags])

@@ -30,11 +30,11 @@ from sim_backend.board.safety import (
     RING_TICKS,
     Safety,
     check,
+    compute_wanted,
     feed,
     flat,
     large_effort,
     stall_time,
-    wanted,
     warm,
 )
 from sim_backend.ends.link import MemoryLink
@@ -451,7 +451,7 @@ def test_the_ramp_never_rises_and_never_changes_sign(
     feed(rules, 0, current, lifetime, ramp)
     sizes, rules[AT.current] = [], current
     for until in range(step, lifetime + ramp + 2 * step, step):
-        flows = rules[AT.current] = wanted(rules, until)
+        flows = rules[AT.current] = compute_wanted(rules, until)
         sizes.append(abs(flows))
         assert flows * current >= 0
         assert until < lifetime + ramp or until <= lifetime or flows == 0

@@ -13,7 +13,7 @@ from rig.devices.fault_script import Direction, FaultKind, FrameFault
 from sim_backend.drives.bus import Frame
 from sim_backend.drives.can_simple import CanSimpleCommand, Error
 from sim_backend.drives.faults import DriveEvent, DriveScript
-from sim_backend.drives.fdcanusb import Fdcanusb, LineSplitter, Uart, checksum, sealed
+from sim_backend.drives.fdcanusb import Fdcanusb, LineSplitter, Uart, checksum, seal
 from sim_backend.drives.outlets import DriveSockets, UnpluggableTerminal
 from sim_backend.drives.process import serve
 from sim_backend.drives.socket_can import SocketCan, from_wire, to_wire
@@ -42,10 +42,10 @@ def test_the_checksum_is_the_one_of_its_polynomial() -> None:
 def test_after_the_first_checksum_each_line_needs_one_and_each_answer_has_one() -> None:
     uart = Uart()
     assert uart.open(b"can send 8001 01000a\n") == (FRAME, [b"OK\r\n"])
-    assert uart.open(sealed(b"can send 8001 01000a bF") + b"\n") == (FRAME, [sealed(b"OK") + b"\r\n"])
-    assert uart.open(b"can send 8001 01000a\n") == (None, [sealed(b"ERR checksum") + b"\r\n"])
+    assert uart.open(seal(b"can send 8001 01000a bF") + b"\n") == (FRAME, [seal(b"OK") + b"\r\n"])
+    assert uart.open(b"can send 8001 01000a\n") == (None, [seal(b"ERR checksum") + b"\r\n"])
     assert uart.open(b"can send 8001 01000b *00\n")[0] is None
-    assert uart.close(Frame(0x0100, b"\x21\x00\x0a")) == [sealed(b"rcv 00000100 21000a") + b"\r\n"]
+    assert uart.close(Frame(0x0100, b"\x21\x00\x0a")) == [seal(b"rcv 00000100 21000a") + b"\r\n"]
 
 
 @pytest.mark.parametrize(
@@ -126,7 +126,7 @@ def test_a_moteus_answers_on_can_fd_and_a_host_off_the_bus_hears_of_it() -> None
 
 def told(frames: int, every_ms: int = 1) -> list[tuple[int, bytes]]:
     """A host that asks for 0.05 N·m every so often, from 1 ms on."""
-    line = sealed(b"can send 8001 " + TORQUE.hex().encode()) + b"\n"
+    line = seal(b"can send 8001 " + TORQUE.hex().encode()) + b"\n"
     return [((1 + at * every_ms) * MS, line) for at in range(frames)]
 
 

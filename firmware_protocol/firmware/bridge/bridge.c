@@ -7,9 +7,9 @@
 #include "odrive.h"
 
 #define UNITS_PER_SECOND (HR_TIME_UNITS_PER_US * 1000000u)
-#define PREPARES UNITS_PER_SECOND /* how long a drive stays prepared when nobody arms */
+#define PREPARES UNITS_PER_SECOND /* how long a drive stays prepared without being armed */
 #define FED_TICKS 2u         /* one feeding is good for a set-point behind a lost reply, too */
-#define EXACT_COUNTS 8388608.0 /* 2²³: a float32 tells such positions to half a count */
+#define EXACT_COUNTS 8388608.0 /* 2²³: a float32 resolves such positions to half a count */
 #define LONG (UNITS_PER_SECOND / 50u) /* no command lives for longer; a drive that starts again is silent for longer (assumed) */
 #define JUMP 0.5             /* turns between two replies that no handle makes: the drive has started again */
 #define GAIN 8             /* samples in which a phase is followed */
@@ -73,7 +73,7 @@ static int32_t hal_encoder_count(void *context)
     return ((struct bridge *)context)->count;
 }
 
-/* A drive tells no edges. */
+/* A drive reports no times of edges. */
 static uint64_t hal_edge_time(void *context)
 {
     (void)context;
@@ -138,7 +138,7 @@ static bool hal_amplifier_ready(void *context)
     return bridge->drive.known && bridge->missed == 0 && bridge->since >= STALE && bridge->kind->is_on(&bridge->drive);
 }
 
-/* Pins of the drive, as its last reply told them. */
+/* Pins of the drive, from its last reply. */
 static uint8_t hal_inputs(void *context)
 {
     const struct bridge *bridge = context;
@@ -270,7 +270,7 @@ static void take_count(struct bridge *bridge)
         bridge->count_failed = true;
 }
 
-/* With a wall the effort is the drive's own: what it tells, in quanta. */
+/* With a wall the effort is the drive's own: its reported torque, in quanta. */
 static void take_effort(struct bridge *bridge)
 {
     const double quanta = (double)bridge->drive.sample.rendered / bridge->setup.torque_per_quantum;
@@ -403,7 +403,7 @@ static bool has_forgotten(const struct bridge *bridge, uint32_t missed)
     return is_silent(bridge, missed) && missed * bridge->period >= LONG;
 }
 
-/* Without a reply the core gets no sample, and after some its session no current. Then its host still hears of it. */
+/* Without a reply the core gets no sample, and after some its session no current. Its host is still informed of it. */
 static void miss_reply(struct bridge *bridge)
 {
     const bool known = bridge->drive.known, forgot_before = has_forgotten(bridge, bridge->missed++);

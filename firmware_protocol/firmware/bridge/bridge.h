@@ -31,7 +31,7 @@
 #define BRIDGE_BINS 512u         /* of the round trips, 10 µs each; the last one has all longer ones */
 #define BRIDGE_BIN_US 10u
 
-/* What happened on the bus, for whoever watches: a row of numbers, so that another process can read them. */
+/* Statistics of the bus: a row of numbers, so that another process can read them. */
 struct bridge_facts {
     int64_t replies;
     int64_t lost;     /* periods without a sample, from the first one on */
@@ -55,7 +55,7 @@ struct bridge_setup {
     uint32_t rate_maximum;
     uint32_t prefix; /* of the bus's ids */
     uint32_t drive;  /* its id */
-    double counts_per_turn; /* of the output, as the drive tells it; may be negative */
+    double counts_per_turn; /* of the output, as the drive reports it; may be negative */
     double torque_per_quantum; /* N·m at the output; may be negative */
     double torque_limit; /* N·m at the output */
     double kp; /* gains of the drive's own law at the output, N·m/turn; 0: it renders no wall */
@@ -66,7 +66,7 @@ struct bridge_setup {
     uint32_t checksum; /* on the adapter's lines */
     uint32_t socket;   /* the bus is a raw CAN socket: frames, no lines */
     uint32_t kind;     /* enum bridge_drive */
-    uint32_t cycle_us; /* between two samples that the drive tells by itself, 0: it is asked */
+    uint32_t cycle_us; /* between two samples that the drive sends by itself, 0: it is polled */
     uint32_t beat_us;  /* between two heartbeats of it */
 };
 
@@ -83,7 +83,7 @@ struct bridge {
     struct drive drive;
     struct fdcanusb adapter;
 
-    uint64_t now;       /* device time, set by whoever runs it, unless `clock` tells it */
+    uint64_t now;       /* device time, set by the caller, unless `clock` is given */
     uint64_t (*clock)(void);
     uint64_t period;    /* device time */
     uint64_t cycle;     /* of the drive's samples, 0: it is asked */

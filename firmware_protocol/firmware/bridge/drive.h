@@ -9,15 +9,15 @@
 
 #include "can_frame.h"
 
-#define DRIVE_FRAMES 4u   /* that a drive is told in a period at most */
-#define DRIVE_SETTLES 50u /* samples until a drive must have done what it was told */
+#define DRIVE_FRAMES 4u   /* most frames to a drive in a period */
+#define DRIVE_SETTLES 50u /* samples until a drive must have executed a command */
 #define DRIVE_TOLD 3u     /* set-points that may be on their way there and back */
 
 /* What may be wrong with a drive: faults of the core from here on, which the dictionary explains. */
 enum bridge_fault {
     BRIDGE_DRIVE_SILENT = 20,
     BRIDGE_OTHER_MASTER = 21,
-    BRIDGE_DRIVE_LEFT = 22, /* its mode is not the one it was told */
+    BRIDGE_DRIVE_LEFT = 22, /* its mode is not the commanded one */
     BRIDGE_OVER_VOLTAGE = 23,
     BRIDGE_UNDER_VOLTAGE = 24,
     BRIDGE_DRIVER = 25,
@@ -45,7 +45,7 @@ struct drive_order {
     bool asks;        /* a period begins, and its sample is awaited; else a wish that could not wait for the next one */
     bool fed;         /* the core's watchdog is: a set-point may go */
     float torque;     /* N·m at the output */
-    float watchdog_s; /* after which the drive gives none, unless it is told again */
+    float watchdog_s; /* after which the drive gives none, unless the command is repeated */
     const struct drive_wall *wall; /* to render beside the torque, or NULL */
 };
 
@@ -58,7 +58,7 @@ struct drive_sample {
     float voltage;     /* V */
     float temperature; /* °C */
     uint8_t switches;  /* pins */
-    bool limited;      /* it gives another torque than it was told */
+    bool limited;      /* it gives another torque than the commanded one */
 };
 
 enum drive_heard {
@@ -81,13 +81,13 @@ struct drive {
     struct drive_sample sample;
 
     uint8_t sender; /* of a moteus: of the last query, from 0 */
-    uint8_t modes[DRIVE_TOLD]; /* of a moteus: that it was told last, the newest first; a sample may show any of them */
+    uint8_t modes[DRIVE_TOLD]; /* of a moteus: commanded last, the newest first; a sample may show any of them */
 
     struct { /* of an ODrive */
         uint32_t error;
         uint8_t result;
-        bool woken;       /* it was told to enter closed loop, and has not settled at rest since */
-        enum drive_wish wish; /* that it was told last */
+        bool woken;       /* it was commanded into closed loop, and has not settled at rest since */
+        enum drive_wish wish; /* that was commanded last */
         uint32_t periods; /* of preparing, since then */
         uint32_t beats;   /* since then */
         uint64_t beat_at; /* device time of the last one; 0 before the first */

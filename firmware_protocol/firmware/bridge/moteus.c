@@ -72,7 +72,7 @@ static void write_two(struct can_frame_bytes *frame, enum moteus_register at, un
     put(frame, second);
 }
 
-/* Mode 10 without its position controller: what is left is the feed-forward torque. */
+/* Mode 10 without its position controller: only the feed-forward torque remains. */
 static void write_torque(struct can_frame_bytes *frame, const struct moteus_command *command)
 {
     write_two(frame, COMMAND_POSITION, NO_POSITION, 0);
@@ -218,7 +218,7 @@ bool moteus_read(const struct can_frame_bytes *frame, uint8_t switches, struct d
 
 /* ------------------------------------------------------------------ a drive of a bridge */
 
-/* What it is told. A set-point needs food, an idle drive nothing. */
+/* The command to the drive. A set-point feeds its watchdog; an idle drive needs nothing. */
 static enum moteus_action action_of(const struct drive *drive, const struct drive_order *order)
 {
     const uint8_t mode = drive->sample.mode;

@@ -1,4 +1,4 @@
-/* What a moteus is told and tells, in frames of its register protocol.
+/* Commands to a moteus and its replies, in frames of its register protocol.
  *
  * Source: mjbots/moteus, docs/protocol/can.md and docs/protocol/registers.md (register map 5), opened. */
 #ifndef HR_MOTEUS_H
@@ -11,7 +11,7 @@
 #include "drive.h"
 
 /* A query names its sender, and the reply repeats it: sixteen senders number the queries, so that a late reply is not
- * taken for the one that is awaited. Other programs are sender 0 unless they are told otherwise. */
+ * taken for the one that is awaited. Other programs are sender 0 by default. */
 #define MOTEUS_FIRST_SENDER 0x10u
 #define MOTEUS_SENDERS 16u
 
@@ -24,7 +24,7 @@ enum moteus_mode {
     MOTEUS_STAY_WITHIN = 13,
 };
 
-/* Codes of register 0x00f: faults below, beyond them what limits the torque of a mode that goes on. */
+/* Codes of register 0x00f: faults below, beyond them what limits the torque of a mode that continues. */
 #define MOTEUS_FIRST_LIMIT 96u
 
 enum moteus_action {
@@ -44,8 +44,8 @@ struct moteus_wall {
 struct moteus_command {
     enum moteus_action action;
     float torque;     /* N·m at the output */
-    float limit;      /* N·m that it may give at most, whatever it is told */
-    float watchdog_s; /* after which it gives none, unless it is told again */
+    float limit;      /* N·m that it may give at most, whatever is commanded */
+    float watchdog_s; /* after which it gives none, unless the command is repeated */
     uint8_t switches; /* register that a reply is to have too, 0: none (0x05e and 0x05f are the pins of aux1 and aux2) */
     struct moteus_wall wall; /* of MOTEUS_WALL */
 };

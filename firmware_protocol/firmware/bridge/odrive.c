@@ -8,9 +8,9 @@
 #define NODE_BITS 5u
 #define MESSAGE_BYTES 8u
 #define LOST_BEATS 5u /* heartbeats in succession: is it there? */
-#define FRESH_BEATS 2u /* the first one may have been on its way before a wish was told */
+#define FRESH_BEATS 2u /* the first one may have been on its way before a command was sent */
 #define AGAIN 32u      /* periods until it is asked into closed loop again */
-#define DIFFERS 3u     /* samples in succession with a set-point that nobody told it */
+#define DIFFERS 3u     /* samples in succession with a set-point that was not commanded */
 #define RELATIVE 1e-4f /* by which a set-point may differ: of float32 arithmetic */
 #define SMALLEST 1e-6f /* N·m */
 
@@ -66,7 +66,7 @@ static size_t tell_idle(struct drive *drive, struct can_frame_bytes *frames)
     return 2;
 }
 
-/* Into closed loop, without torque; what stopped it before is cleared once: who armed it has been told of that. */
+/* Into closed loop, without torque; what stopped it before is cleared once, after it was reported to the host that arms. */
 static size_t tell_prepare(struct drive *drive, struct can_frame_bytes *frames)
 {
     size_t count = 0;
@@ -131,7 +131,7 @@ static float number(const struct can_frame_bytes *frame, unsigned at)
     return value;
 }
 
-/* Whether a set-point that it works with is none that it was told of late. */
+/* Whether the drive's set-point is none of those commanded recently. */
 static bool differs(const struct drive *drive, float target)
 {
     for (unsigned i = 0; i < DRIVE_TOLD; i++)
@@ -147,7 +147,7 @@ static void take_beat(struct drive *drive, const struct can_frame_bytes *frame, 
     drive->odrive.result = frame->bytes[5];
     drive->odrive.beats++;
     drive->odrive.beat_at = now;
-    drive->odrive.obeys_another = drive->odrive.differs >= DIFFERS; /* else it has stopped, which a heartbeat tells */
+    drive->odrive.obeys_another = drive->odrive.differs >= DIFFERS; /* else it has stopped, which a heartbeat shows */
 }
 
 static void take_torques(struct drive *drive, const struct can_frame_bytes *frame)
@@ -232,7 +232,7 @@ static uint8_t fault(const struct drive *drive, enum drive_wish wish, uint32_t s
         return state == IDLE || !settled ? HR_FAULT_NONE : BRIDGE_DRIVE_LEFT;
     if (drive->odrive.heard_at - drive->odrive.beat_at > LOST_BEATS * drive->beat)
         return BRIDGE_DRIVE_SILENT;
-    if (wish == DRIVE_PREPARE && !settled) /* what it was told is on its way */
+    if (wish == DRIVE_PREPARE && !settled) /* the command is on its way */
         return HR_FAULT_NONE;
     if (drive->odrive.error != 0)
         return fault_of(drive->odrive.error);

@@ -304,7 +304,7 @@ static uint32_t faults_of(struct device *device, const struct fault_entry *tick)
                                   tick->current_measured);
     const bool disagrees =
         current_disagrees(&device->current, tick->count, tick->current_commanded, tick->current_measured);
-    if (device->limits.beside) /* what is driven changes its current within a tick: one of it is told */
+    if (device->limits.beside) /* the driven current changes within a tick, of which one value is reported */
         current_forget(&device->current);
     else if (disagrees)
         bits |= FAULT(CURRENT_MISMATCH);

@@ -33,7 +33,7 @@ struct hal {
     void (*enable)(void *context, bool on);
 
     /* Whether the port lets what it drives render the wall of a law (LAW_ELSEWHERE), so many ticks a second. It does so
-     * beside the set-point, and tells the current of both (device_tick_driven). NULL: it cannot. */
+     * beside the set-point, and reports the current of both (device_tick_driven). NULL: it cannot. */
     bool (*renders)(void *context, const law_parameters *law, uint32_t rate);
 
     /* Whether the amplifier can be switched on at once; asked before arming, again and again. One that takes its time

@@ -15,7 +15,7 @@
 #define UNITS_PER_MS (UNITS_PER_US * 1000u)
 #define UNITS_PER_SECOND (UNITS_PER_US * 1000000u)
 #define FEED_US 40000u             /* as the core feeds a device that is not armed */
-#define LOOKS 4000000u             /* at a clock that stands still, before nobody waits for it any longer */
+#define LOOKS 4000000u             /* at a clock that stands still, before the wait is given up */
 #define ARGUMENTS 4u
 #define NUMBERS 10u                /* of an answer at most: it is a short frame */
 #define AT_NONCE HR_HEADER_BYTES
@@ -45,7 +45,7 @@ static struct {
     uint8_t inputs_ever;
 
     bool feeds;
-    uint32_t last_meal_us; /* the next tick feeds so much, and is the last to; 0: it goes on */
+    uint32_t last_meal_us; /* the next tick feeds so much, and is the last to; 0: it continues */
     uint64_t fed_at;
 
     uint16_t nonce, probe;

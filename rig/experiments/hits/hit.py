@@ -314,7 +314,10 @@ def _opened(request: HitRequest) -> Iterator[tuple[FramedDevice, Experiment]]:
         realtime=experiment.host.realtime if simulated else "try",
     ) as device:
         as_simulated = simulated and device.link.clock.virtual
-        yield device, experiment if as_simulated else in_effect(experiment, device, request.changes)
+        yield (
+            device,
+            experiment if as_simulated else in_effect(experiment, device, request.changes),
+        )
 
 
 def _rig_behind(url: str, request: HitRequest) -> RigModel | None:

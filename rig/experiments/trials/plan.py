@@ -37,7 +37,7 @@ from rig.doctor.predicted import (
     finding,
     homing_checks,
     late_wall,
-    predicted,
+    predict_checks,
     quieter_changes,
     speed_reading,
 )
@@ -114,7 +114,7 @@ def plan_of(
         return replace(planned, run=run, checks=(*planned.checks, *homed, *beside))
     checks = (
         *_wall_checks(experiment),
-        *predicted(experiment, ticks),
+        *predict_checks(experiment, ticks),
         *_watch_checks(experiment),
         *human_limit_checks(experiment),
         _heat_check(experiment),

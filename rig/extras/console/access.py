@@ -54,7 +54,7 @@ class Access:
         self.url = f"http://127.0.0.1:{port}/#{self._token}"
 
     def host_allowed(self, headers: Headers) -> bool:
-        """Whether a request was meant for this page."""
+        """Return True if a request was meant for this page."""
         return _only(headers, "Host") in self._hosts
 
     def origin_allowed(self, headers: Headers) -> bool:
@@ -63,15 +63,15 @@ class Access:
         return origin.removeprefix("http://") in self._hosts and origin.startswith("http://")
 
     def token_right(self, token: object) -> bool:
-        """Whether this is the token, in a time that says nothing of how much of it is right."""
+        """Return True if this is the token, in a time that says nothing of how much of it is right."""
         return _same(token, self._token)
 
     def participants_right(self, token: object) -> bool:
-        """Whether this is the token of a participant's screen, likewise."""
+        """Return True if this is the token of a participant's screen, likewise."""
         return _same(token, self.participants)
 
     def bearer_right(self, headers: Headers) -> bool:
-        """Whether a download shows the token."""
+        """Return True if a download shows the token."""
         kind, _, token = _only(headers, "Authorization").partition(" ")
         return kind == "Bearer" and self.token_right(token)
 
@@ -91,5 +91,7 @@ def _only(headers: Headers, name: str) -> str:
     return values[0] if len(values) == 1 else ""
 
 
-def _same(said: object, token: str) -> bool:
-    return isinstance(said, str) and hmac.compare_digest(said.encode(errors="replace"), token.encode())
+def _same(presented: object, token: str) -> bool:
+    return isinstance(presented, str) and hmac.compare_digest(
+        presented.encode(errors="replace"), token.encode()
+    )

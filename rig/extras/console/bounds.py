@@ -101,7 +101,7 @@ class Knocking(ServerConnection):
         self.leave_door()
 
     def leave_door(self) -> None:
-        """Free its place."""
+        """Free the place of a connection that has shown its token."""
         self._due.cancel()
         self._door.leave(self)
 

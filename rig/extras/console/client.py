@@ -47,10 +47,10 @@ class Client:
         self.allowance = Allowance()
 
     def reply(self, number: int, result: Any = None, error: RigError | None = None) -> None:
-        """Answer a request."""
-        told = {"say": "answer", "to": number}
-        told |= {"result": plain(result)} if error is None else {"error": error.as_mapping()}
-        self.put(json.dumps(told))
+        """Queue the result or the error of a numbered request."""
+        answer = {"say": "answer", "to": number}
+        answer |= {"result": plain(result)} if error is None else {"error": error.as_mapping()}
+        self.put(json.dumps(answer))
 
     def put(self, message: str | bytes) -> None:
         """Send a message that may not be left out; a page that leaves too many waiting is cut off."""
@@ -78,7 +78,7 @@ class Client:
         self._view = None if followed is None else View(followed.history, followed.rate, self.shown)
 
     def wake(self) -> None:
-        """Rows have come."""
+        """Let the sender look for new rows of the history."""
         self._wake.set()
 
     async def send(self) -> None:
@@ -94,7 +94,7 @@ class Client:
                 await self._socket.send(frame)
 
     def _frames(self) -> list[bytes]:
-        """What its scope has not seen; a defect of ours costs it the scope."""
+        """Return the frames that the page's scope has not received; a defect here only disables its scope."""
         if self._view is None or self.paused:
             return []
         try:

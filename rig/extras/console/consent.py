@@ -18,7 +18,7 @@ from rig.extras.console.terminal import Terminal
 ENDS = "ends when no page operates the rig any more"
 
 
-def to_run(request: Run, experiment: Experiment, digest: str) -> list[str]:
+def describe_run(request: Run, experiment: Experiment, digest: str) -> list[str]:
     """Lines for a run on a real rig; `experiment` is that in effect."""
     trial, wall = experiment.trial, experiment.wall
     stiffness, damping = (unit_of(name, experiment.rig.motion) for name in ("stiffness", "damping"))
@@ -34,7 +34,7 @@ def to_run(request: Run, experiment: Experiment, digest: str) -> list[str]:
     ]
 
 
-def to_session(request: BeginSession, url: str, digest: str) -> list[str]:
+def describe_session(request: BeginSession, url: str, digest: str) -> list[str]:
     """Lines for a session on a real rig."""
     whose = f"{request.code} with {request.protocol}"
     if request.directory:

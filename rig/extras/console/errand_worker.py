@@ -19,22 +19,22 @@ from rig.realtime import compiling
 
 # Each takes its content by name and returns a result, or one and bytes.
 ERRANDS: dict[str, Callable[..., Any]] = {
-    "experiment": hits.described,
-    "regions": regions.asked,
-    "sessions": session_lists.listed,
-    "resumed": session_lists.resumed,
+    "experiment": hits.describe_rig,
+    "regions": regions.find_regions,
+    "sessions": session_lists.list_sessions,
+    "resumed": session_lists.describe_resumption,
     "session digest": session_desk.digest_of,
     "maps": map_errands.directories,
-    "map": map_errands.described,
+    "map": map_errands.describe_map,
     "map growth": map_errands.growth,
     "map theory": map_errands.theory,
-    "map hit": map_errands.recorded,
-    "recordings": recording_errands.listed,
-    "recording": recording_errands.described,
+    "map hit": map_errands.find_recording,
+    "recordings": recording_errands.list_recordings,
+    "recording": recording_errands.describe_recording,
     "cut": recording_errands.cut,
     "save cut": recording_errands.save_cut,
     "picture": recording_errands.picture,
-    "export": recording_errands.exported,
+    "export": recording_errands.export_recording,
 }
 
 

@@ -40,7 +40,7 @@ class Errands:
         async with self._room:
             process = self._idle.pop() if self._idle else await self._start()
             try:
-                answer, data = await _asked(process, {"errand": errand, "content": content}, compiling)
+                answer, data = await _request(process, {"errand": errand, "content": content}, compiling)
             except BaseException:  # cancelled, or dead: what it would still say is no answer to the next
                 await self._end(process)
                 raise
@@ -50,7 +50,7 @@ class Errands:
         return answer["result"], data
 
     async def close(self) -> None:
-        """End all processes."""
+        """Kill all background processes; none holds unsaved data."""
         for process in tuple(self._all):
             await self._end(process)
 
@@ -78,7 +78,7 @@ class Errands:
         await process.wait()
 
 
-async def _asked(
+async def _request(
     process: asyncio.subprocess.Process, message: dict[str, Any], compiling: Callable[[bool], None]
 ) -> tuple[dict[str, Any], bytes]:
     assert process.stdin is not None

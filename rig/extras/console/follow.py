@@ -62,13 +62,13 @@ class Followed:
         self._ring.put(STOP, -os.getpid())
 
     def changed(self) -> bool:
-        """Whether its info is another one than at the last call."""
+        """Return True if its info is another one than at the last call."""
         return self._look_at_info()
 
     def state(self) -> dict[str, Any]:
         """How it stands, as plain values."""
         ring, newest = self._ring, self.history.raw(self.history.rows - 1, self.history.rows)
-        told = {
+        state = {
             "pid": self.pid,
             "phase": phase_name(ring.get(control_words.PHASE)),
             "ticks": ring.get(control_words.TICKS),
@@ -81,17 +81,17 @@ class Followed:
         if len(newest):
             row = newest[0]
             fault = int(row["fault"])
-            told |= {
+            state |= {
                 "fault": Fault(fault).name.lower() if fault in set(Fault) else fault,
                 "inside": bool(row["flags"] & RowFlag.INSIDE),
                 "values": {
                     name: float(row[name]) for name in ("position", "velocity", "effort_sent", "penetration")
                 },
             }
-        return told
+        return state
 
     def about(self) -> dict[str, Any]:
-        """What it runs, as plain values."""
+        """Return the facts about the run as plain values."""
         return {
             "pid": self.pid,
             "since": self.since,
@@ -114,7 +114,7 @@ class Followed:
         return True
 
 
-def attached(loop: RunningLoop, history: History) -> Followed | None:
+def attach(loop: RunningLoop, history: History) -> Followed | None:
     """Look at a loop; None where it has just ended, or was started by another version of this package."""
     with suppress(OSError, RigError):
         return Followed(loop, history) if loop.version == LAYOUT_VERSION else None

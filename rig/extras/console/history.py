@@ -64,13 +64,13 @@ class History:
         self.clear()
 
     def clear(self) -> None:
-        """Begin with another loop."""
+        """Discard all rows, before another loop is followed."""
         self.rows = 0
         self._buckets = 0
         self.start_ns = 0
 
     def add(self, rows: NDArray[np.void]) -> None:
-        """Take what has come."""
+        """Append rows of a loop, and update the buckets of least and greatest values."""
         if self.rows == 0 and len(rows):
             self.start_ns = int(rows["device_time"][0])
         most = len(self._raw) // 2
@@ -166,5 +166,4 @@ class History:
 
 
 def _values(rows: NDArray[np.void], columns: Sequence[str]) -> Floats:
-    """Columns × rows."""
     return np.array([rows[name] for name in columns], np.float64).reshape(len(columns), len(rows))

@@ -32,16 +32,16 @@ def experiment_of(content: Mapping[str, Any]) -> Experiment:
     return presets.load_named(str(content.get("rig") or "koul-compliant"))
 
 
-def in_effect(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
+def apply_changes(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
     """An experiment in real time with a page's changes: keys checked, and that its estimator can be realised."""
     found = config.with_realtime(experiment, changes)
     for_experiment(found, current_quantum_a=found.rig.amplifier.current_quantum_a)
     return found
 
 
-def described(rig: str, changes: Mapping[str, Any]) -> dict[str, Any]:
+def describe_rig(rig: str, changes: Mapping[str, Any]) -> dict[str, Any]:
     """An experiment in effect as a mapping, and its digest."""
-    experiment = in_effect(experiment_of({"rig": rig}), changes)
+    experiment = apply_changes(experiment_of({"rig": rig}), changes)
     return {"experiment": config.as_mapping(experiment), "digest": digest_of(experiment)}
 
 
@@ -60,7 +60,7 @@ def hit(content: Mapping[str, Any], talk: Talk) -> Any:
     """Run an automated hit in real time, or a person's on a real rig; refuse another experiment than was agreed to."""
     experiment, changes = experiment_of(content), dict(content.get("changes") or {})
     agreed = content.get("digest")
-    if agreed is not None and agreed != digest_of(in_effect(experiment, changes)):
+    if agreed is not None and agreed != digest_of(apply_changes(experiment, changes)):
         raise ConfigError(
             f"the experiment of {content['rig']} has changed since the operator agreed to it",
             remedy="start the run again",
@@ -99,15 +99,15 @@ def _run(
 
 
 def _watch(talk: Talk) -> Callable[[int, int], None]:
-    said = 0.0
+    last_s = 0.0
 
-    def told(ticks: int, phase: int) -> None:
-        nonlocal said
-        if time.monotonic() - said >= EVERY_S:
-            said = time.monotonic()
+    def report(ticks: int, phase: int) -> None:
+        nonlocal last_s
+        if time.monotonic() - last_s >= EVERY_S:
+            last_s = time.monotonic()
             talk.progress(stage=phase_name(phase), ticks=ticks)
 
-    return told
+    return report
 
 
 def _say(gate: Gate, talk: Talk) -> None:

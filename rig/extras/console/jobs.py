@@ -27,7 +27,7 @@ class Job:
     ----------
     name, content
         What it is, and what it was given.
-    goes_on
+    is_detached
         Whether it continues after its operator has left.
     asks
         Whether a STOP makes it ask the operator how to continue, instead of ending it.
@@ -39,10 +39,10 @@ class Job:
         content: Mapping[str, Any],
         process: asyncio.subprocess.Process,
         *,
-        goes_on: bool,
+        is_detached: bool,
         asks: bool = False,
     ) -> None:
-        self.name, self.content, self.goes_on, self.asks = name, content, goes_on, asks
+        self.name, self.content, self.is_detached, self.asks = name, content, is_detached, asks
         self._process = process
         self._interrupted = False
         self._complaint = asyncio.create_task(
@@ -51,7 +51,7 @@ class Job:
 
     @property
     def pid(self) -> int:
-        """Of its process, whose loops are its own."""
+        """Return the id of the job's process, which runs its loops."""
         return self._process.pid
 
     def end(self) -> None:
@@ -68,7 +68,7 @@ class Job:
                 self._process.send_signal(signal.SIGINT)
 
     def answer(self, value: Any) -> None:
-        """Answer what it asks."""
+        """Send a message, such as an answer, to the job's standard input."""
         assert self._process.stdin is not None
         if not self._process.stdin.is_closing():
             self._process.stdin.write(json.dumps(value).encode() + b"\n")
@@ -81,13 +81,13 @@ class Job:
     async def follow(self, tell: Callable[[Mapping[str, Any]], None]) -> int:
         """Hand on its messages until it has ended; its exit code."""
         assert self._process.stdout is not None
-        concluded = False
+        has_ended = False
         async for line in self._process.stdout:
             if (message := _message(line)) is not None:
-                concluded |= message["say"] in ("done", "failed")
+                has_ended |= message["say"] in ("done", "failed")
                 tell(message)
         code = await self._process.wait()
-        if not concluded:
+        if not has_ended:
             why = await self._complaint
             if self._interrupted and code in (-signal.SIGINT, 1, 130):  # Python was still importing
                 error: RigError = StoppedError("stopped before anything moved")
@@ -120,7 +120,7 @@ class Job:
 
 
 def _message(line: bytes) -> dict[str, Any] | None:
-    """What a line says; None for what some library has printed."""
+    """Return the message in a line; None for other output, such as that of a library."""
     try:
         found = json.loads(line)
     except (ValueError, RecursionError):
@@ -146,7 +146,7 @@ class Jobs:
         self.running: Job | None = None
 
     async def start(
-        self, name: str, content: Mapping[str, Any], *, goes_on: bool = False, asks: bool = False
+        self, name: str, content: Mapping[str, Any], *, is_detached: bool = False, asks: bool = False
     ) -> Job:
         """Start a job, one of `rig.extras.console.worker.JOBS`.
 
@@ -181,8 +181,8 @@ class Jobs:
             ) from error
         finally:
             self._starts = ""
-        job = self.running = Job(name, content, process, goes_on=goes_on, asks=asks)
-        job.answer({"job": name, "content": content, "goes_on": goes_on})
+        job = self.running = Job(name, content, process, is_detached=is_detached, asks=asks)
+        job.answer({"job": name, "content": content, "goes_on": is_detached})
         self._task = asyncio.create_task(self._follow(job))
         if stops != self._stops:
             job.end()
@@ -203,7 +203,7 @@ class Jobs:
         """End the running job, unless it continues without a console, and start no other."""
         self._closed = True
         self._stops += 1
-        if self.running is not None and not self.running.goes_on:
+        if self.running is not None and not self.running.is_detached:
             await self.running.close()
             if self._task is not None:
                 await self._task
@@ -213,8 +213,10 @@ class Jobs:
             await job.follow(lambda message: self._tell(job, message))
         except Exception as error:  # a defect of ours: a job whose messages are not read must not move
             traceback.print_exception(error)
-            told = RigError(f"the {job.name} could not be followed: {error!r}", remedy="report this defect")
-            self._tell(job, {"say": "failed", **told.as_mapping()})
+            failure = RigError(
+                f"the {job.name} could not be followed: {error!r}", remedy="report this defect"
+            )
+            self._tell(job, {"say": "failed", **failure.as_mapping()})
             await job.close()
         finally:
             self.running = None

@@ -38,29 +38,29 @@ class Lease:
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self._now = now
         self._by: str | None = None
-        self._heard = 0.0
+        self._last_beat_s = 0.0
         self._looked = now()
         self._doubted = False  # a late look has found it silent
 
     def take(self, client: str) -> bool:
         """Make `client` the operator if there is no other; return True if `client` operates now."""
         if self._by is None:
-            self._by, self._heard, self._doubted = client, self._now(), False
+            self._by, self._last_beat_s, self._doubted = client, self._now(), False
         return self._by == client
 
     def beat(self, client: str) -> None:
         """Note a heartbeat; only the operator's counts."""
         if client == self._by:
-            self._heard, self._doubted = self._now(), False
+            self._last_beat_s, self._doubted = self._now(), False
 
     def release(self, client: str) -> None:
-        """Operate no more."""
+        """End the lease of a page, if it has it."""
         if client == self._by:
             self._by = None
 
     def held(self) -> LeaseState:
-        """How it stands now."""
-        return LeaseState(self._by, self._by is not None and self._now() - self._heard > BEAT_S)
+        """Return which page operates, and whether its heartbeat is overdue."""
+        return LeaseState(self._by, self._by is not None and self._now() - self._last_beat_s > BEAT_S)
 
     def expire(self) -> str | None:
         """Take the lease from a page that was silent for more than `LOST_S`; return that page once, else None.
@@ -69,7 +69,7 @@ class Lease:
         """
         now = self._now()
         late, self._looked = now - self._looked > 2.0 * LOOK_S, now
-        if self._by is None or now - self._heard <= LOST_S:
+        if self._by is None or now - self._last_beat_s <= LOST_S:
             return None
         if late and not self._doubted:
             self._doubted = True

@@ -14,11 +14,11 @@ from rig.core.errors import ConfigError
 from rig.core.present import plain
 from rig.extras.console import requests as asked
 from rig.extras.console.client import Client, defect
-from rig.extras.console.follow import Followed, attached, newest
+from rig.extras.console.follow import Followed, attach, newest
 from rig.extras.console.history import History
 from rig.extras.console.service import Handler, Service, ServiceContext
 from rig.extras.console.terminal import Terminal
-from rig.extras.console.view import POINTS, ViewRequest, packed
+from rig.extras.console.view import POINTS, ViewRequest, pack
 from rig.realtime.hand import SharedHand
 from rig.realtime.memories import ask_to_stop
 from rig.realtime.running import RunningLoop
@@ -87,7 +87,7 @@ class Live(Service):
         first, last = history.row_at(request.first_s), history.row_at(request.last_s)
         step = max(1, (last - first) // POINTS)
         client.put(
-            packed(history.cut(shown.columns, first, last, step), shown.columns, kind="zoom", fresh=True)
+            pack(history.cut(shown.columns, first, last, step), shown.columns, kind="zoom", fresh=True)
         )
 
     async def _cut(self, client: Client, request: asked.Cut) -> object:
@@ -154,7 +154,7 @@ class Live(Service):
             raise
 
     async def every_search(self) -> None:
-        """Look for another loop."""
+        """Search periodically for a loop to follow."""
         while True:
             with self._surviving("searching for loops"), suppress(OSError):
                 await self.search()  # out of descriptors, perhaps because of another program: try again
@@ -190,7 +190,7 @@ class Live(Service):
         if self._withheld:
             self._withhold()
             return
-        if self._unreadable == (found.pid, found.since) or (made := attached(found, self._history)) is None:
+        if self._unreadable == (found.pid, found.since) or (made := attach(found, self._history)) is None:
             return
         if self._followed is not None:
             self._followed.close()
@@ -233,18 +233,18 @@ class Live(Service):
     def _tell_hand(self) -> None:
         motions = self._hand.motions()
         if motions and self._history.rows:
-            told = [
+            rows = [
                 [self._history.seconds_of(one.device_time_ns), one.hand, one.handle, one.velocity]
                 for one in motions
             ]
             for client in self._shared.clients:
-                client.put_newest({"say": "hand", "motions": told})
+                client.put_newest({"say": "hand", "motions": rows})
 
     def _tell_loop(self, only: Client | None = None) -> None:
         if self._followed is not None:
-            told = json.dumps({"say": "loop", **plain(self._followed.about())})
+            message = json.dumps({"say": "loop", **plain(self._followed.about())})
             for client in self._shared.clients if only is None else {only}:
-                client.put(told)
+                client.put(message)
 
     async def close(self) -> None:
         """See `Service.close`."""

@@ -43,13 +43,13 @@ def _changed_s(path: Path) -> float:
 
 
 def _headline(path: Path) -> dict[str, Any]:
-    told: dict[str, Any] = {"name": path.name, "changed_s": _changed_s(path)}
+    facts: dict[str, Any] = {"name": path.name, "changed_s": _changed_s(path)}
     try:
         plan, device = _plan(path)
     except RigError as error:
-        return {**told, "problem": str(error)}
+        return {**facts, "problem": str(error)}
     return {
-        **told,
+        **facts,
         "problem": None,
         "rig": plan.experiment.rig.name,
         "domain": "frequency" if isinstance(plan, FrequencyPlan) else "time",
@@ -75,13 +75,13 @@ def _read(path: Path, changed_ns: int) -> tuple[MapPlan | FrequencyPlan, str]:
     return maps.read_plan(path)
 
 
-def described(directory: str) -> dict[str, Any]:
-    """What is mapped: axes, schemes, and how many tasks of which weight there are."""
+def describe_map(directory: str) -> dict[str, Any]:
+    """Return the axes and schemes of a map, and the number and weight of its tasks."""
     path = Path(directory)
     plan, _ = _plan(path)
     experiment = plan.experiment
     motion = experiment.rig.motion
-    told: dict[str, Any] = {
+    facts: dict[str, Any] = {
         **_headline(path),
         "schemes": [
             {"text": scheme.text, "label": scheme.label(experiment), "weight": scheme.position_rate}
@@ -91,9 +91,9 @@ def described(directory: str) -> dict[str, Any]:
         "units": {name: unit_of(name, motion) for name in ("stiffness", "damping")},
     }
     if isinstance(plan, FrequencyPlan):
-        return {**told, "criteria": [], "stripes": [""], "stiffnesses": list(plan.stiffnesses)}
+        return {**facts, "criteria": [], "stripes": [""], "stiffnesses": list(plan.stiffnesses)}
     return {
-        **told,
+        **facts,
         "criteria": list(CRITERIA),
         "kinds": KINDS,
         "judged": plan.judged,
@@ -107,7 +107,7 @@ def described(directory: str) -> dict[str, Any]:
 
 
 def growth(directory: str, place: int) -> dict[str, Any]:
-    """What the journal has gained since a place in it: one entry for each column of cells; and how the map stands."""
+    """Return the new columns of cells since a position in the journal, and the state of the map."""
     path = Path(directory)
     plan, _ = _plan(path)
     state = _state(path)  # before the journal: of a finished map all is read
@@ -180,7 +180,7 @@ def theory(directory: str) -> list[dict[str, Any]]:
     ]
 
 
-def recorded(directory: str, key: str, stiffness: float, output: str) -> dict[str, Any]:
+def find_recording(directory: str, key: str, stiffness: float, output: str) -> dict[str, Any]:
     """The recording of one hit: of a device's map the one that it left, of the simulation the same hit again.
 
     Raises

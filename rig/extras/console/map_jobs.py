@@ -24,13 +24,13 @@ def zwidth(content: Mapping[str, Any], talk: Talk) -> Any:
     plan = _impedances(experiment, content) if frequency else MapRequest(**_fields(content)).plan(experiment)
     name = "impedance-map" if frequency else "zwidth"
     place = maps.directory_for(plan, Path(content["output"]), name)
-    said = False
+    is_reported = False
 
     def watch(progress: Progress) -> None:
-        nonlocal said
-        if not said:  # the directory is there
+        nonlocal is_reported
+        if not is_reported:  # the directory is there
             talk.tell("mapping", map=place.name)
-            said = True
+            is_reported = True
         talk.progress(stage="stopping" if progress.stopping else "mapping", map=place.name)
 
     maps.map_into(plan, place, watch=watch)

@@ -99,7 +99,7 @@ class Watched:
 
     @property
     def total(self) -> int:
-        """Columns of all schemes."""
+        """Return the number of columns of the complete map, over all schemes."""
         return len(self.facts["schemes"]) * len(self.facts["dampings"]) * len(self.facts["stripes"])
 
     def take(self, grown: Mapping[str, Any], now_s: float) -> None:
@@ -110,7 +110,7 @@ class Watched:
         if self.begun_s is None and self.columns:
             self.begun_s, self.begun_weight = now_s, self._weight()
 
-    def told(self, columns: list[dict[str, Any]], now_s: float, *, anew: bool) -> str:
+    def progress_message(self, columns: list[dict[str, Any]], now_s: float, *, anew: bool) -> str:
         """Some columns as a message, and how far the map is; `anew`: they are all that there are."""
         return json.dumps(
             {
@@ -161,7 +161,7 @@ class MapService(Service):
         self._shared.must_operate(client)
         refuse_reserved(request.changes)
         content = {**asdict(request), "output": str(self._directory)}
-        job = await self._shared.jobs.start(JOB, content, goes_on=request.goes_on)
+        job = await self._shared.jobs.start(JOB, content, is_detached=request.goes_on)
         return {"pid": job.pid}
 
     async def _end(self, client: Client, request: EndMap) -> None:
@@ -193,7 +193,7 @@ class MapService(Service):
         watched = self._watched.get(path.name)
         if watched is not None:
             watched.clients.add(client)
-            client.put(watched.told(watched.columns, time.monotonic(), anew=True))
+            client.put(watched.progress_message(watched.columns, time.monotonic(), anew=True))
             return watched.facts
         facts, _ = await self._shared.errands.run("map", directory=str(path))
         if path.name in self._watched:  # another page was faster
@@ -213,13 +213,13 @@ class MapService(Service):
                 now_s = time.monotonic()
                 watched.take(grown, now_s)
                 for client in watched.clients:
-                    client.put(watched.told(grown["columns"], now_s, anew=anew))
+                    client.put(watched.progress_message(grown["columns"], now_s, anew=anew))
                 await asyncio.sleep(POLL_S)
                 watched.clients &= self._shared.clients
         except Exception as error:
-            told = trouble(error if isinstance(error, RigError) else defect("the map", error))
+            report = trouble(error if isinstance(error, RigError) else defect("the map", error))
             for client in watched.clients:
-                client.put(told)
+                client.put(report)
         finally:
             del self._watched[watched.path.name]
 

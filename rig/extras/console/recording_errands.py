@@ -18,7 +18,7 @@ from rig.core.sample import unit_of
 from rig.experiments.trials.replay import ReplayResult
 from rig.experiments.trials.replay import replay as replayed
 from rig.extras.console.history import HistoryExcerpt
-from rig.extras.console.view import packed
+from rig.extras.console.view import pack
 from rig.recording.data import Recording
 from rig.recording.export import EXPORTERS, write_sidecar
 from rig.recording.origin import cut_facts
@@ -39,7 +39,7 @@ MIME = {"csv": "text/csv; charset=utf-8", "json": "application/json"}
 # The list -------------------------------------------------------------------------------------------
 
 
-def listed(directory: str, search: str, first: int) -> dict[str, Any]:
+def list_recordings(directory: str, search: str, first: int) -> dict[str, Any]:
     """Recordings of a directory, the newest first, from the `first` on; only those with every word of `search`."""
     entries = (_entry(path, changed_ns) for path, changed_ns in _newest(Path(directory)))
     words = search.lower().split()
@@ -67,21 +67,21 @@ def _newest(directory: Path) -> list[tuple[Path, int]]:
 
 @lru_cache(maxsize=20_000)
 def _entry(path: Path, changed_ns: int) -> dict[str, Any]:
-    told: dict[str, Any] = {"name": path.name, "changed_s": changed_ns * 1e-9, "problem": None}
+    facts: dict[str, Any] = {"name": path.name, "changed_s": changed_ns * 1e-9, "problem": None}
     try:
         path.name.encode()
         if path.is_symlink():
             raise ConfigError("it is a symbolic link", remedy="put the recording itself here")
-        return {**told, **_settings(open_facts(path))}
+        return {**facts, **_settings(open_facts(path))}
     except UnicodeEncodeError:
         name = path.name.encode("utf-8", "backslashreplace").decode()
-        return {**told, "name": name, "problem": "its name is not valid UTF-8; rename it"}
+        return {**facts, "name": name, "problem": "its name is not valid UTF-8; rename it"}
     except RigError as error:
-        return {**told, "problem": str(error)}
+        return {**facts, "problem": str(error)}
 
 
 def _settings(facts: Recording) -> dict[str, Any]:
-    """What the list says of one; a header that another program wrote may hold anything in its experiment."""
+    """Return a recording's facts for the list; the header may come from another program, with any experiment."""
     header, trailer = facts.header, facts.trailer or {}
     parts = {name: part for name, part in facts.experiment.items() if isinstance(part, dict)}
     wall, rates, trial, operator = (
@@ -118,7 +118,7 @@ def _number(value: Any) -> float | None:
 
 
 def _text(entry: Mapping[str, Any]) -> str:
-    """What a search looks at: every value, and numbers as K=100."""
+    """Return the text that a search is applied to: every value, and numbers as K=100."""
     words = [str(value) for value in entry.values()]
     numbers = {"k": entry.get("stiffness"), "b": entry.get("damping")}
     words += [f"{sign}={value:g}" for sign, value in numbers.items() if value is not None]
@@ -138,13 +138,13 @@ def _read(path: str, changed_ns: int) -> Recording:
     return open_recording(path)
 
 
-def _opened(path: str) -> Recording:
+def _open(path: str) -> Recording:
     return _read(path, Path(path).stat().st_mtime_ns)
 
 
-def described(path: str) -> dict[str, Any]:
-    """What a scope needs of a recording before it draws: its columns, its wall, its length, and what is lost of it."""
-    recording = _opened(path)
+def describe_recording(path: str) -> dict[str, Any]:
+    """Return what a scope needs before it draws: the recording's columns, wall, length and lost samples."""
+    recording = _open(path)
     times = recording.time_s
     trial = recording.rows["penetration"] > 0.0
     return {
@@ -165,23 +165,23 @@ def described(path: str) -> dict[str, Any]:
 def cut(
     path: str, columns: Sequence[str], first_s: float, last_s: float, changes: Mapping[str, Any] | None = None
 ) -> tuple[None, bytes]:
-    """Return some columns over a time span as `rig.extras.console.view.packed`; with `changes`, of a replay with these.
+    """Return some columns over a time span as `rig.extras.console.view.pack`; with `changes`, of a replay with these.
 
     Errors as `rig.recording.data.Recording.column` and `rig.experiments.trials.replay.replay`.
     """
-    recording = _opened(path)
-    rows, told = recording.rows, dict[str, Any]()
+    recording = _open(path)
+    rows, extra = recording.rows, dict[str, Any]()
     if changes:
-        result = _replayed(path, Path(path).stat().st_mtime_ns, tuple(sorted(changes.items())))
+        result = _replay(path, Path(path).stat().st_mtime_ns, tuple(sorted(changes.items())))
         rows, columns = result.rows, COMPARED
-        told = {
+        extra = {
             name: getattr(result, name)
             for name in ("estimator", "exact", "velocity_difference", "effort_difference")
         }
     for name in columns:
         recording.column(name)
     found = _cut(recording.time_s, rows, columns, first_s, last_s)
-    return None, packed(found, tuple(columns), kind="recorded", fresh=True, **told)
+    return None, pack(found, tuple(columns), kind="recorded", fresh=True, **extra)
 
 
 def save_cut(
@@ -193,7 +193,7 @@ def save_cut(
 
 
 @lru_cache(maxsize=1)
-def _replayed(path: str, changed_ns: int, changes: tuple[tuple[str, Any], ...]) -> ReplayResult:
+def _replay(path: str, changed_ns: int, changes: tuple[tuple[str, Any], ...]) -> ReplayResult:
     return replayed(_read(path, changed_ns), dict(changes))
 
 
@@ -222,12 +222,12 @@ def picture(path: str, draw: bool) -> tuple[str, bytes]:
     return PICTURES[found.suffix], found.read_bytes()
 
 
-def exported(path: str, form: str) -> tuple[str, bytes]:
+def export_recording(path: str, form: str) -> tuple[str, bytes]:
     """A recording for another program (`rig.recording.export`), or as ``json`` what describes a CSV; and its type."""
     if form not in (*EXPORTERS, "json"):
         raise ConfigError(
             f"{form!r} is not an export format", remedy=f"choose one of {', '.join((*EXPORTERS, 'json'))}"
         )
     file = io.BytesIO()
-    (write_sidecar if form == "json" else EXPORTERS[form])(file, _opened(path))
+    (write_sidecar if form == "json" else EXPORTERS[form])(file, _open(path))
     return MIME.get(form, "application/octet-stream"), file.getvalue()

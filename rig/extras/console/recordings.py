@@ -164,7 +164,7 @@ class Recordings(Service):
 
 
 def _recording_in(directory: Path, name: str) -> Path:
-    """What the list would show, readable or not: whatever else lies in the directory is no matter of a page."""
+    """Return the path of a recording in the list, readable or not; raise `ConfigError` for any other file."""
     path = file_in(directory, name)
     if path.suffix not in SUFFIXES:
         raise ConfigError(f"{name!r} is not a recording", remedy="choose one of the list")

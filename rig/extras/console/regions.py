@@ -11,7 +11,7 @@ from rig.config import Experiment
 from rig.core.errors import RigError
 from rig.core.operators import hand_text
 from rig.doctor.late_loops import LateLoops
-from rig.extras.console.hits import experiment_of, in_effect
+from rig.extras.console.hits import apply_changes, experiment_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,9 +42,9 @@ class Regions:
     note: str
 
 
-def asked(rig: str, changes: Mapping[str, Any], damping: float, delay_ticks: int) -> Regions:
-    """Limits for a rig with a page's changes, as `rig.extras.console.hits.in_effect` has it."""
-    return regions(in_effect(experiment_of({"rig": rig}), changes), delay_ticks, damping)
+def find_regions(rig: str, changes: Mapping[str, Any], damping: float, delay_ticks: int) -> Regions:
+    """Limits for a rig with a page's changes, as `rig.extras.console.hits.apply_changes` has it."""
+    return regions(apply_changes(experiment_of({"rig": rig}), changes), delay_ticks, damping)
 
 
 def regions(experiment: Experiment, delay_ticks: int, damping: float) -> Regions:

@@ -72,7 +72,7 @@ class Runs(Service):
         """Start what a person at the rig agrees to; meanwhile the page's other requests are answered."""
         found = await self._described(request.rig, request.changes)
         digest = str(found["digest"])
-        lines = consent.to_run(
+        lines = consent.describe_run(
             request, config.experiment_from_mapping(found["experiment"], request.rig), digest
         )
         await consent.insist(self._terminal, client, request.url, lines)
@@ -85,8 +85,8 @@ class Runs(Service):
             "duration_s": request.duration_s, "hand": str(self._hand.path), "verified": self._verified,
             "digest": digest,
         }  # fmt: skip
-        goes_on = request.goes_on and request.job != PLAY
-        job = await self._shared.jobs.start(request.job, content, goes_on=goes_on)
+        is_detached = request.goes_on and request.job != PLAY
+        job = await self._shared.jobs.start(request.job, content, is_detached=is_detached)
         self._live.look_at_newest()
         return {"pid": job.pid}
 
@@ -131,23 +131,23 @@ class Runs(Service):
         A defect here ends the job, even one that continues without a page, and then the console: no other task would
         end the job later.
         """
-        told: Job | None = None  # that was asked to end since the last operator left
+        ending: Job | None = None  # that was asked to end since the last operator left
         try:
             while True:
-                told = self._beat(told)
+                ending = self._beat(ending)
                 await asyncio.sleep(LOOK_S)
         except Exception:
             self._shared.jobs.end()
             raise
 
-    def _beat(self, told: Job | None) -> Job | None:
+    def _beat(self, ending: Job | None) -> Job | None:
         self._shared.jobs.beat()
         self._shared.lease.expire()
         if self._shared.lease.held().by is not None:
             return None
         self._terminal.withdraw()
         job = self._shared.jobs.running
-        if job is not None and job is not told and not job.goes_on:
+        if job is not None and job is not ending and not job.is_detached:
             job.end()
             return job
-        return told
+        return ending

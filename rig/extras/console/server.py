@@ -188,12 +188,12 @@ class Console:
         kept = [service.job_says(job, message) for service in self.services]
         if any(kept):
             return
-        told = {"say": "job", "job": job.name, "pid": job.pid, "told": message}
+        envelope = {"say": "job", "job": job.name, "pid": job.pid, "told": message}
         for client in self._shared.clients:
             if message["say"] == "progress":
-                client.put_newest({**told, "say": "progress"})
+                client.put_newest({**envelope, "say": "progress"})
             else:
-                client.put(json.dumps(told))
+                client.put(json.dumps(envelope))
 
     async def download(self, path: str) -> Download | None:
         """Return the file of a path, of whichever service has it."""
@@ -203,7 +203,7 @@ class Console:
         return None
 
     async def close(self) -> None:
-        """End what runs."""
+        """Close all services, which ends running jobs."""
         await self._shared.jobs.close()
         for service in self.services:
             await service.close()
@@ -305,7 +305,6 @@ async def run(settings: ConsoleSettings, terminal: Terminal, ended: asyncio.Even
 
 
 def _page() -> dict[str, tuple[str, bytes]]:
-    """Path → type and bytes."""
     place = files("rig.extras.console") / "page"
     found = {
         f"/{one.name}": (TYPES[PurePath(one.name).suffix] + UTF8, one.read_bytes())
@@ -318,7 +317,7 @@ def _page() -> dict[str, tuple[str, bytes]]:
 async def _respond(
     console: Console, static: Mapping[str, tuple[str, bytes]], socket: ServerConnection, request: HttpRequest
 ) -> Response | None:
-    """What a request gets; None lets it open a socket."""
+    """Return the response to a request; None lets it open a socket."""
     access, headers = console.access, request.headers
     if not access.host_allowed(headers):
         return _response(

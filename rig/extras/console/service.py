@@ -115,7 +115,7 @@ class Service(ABC):
         """Return by `do` the kind of a request and what answers it; it raises `RigError` for what cannot be done."""
 
     def greet(self, client: Client) -> None:  # noqa: B027  (most have nothing to say)
-        """A page has come."""
+        """Send a newly connected page what it must know."""
 
     def job_says(self, job: Job, message: Mapping[str, Any]) -> bool:
         """Take a message of a job; return True if it is for this service alone, and not for the pages."""

@@ -92,7 +92,7 @@ def session(content: Mapping[str, Any], talk: Talk) -> dict[str, Any]:
     given = content["person"]
     directory = Path(content["directory"]) if content["directory"] else None
     if directory is not None:
-        person = conducting.rehearsed(directory)
+        person = conducting.read_person(directory)
     else:
         person = given and Person(**{**given, "thresholds": thresholds_of(given["thresholds"])})
     runner = DeviceRunner(
@@ -105,7 +105,7 @@ def session(content: Mapping[str, Any], talk: Talk) -> dict[str, Any]:
     if person is None:
         desk: conducting.DeskFor = partial(_at_page, talk, content["hand_kind"], Path(content["hand"]))
     else:
-        desk = partial(_rehearsed, talk, person)
+        desk = partial(_rehearse, talk, person)
     if directory is not None:
         result = conducting.resume_session(
             directory,
@@ -147,7 +147,7 @@ def _at_page(
     return desk
 
 
-def _rehearsed(
+def _rehearse(
     talk: Talk, person: Person, protocol: Protocol, experiment: Mapping[str, Any], runner: TrialRunner
 ) -> Desk:
     talk.tell("setup", pid=os.getpid(), keys=KeyMap.of(protocol.keys), hand=None)

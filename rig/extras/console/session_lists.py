@@ -9,22 +9,22 @@ from typing import Any
 
 from rig.config.checked import read_toml
 from rig.core.errors import RigError
-from rig.session.conducting import LOG, REHEARSALS, SESSIONS, rehearsed, session_state, took_place
+from rig.session.conducting import LOG, REHEARSALS, SESSIONS, read_person, session_state, took_place
 from rig.session.protocols import template_names, template_path, template_subject
 
 MOST = 100  # of each
 
 
-def listed() -> dict[str, Any]:
-    """What a page may begin or resume."""
+def list_sessions() -> dict[str, Any]:
+    """Return the protocols that a page may begin and the sessions that it may resume."""
     return {"protocols": protocols(), "resumable": resumable()}
 
 
-def resumed(directory: str) -> dict[str, Any]:
+def describe_resumption(directory: str) -> dict[str, Any]:
     """Return what a session's log says about resuming it: whether it is a rehearsal, the device, and real time."""
     place = took_place(Path(directory))
     return {
-        "rehearsed": rehearsed(Path(directory)) is not None,
+        "rehearsed": read_person(Path(directory)) is not None,
         "url": place.url or "",
         "realtime": place.realtime,
     }
@@ -44,7 +44,7 @@ def protocols() -> list[dict[str, str]]:
 
 def resumable() -> list[dict[str, Any]]:
     """Sessions here that are not over, the newest first: directory, whose, and where it stands."""
-    return [told for log in _logs()[:MOST] if (told := _unfinished(log)) is not None]
+    return [session for log in _logs()[:MOST] if (session := _describe_unfinished(log)) is not None]
 
 
 def protocol_file(name: str) -> Path:
@@ -64,7 +64,7 @@ def _logs() -> list[Path]:
     return [log for _, log in sorted(found(), reverse=True)]
 
 
-def _unfinished(log: Path) -> dict[str, Any] | None:
+def _describe_unfinished(log: Path) -> dict[str, Any] | None:
     """None for one that is over, or whose log cannot be read: `rig session resume` says what to do about that."""
     with suppress(RigError):
         state, events = session_state(log.parent)

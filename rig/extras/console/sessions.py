@@ -58,7 +58,7 @@ class Sessions(Service):
         self._end: Mapping[str, Any] | None = None  # how the last one ended
         self._compiling = False
         self._rings = 0
-        self._told: dict[str, Any] = {}
+        self._sent: dict[str, Any] = {}
 
     def handlers(self) -> Mapping[str, tuple[type[Request], Handler]]:
         """See `Service.handlers`."""
@@ -112,7 +112,7 @@ class Sessions(Service):
         content["digest"], _ = await self._shared.errands.run(
             "session digest", protocol=request.protocol, directory=request.directory
         )
-        lines = consent.to_session(request, url, content["digest"])
+        lines = consent.describe_session(request, url, content["digest"])
         await consent.insist(self._terminal, client, url, lines)
         self._shared.must_operate(client)  # still: a person takes their time
         return await self._start(content, asks=asks)
@@ -154,7 +154,7 @@ class Sessions(Service):
             self._seat.hand.pointer.point(request.share, held=request.held)
 
     def _may(self, client: Client, seat: Seat, request: PressKey | TypeLine, kind: str) -> bool:
-        """Whether this page may say something now: about the question that stands there, a participant its answer."""
+        """Return True if a page may send this now; a participant may only answer the open question."""
         talk = seat.talk
         if request.asked != talk.asked:
             return False
@@ -175,13 +175,13 @@ class Sessions(Service):
         """See `Service.job_says`."""
         if job.name != JOB:
             return False
-        said = message["say"]
-        match said:
+        kind = message["say"]
+        match kind:
             case "setup":
                 self._seat = Seat(message, partial(_say, job), self._seat_hand(message["hand"]))
             case "view" | "ask":
                 assert self._seat is not None
-                self._rings += self._seat.hear(said, message, time.monotonic())
+                self._rings += self._seat.hear(kind, message, time.monotonic())
                 self._shared.blinded = self._seat.talk.view.blinded
             case "done":
                 self._end = message["result"]
@@ -195,10 +195,10 @@ class Sessions(Service):
             case _:
                 return False
         self._tell()
-        return said not in ("compiling", "ended")
+        return kind not in ("compiling", "ended")
 
-    def _seat_hand(self, told: Mapping[str, Any] | None) -> SeatHand | None:
-        return None if told is None else SeatHand(told["kind"], float(told["press"]), self._hand)
+    def _seat_hand(self, hand: Mapping[str, Any] | None) -> SeatHand | None:
+        return None if hand is None else SeatHand(hand["kind"], float(hand["press"]), self._hand)
 
     def _leave(self) -> None:
         self._job = None
@@ -223,13 +223,13 @@ class Sessions(Service):
 
     def _tell(self) -> None:
         for pages, message in self._messages():
-            if message != self._told.get(message["say"]):
-                self._told[message["say"]] = message
+            if message != self._sent.get(message["say"]):
+                self._sent[message["say"]] = message
                 for client in pages:
                     client.put_newest(message)
 
     def _messages(self) -> list[tuple[set[Client], dict[str, Any]]]:
-        """What is shown to whom."""
+        """Return the messages for operators' pages and participants' screens, with their clients."""
         runs, seat = self._job is not None, self._seat
         desk: dict[str, Any] = {
             "say": "session",
@@ -254,7 +254,7 @@ class Sessions(Service):
             "saying": view.say,
             "moving": talk.moving,
             "question": words.question(talk, now_s),
-            "offered": words.offered(talk) or later,
+            "offered": words.list_offered(talk) or later,
             "entry": None if talk.entry is None else talk.entry.purpose,
             "item": _item(talk),
             "notice": talk.notice,
@@ -286,7 +286,7 @@ def _item(talk: Conversation) -> Mapping[str, Any] | None:
 
 
 def _participant(seat: Seat) -> dict[str, Any]:
-    """What a participant may see: the cue, what to do, and what is asked of them."""
+    """Return what a participant may see: the cue, the instruction and the open question."""
     talk, view = seat.talk, seat.talk.view
     verdict = talk.question is not None and talk.question.kind == "verdict"
     item = _item(talk)

@@ -21,16 +21,16 @@ class Talk:
 
     Parameters
     ----------
-    goes_on
+    is_detached
         Whether the job continues without its console.
     """
 
-    def __init__(self, goes_on: bool) -> None:
-        self._goes_on = goes_on
+    def __init__(self, is_detached: bool) -> None:
+        self._is_detached = is_detached
         self._lock = threading.Lock()
         self._answers: SimpleQueue[Any] = SimpleQueue()
         self._gone = threading.Event()
-        self._heard = time.monotonic()
+        self._last_line_s = time.monotonic()
 
     def tell(self, say: str, /, **content: Any) -> None:
         """Send a message; without effect if the console is gone."""
@@ -46,9 +46,9 @@ class Talk:
 
         Raises `StoppedError` when the console is gone and the job does not continue without it.
         """
-        if time.monotonic() - self._heard > SILENT_S:  # the console hangs: a STOP could not arrive
+        if time.monotonic() - self._last_line_s > SILENT_S:  # the console hangs: a STOP could not arrive
             self._gone.set()
-        if self._gone.is_set() and not self._goes_on:
+        if self._gone.is_set() and not self._is_detached:
             raise StoppedError("the connection to the console was lost", remedy="start it again: rig console")
         self.tell("progress", **content)
 
@@ -65,23 +65,23 @@ class Talk:
     def hear(self, patience_s: float) -> Any:
         """Return the console's next message; None after `patience_s` (s). Raises `StoppedError` when it is gone."""
         try:
-            said = self._answers.get(timeout=patience_s) if patience_s else self._answers.get_nowait()
+            message = self._answers.get(timeout=patience_s) if patience_s else self._answers.get_nowait()
         except Empty:
             return None
-        if said is None:
+        if message is None:
             self._answers.put(None)
             raise StoppedError("the connection to the console was lost", remedy="start it again: rig console")
-        return said
+        return message
 
     @property
     def silent_s(self) -> float:
         """Time since the last line from the console (s)."""
-        return time.monotonic() - self._heard
+        return time.monotonic() - self._last_line_s
 
     def listen(self) -> None:
         """Read answers until the console is gone; an empty line is its heartbeat."""
         for line in sys.stdin:
-            self._heard = time.monotonic()
+            self._last_line_s = time.monotonic()
             if line.strip():
                 self._answers.put(json.loads(line))
         self._gone.set()

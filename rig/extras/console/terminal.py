@@ -64,7 +64,7 @@ class Terminal:
                 terminal, termios.TCIFLUSH
             )  # what was typed before this was shown is no answer to it
         click.echo(
-            f"\nrig: a page wants to arm {f'{chr(10)}rig:   '.join(_shown(line) for line in lines)}\n"
+            f"\nrig: a page wants to arm {f'{chr(10)}rig:   '.join(_printable(line) for line in lines)}\n"
             f"rig: are all hands clear of the handle? type {WORD} to arm, or Enter to refuse: ",
             nl=False,
         )
@@ -93,6 +93,6 @@ def _refusal(url: str, why: str, remedy: str) -> ConfigError:
     return ConfigError(f"{url} is a real rig and was not armed: {why}", remedy=remedy)
 
 
-def _shown(text: str) -> str:
+def _printable(text: str) -> str:
     """A page's text without what a terminal would obey: escapes, new lines, changes of direction."""
     return "".join(one if one.isprintable() else "�" for one in text)

@@ -73,14 +73,14 @@ class View:
         self._done = False
 
     def frames(self) -> Iterator[bytes]:
-        """What to send now: the points that have come, or the sweeps that are complete."""
+        """Return what to send now: new points, or complete sweeps."""
         trigger = self._shown.trigger
         if trigger is None:
             last = self._history.rows // self._step * self._step
             if last > self._next or self._fresh:
                 cut = self._history.cut(self._shown.columns, self._next, last, self._step)
                 newest = self._history.received_at(last - 1)
-                yield packed(cut, self._shown.columns, kind="live", fresh=self._fresh, newest=newest)
+                yield pack(cut, self._shown.columns, kind="live", fresh=self._fresh, newest=newest)
                 self._next, self._fresh = last, False
             return
         while not self._done and (sweep := self._sweep(trigger)) is not None:
@@ -102,16 +102,22 @@ class View:
             return None
         cut = history.cut(self._shown.columns, self._hit - before, last, self._step)
         self._hit, self._searched, self._done = None, last, trigger.single
-        return packed(cut, self._shown.columns, kind="sweep", fresh=True, at=self._hit_s)
+        return pack(cut, self._shown.columns, kind="sweep", fresh=True, at=self._hit_s)
 
 
-def packed(cut: HistoryExcerpt, columns: tuple[str, ...], **header: Any) -> bytes:
+def pack(cut: HistoryExcerpt, columns: tuple[str, ...], **header: Any) -> bytes:
     """A cut as one message: length of the header, the header as JSON, then float64: times, low, and high if it differs.
 
     The numbers begin at a multiple of 8 bytes.
     """
-    told = {**header, "first": cut.first, "step": cut.step, "columns": columns, "points": len(cut.times)}
-    text = json.dumps(told).encode()
+    header_fields = {
+        **header,
+        "first": cut.first,
+        "step": cut.step,
+        "columns": columns,
+        "points": len(cut.times),
+    }
+    text = json.dumps(header_fields).encode()
     text += b" " * (-(4 + len(text)) % 8)
     arrays = [cut.times, cut.low, *([] if cut.step == 1 else [cut.high])]
     numbers = b"".join(np.ascontiguousarray(array, "<f8").tobytes() for array in arrays)

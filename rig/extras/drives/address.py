@@ -27,17 +27,17 @@ class DriveFacts(Protocol):
 
     @property
     def id(self) -> int:
-        """On its bus."""
+        """Return the drive's id on its bus."""
         ...
 
     @property
     def firmware(self) -> str:
-        """Version."""
+        """Return the version of the drive's firmware."""
         ...
 
     @property
     def output(self) -> Output:
-        """Encoder, torque constant, limits."""
+        """Return the drive's encoder, torque constant and limits."""
         ...
 
 
@@ -77,7 +77,7 @@ class MoteusAddress:
 
     @classmethod
     def of(cls, url: DeviceUrl) -> Self:
-        """Read it; raises `ConfigError`."""
+        """Read the address of a drive from a URL; raise `ConfigError` for an invalid one."""
         url.allow((*OPTIONS, "id", "prefix", *SWITCHES))
         return cls(
             number(url, "id", 1, _LARGEST_ID),
@@ -103,7 +103,7 @@ class OdriveAddress:
 
     @classmethod
     def of(cls, url: DeviceUrl) -> Self:
-        """Read it; raises `ConfigError`."""
+        """Read the address of a drive from a URL; raise `ConfigError` for an invalid one."""
         url.allow(("id", "endpoints"))
         place = url.options.get("endpoints")
         if place is None:

@@ -74,7 +74,7 @@ class Bus(Protocol):
     messages: tuple[str, ...]
 
     def send(self, frame: CanFrame) -> None:
-        """Send a frame; raises `LinkLostError`."""
+        """Send a frame; raise `LinkLostError` if the bus has failed."""
         ...
 
     def receive(self, timeout_s: float) -> CanFrame | None:
@@ -82,12 +82,12 @@ class Bus(Protocol):
         ...
 
     def close(self) -> None:
-        """Release it."""
+        """Close the port or interface of the bus."""
         ...
 
 
 def open_bus(url: DeviceUrl) -> Bus:
-    """Open what a URL names: ``moteus:///dev/fdcanusb?checksum=off``, ``odrive://can0``, or a socket as `_connected`.
+    """Open what a URL names: ``moteus:///dev/fdcanusb?checksum=off``, ``odrive://can0``, or a socket as `_connect`.
 
     Raises
     ------
@@ -104,13 +104,13 @@ def open_bus(url: DeviceUrl) -> Bus:
             remedy=f"name one, for example {either}{url.scheme}://can0",
         )
     if Path(url.place).is_socket():
-        return CanBus(url.place, _connected(url.place))
+        return CanBus(url.place, _connect(url.place))
     return (
         AdapterBus.open(url) if "/" in url.place else CanBus(url.place, bit_rates=CLASSIC if classic else FD)
     )
 
 
-def _connected(place: str) -> socket.socket:
+def _connect(place: str) -> socket.socket:
     """A Unix socket whose messages are those of a raw CAN socket: a program in the place of a bus."""
     end = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     try:

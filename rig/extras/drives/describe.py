@@ -104,7 +104,7 @@ def text(found: DriveFacts, url: str) -> str:
         effort=f"{effort:.4g}",
         speed=f"{_down(speed):.4g}",
     )
-    return "".join(map(_aligned, filled.splitlines(keepends=True)))
+    return "".join(map(_align, filled.splitlines(keepends=True)))
 
 
 def _down(value: float) -> float:
@@ -113,7 +113,7 @@ def _down(value: float) -> float:
     return math.floor(value / step) * step
 
 
-def _aligned(line: str) -> str:
+def _align(line: str) -> str:
     """Put the comment behind a value where the others are."""
     value, mark, comment = line.partition(" #")
     return f"{value.rstrip():36}{mark}{comment}" if mark and value.strip() else line

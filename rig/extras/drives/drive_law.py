@@ -66,7 +66,7 @@ class DriveLaw:
 
     @property
     def rate_hz(self) -> float:
-        """Of its control cycles."""
+        """Return the rate of the drive's control cycles (Hz)."""
         return self.pwm_rate_hz if self.pwm_rate_hz <= MOST_HZ else self.pwm_rate_hz / 2.0
 
     @property

@@ -138,6 +138,6 @@ ODRIVE = {
 TEXTS = {"moteus": MOTEUS, "odrive": ODRIVE}
 
 
-def explained(kind: str) -> tuple[CodeInfo, ...]:
+def explain_faults(kind: str) -> tuple[CodeInfo, ...]:
     """All of them, for the dictionary of a kind of drive."""
     return tuple(CodeInfo(int(code), code.name, text, remedy) for code, (text, remedy) in TEXTS[kind].items())

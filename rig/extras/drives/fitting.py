@@ -80,7 +80,7 @@ class Output:
         return default if math.isnan(turns) else round(max(-EXACT_COUNTS, min(EXACT_COUNTS, counts)))
 
     def differences(self, model: RigModel) -> Iterator[Difference]:
-        """What the drive has otherwise than the rig."""
+        """Yield the differences between the drive and the rig."""
         encoder, amplifier = model.encoder, model.amplifier
         if encoder.counts_per_revolution is not None:
             counts = encoder.counts_per_revolution * encoder.decoding

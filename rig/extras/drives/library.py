@@ -17,7 +17,7 @@ from firmware_protocol.connection import State
 from firmware_protocol.parameters import PARAMETERS
 from rig.core.board import describe, narrower
 from rig.core.model import RigModel
-from rig.extras.drives.faults import explained
+from rig.extras.drives.faults import explain_faults
 from rig.realtime.c_board import FLAGS, BoardSetup, CLibrary
 from rig.realtime.kernel import CACHE_DIRECTORY
 
@@ -49,7 +49,7 @@ class CanFrameBytes(ctypes.Structure):
 
     @property
     def data(self) -> bytes:
-        """Its bytes."""
+        """Return the bytes of the frame's data."""
         return bytes(self.bytes[: self.count])
 
 
@@ -234,7 +234,7 @@ def dictionary_of(model: RigModel, drive: FittedDrive) -> dictionaries.Dictionar
         narrower={"law": (0, LAW_ON_THE_DRIVE if drive.gains else LAW_HERE), **NO_EXCITATION, **drive.ranges},
         settings=drive.settings,
     )
-    return replace(plain, faults=(*plain.faults, *explained(drive.kind)))
+    return replace(plain, faults=(*plain.faults, *explain_faults(drive.kind)))
 
 
 class Bridge:
@@ -303,7 +303,7 @@ class Bridge:
     # ------------------------------------------------------------------ by hand, in device time (1/16 µs)
 
     def start(self, now: int) -> None:
-        """Power up."""
+        """Start the bridge at a device time, as at power-up."""
         self._library.bridge_start(self._address, now)
 
     def tick(self, now: int) -> bytes:
@@ -324,7 +324,7 @@ class Bridge:
         return self._bus()
 
     def lose_bus(self, now: int) -> None:
-        """The adapter is gone."""
+        """Report that the adapter or interface of the bus was lost."""
         self._library.bridge_lose_bus(self._address, now)
 
     def stop(self) -> bytes:
@@ -339,12 +339,12 @@ class Bridge:
 
     @property
     def due(self) -> int:
-        """When the next period begins."""
+        """Return the device time at which the next period begins."""
         return int(self._library.bridge_due(self._address))
 
     @property
     def state(self) -> State:
-        """State of the protocol."""
+        """Return the protocol's state of the bridge's device."""
         return State(self._library.bridge_state(self._address))
 
     @property
@@ -354,7 +354,7 @@ class Bridge:
 
     @property
     def torque(self) -> float:
-        """What the drive is to give (N·m at its output)."""
+        """Return the commanded torque (N·m at the drive's output)."""
         return float(self._library.bridge_torque(self._address))
 
     def _bus(self) -> bytes:

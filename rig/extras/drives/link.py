@@ -84,7 +84,7 @@ class BridgeLink(DescriptorLink):
         super().__init__(url, ours.detach())
 
     def bus_facts(self) -> dict[str, float]:
-        """What happened on the bus so far: replies, lost ones, round trips (µs), the drive's temperature (°C).
+        """Return the bus statistics so far: replies, losses, round trips (µs), the drive's temperature (°C).
 
         `cycle_us` is the period of the samples that the drive sends unrequested, 0 if the bridge polls them.
         """

@@ -60,11 +60,11 @@ class Asked(Protocol):
     """A drive that answers: its registers as whole numbers, its settings as text."""
 
     def register(self, number: int) -> int:
-        """Value of a register."""
+        """Return the value of a register as an integer."""
         ...
 
     def setting(self, name: str) -> float:
-        """Value of a setting."""
+        """Return the value of a setting by its dotted name."""
         ...
 
 
@@ -90,10 +90,10 @@ class MoteusConversation:
         """Listen for `LISTEN_S`; raises `DeviceRefusedError` when another host communicates with the drive."""
         deadline = time.monotonic() + LISTEN_S
         while (left := deadline - time.monotonic()) > 0:
-            heard = self._bus.receive(left)
-            if heard is None:
+            frame = self._bus.receive(left)
+            if frame is None:
                 return
-            if self._drive in (heard.id & 0x7F, heard.id >> 8 & 0x7F):
+            if self._drive in (frame.id & 0x7F, frame.id >> 8 & 0x7F):
                 raise DeviceRefusedError(
                     f"another program communicates with {self._name}: a second bus master",
                     remedy="close tview, moteus_tool and other programs on this bus",
@@ -138,12 +138,12 @@ class MoteusConversation:
             self._send(request, reply=True)
             deadline = time.monotonic() + REPLY_S
             while (left := deadline - time.monotonic()) > 0:
-                heard = self._bus.receive(left)
-                if heard is None:
+                frame = self._bus.receive(left)
+                if frame is None:
                     break
-                source = heard.id >> 8 & 0x7F
-                if heard.id == self._prefix << 16 | self._drive << 8 | SENDER and is_answer(heard.data):
-                    return heard.data
+                source = frame.id >> 8 & 0x7F
+                if frame.id == self._prefix << 16 | self._drive << 8 | SENDER and is_answer(frame.data):
+                    return frame.data
                 if source != self._drive:
                     others.add(source)
         found = f"; ids that replied on this bus: {', '.join(map(str, sorted(others)))}" if others else ""
@@ -407,7 +407,7 @@ def fit(
 
 
 def _differences(found: MoteusFacts, model: RigModel) -> Iterator[Difference]:
-    """What the drive has otherwise than the rig."""
+    """Yield the differences between the drive and the rig."""
     if found.torque_constant == 0.0:
         yield "the motor is not calibrated (motor.poles or motor.Kv is 0)", "run moteus_tool --calibrate"
         return

@@ -187,17 +187,17 @@ class OdriveConversation:
 
     @property
     def name(self) -> str:
-        """What it is called in messages."""
+        """Return the name of the drive for messages."""
         return f"the ODrive {self.node} at {self._bus.place}"
 
     def refuse_others(self) -> None:
         """Listen for `LISTEN_S`; raises `DeviceRefusedError` when another host commands the drive."""
         deadline = time.monotonic() + LISTEN_S
         while (left := deadline - time.monotonic()) > 0:
-            heard = self._bus.receive(left)
-            if heard is None:
+            reply = self._bus.receive(left)
+            if reply is None:
                 return
-            node, command = heard.id >> NODE_BITS, heard.id & (1 << NODE_BITS) - 1
+            node, command = reply.id >> NODE_BITS, reply.id & (1 << NODE_BITS) - 1
             if node == self.node and command in COMMANDS:
                 raise DeviceRefusedError(
                     f"another program sends commands to {self.name}: a second bus master",
@@ -234,13 +234,13 @@ class OdriveConversation:
             self._bus.send(question)
             asked = time.monotonic()
             while (left := asked + REPLY_S - time.monotonic()) > 0:
-                heard = self._bus.receive(left)
-                if heard is None:
+                reply = self._bus.receive(left)
+                if reply is None:
                     break
-                if heard.id == self.node << NODE_BITS | command and is_answer(heard.data):
+                if reply.id == self.node << NODE_BITS | command and is_answer(reply.data):
                     self.quickest_s = min(self.quickest_s, time.monotonic() - asked)
-                    return heard.data
-                self._others.add(heard.id >> NODE_BITS)
+                    return reply.data
+                self._others.add(reply.id >> NODE_BITS)
         others = sorted(self._others - {self.node})
         found = f"; nodes seen on this bus: {', '.join(map(str, others))}" if others else ""
         raise DeviceNotFoundError(
@@ -392,7 +392,7 @@ def fit(found: OdriveFacts, model: RigModel) -> FittedDrive:
 
 
 def _differences(found: OdriveFacts, model: RigModel) -> Iterator[Difference]:
-    """What the drive has otherwise than the rig."""
+    """Yield the differences between the drive and the rig."""
     values = found.values
     if not values[TORQUE_CONSTANT] > 0.0 or not found.output.counts > 0:
         yield "the motor is not set up (torque_constant or cpr is not above 0)", "calibrate the motor"

@@ -33,12 +33,12 @@ class LiveClock:
 
     @property
     def fitted(self) -> bool:
-        """Whether there is a line."""
+        """Return True if there is a line."""
         return self._fit is not None
 
     @property
     def bound_ns(self) -> int | None:
-        """By how much host times may be off (ns): what asymmetry may add, and three standard uncertainties; or None."""
+        """Return the bound of the error of host times (ns), asymmetry plus three standard uncertainties; or None."""
         fit = self._fit
         return None if fit is None else fit.asymmetry_bound_ns + round(3.0 * fit.offset_sd_ns)
 

@@ -121,11 +121,11 @@ class Follower:
 
     @property
     def rows(self) -> int:
-        """Rows seen."""
+        """Return the number of rows read so far."""
         return self._reader.rows
 
     def poll(self) -> Chunk:
-        """What has come since the last call; the last call (`ended`) has the end."""
+        """Return the rows since the last call; a chunk with `ended` is the last one."""
         done = self.ring.get(control_words.LOOP_DONE) != 0  # before the rows: what follows is then all
         self._clock.look(self.ring)
         if not self._clock.fitted and not done and time.monotonic() - self._since < HOLD_S:

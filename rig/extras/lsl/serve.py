@@ -60,7 +60,7 @@ class Markers:
         self._rest = b""
 
     def take(self) -> list[Marker]:
-        """What has come since the last call; never waits."""
+        """Return the markers received since the last call, without waiting."""
         while not self.over and select.select([self._descriptor], [], [], 0.0)[0]:
             data = os.read(self._descriptor, 65536)
             self._rest += data
@@ -70,8 +70,8 @@ class Markers:
 
     def _marker(self, line: bytes) -> Marker | None:
         try:
-            said = json.loads(line)
-            return Marker(int(said.get("at") or time.monotonic_ns()), dict(said["marker"]))
+            request = json.loads(line)
+            return Marker(int(request.get("at") or time.monotonic_ns()), dict(request["marker"]))
         except (ValueError, TypeError, KeyError, AttributeError):
             self.malformed += 1
             return None
@@ -198,15 +198,15 @@ class _Server:
             self._report({"ended": owner, "rows": follower.rows, "lost": follower.lost})
 
     def _to_the_end(self, owner: int, follower: Follower, source: Markers | None) -> None:
-        heard = time.monotonic()
+        last_line_s = time.monotonic()
         while not follower.ended:
             self._pass_on(source)
             before = follower.rows
             self._send(follower)
             now = time.monotonic()
             if follower.rows > before:
-                heard = now
-            elif not follower.ended and now - heard > DEATH_S and not _alive(owner):
+                last_line_s = now
+            elif not follower.ended and now - last_line_s > DEATH_S and not _alive(owner):
                 return  # it died without a word
             if not follower.ended:
                 time.sleep(POLL_S)

@@ -32,8 +32,8 @@ def marker_line(at_ns: int, content: dict[str, Any]) -> bytes:
     """A marker as a line of at most `LINE_BYTES`, its `text` cut for that; longer only where the rest is too long."""
 
     def line(**changed: Any) -> bytes:
-        said = {"at": at_ns, "marker": {**content, **changed}}
-        return json.dumps(said, default=str, ensure_ascii=False).encode(errors="replace") + b"\n"
+        line = {"at": at_ns, "marker": {**content, **changed}}
+        return json.dumps(line, default=str, ensure_ascii=False).encode(errors="replace") + b"\n"
 
     whole, text = line(), content.get("text")
     if len(whole) <= LINE_BYTES or not isinstance(text, str):
@@ -101,12 +101,12 @@ class LslMarks:
         command += ["--name", name, *([] if rate is None else ["--rate", repr(rate)])]
         command += ["--blind"] if blind else []
         command += [] if expected is None else ["--open-early", expected[0], repr(expected[1])]
-        self._said, self._complained = TemporaryFile(), TemporaryFile()  # noqa: SIM115  (until `close`)
+        self._output, self._complained = TemporaryFile(), TemporaryFile()  # noqa: SIM115  (until `close`)
         try:
             self._process = subprocess.Popen(
                 command,
                 stdin=subprocess.PIPE,
-                stdout=self._said,
+                stdout=self._output,
                 stderr=self._complained,
                 start_new_session=True,  # a Ctrl-C on the terminal is the session's to answer
             )
@@ -179,7 +179,7 @@ class LslMarks:
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
-        with self._said, self._complained:
+        with self._output, self._complained:
             if process.returncode != 0:
                 _log.warning(
                     "the LSL process ended with exit code %d: %s", process.returncode, self._complaint()
@@ -187,13 +187,13 @@ class LslMarks:
             return next((dict(news["served"]) for news in self._news() if "served" in news), None)
 
     def _news(self) -> list[dict[str, Any]]:
-        """What it has printed so far, read without moving the place at which it writes."""
-        descriptor = self._said.fileno()
+        """Return the process's new output, read without moving the position at which it writes."""
+        descriptor = self._output.fileno()
         size = os.fstat(descriptor).st_size
         if size == 0:
             return []
-        with mmap(descriptor, size, access=ACCESS_READ) as said:
-            lines = said[:].splitlines(keepends=True)
+        with mmap(descriptor, size, access=ACCESS_READ) as content:
+            lines = content[:].splitlines(keepends=True)
         found = []
         for line in lines:
             with suppress(ValueError):

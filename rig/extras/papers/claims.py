@@ -48,7 +48,7 @@ class Claim:
 
     @reported
     def verdict(self) -> str:
-        """The status with its condition."""
+        """Return the status of the claim with its condition, in words."""
         return f"{self.status} {self.condition}".rstrip()
 
 

@@ -19,8 +19,8 @@ def show_impacts(directory: Path, *, plot: str, as_json: bool) -> None:
     pictures = {}
     if plot:
         pictures = {
-            "figure 7": _drawn(directory / f"koul-figure-7.{plot}", impact_pictures.draw_figure_7, panels),
-            "figure 8": _drawn(directory / f"koul-figure-8.{plot}", impact_pictures.draw_figure_8, profiles),
+            "figure 7": _draw(directory / f"koul-figure-7.{plot}", impact_pictures.draw_figure_7, panels),
+            "figure 8": _draw(directory / f"koul-figure-8.{plot}", impact_pictures.draw_figure_8, profiles),
         }
     if as_json:
         output.print_json(
@@ -36,7 +36,7 @@ def show_impacts(directory: Path, *, plot: str, as_json: bool) -> None:
     output.print_pairs([(name, path) for name, path in pictures.items() if path is not None])
 
 
-def _drawn(path: Path, draw: Callable[[Any, Path], Path], what: Any) -> str | None:
+def _draw(path: Path, draw: Callable[[Any, Path], Path], what: Any) -> str | None:
     path.parent.mkdir(parents=True, exist_ok=True)
     return output.drawn_by(lambda: draw(what, path))
 

@@ -77,7 +77,7 @@ class Ruling:
 
     @property
     def verdict(self) -> str:
-        """The status with its condition."""
+        """Return the status of the ruling with its condition, in words."""
         return f"{self.status} {self.condition}".rstrip()
 
     def having(self, **numbers: Any) -> Ruling:
@@ -134,5 +134,5 @@ def over(one: float, other: float) -> float:
 
 
 def within(value: float, target: float, factor: float) -> bool:
-    """Whether a value is within a factor of a target, both ways; nothing not above zero is."""
+    """Return True if a value is within a factor of a target, both ways; nothing not above zero is."""
     return value > 0.0 and target / factor <= value <= target * factor

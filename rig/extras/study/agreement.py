@@ -85,7 +85,7 @@ class Agreement:
 
 
 def two_classes(trial: TrialRow) -> tuple[str | None, str | None]:
-    """What the search follows: stable or not, by the person and by the study's criterion."""
+    """Return the two classes that the search uses: stable or not, by the person and by the study's criterion."""
     person = {"stable": TWO[0], "buzz": TWO[1], "unstable": TWO[1]}.get(trial.verdict)
     automatic = None if trial.automatic_stable is None else TWO[0] if trial.automatic_stable else TWO[1]
     return person, automatic
@@ -186,7 +186,6 @@ def _problem(counts: Floats, classes: Sequence[str], value: float | None) -> str
 
 
 def _specific(counts: Floats, place: int) -> float | None:
-    """Agreement on one class."""
     both = float(counts[place].sum() + counts[:, place].sum())
     return 2.0 * float(counts[place, place]) / both if both else None
 

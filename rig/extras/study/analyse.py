@@ -16,14 +16,14 @@ from rig.extras.study.kmax import (
     OfParticipant,
     OverParticipants,
     Paired,
-    observed,
-    of_participants,
+    collect_limits,
+    compare_pairs,
+    estimate_participants,
     over_participants,
-    paired,
 )
-from rig.extras.study.mixed import Mixed, mixed
+from rig.extras.study.mixed import Mixed, fit_mixed
 from rig.extras.study.people import answers_of, fates, participants_of
-from rig.extras.study.psychometric import PsychometricFit, complete_runs, gathered, psychometrics
+from rig.extras.study.psychometric import PsychometricFit, complete_runs, gather_verdicts, psychometrics
 from rig.extras.study.rows import (
     ENDED_BY_MOST,
     MEASURES,
@@ -197,7 +197,7 @@ class StudyAnalysis:
         if short:
             names = [f"{run.participant}, run {run.run}: {run.note}" for run in short]
             runs = f"{_plural(len(short), 'run')} {_was(len(short))}"
-            yield f"{runs} ended by search.settings.most, {taken}: {_listed(names)}"
+            yield f"{runs} ended by search.settings.most, {taken}: {_list_names(names)}"
         names = [
             f"{run.participant}, run {run.run}: {limit.mark}"
             for run in self.runs
@@ -209,7 +209,7 @@ class StudyAnalysis:
             if one.participant and one.mark
         ]
         if names:
-            yield f"{_plural(len(names), 'limit')} {_is(len(names))} marked, {taken}: {_listed(names)}"
+            yield f"{_plural(len(names), 'limit')} {_is(len(names))} marked, {taken}: {_list_names(names)}"
 
     def as_mapping(self) -> dict[str, Any]:
         """Plain values, for JSON; trials are in their table."""
@@ -281,15 +281,13 @@ def analyse(
     report("intervals", 0, 4)
     counted = runs_as_counted(runs, include_marked=options.include_marked)
     pooled = {
-        key: limit
-        for key, limit in _pooled(study, counted).items()
-        if options.include_marked or not limit.mark
+        key: limit for key, limit in _pool(study, counted).items() if options.include_marked or not limit.mark
     }
-    each = of_participants(counted, pooled, options.seed)
+    each = estimate_participants(counted, pooled, options.seed)
     report("intervals", 1, 4)
     names = [condition.name for condition in study.protocol.condition]
     known = [measure for measure in MEASURES if any(measure in run.limits for run in runs)]
-    models = tuple(mixed(observed(counted, measure, pooled), measure, names) for measure in known)
+    models = tuple(fit_mixed(collect_limits(counted, measure, pooled), measure, names) for measure in known)
     report("intervals", 2, 4)
     functions = psychometrics(study, complete_runs(counted), include_marked=options.include_marked)
     report("intervals", 3, 4)
@@ -303,7 +301,7 @@ def analyse(
         answers=answers_of(study),
         of_participants=each,
         over_participants=over_participants(each, names),
-        paired=paired(each, names),
+        paired=compare_pairs(each, names),
         mixed=models,
         agreements=agreements(trials),
         psychometrics=functions,
@@ -363,7 +361,7 @@ def analyse_study(
     return analyse(places, options, watch=watch)
 
 
-def _pooled(study: Study, runs: Sequence[RunRow]) -> dict[tuple[Measure, str, Cell], LimitInterval]:
+def _pool(study: Study, runs: Sequence[RunRow]) -> dict[tuple[Measure, str, Cell], LimitInterval]:
     """The stiffness that each measure aims at, from all verdicts of a participant's complete runs under a condition."""
     complete = complete_runs(runs)
     shares = {(run.condition, m): limit.share for run in runs for m, limit in run.limits.items()}
@@ -371,13 +369,13 @@ def _pooled(study: Study, runs: Sequence[RunRow]) -> dict[tuple[Measure, str, Ce
     return {
         (measure, code, cell): half_way(grids[code, cell[0]], verdicts, shares[cell[0], measure])
         for measure, judge in _JUDGES.items()
-        for cell, each in gathered(study, judge, complete).items()
+        for cell, each in gather_verdicts(study, judge, complete).items()
         for code, verdicts in each.items()
         if (cell[0], measure) in shares
     }
 
 
-def _listed(names: Sequence[str]) -> str:
+def _list_names(names: Sequence[str]) -> str:
     more = len(names) - _NAMED
     return "; ".join(names[:_NAMED]) + (f"; and {more} more" if more > 0 else "")
 

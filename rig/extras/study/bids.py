@@ -171,7 +171,7 @@ class _Writer:
                 number = devices.get(row.trial, {}).get("serial_number")
                 known = {"DeviceSerialNumber": number} if number else {}
                 self._run(place, stem, session, row, recording, known)
-                acquired = _acquired(recording)
+                acquired = _acquisition_time(recording)
                 if shift is None and acquired is not None:
                     shift = SHIFTED_TO - acquired.replace(hour=0, minute=0, second=0, microsecond=0)
                 date = _date(acquired, shift if self._options.shift_dates else None)
@@ -324,7 +324,7 @@ def _readme(study: Study, options: BidsOptions) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _acquired(recording: Recording) -> datetime | None:
+def _acquisition_time(recording: Recording) -> datetime | None:
     try:
         return datetime.fromisoformat(str(recording.header.get("created"))).astimezone(UTC)
     except ValueError:

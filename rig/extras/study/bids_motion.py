@@ -124,7 +124,7 @@ def write_motion(file: BinaryIO, recording: Recording, columns: Sequence[Channel
 def sidecar(
     recording: Recording, columns: Sequence[Channel], every: int, extra: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """What a motion file's JSON says, from the recording alone; `extra` is added.
+    """Return the contents of a motion file's JSON, from the recording alone; `extra` is added.
 
     Raises `RecordingError` when the recording has no rows.
     """

@@ -139,14 +139,14 @@ def show(found: StudyAnalysis) -> None:
     if not limits.rows:
         click.echo(f"No complete run has a limit by {measure}.")
     few = len(study.sessions) <= _FEW
-    shown = [limits, *([tables.of_participants(found, measure)] if few else []), *_differences(found)]
+    shown = [limits, *([tables.tabulate_participants(found, measure)] if few else []), *_differences(found)]
     shown.append(
         tables.agreement(one for one in found.agreements if not one.condition and one.kappa is not None)
     )
     own = (one for one in found.slopes if one.measure in ("", measure) and not one.problem)
     shown.append(tables.slopes(found, own))
     output.show(
-        tables.filled(item) if isinstance(item, Table) else item
+        tables.drop_empty_columns(item) if isinstance(item, Table) else item
         for item in shown
         if not isinstance(item, Table) or item.rows
     )
@@ -161,6 +161,6 @@ def _differences(found: StudyAnalysis) -> Iterator[Item]:
     tested = [one for one, _ in first if tables.has_interval(one)]
     yield tables.contrasts(found, tested, f"Differences between conditions, {methods}")
     paired = [one for one in found.paired if one.measure == found.options.measure]
-    for problem, names in tables.untested(found, paired).items():
+    for problem, names in tables.group_untested(found, paired).items():
         yield f"No interval and no p value for {', '.join(names)}: {problem}"
     yield from (f"  {note}" for note in (model.notes if model is not None else ()))

@@ -111,7 +111,7 @@ def slopes(runs: Sequence[RunRow], trials: Sequence[TrialRow]) -> tuple[Slope, .
             if beyond and not counted:
                 slope = replace(slope, problem="most limits lie beyond the searched levels")
             family.append(slope)
-        found += _corrected(family)
+        found += _correct_holm(family)
     kept = [trial for trial in trials if not trial.practice and trial.void not in VOIDED]
     timed = [
         t
@@ -125,16 +125,16 @@ def slopes(runs: Sequence[RunRow], trials: Sequence[TrialRow]) -> tuple[Slope, .
     for what, of, values in (("response time", timed, logs), ("invalid", kept, useless)):
         at = np.array([float(trial.trial) for trial in of])
         each = [(trial.participant, trial.condition, trial.damping) for trial in of]
-        found += _corrected([_slope(what, "trial", "", at, np.array(values), each)])
+        found += _correct_holm([_slope(what, "trial", "", at, np.array(values), each)])
     return tuple(found)
 
 
-def _corrected(family: Sequence[Slope]) -> list[Slope]:
+def _correct_holm(family: Sequence[Slope]) -> list[Slope]:
     return [replace(one, holm=p) for one, p in zip(family, holm([one.p for one in family]), strict=True)]
 
 
 def blocks(trials: Sequence[TrialRow]) -> tuple[BlockRow, ...]:
-    """What happened in each block, practice aside."""
+    """Summarise the trials of each participant's blocks, practice excluded."""
     groups: dict[tuple[str, int], list[TrialRow]] = {}
     for trial in trials:
         if not trial.practice:
@@ -171,7 +171,7 @@ def _slope(
 ) -> Slope:
     each = within_slopes(at, values, cells)
     rounding = 0.0 if roundings is None or not each else _rounding_of_slopes(at, roundings, cells, each)
-    found = _over(each, _shared(cells), rounding)
+    found = _over(each, _is_shared(cells), rounding)
     slope, low, high, p = (math.nan,) * 4 if isinstance(found, str) else found
     return Slope(
         of=of,
@@ -247,8 +247,8 @@ def _over(
     return mean, float(low), float(high), float(2.0 * stats.t.sf(abs(mean) / deviation, free))
 
 
-def _shared(cells: Sequence[tuple[str, str, float]]) -> bool:
-    """Whether no participant has two values of one condition and damping, so that its mean must be everybody's."""
+def _is_shared(cells: Sequence[tuple[str, str, float]]) -> bool:
+    """Return True if no participant has two values per condition and damping, so that means come from all of them."""
     return len(set(cells)) == len(cells)
 
 
@@ -256,7 +256,7 @@ def less_means(values: Floats, cells: Sequence[tuple[str, str, float]]) -> Float
     """Return values less the means of participants and conditions, see above; residuals by rounding become zero."""
     if not cells:
         return values
-    if _shared(cells):
+    if _is_shared(cells):
         fixed = np.column_stack([_indicators(of) for of in ([c[0] for c in cells], [c[1:] for c in cells])])
         left = np.asarray(values - fixed @ np.linalg.lstsq(fixed, values, rcond=None)[0])
     else:

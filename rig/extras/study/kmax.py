@@ -64,12 +64,12 @@ class Beyond:
 
     @property
     def count(self) -> int:
-        """Those that are censored."""
+        """Return the number of censored limits."""
         return self.above + self.below
 
     @property
     def mostly(self) -> bool:
-        """Whether most are, so that a mean of them is little more than the end of the levels."""
+        """Return True if most are, so that a mean of them is little more than the end of the levels."""
         return 2 * self.count > self.limits
 
 
@@ -123,7 +123,7 @@ class OfParticipant:
 
     @property
     def beyond(self) -> Beyond:
-        """These counts as one value."""
+        """Return the counts of censored and marked limits as one value."""
         return Beyond(self.limits, self.above, self.below, self.marked)
 
 
@@ -201,8 +201,8 @@ def bound_of(beyond: Mapping[Cell, Beyond], condition: str, against: str) -> Bou
     return "unknown" if more and less else "least" if more else "most" if less else ""
 
 
-def observed(runs: Sequence[RunRow], measure: Measure, pooled: Pooled) -> tuple[Observed, ...]:
-    """What complete runs say by a measure.
+def collect_limits(runs: Sequence[RunRow], measure: Measure, pooled: Pooled) -> tuple[Observed, ...]:
+    """Return the limits of complete runs by a measure.
 
     Parameters
     ----------
@@ -214,18 +214,18 @@ def observed(runs: Sequence[RunRow], measure: Measure, pooled: Pooled) -> tuple[
         run for run in runs if run.state == "complete" and (measure != "rule" or measure in run.limits)
     ]
     if measure == "rule":
-        return tuple(_observed(measure, [run], run.limits[measure]) for run in counted)
+        return tuple(_collect_limit(measure, [run], run.limits[measure]) for run in counted)
     groups: dict[tuple[str, Cell], list[RunRow]] = {}
     for run in counted:
         groups.setdefault((run.participant, (run.condition, run.damping)), []).append(run)
     return tuple(
-        _observed(measure, of, pooled[measure, code, cell])
+        _collect_limit(measure, of, pooled[measure, code, cell])
         for (code, cell), of in groups.items()
         if (measure, code, cell) in pooled
     )
 
 
-def _observed(measure: Measure, runs: Sequence[RunRow], limit: LimitInterval) -> Observed:
+def _collect_limit(measure: Measure, runs: Sequence[RunRow], limit: LimitInterval) -> Observed:
     return Observed(
         measure=measure,
         participant=runs[0].participant,
@@ -238,12 +238,12 @@ def _observed(measure: Measure, runs: Sequence[RunRow], limit: LimitInterval) ->
     )
 
 
-def of_participants(runs: Sequence[RunRow], pooled: Pooled, seed: int = 0) -> tuple[OfParticipant, ...]:
+def estimate_participants(runs: Sequence[RunRow], pooled: Pooled, seed: int = 0) -> tuple[OfParticipant, ...]:
     """K_max of each participant, by measure, condition and damping; `seed` is that of the bootstrap."""
     found = []
     for measure in MEASURES:
         groups: dict[tuple[str, Cell], list[Observed]] = {}
-        for one in observed(runs, measure, pooled):
+        for one in collect_limits(runs, measure, pooled):
             groups.setdefault((one.participant, (one.condition, one.damping)), []).append(one)
         for (code, cell), of in groups.items():
             limits = [one.limit for one in of]
@@ -324,17 +324,21 @@ def over_participants(
     return tuple(found)
 
 
-def paired(each: Sequence[OfParticipant], conditions: Sequence[str]) -> tuple[Paired, ...]:
+def compare_pairs(each: Sequence[OfParticipant], conditions: Sequence[str]) -> tuple[Paired, ...]:
     """Differences between all pairs of conditions, at each damping that both have and over all of them."""
-    return tuple(one for measure in MEASURES for one in _corrected(_paired(each, measure, conditions)))
+    return tuple(
+        one for measure in MEASURES for one in _correct_holm(_compare_pairs(each, measure, conditions))
+    )
 
 
-def _corrected(family: Sequence[Paired]) -> list[Paired]:
+def _correct_holm(family: Sequence[Paired]) -> list[Paired]:
     corrected = holm([one.p for one in family])
     return [replace(one, holm=p) for one, p in zip(family, corrected, strict=True)]
 
 
-def _paired(each: Sequence[OfParticipant], measure: Measure, conditions: Sequence[str]) -> list[Paired]:
+def _compare_pairs(
+    each: Sequence[OfParticipant], measure: Measure, conditions: Sequence[str]
+) -> list[Paired]:
     """Differences by one measure, not yet corrected."""
     of = [one for one in each if one.measure == measure]
     known = {(one.participant, one.condition, one.damping): (one.mean, one.rounding) for one in of}

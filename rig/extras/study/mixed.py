@@ -137,14 +137,14 @@ class Mixed:
     deviations: tuple[tuple[str, float], ...] = ()
 
 
-def mixed(values: Sequence[Observed], measure: Measure, conditions: Sequence[str]) -> Mixed:
+def fit_mixed(values: Sequence[Observed], measure: Measure, conditions: Sequence[str]) -> Mixed:
     """Fit the model to limits by a measure; never raises, says what is in the way.
 
     `conditions` are in the order in which they are compared: each with those before it.
     """
     beyond = beyond_of((one.condition, one.damping, one.limit) for one in values)
     kept = [one for one in values if not beyond[one.condition, one.damping].mostly]
-    cells = _sorted({(one.condition, one.damping) for one in kept}, conditions)
+    cells = _sort_cells({(one.condition, one.damping) for one in kept}, conditions)
     problem = _problem(kept, cells, censored=len(cells) < len(beyond))
     if problem:
         return Mixed(measure=measure, problem=problem)
@@ -171,7 +171,7 @@ def mixed(values: Sequence[Observed], measure: Measure, conditions: Sequence[str
     if problem:
         return Mixed(measure=measure, problem=problem)
     contrasts = _contrasts(design, model, beyond, conditions)
-    notes = _notes(measure, design.participants, beyond, cells, _sorted(beyond, conditions))
+    notes = _notes(measure, design.participants, beyond, cells, _sort_cells(beyond, conditions))
     if not contrasts:
         notes.append("no two conditions share a damping, so no pair can be compared")
     return Mixed(
@@ -192,7 +192,7 @@ def mixed(values: Sequence[Observed], measure: Measure, conditions: Sequence[str
     )
 
 
-def _sorted(cells: Iterable[Cell], conditions: Sequence[str]) -> list[Cell]:
+def _sort_cells(cells: Iterable[Cell], conditions: Sequence[str]) -> list[Cell]:
     return sorted(cells, key=lambda cell: (conditions.index(cell[0]), cell[1]))
 
 
@@ -213,12 +213,12 @@ def _problem(kept: Sequence[Observed], cells: Sequence[Cell], *, censored: bool)
             problem = f"most limits lie beyond the searched levels, except those of {_name(cells[0])}"
     elif len({one.limit.value for one in kept}) == 1:
         problem = "all limits are equal"
-    elif not _installed():
+    elif not _is_installed():
         problem = "statsmodels is not installed: pip install 'haptic-rig[report]'"
     return problem
 
 
-def _installed() -> bool:
+def _is_installed() -> bool:
     try:
         return bool(mixed_linear_model.MixedLM)
     except ImportError:
@@ -301,7 +301,7 @@ class _Design:
         return np.hstack(made)
 
     def rank(self, *terms: str) -> int:
-        """Rank of these columns."""
+        """Return the rank of the design matrix of these terms."""
         return int(np.linalg.matrix_rank(self.columns(*terms)))
 
     def by_person(self, values: Floats) -> Floats:
@@ -320,7 +320,7 @@ class _Design:
 
     @cached_property
     def participants(self) -> int:
-        """How many."""
+        """Return the number of participants with a limit."""
         return int(self.frame["participant"].nunique())
 
     @cached_property

@@ -14,7 +14,7 @@ from rig.session.search import CatchTrials
 def participants_of(
     study: Study, trials: Sequence[TrialRow], runs: Sequence[RunRow]
 ) -> tuple[ParticipantRow, ...]:
-    """One row for each session."""
+    """Return one row of the table of participants for each session."""
     return tuple(_row(session, trials, runs) for session in study.sessions)
 
 

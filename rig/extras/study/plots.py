@@ -191,7 +191,7 @@ def _over_damping(
                 zorder=1,
             )
             for one in line:
-                _censored(axes, one.damping, one.mean, one.above, one.below, colour, size=22, alpha=0.6)
+                _draw_censored(axes, one.damping, one.mean, one.above, one.below, colour, size=22, alpha=0.6)
         means = sorted((one for one in over if one.condition == name), key=lambda one: one.damping)
         if not means:
             continue
@@ -213,7 +213,7 @@ def _side_by_side(
         for x, one in line:
             colour = style_of(x)
             axes.plot([x], [one.mean], "o", color=colour, markersize=4, alpha=0.5, zorder=2)
-            _censored(axes, x, one.mean, one.above, one.below, colour, size=26, alpha=0.7)
+            _draw_censored(axes, x, one.mean, one.above, one.below, colour, size=26, alpha=0.7)
     for number, name in enumerate(names):
         means = [one for one in over if one.condition == name]
         if means:
@@ -252,7 +252,7 @@ def _means(
         zorder=4,
     )
     for x, one in zip(at, means, strict=True):
-        _censored(axes, x, one.mean, one.above, one.below, colour, size=60, alpha=1.0)
+        _draw_censored(axes, x, one.mean, one.above, one.below, colour, size=60, alpha=1.0)
 
 
 def _ends(one: OverParticipants, each: Sequence[OfParticipant]) -> tuple[float, float]:
@@ -263,7 +263,7 @@ def _ends(one: OverParticipants, each: Sequence[OfParticipant]) -> tuple[float, 
     return ends if all(math.isfinite(end) for end in ends) else (one.mean, one.mean)
 
 
-def _censored(
+def _draw_censored(
     axes: Any, x: float, y: float, above: int, below: int, colour: str, *, size: float, alpha: float
 ) -> None:
     """Arrows where some of the runs lie beyond the levels."""
@@ -411,7 +411,9 @@ def _track(axes: Any, run: RunRow, trials: Sequence[TrialRow], found: StudyAnaly
         )
     for verdict, (colour, marker) in VERDICTS.items():
         for counts in (True, False):
-            some = [trial for trial in trials if _said(trial) == verdict and (trial.void == "") == counts]
+            some = [
+                trial for trial in trials if _verdict_of(trial) == verdict and (trial.void == "") == counts
+            ]
             if not some:
                 continue
             axes.scatter(
@@ -434,7 +436,7 @@ def _track(axes: Any, run: RunRow, trials: Sequence[TrialRow], found: StudyAnaly
     style.lighten(axes)
 
 
-def _said(trial: TrialRow) -> str:
+def _verdict_of(trial: TrialRow) -> str:
     return "" if trial.void == "invalid" else trial.verdict
 
 
@@ -445,10 +447,10 @@ def _paint(colour: str, filled: bool) -> dict[str, Any]:
 def _key(axes: Any, trials: Sequence[TrialRow]) -> None:
     """Add the legend of the marks of these trials."""
     for verdict, (colour, marker) in VERDICTS.items():
-        if any(_said(trial) == verdict for trial in trials):
+        if any(_verdict_of(trial) == verdict for trial in trials):
             name = _VERDICT_WORDS.get(verdict, verdict)
             axes.scatter([], [], marker=marker, s=18, color=colour, label=name)
-    if any(trial.void and _said(trial) for trial in trials):
+    if any(trial.void and _verdict_of(trial) for trial in trials):
         axes.scatter([], [], s=18, **_paint("#333333", False), label="hollow: does not count")
     if any(trial.catch for trial in trials):
         axes.scatter([], [], **_RING, label="catch trial")

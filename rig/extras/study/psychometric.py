@@ -81,7 +81,7 @@ class PsychometricFit:
 
     @property
     def bounded(self) -> bool:
-        """Whether every K50 behind it lies among the levels."""
+        """Return True if every K50 behind it lies among the levels."""
         return not self.above and not self.below
 
     def share(self, stiffness: Floats) -> Floats:
@@ -106,7 +106,7 @@ def psychometrics(
     judges: tuple[Judge, ...] = ("person", "automatic")
     grids = levels_by_participant(study)
     for judge in judges:
-        by_cell = gathered(study, judge, complete)
+        by_cell = gather_verdicts(study, judge, complete)
         for condition in study.protocol.condition:
             name = condition.name
             for damping in condition.damping:
@@ -130,7 +130,7 @@ def complete_runs(runs: Sequence[RunRow]) -> set[tuple[str, int]]:
     return {(run.participant, run.run) for run in runs if run.state == "complete"}
 
 
-def gathered(
+def gather_verdicts(
     study: Study, judge: str, complete: Container[tuple[str, int]]
 ) -> dict[tuple[str, float], dict[str, Verdicts]]:
     """Verdicts by condition and damping, and by participant.

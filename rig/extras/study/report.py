@@ -50,7 +50,7 @@ def render(found: StudyAnalysis, pictures: Mapping[str, bytes]) -> str:
         measures=MEASURES,
         bounds=tables.BOUNDS,
         model=model,
-        summarised=list(islice(tables.summarised(found), _FIRST)),
+        summarised=list(islice(tables.summarise_differences(found), _FIRST)),
         judged=first_experiment(found).verdict,
         track_names={code: tracks_name(code) for code in codes},
         deviations=deviations(found.study),
@@ -81,7 +81,7 @@ def write_session_report(
 
 def numbers(found: StudyAnalysis) -> dict[str, Any]:
     """Return everything that the page reports as plain values; numbers that are not finite become None."""
-    told: dict[str, Any] = plain(
+    report: dict[str, Any] = plain(
         {
             **found.as_mapping(),
             "methods": methods(found),
@@ -91,7 +91,7 @@ def numbers(found: StudyAnalysis) -> dict[str, Any]:
             "provenance": provenance(found),
         }
     )
-    return told
+    return report
 
 
 def provenance(found: StudyAnalysis) -> dict[str, Any]:

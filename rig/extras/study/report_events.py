@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from rig.control.verdict import Kind
 from rig.core.sample import unit_of
 from rig.extras.study.study import Study, StudySession
-from rig.session.finished import Event, log_losses, lost_samples, value_words
+from rig.session.finished import Event, list_lost_samples, log_losses, value_words
 from rig.views.report import fill_text
 
 TEMPLATE = "extras/study/session_events.j2"
@@ -47,7 +47,7 @@ def deviations(study: Study) -> tuple[Deviation, ...]:
     for session in study.sessions:
         for event in session.events:
             planned = event.kind == "ended" and event.content["reason"] == "complete"
-            lossy = event.kind == "opened" and bool(lost_samples(event.content))
+            lossy = event.kind == "opened" and bool(list_lost_samples(event.content))
             if (event.kind in KINDS or lossy) and not planned:
                 found.append(_deviation(session, event, event.kind, _sentence(session, event)))
         for trial, state in session.recordings.items():
@@ -116,7 +116,7 @@ def _sentence(session: StudySession, event: Event) -> str:
         why_paused=next((one.content["reason"] for one in reversed(before) if one.kind == "paused"), ""),
         away_s=_away_s(session, event),
         losses=log_losses(event),
-        lost_samples=lost_samples(content),
+        lost_samples=list_lost_samples(content),
         reasons=_with_units(session, "; ".join(content.get("reasons", ()))),
     )
     return " ".join(text.split())

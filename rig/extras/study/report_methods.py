@@ -23,7 +23,7 @@ from rig.extras.study.analyse import StudyAnalysis
 from rig.extras.study.kmax import ENOUGH_REPEATS, LEAST_VALUES, RESAMPLES
 from rig.extras.study.rows import Measure
 from rig.recording.header import checkout
-from rig.session.finished import asked, cells_of, levels_of, rows_of, rule, walls_in
+from rig.session.finished import cells_of, describe_task, levels_of, rows_of, rule, walls_in
 from rig.session.search import EDGE_VERDICTS, LAPSE_RATES, PsychometricGrid, Rule, of_levels
 from rig.views.report import fill_text
 
@@ -156,11 +156,11 @@ def _facts(found: StudyAnalysis) -> dict[str, Any]:
         "protocol": protocol,
         "x": x,
         "unit": study.unit,
-        "asked": asked(protocol.trial, study.motion),
+        "asked": describe_task(protocol.trial, study.motion),
         "measure": measure,
         "measures": MEASURES,
         "complete": sum(session.complete for session in study.sessions),
-        "devices": _opened(found, "device", "firmware", "simulated"),
+        "devices": _collect_opened(found, "device", "firmware", "simulated"),
         "conditions": list(_conditions(found, experiments)),
         "changes": _settings(found, protocol.study.changes, _ELSEWHERE),
         "searches": list(_searches(found)),
@@ -252,7 +252,7 @@ def _priors(found: StudyAnalysis) -> list[_Prior]:
     return [_Prior(levels, of_levels(levels)) for levels in every]
 
 
-def _opened(found: StudyAnalysis, *names: str) -> list[tuple[Any, ...]]:
+def _collect_opened(found: StudyAnalysis, *names: str) -> list[tuple[Any, ...]]:
     """Values of these entries each time that a device was opened, each combination once."""
     every = [
         tuple(event.content.get(name, "unknown") for name in names)

@@ -37,12 +37,12 @@ def over_participants(found: StudyAnalysis, measure: Measure) -> Table:
         (
             one.condition,
             shortest(one.damping),
-            bounded(one.mean, one.above, one.below, one.marked),
+            write_bounded(one.mean, one.above, one.below, one.marked),
             interval(one.low, one.high),
             number(one.deviation),
             str(one.participants),
             str(one.runs),
-            _censored(one.above, one.below, one.limits),
+            _describe_censored(one.above, one.below, one.limits),
         )
         for one in found.over_participants
         if one.measure == measure
@@ -51,14 +51,14 @@ def over_participants(found: StudyAnalysis, measure: Measure) -> Table:
     return Table(head, rows, f"K_max over participants: {MEASURES[measure]}")
 
 
-def of_participants(found: StudyAnalysis, measure: Measure) -> Table:
+def tabulate_participants(found: StudyAnalysis, measure: Measure) -> Table:
     """Return a table of K_max of each participant at each condition and damping."""
     rows = [
         (
             one.participant,
             one.condition,
             shortest(one.damping),
-            bounded(one.mean, one.above, one.below, one.marked),
+            write_bounded(one.mean, one.above, one.below, one.marked),
             interval(one.low, one.high),
             one.interval,
             interval(one.student_low, one.student_high),
@@ -129,8 +129,8 @@ def psychometric(found: StudyAnalysis, some: Iterable[PsychometricFit], caption:
             one.condition,
             one.judge,
             shortest(one.damping),
-            bounded(one.threshold.mean, one.above, one.below, one.mark),
-            NOTHING if _mostly_censored(one) else interval(one.threshold.low, one.threshold.high),
+            write_bounded(one.threshold.mean, one.above, one.below, one.mark),
+            NOTHING if _is_mostly_censored(one) else interval(one.threshold.low, one.threshold.high),
             number(one.spread.mean),
             interval(one.spread.low, one.spread.high),
             lapse_rate(one.lapse_rate.mean),
@@ -151,7 +151,7 @@ def psychometric(found: StudyAnalysis, some: Iterable[PsychometricFit], caption:
     return Table((*head, "lapse rate", "verdicts"), rows, caption, words=3)
 
 
-def _mostly_censored(one: PsychometricFit) -> bool:
+def _is_mostly_censored(one: PsychometricFit) -> bool:
     return one.participants > 1 and Beyond(one.participants, one.above, one.below).mostly
 
 
@@ -327,7 +327,9 @@ def tracks(found: StudyAnalysis) -> Table:
         limit = run.limits.get(found.options.measure)
         value, ends = NOTHING, NOTHING
         if limit is not None:
-            value = bounded(limit.value, limit.censored == "above", limit.censored == "below", limit.mark)
+            value = write_bounded(
+                limit.value, limit.censored == "above", limit.censored == "below", limit.mark
+            )
             ends = interval(limit.low, limit.high)
         mark = limit.mark if limit is not None and limit.mark not in run.note else ""
         state = "; ".join(filter(None, (run.state, run.note, mark)))
@@ -364,7 +366,7 @@ def events(some: Iterable[Deviation], caption: str) -> Table:
     return Table(("participant", "since the begin", "what", "details"), rows, caption, words=4)
 
 
-def filled(table: Table) -> Table:
+def drop_empty_columns(table: Table) -> Table:
     """A table without the columns in which nothing but dashes stands."""
     kept = [
         i for i in range(len(table.head)) if not table.rows or any(row[i] != NOTHING for row in table.rows)
@@ -390,21 +392,21 @@ def first_contrasts(found: StudyAnalysis) -> tuple[Mixed | None, list[tuple[Cont
     return model, first + [(one, "paired") for one in paired if one.withheld]
 
 
-def tested(one: Contrast | Paired) -> bool:
+def is_tested(one: Contrast | Paired) -> bool:
     """Return True if a difference may have an interval."""
     return not (isinstance(one, Paired) and one.withheld)
 
 
-def summarised(found: StudyAnalysis) -> Iterator[tuple[Contrast | Paired, str]]:
+def summarise_differences(found: StudyAnalysis) -> Iterator[tuple[Contrast | Paired, str]]:
     """Differences of a summary: over all dampings, or at each where the mean over them is no more than a bound."""
     _, first = first_contrasts(found)
-    overall = {(one.condition, one.against) for one, _ in first if one.damping is None and tested(one)}
+    overall = {(one.condition, one.against) for one, _ in first if one.damping is None and is_tested(one)}
     for one, method in first:
         if one.damping is None or (one.condition, one.against) not in overall:
             yield one, method
 
 
-def bounded(value: float, above: int, below: int, marked: object = "") -> str:
+def write_bounded(value: float, above: int, below: int, marked: object = "") -> str:
     """A value with the sign of a bound, where so many limits behind it lie above or below the levels.
 
     An asterisk follows where some of them are marked.
@@ -423,7 +425,7 @@ def place(along: str) -> str:
     return "place in the block" if along == "order" else along
 
 
-def _censored(above: int, below: int, limits: int) -> str:
+def _describe_censored(above: int, below: int, limits: int) -> str:
     sides = [f"{count} {side}" for count, side in ((above, "above"), (below, "below")) if count]
     return f"{', '.join(sides)} of {limits}" if sides else "none"
 
@@ -469,7 +471,7 @@ def no_mean_interval(found: StudyAnalysis, measure: Measure) -> dict[str, list[s
     return problems
 
 
-def untested(found: StudyAnalysis, some: Iterable[Paired]) -> dict[str, list[str]]:
+def group_untested(found: StudyAnalysis, some: Iterable[Paired]) -> dict[str, list[str]]:
     """Differences without an interval, in words, by problem."""
     unit, problems = found.study.unit("stiffness"), dict[str, list[str]]()
     for one in some:

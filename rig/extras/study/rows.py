@@ -61,7 +61,7 @@ class TrialRow(RecordedTrial):
 
     @property
     def counts(self) -> bool:
-        """Whether it enters a limit, or would, were its search complete."""
+        """Return True if the trial is used for a limit, or would be if its search were complete."""
         return not self.void and not self.practice
 
 
@@ -101,7 +101,7 @@ class LimitInterval:
 
     `share` is the share of stable verdicts at the value; None for the ascending rule, which aims at none. `step` is the
     distance of the levels between which it was found; 0 for a value that is not of levels. `mark` says why the value is
-    no limit that its verdicts show (`rig.session.search.rule.marked`); marked limits are left out unless asked for.
+    no limit that its verdicts show (`rig.session.search.rule.mark_contradictions`); it is left out by default.
     """
 
     value: float
@@ -160,7 +160,7 @@ class RunRow:
 
     @property
     def catches(self) -> int:
-        """Catch trials that were counted."""
+        """Return the catch trials that count, in complete runs."""
         return self.caught.count
 
     @property

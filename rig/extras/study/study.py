@@ -26,7 +26,7 @@ from rig.session.finished import (
     SessionState,
     device_words,
     is_within,
-    listed,
+    list_names,
     place_differences,
     protocol_differences,
     read,
@@ -68,12 +68,12 @@ class StudySession:
 
     @property
     def code(self) -> str:
-        """The participant's code."""
+        """Return the code of the session's participant."""
         return self.state.code
 
     @property
     def complete(self) -> bool:
-        """Whether all that was planned was done."""
+        """Return True if all that was planned was done."""
         return self.state.ended == "complete"
 
     @property
@@ -112,12 +112,12 @@ class Study:
 
     @property
     def motion(self) -> Any:
-        """Of the rig: rotary or linear."""
+        """Return the rig's motion: rotary or linear."""
         return self.sessions[0].state.experiment["rig"]["motion"]
 
     @property
     def rehearsed(self) -> bool:
-        """Whether the participants were simulated."""
+        """Return True if the participants were simulated."""
         return self.sessions[0].state.rehearsal is not None
 
     def unit(self, quantity: str) -> str:
@@ -166,7 +166,7 @@ def read_study(
     differences = _protocol_differences(sessions, across)
     return Study(
         sessions=tuple(sessions),
-        messages=(*empty, *_of_differences(differences), *_messages(sessions)),
+        messages=(*empty, *_describe_differences(differences), *_messages(sessions)),
         differences=tuple(differences),
     )
 
@@ -176,8 +176,8 @@ def _with_trials(sessions: list[StudySession]) -> tuple[list[StudySession], list
     empty = [session for session in sessions if not session.state.trials]
     if not empty or len(empty) == len(sessions):
         return sessions, []
-    told = f"ignored sessions without a trial: {listed([str(session.directory) for session in empty])}"
-    return [session for session in sessions if session.state.trials], [told]
+    message = f"ignored sessions without a trial: {list_names([str(session.directory) for session in empty])}"
+    return [session for session in sessions if session.state.trials], [message]
 
 
 def find_sessions(paths: Iterable[Path]) -> list[Path]:
@@ -220,7 +220,7 @@ def read_session(directory: Path, *, hashes: bool = True) -> StudySession:
         recordings={
             trial.trial: _recording(directory, trial, hashes) for trial in state.trials if trial.recording
         },
-        amended=_amended(events),
+        amended=_find_amended(events),
     )
 
 
@@ -234,7 +234,7 @@ def _recording(directory: Path, trial: RecordedTrial, hashes: bool) -> str:
         return "ok" if hashlib.file_digest(file, "sha256").hexdigest() == trial.sha256 else "changed"
 
 
-def _amended(events: Sequence[Event]) -> frozenset[int]:
+def _find_amended(events: Sequence[Event]) -> frozenset[int]:
     numbers = {event.content["number"] for event in events if event.kind == "amended"}
     return frozenset(
         event.content["trial"] for event in events if event.kind == "judged" and event.number in numbers
@@ -253,7 +253,7 @@ def _refuse(sessions: Sequence[StudySession]) -> None:
     rehearsed = [session.code for session in sessions if session.state.rehearsal is not None]
     if 0 < len(rehearsed) < len(sessions):
         raise ConfigError(
-            f"{listed(rehearsed)}: rehearsals with a simulated person cannot be analysed together with people",
+            f"{list_names(rehearsed)}: rehearsals with a simulated person cannot be analysed together with people",
             remedy="analyse rehearsals separately",
         )
 
@@ -288,60 +288,60 @@ def _decides_cells(one: Difference) -> bool:
     return one.key == "experiment.rig.motion"
 
 
-def _of_differences(differ: Sequence[Difference]) -> list[str]:
-    """What a reader must know of protocols that differ."""
+def _describe_differences(differ: Sequence[Difference]) -> list[str]:
+    """Return sentences about the differences between protocols."""
     stated = [
         f"analysed together despite a difference in {one.sentence}" for one in differ if not one.is_neutral
     ]
     neutral = [one.key for one in differ if one.is_neutral]
     if neutral:
-        stated.append(f"sessions differ in settings that do not affect results: {listed(neutral)}")
+        stated.append(f"sessions differ in settings that do not affect results: {list_names(neutral)}")
     return stated
 
 
 def _messages(sessions: Sequence[StudySession]) -> list[str]:
-    told: list[str] = []
+    messages: list[str] = []
     for session in sessions:
-        told += _of_session(session)
+        messages += _describe_session(session)
     for one, other in combinations(sessions, 2):
         if one.state.row == other.state.row:
-            told.append(
+            messages.append(
                 f"{one.code} and {other.code} have the same row of the order ({one.state.row}): it is not balanced"
             )
     for what, values in _facts(sessions).items():
         if len(set(values.values())) > 1:
             each = "; ".join(
-                f"{value}: {listed([code for code, theirs in values.items() if theirs == value])}"
+                f"{value}: {list_names([code for code, theirs in values.items() if theirs == value])}"
                 for value in dict.fromkeys(values.values())
             )
-            told.append(f"sessions differ in {what} ({each})")
-    return told
+            messages.append(f"sessions differ in {what} ({each})")
+    return messages
 
 
-def _of_session(session: StudySession) -> list[str]:
-    told = []
+def _describe_session(session: StudySession) -> list[str]:
+    messages = []
     code, state = session.code, session.state
     if state.ended is None:
-        told.append(f"{code}: the session is not complete")
+        messages.append(f"{code}: the session is not complete")
     elif not session.complete:
-        told.append(f"{code}: the session was ended early: {state.ended}")
+        messages.append(f"{code}: the session was ended early: {state.ended}")
     for fault in ("missing", "changed"):
         trials = [trial for trial, found in session.recordings.items() if found == fault]
         if trials:
             which = _trials([str(trial) for trial in trials])
             count = "1 recording is" if len(trials) == 1 else f"{len(trials)} recordings are"
-            told.append(f"{code}: {count} {fault} ({which}); the verdicts in the log are used")
-    told += [f"{code}: {text}" for text in _changed_between(session)]
+            messages.append(f"{code}: {count} {fault} ({which}); the verdicts in the log are used")
+    messages += [f"{code}: {text}" for text in _changed_between(session)]
     path, digest = session.directory / PROTOCOL, session.began.get("protocol_sha256")
     if digest and path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() != digest:
-        told.append(
+        messages.append(
             f"{code}: {PROTOCOL} has changed since the session began; the protocol in the log is used"
         )
-    return told
+    return messages
 
 
 def _changed_between(session: StudySession) -> Iterator[str]:
-    """What was another when trials were recorded: the device, its firmware, the software."""
+    """Yield sentences about a change of device, firmware or software between trials."""
     used: list[tuple[Mapping[str, Any], list[str]]] = []
     for trial, opened in session.devices().items():
         if not used or used[-1][0] is not opened:
@@ -364,16 +364,16 @@ def _changed_between(session: StudySession) -> Iterator[str]:
 
 
 def _another(one: Any, other: Any) -> bool:
-    """Whether two values are known and differ."""
+    """Return True if two values are known and differ."""
     return one is not None and other is not None and one != other
 
 
 def _trials(numbers: Sequence[str]) -> str:
-    return f"trial{'s' if len(numbers) > 1 else ''} {listed(numbers)}"
+    return f"trial{'s' if len(numbers) > 1 else ''} {list_names(numbers)}"
 
 
 def _facts(sessions: Sequence[StudySession]) -> dict[str, dict[str, str]]:
-    """What sessions of a study should have in common, by participant."""
+    """Return facts that sessions of a study should have in common, by participant."""
 
     def version(session: StudySession, name: str) -> str:
         return str((session.began.get("versions") or {}).get(name, "unknown"))

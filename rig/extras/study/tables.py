@@ -162,7 +162,7 @@ def _write_parquet(
 
 
 def tables(found: StudyAnalysis) -> tuple[DataTable, ...]:
-    """All tables of an analysis."""
+    """Return all tables of an analysis, in the order in which they are written."""
     return (
         DataTable("participants", "a participant", (*_PARTICIPANTS, *_items(found)), found.participants),
         DataTable("answers", "an answer to the questionnaire", _ANSWERS, found.answers),

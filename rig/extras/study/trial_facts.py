@@ -27,7 +27,7 @@ FACTS: Mapping[str, Quantity] = {
 
 
 def facts_of(row: TrialRow) -> dict[str, Any]:
-    """Value of each of `FACTS`."""
+    """Return the value of each of `FACTS` for one trial."""
     return {name: getattr(row, field) for name, field in _FIELDS.items()}
 
 

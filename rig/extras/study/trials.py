@@ -52,7 +52,9 @@ def trials_of(study: Study) -> tuple[TrialRow, ...]:
     schemes = schemes_of(study)
     rows: list[TrialRow] = []
     for session in study.sessions:
-        places = {run.number: place for place, (_, _, run) in enumerate(_ordered(session.state), start=1)}
+        places = {
+            run.number: place for place, (_, _, run) in enumerate(_runs_in_order(session.state), start=1)
+        }
         logged = {event.content["trial"]: event.at for event in session.of_kind("trial")}
         rows += [
             _trial_row(session, trial, schemes, places.get(trial.run, 0), logged[trial.trial])
@@ -68,7 +70,7 @@ def runs_of(study: Study, *, watch: Watch | None = None) -> tuple[RunRow, ...]:
     for number, session in enumerate(study.sessions):
         if watch is not None:
             watch(number, len(study.sessions))
-        for place, (block, order, run) in enumerate(_ordered(session.state), start=1):
+        for place, (block, order, run) in enumerate(_runs_in_order(session.state), start=1):
             if any(trial.run == run.number for trial in session.state.trials):
                 rows.append(_run_row(session, block, order, place, run, schemes))
     if watch is not None:
@@ -77,7 +79,7 @@ def runs_of(study: Study, *, watch: Watch | None = None) -> tuple[RunRow, ...]:
 
 
 def schemes_of(study: Study) -> dict[str, str]:
-    """What samples and estimates in each condition, and what else it changes, in words, by name."""
+    """Return a description of each condition by name: sampling, estimator and other changes."""
     base = study.sessions[0].state.experiment["controller"]
     prefix = "controller."
 
@@ -117,10 +119,10 @@ def _scheme_words(text: str | None, own: Mapping[str, Any]) -> str:
         }
         settings |= {key: value for key, value in extra.items() if value is not None}
     fast, slow = (f"{rate / 1e3:g}" for rate in rates)
-    said = [f"uniform {fast} kHz" if fast == slow else f"dual {fast}/{slow} kHz", str(estimator)]
+    parts = [f"uniform {fast} kHz" if fast == slow else f"dual {fast}/{slow} kHz", str(estimator)]
     if isinstance(settings.get("cutoff_hz"), int | float):
-        said[-1] += f" {settings.pop('cutoff_hz'):g} Hz"
-    return ", ".join([*said, *(f"{key} {value}" for key, value in settings.items())])
+        parts[-1] += f" {settings.pop('cutoff_hz'):g} Hz"
+    return ", ".join([*parts, *(f"{key} {value}" for key, value in settings.items())])
 
 
 def levels(protocol: Protocol, condition: str) -> tuple[float, ...]:
@@ -175,15 +177,15 @@ def answers(state: SessionState, run: SearchRun, judge: str) -> list[JudgedProbe
         "automatic": whether each wall holds under the study's criterion.
     """
     if judge == "followed":
-        return state.heard(run)
+        return state.judged_probes(run)
     counted = [t for t in state.trials_of(run) if t.judged]
     if judge == "automatic":
         criterion = state.protocol.study.criterion
         return [JudgedProbe(trial.probe, trial.passes[criterion]) for trial in counted]
-    return state.heard(run) if any(trial.judged_by in PEOPLE for trial in counted) else []
+    return state.judged_probes(run) if any(trial.judged_by in PEOPLE for trial in counted) else []
 
 
-def _ordered(state: SessionState) -> Iterable[tuple[int, int, SearchRun]]:
+def _runs_in_order(state: SessionState) -> Iterable[tuple[int, int, SearchRun]]:
     """Block, place in it, and run, in the order of the plan; practice aside."""
     for block in state.blocks:
         if not block.practice:
@@ -242,7 +244,7 @@ def _run_row(
         trials=len(judged),
         invalid=sum(trial.invalid for trial in counted),
         voided=len(trials) - len(counted),
-        hits=len(state.heard(run)),
+        hits=len(state.judged_probes(run)),
         caught=_caught(judged, levels(state.protocol, run.condition), sides),
         middle_trial=sum(t.trial for t in judged) / len(judged) if judged else math.nan,
         note=note,
@@ -273,12 +275,12 @@ def _limits(state: SessionState, run: SearchRun, rule: str) -> tuple[dict[Measur
     """The limits of a run by each measure that there is, and what must be known of them."""
     found: dict[Measure, LimitInterval] = {}
     grid = levels(state.protocol, run.condition)
-    heard, note = answers(state, run, "followed"), ""
-    if _follows(state, run, rule, heard, grid):
+    probes, note = answers(state, run, "followed"), ""
+    if _follows(state, run, rule, probes, grid):
         asked = state.rule(run)
-        estimate = asked.estimate(heard)
+        estimate = asked.estimate(probes)
         _add(found, "rule", estimate)
-        series = _of_series(asked, heard) if isinstance(asked, Ascending) else ""
+        series = _describe_series(asked, probes) if isinstance(asked, Ascending) else ""
         note = "; ".join(filter(None, (estimate.mark, series)))
     else:
         note = AMENDED
@@ -289,9 +291,9 @@ def _limits(state: SessionState, run: SearchRun, rule: str) -> tuple[dict[Measur
     return found, note
 
 
-def _of_series(rule: Ascending, heard: Sequence[JudgedProbe]) -> str:
+def _describe_series(rule: Ascending, probes: Sequence[JudgedProbe]) -> str:
     """How many series failed at the softest wall already, where that is not the limit of all of them."""
-    series = rule.series(heard)
+    series = rule.series(probes)
     failed = sum(one.censored == "below" for one in series)
     if failed in (0, len(series)):
         return ""
@@ -312,12 +314,12 @@ def _add(found: dict[Measure, LimitInterval], measure: Measure, estimate: Estima
 
 
 def _follows(
-    state: SessionState, run: SearchRun, name: str, heard: Sequence[JudgedProbe], grid: Sequence[float]
+    state: SessionState, run: SearchRun, name: str, probes: Sequence[JudgedProbe], grid: Sequence[float]
 ) -> bool:
-    """Whether a rule would have asked for these walls after these answers."""
+    """Return True if a rule would have asked for these walls after these answers."""
     if name not in WALKING:
-        return all(answer.probe.level in grid for answer in heard)
+        return all(answer.probe.level in grid for answer in probes)
     rule = state.rule(run)
     return all(
-        answer.probe.catch or rule.next(heard[:place]) == answer.probe for place, answer in enumerate(heard)
+        answer.probe.catch or rule.next(probes[:place]) == answer.probe for place, answer in enumerate(probes)
     )

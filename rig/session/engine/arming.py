@@ -44,7 +44,7 @@ def walls_of(walls: Walls) -> Iterator[SessionWall]:
 def refusals(
     device: FramedDevice, under: Mapping[tuple[str, float], Sequence[Experiment]]
 ) -> tuple[RefusedWalls, ...]:
-    """What the gate refuses on this device's link, which is measured for that. Nothing moves.
+    """Measure this device's link and return the walls that the gate refuses on it. Nothing moves.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def refuse_unarmable(walls: Walls, runner: TrialRunner) -> None:
         ) from error
     if found and not runner.arm_anyway:
         refused_walls = (
-            _number(found) if blinded else f"{_number(found)}: {_listed(found, walls.base.rig.motion)}"
+            _number(found) if blinded else f"{_number(found)}: {_list_walls(found, walls.base.rig.motion)}"
         )
         raise PlanError(
             f"with the measured link the arming gate refuses {refused_walls}",
@@ -109,7 +109,7 @@ def arming_checks(walls: Walls, runner: TrialRunner) -> Iterator[Check]:
         return
     text = "with the measured link every wall may be armed"
     if found:
-        listed = _listed(found, walls.base.rig.motion)
+        listed = _list_walls(found, walls.base.rig.motion)
         text = f"with the measured link the arming gate refuses {_number(found)}: {listed}"
     yield Check("arming", Outcome.WARNING if found else Outcome.OK, text, CONSENT if found else "")
 
@@ -120,7 +120,7 @@ def _number(found: Iterable[RefusedWalls]) -> str:
     return f"{sum(len(one.stiffness) for one in found)} walls{conditions}"
 
 
-def _listed(found: Iterable[RefusedWalls], motion: Motion) -> str:
+def _list_walls(found: Iterable[RefusedWalls], motion: Motion) -> str:
     unit = unit_of("stiffness", motion)
     return "; ".join(
         f"{one.condition}, B = {one.damping:g}: {len(one.stiffness)} of {one.walls} walls, from "

@@ -17,7 +17,7 @@ from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.check import Check, refuse
 from rig.session.engine.protocol_changes import protocol_check
-from rig.session.engine.taken import taken
+from rig.session.engine.taken import find_taken
 from rig.session.planning.comparisons import (
     band_checks,
     cap_checks,
@@ -98,7 +98,7 @@ def check(
     stiffest = max((one for of in under for one in of), key=lambda one: one.wall.stiffness)
     asks, people = protocol.study.judge == "person", protocol.trial
     times = trial_times(under[0][0], ready_s=people.ready_s, verdict_s=people.verdict_s if asks else 0.0)
-    took = None if study is None else taken(protocol, study)
+    took = None if study is None else find_taken(protocol, study)
     times = times if took is None else took.of_people(times)
     heat = heat_of(stiffest, times, math.ceil(trials.most), protocol.rest.heat)
     blocks = schedule(protocol, 0)
@@ -171,7 +171,6 @@ def _walls(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterato
 
 
 def _practice(study: Walls) -> Iterator[tuple[str, Experiment]]:
-    """Walls of practice."""
     protocol = study.protocol
     condition = protocol.condition_named(protocol.practice.condition or protocol.condition[0].name)
     for stiffness in protocol.practice.stiffness:
@@ -250,7 +249,7 @@ def _disk(
 def _rehearsal(
     protocol: Protocol, cells: Sequence[CellPlan], under: Sequence[Sequence[Experiment]], times: TrialTimes
 ) -> ExpectedRange:
-    """What a rehearsal in virtual time costs this computer, roughly (s)."""
+    """Estimate the computing time of a rehearsal in virtual time (s)."""
     rates = {
         one.name: of[0].controller.position_rate for one, of in zip(protocol.condition, under, strict=True)
     }

@@ -10,15 +10,15 @@ class SessionClock(Protocol):
     """A clock that may have to be moved on (`rig.session.engine.rehearsal.Day`)."""
 
     def __call__(self) -> float:
-        """Time of day (s)."""
+        """Return the current time (s since the epoch, or since a virtual begin)."""
         ...
 
     def took(self, seconds: float) -> None:
         """Something took so long, on whatever clock it had."""
         ...
 
-    def goes_on_from(self, at: float) -> None:
-        """The newest event so far was then."""
+    def resume_at(self, at: float) -> None:
+        """Continue a clock that is moved by hand from the time of the newest event."""
         ...
 
 
@@ -26,11 +26,11 @@ class WallClock:
     """The clock on the wall."""
 
     def __call__(self) -> float:
-        """Time of day (s)."""
+        """Return the current time in seconds since the epoch."""
         return time.time()
 
     def took(self, seconds: float) -> None:
-        """It has passed already."""
+        """Ignore the duration, which has passed on this clock."""
 
-    def goes_on_from(self, at: float) -> None:
-        """It moves by itself."""
+    def resume_at(self, at: float) -> None:
+        """Ignore the time of the newest event; this clock moves by itself."""

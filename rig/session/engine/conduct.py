@@ -47,14 +47,14 @@ from rig.session.engine.state import (
     SessionState,
 )
 from rig.session.engine.telling import line_of_event, outcome
-from rig.session.planning.bands import asked as asked_of_hand
-from rig.session.planning.bands import judged
+from rig.session.planning.bands import describe_task as asked_of_hand
+from rig.session.planning.bands import judge_bands
 from rig.session.planning.conditions import Walls, own_rates
 from rig.session.planning.expected import likely_trials
-from rig.session.planning.items import asked, parse_answer
+from rig.session.planning.items import describe_item, parse_answer
 from rig.session.planning.keymap import VERDICTS
 from rig.session.planning.protocol import BLINDED
-from rig.session.planning.reasons import told
+from rig.session.planning.reasons import summarise_reasons
 from rig.session.planning.schedule import Block, SearchRun
 from rig.session.planning.trial import Presented, RecordedTrial, event_of
 
@@ -110,7 +110,7 @@ class Marks(Protocol):
     """Reports events to other programs and never makes a session wait."""
 
     def push(self, mark: str, at_ns: int | None = None, **content: Any) -> None:
-        """Say that something happens now."""
+        """Report an event, at a host time (ns) or now."""
         ...
 
 
@@ -179,19 +179,19 @@ def conduct(
             engine.record("stopped", reason=why)
         raise
     except Exception as error:
-        hidden = _for_the_blinded(session.state, error)
-        said = error.message if isinstance(error, RigError) else repr(error)
+        hidden = _hide_error(session.state, error)
+        reason = error.message if isinstance(error, RigError) else repr(error)
         whole = str(error) if isinstance(error, RigError) else "".join(traceback.format_exception(error))
         with suppress(RecordingError):
-            engine.record("stopped", reason=said if hidden is None else hidden.message, detail=whole)
+            engine.record("stopped", reason=reason if hidden is None else hidden.message, detail=whole)
         if hidden is not None:
             raise hidden from None
         raise
     return session.state
 
 
-def _for_the_blinded(state: SessionState, error: Exception) -> RigError | None:
-    """What a blinded operator reads in place of an error, whose text may name a wall; None where it may be read."""
+def _hide_error(state: SessionState, error: Exception) -> RigError | None:
+    """Return the error that a blinded operator sees instead of one that may name a wall; None if it may be shown."""
     if state.protocol.study.blind not in BLINDED or isinstance(error, _PLAIN):
         return None
     recording = getattr(error, "recording", None)
@@ -259,7 +259,7 @@ class _Engine:
             self._marks.push(kind, text=line_of_event(event))
 
     def open(self) -> None:
-        """Say which device it is."""
+        """Record the device, its firmware and the expected number of trials."""
         state = self._state
         self._expected = round(sum(likely_trials(state.protocol, state.blocks).values()))
         self.record("opened", **self._runner.facts(*first_wall(self._walls, state.blocks)))
@@ -326,20 +326,20 @@ class _Engine:
         self._ask(Question(kind="ready", text=NO_HANDS, actions=("go", *_ALWAYS)))
         wall = _wall(self._walls, presented.condition, presented.damping, presented.stiffness, presented.seed)
         found = self._runner.pulse(*wall, self._session.directory / TRIALS, f"pulse-{presented.trial:04d}")
-        told = [f"{check.name}: {check.text}" for check in found.checks]
-        said = AS_DESCRIBED if found.ok else NOT_AS_DESCRIBED
+        checks = [f"{check.name}: {check.text}" for check in found.checks]
+        summary = AS_DESCRIBED if found.ok else NOT_AS_DESCRIBED
         self.record(
             "pulse",
             block=presented.block,
             ok=found.ok,
-            said=said,
-            checks=told,
+            said=summary,
+            checks=checks,
             recording=found.recording.name,
         )
         if found.ok:
             self._pulsed = presented.block
         else:
-            self._machine_pauses(f"{said}; {'; '.join(told)}")
+            self._machine_pauses(f"{summary}; {'; '.join(checks)}")
         return found.ok
 
     def _hit(self, presented: Presented) -> None:
@@ -368,7 +368,7 @@ class _Engine:
             self._trouble("stopped before anything moved", presented)  # nothing to log: no trial was begun
             return
         self._session.clock.took(done.duration_s)
-        hit = judged(done.hit, state.protocol.trial, experiment.rig.motion)
+        hit = judge_bands(done.hit, state.protocol.trial, experiment.rig.motion)
         self.record("trial", **event_of(presented, hit))
         self._last = outcome(state.trials[-1], blind=self._blind)
         if done.hit.ended in IN_DOUBT:
@@ -392,7 +392,9 @@ class _Engine:
         if self._state.trials[-1].invalid:
             why = error.message if isinstance(error, RigError) else done.hit.ended
             if self._blind and isinstance(error, GuardError):  # an energy, a velocity, an oscillating effort
-                why = told(self._state.trials[-1].reasons, blind=True).removeprefix("the run ended early: ")
+                why = summarise_reasons(self._state.trials[-1].reasons, blind=True).removeprefix(
+                    "the run ended early: "
+                )
             self._trouble(f"the hit ended early: {why}", presented)
 
     def _trouble(self, text: str, presented: Presented) -> None:
@@ -445,7 +447,7 @@ class _Engine:
     def _item(self, step: DoAsk) -> None:
         item = step.item
         self._show("question", say=item.text)
-        shown = asked(item)
+        shown = describe_item(item)
         actions: tuple[Action, ...] = ("answer", "redo") if self._redoable() is not None else ("answer",)
         reply = self._ask(Question(kind="item", text=item.text, actions=(*actions, *_ALWAYS), item=shown))
         if reply.action == "redo":
@@ -454,7 +456,7 @@ class _Engine:
             self.record("answered", item=item.name, answer=answer, block=step.block)
 
     def _decide(self, run: SearchRun, last: RecordedTrial) -> None:
-        why = told(last.reasons, blind=self._blind)
+        why = summarise_reasons(last.reasons, blind=self._blind)
         text = f"{self._state.protocol.trial.attempts} trials in a row were invalid: {why}; try again, or skip this run"
         self._show("trouble", last)
         reply = self._ask(
@@ -463,7 +465,7 @@ class _Engine:
         self.record("skipped" if reply.action == "skip" else "retried", run=run.number)
 
     def _may_end(self) -> bool:
-        """Whether the last trial may stay as it is: the last chance to redo it."""
+        """Ask whether the session may end, the last chance to redo a trial; return True if it may."""
         if self._redoable() is None:
             return True
         self._show("ready to end", say="That was the last one.")
@@ -523,7 +525,7 @@ class _Engine:
     # What is seen.
 
     def _watch(self, presented: Presented, experiment: Experiment) -> Callable[[int, int], None]:
-        """What is called while a hit runs: shows the phase, and lets the desk look after itself."""
+        """Return the function that is called during a hit: it shows the phase and calls the desk's own `watch`."""
         beside = self._desk.watch()
         seen = -1
         self._show("homing", presented, experiment=experiment, say="Hold the handle loosely.")
@@ -580,7 +582,7 @@ class _Engine:
 
 
 def _scale(x: Experiment) -> dict[str, Any]:
-    """What bars are drawn against."""
+    """Return the limits that bars are drawn against."""
     limits, motion = x.rig.limits, x.rig.motion
     return {
         "start": x.trial.start,

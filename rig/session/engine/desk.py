@@ -137,7 +137,7 @@ class Desk(ABC):
         """
 
     def watch(self) -> Callable[[int, int], None] | None:
-        """What is called a few times a second while a hit runs, with ticks and phase.
+        """Return a function to call a few times a second during a hit, with ticks and phase; None if not needed.
 
         It may raise `rig.core.errors.StoppedError`: the hit ends with zero effort.
         """

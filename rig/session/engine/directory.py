@@ -24,7 +24,7 @@ from rig.session.engine.clock import SessionClock, WallClock
 from rig.session.engine.log import Event, SessionLog, read, set_aside
 from rig.session.engine.place import resume_command
 from rig.session.engine.state import AMENDABLE, SessionState
-from rig.session.planning.items import asked, parse_answer, wanted
+from rig.session.planning.items import describe_answer, describe_item, parse_answer
 from rig.session.planning.keymap import VERDICTS
 from rig.session.planning.load import as_mapping, check_code
 from rig.session.planning.names import directory_name
@@ -62,7 +62,7 @@ class Session:
         return event
 
     def close(self) -> None:
-        """Release the directory."""
+        """Close the log and release the directory for other programs."""
         self.log.close()
 
     def __enter__(self) -> Session:
@@ -196,7 +196,7 @@ def resume(directory: Path, *, at: str = "trial", clock: SessionClock = WALL) ->
                 f"the session in {directory} was interrupted before it began",
                 remedy="start it again: rig session run",
             )
-        clock.goes_on_from(log.events[-1].at)
+        clock.resume_at(log.events[-1].at)
         session = Session(directory=directory, log=log, state=SessionState.of(log.events), clock=clock)
         if session.state.ended is not None:
             raise ConfigError(
@@ -204,7 +204,7 @@ def resume(directory: Path, *, at: str = "trial", clock: SessionClock = WALL) ->
                 remedy="show it with rig session show, or correct it with rig session amend",
             )
         lost: dict[str, Any] = {"torn": log.torn} if log.torn else {}
-        if damaged := _damaged(session):
+        if damaged := _find_damaged(session):
             lost["damaged"] = damaged
         session.record("resumed", where=at, abandoned=_set_aside(session), **lost)
         block = session.state.open_block
@@ -295,9 +295,11 @@ def _corrected_answer(state: SessionState, name: str, value: str) -> str | int:
     item = next((one for one in state.protocol.question if one.name == name), None)
     if item is None:
         return value
-    kept = parse_answer(asked(item), value)
+    kept = parse_answer(describe_item(item), value)
     if kept is None:
-        raise ConfigError(f"{value!r} is not an answer to {name}", remedy=f"give {wanted(asked(item))}")
+        raise ConfigError(
+            f"{value!r} is not an answer to {name}", remedy=f"give {describe_answer(describe_item(item))}"
+        )
     return kept
 
 
@@ -331,7 +333,7 @@ def _set_aside(session: Session) -> list[dict[str, str]]:
     return [{"file": f"{TRIALS}/{ABANDONED}/{path.name}", "sha256": sha256_of(path)} for path in found]
 
 
-def _damaged(session: Session) -> list[dict[str, str]]:
+def _find_damaged(session: Session) -> list[dict[str, str]]:
     """Lines that were taken out of the log, and that no earlier event names."""
     events = [event for event in session.log.events if event.kind == "resumed"]
     known = {one["file"] for event in events for one in event.content.get("damaged", ())}

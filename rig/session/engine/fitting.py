@@ -15,7 +15,7 @@ from rig.session.planning.schedule import levels_of
 
 
 def fit_checks(walls: Walls, runner: TrialRunner) -> list[Check]:
-    """What the device and its link say of the conditions; of each comparison the worst one.
+    """Check the conditions against the device and its link; return the worst result of each check.
 
     The device is opened and asked; nothing moves.
 

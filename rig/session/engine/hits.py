@@ -100,12 +100,12 @@ class DeviceRunner:
 
     @property
     def virtual(self) -> bool:
-        """Whether time is the simulation's own."""
+        """Return True if time is the simulation's own."""
         return not self.realtime and (self.url or "sim://").startswith("sim:")
 
     @property
     def simulated(self) -> bool:
-        """Whether no rig can move."""
+        """Return True if no rig can move."""
         return (self.url or "sim://").startswith("sim:")
 
     def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -126,8 +126,8 @@ class DeviceRunner:
         if self._refused:
             facts["armed_anyway"] = plain(self._refused)
         if self._pace is not None:
-            said = sentence(self._pace, simulated=self.simulated)
-            facts["pace"] = {**plain(self._pace), "said": said}
+            summary = sentence(self._pace, simulated=self.simulated)
+            facts["pace"] = {**plain(self._pace), "said": summary}
         return {
             **facts,
             "device": dictionary.device,
@@ -165,7 +165,7 @@ class DeviceRunner:
         return self._refused
 
     def pace(self, experiment: Experiment, changes: Mapping[str, Any]) -> Pace | None:
-        """What this computer and the link lose at an experiment's rate, measured on the open device; nothing moves.
+        """Measure the losses of this computer and the link at an experiment's rate on the open device; nothing moves.
 
         Raises
         ------
@@ -182,7 +182,7 @@ class DeviceRunner:
         return self._pace
 
     def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> list[Check]:
-        """Whether the device and its link carry an experiment; nothing moves.
+        """Check whether the device and its link carry an experiment; nothing moves.
 
         Raises
         ------
@@ -273,7 +273,7 @@ class DeviceRunner:
         return TrialDone(done, error, _duration_s(left.recording))
 
     def close(self) -> None:
-        """Release the device."""
+        """Close the device, if one was opened."""
         stack, self._stack = self._stack, ExitStack()
         self._open = self._served = None
         stack.close()

@@ -49,12 +49,12 @@ def pace_checks(walls: Walls, runner: TrialRunner) -> Iterator[Check]:
 
 
 def remedy(found: Pace, *, simulated: bool) -> str:
-    """What helps against losses."""
+    """Return how to avoid the losses, for a real rig or a simulated one."""
     slower = "" if found.kept_hz is None else f"run at {found.kept_hz} Hz"
     ways = [slower, "rehearse" if simulated else "", "close other programs and run `rig doctor`"]
     return ", or ".join(filter(None, ways))
 
 
 def sentence(found: Pace, *, simulated: bool) -> str:
-    """What was measured and what helps, in one sentence; empty where nothing was lost."""
+    """Return a sentence with the losses and the remedy; empty if nothing was lost."""
     return found.text and f"{found.text}; {remedy(found, simulated=simulated)}"

@@ -34,14 +34,14 @@ class Place:
 def last_place(events: Sequence[Event]) -> Place:
     """Where a session took place when it was opened last."""
     opened = last_opened(events)
-    said = opened.get("place")
-    if said is None:
+    place = opened.get("place")
+    if place is None:
         return Place()
-    return Place(said["url"], said["realtime"], bool(opened.get("simulated", True)))
+    return Place(place["url"], place["realtime"], bool(opened.get("simulated", True)))
 
 
 def last_opened(events: Sequence[Event]) -> Mapping[str, Any]:
-    """What the log says about the device that was opened last; empty where none was."""
+    """Return the log's entry about the device that was opened last; empty if none was."""
     return next((event.content for event in reversed(events) if event.kind == "opened"), {})
 
 
@@ -70,13 +70,13 @@ def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
 
 
 def device_words(opened: Mapping[str, Any]) -> str:
-    """A device, in words."""
+    """Return name, kind and serial number of a device, in words."""
     kind = "simulated" if opened.get("simulated") else "real"
     number = opened.get("serial_number")
     return f"{opened.get('device', 'unknown')} ({kind}{f', serial number {number}' if number else ''})"
 
 
-def lost_samples(opened: Mapping[str, Any]) -> list[str]:
+def list_lost_samples(opened: Mapping[str, Any]) -> list[str]:
     """Return the loss of samples measured when the rig was opened (content of that event): one sentence or none."""
     pace = opened.get("pace") or {}
     if not pace.get("said"):

@@ -64,10 +64,10 @@ class Difference:
 
     @property
     def sentence(self) -> str:
-        """Key, and participants by value."""
+        """Return the key with the participants who have each value."""
         texts = {code: value_words(value) for code, value in self.values.items()}
         each = (
-            f"{text}: {listed([code for code, theirs in texts.items() if theirs == text])}"
+            f"{text}: {list_names([code for code, theirs in texts.items() if theirs == text])}"
             for text in dict.fromkeys(texts.values())
         )
         return f"{self.key} ({'; '.join(each)})"
@@ -79,12 +79,12 @@ def is_within(key: str, keys: Iterable[str]) -> bool:
 
 
 def value_words(value: Any) -> str:
-    """A value in a message."""
+    """Return a setting's value as it is written in a message."""
     text = "not given" if value is None else json.dumps(value, ensure_ascii=False)
     return text if len(text) <= _LONGEST_VALUE else f"{text[: _LONGEST_VALUE - 1]}…"
 
 
-def listed(names: Sequence[str]) -> str:
+def list_names(names: Sequence[str]) -> str:
     """The first names, and how many more there are."""
     more = len(names) - _LISTED
     return ", ".join(names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
@@ -150,7 +150,7 @@ def protocol_check(walls: Walls, study: Path) -> Iterable[Check]:
     if found:
         yield Check("protocol", Outcome.WARNING, _sentence(found, study), _remedy(found))
     elif changes:
-        keys = listed([one.key for one in changes])
+        keys = list_names([one.key for one in changes])
         yield Check(
             "protocol",
             Outcome.OK,
@@ -182,13 +182,13 @@ def _settings_there(study: Path, code: str) -> dict[str, dict[str, Any]]:
     for path in sorted(study.glob(f"*/{LOG}")):
         if path.parent.name != code:
             try:
-                found |= _settings_logged(read(path))
+                found |= _read_settings(read(path))
             except (RigError, KeyError, TypeError, ValueError):
                 continue
     return found
 
 
-def _settings_logged(events: Sequence[Event]) -> dict[str, dict[str, Any]]:
+def _read_settings(events: Sequence[Event]) -> dict[str, dict[str, Any]]:
     """The settings of a session with a trial, by its code."""
     if not any(event.kind == "trial" for event in events):
         return {}

@@ -62,7 +62,7 @@ class Person:
         return replace(self, thresholds={name: k * math.exp(drawn) for name, k in self.thresholds.items()})
 
     def judge(self, trial: RecordedTrial, drawn: np.random.Generator) -> str:
-        """Their verdict of a trial."""
+        """Return the simulated person's verdict of a trial."""
         if drawn.random() < self.unsure:
             return "unsure"
         automatic = _MAIN_VERDICT[Kind(trial.automatic)]
@@ -126,19 +126,19 @@ class Day:
         self.seconds = 0.0
 
     def __call__(self) -> float:
-        """Seconds so far."""
+        """Return the virtual time that has passed (s)."""
         return self.seconds
 
     def took(self, seconds: float) -> None:
-        """Let that time pass."""
+        """Advance the virtual time by a duration."""
         self.seconds = round(self.seconds + seconds, 6)
 
-    def goes_on_from(self, at: float) -> None:
+    def resume_at(self, at: float) -> None:
         """Continue at the time where the log ends."""
         self.seconds = at
 
     def rests(self, seconds: float) -> None:
-        """Let a rest pass."""
+        """Advance the virtual time by the length of a rest."""
         self.took(seconds)
 
 
@@ -146,7 +146,7 @@ class RealDay(WallClock):
     """The clock on the wall, where a rest takes its time."""
 
     def rests(self, seconds: float) -> None:
-        """Wait so long."""
+        """Wait for the length of a rest, in real time."""
         time.sleep(seconds)
 
 

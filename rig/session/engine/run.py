@@ -106,7 +106,7 @@ class SessionResult:
 
     @property
     def stands(self) -> str:
-        """Whether it is over, in a sentence."""
+        """Return a sentence about the state of the session."""
         why = self.ended or (f"interrupted: {self.stopped}" if self.stopped else "running")
         return f"session of {self.code}: {why}"
 
@@ -218,7 +218,7 @@ def run_session(
                 clock=_clock(person, runner),
             ) as session,
         ):
-            return _conducted(session, runner, somebody, walls, on_event, streams)
+            return _conduct(session, runner, somebody, walls, on_event, streams)
 
 
 def compare_with_study(walls: Walls, code: str, study: Path | None, person: Person | None) -> None:
@@ -242,7 +242,7 @@ def resume_session(
     Raises `ConfigError`, before anything is written, on another device than the session took place on; with
     `other_device` it is accepted.
     """
-    person = rehearsed(directory)
+    person = read_person(directory)
     _refuse_a_real_rig(person, runner)
     state, events = session_state(directory)
     with closing(runner):
@@ -251,7 +251,7 @@ def resume_session(
             _refuse_another_device(state, events, runner, walls)
         refuse_unarmable(walls, runner)
         refuse_lossy(walls, runner)
-        return _resumed(directory, desk, state, person, runner, walls, at, on_event, marks)
+        return _resume(directory, desk, state, person, runner, walls, at, on_event, marks)
 
 
 def _refuse_another_device(
@@ -270,7 +270,7 @@ def _refuse_another_device(
         )
 
 
-def _resumed(
+def _resume(
     directory: Path,
     desk: DeskFor,
     state: SessionState,
@@ -286,10 +286,10 @@ def _resumed(
         _streams(state.protocol, state.experiment, marks) as streams,
         resume(directory, at=at, clock=_clock(person, runner)) as session,
     ):
-        return _conducted(session, runner, somebody, walls, on_event, streams)
+        return _conduct(session, runner, somebody, walls, on_event, streams)
 
 
-def rehearsed(directory: Path) -> Person | None:
+def read_person(directory: Path) -> Person | None:
     """The simulated person of a session that was a rehearsal; None of one with a participant."""
     events = read(directory / LOG)
     found = events[0].content.get("rehearsal") if events else None
@@ -393,7 +393,7 @@ def _clock(person: Person | None, runner: TrialRunner) -> SessionClock:
     return Day() if runner.virtual else RealDay()
 
 
-def _conducted(
+def _conduct(
     session: Session,
     runner: TrialRunner,
     somebody: Desk,

@@ -61,17 +61,17 @@ class TrialRunner(Protocol):
 
     @property
     def simulated(self) -> bool:
-        """Whether no rig can move."""
+        """Return True if no rig can move."""
         ...
 
     @property
     def virtual(self) -> bool:
-        """Whether time is the simulation's own."""
+        """Return True if time is the simulation's own."""
         ...
 
     @property
     def messages(self) -> Sequence[str]:
-        """What this computer or the port did not grant, once each."""
+        """Return messages about permissions that this computer or the port did not grant, each once."""
         ...
 
     def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -83,11 +83,11 @@ class TrialRunner(Protocol):
         ...
 
     def pace(self, experiment: Experiment, changes: Mapping[str, Any]) -> Pace | None:
-        """What this computer and the link lose at an experiment's rate, measured; None where time is virtual."""
+        """Measure the losses of this computer and the link at an experiment's rate; None in virtual time."""
         ...
 
     def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> Sequence[Check]:
-        """Whether the device and its link carry an experiment; nothing moves."""
+        """Check whether the device and its link carry an experiment; nothing moves."""
         ...
 
     def pulse(self, experiment: Experiment, changes: Mapping[str, Any], directory: Path, name: str) -> Pulse:
@@ -108,5 +108,5 @@ class TrialRunner(Protocol):
         ...
 
     def close(self) -> None:
-        """Release the device."""
+        """Close the device, if one was opened."""
         ...

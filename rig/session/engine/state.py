@@ -41,7 +41,7 @@ from rig.session.engine.log import Event
 from rig.session.planning.load import protocol_from_mapping
 from rig.session.planning.names import normalise
 from rig.session.planning.protocol import Item, Protocol, Search
-from rig.session.planning.reasons import told
+from rig.session.planning.reasons import summarise_reasons
 from rig.session.planning.schedule import Block, SearchRun, asking_of, rule_of, schedule
 from rig.session.planning.times import cooling_s
 from rig.session.planning.trial import REDONE, RESTARTED, Presented, RecordedTrial, trial_of
@@ -209,12 +209,12 @@ class SessionState:
             event for event in events if event.kind in ("judged", "trial") and event.number in numbers
         ]
         state.corrected = {_run_of(events, event.content["trial"]) for event in corrected}
-        for event in amended(events[1:]):
+        for event in apply_corrections(events[1:]):
             state.apply(event)
         return state
 
     def apply(self, event: Event) -> None:
-        """Take one more event in."""
+        """Update the state with the next event of the log."""
         elapsed = max(0.0, event.at - self._last_at)  # the computer's clock may have been set back
         self._last_at = event.at
         if event.kind not in BOOKKEEPING and elapsed < _LONGEST_PAUSE_S:
@@ -330,7 +330,7 @@ class SessionState:
 
     @property
     def thermal_time_constant_s(self) -> float:
-        """Of the motor's winding."""
+        """Return the thermal time constant of the motor's winding (s)."""
         return float(self.experiment["rig"]["limits"]["thermal_time_constant_s"])
 
     def trial_numbered(self, number: int) -> RecordedTrial:
@@ -357,23 +357,23 @@ class SessionState:
         receives the answers to walls that it would have asked for, continues there, and never jumps to a wall far from
         all that were hit. The other answers stay for every estimate that needs no walk.
         """
-        heard = self.heard(run)
+        probes = self.judged_probes(run)
         if run.number not in self.corrected or run.practice or self._search(run).rule not in WALKING:
-            return heard
+            return probes
         rule = self.rule(run)
         led: list[JudgedProbe] = []
-        for answer in heard:
+        for answer in probes:
             if answer.probe.catch or rule.next(led) == answer.probe:
                 led.append(answer)
         return led
 
-    def heard(self, run: SearchRun) -> list[JudgedProbe]:
+    def judged_probes(self, run: SearchRun) -> list[JudgedProbe]:
         """All answers about the walls of a run: each judged trial that counts.
 
         An unsure verdict is an empty answer, until there are `trial.unsure` of them in a row about one wall: then it
         counts as not stable.
         """
-        heard: list[JudgedProbe] = []
+        probes: list[JudgedProbe] = []
         unsure, about = 0, None
         for trial in self.trials_of(run):
             if not trial.judged:
@@ -384,8 +384,8 @@ class SessionState:
             if unsure:
                 stable = None if unsure < self.protocol.trial.unsure else False
                 unsure = 0 if stable is False else unsure
-            heard.append(JudgedProbe(trial.probe, stable))
-        return heard
+            probes.append(JudgedProbe(trial.probe, stable))
+        return probes
 
     def _search(self, run: SearchRun) -> Search:
         return self.protocol.search_of(self.protocol.condition_named(run.condition))
@@ -401,7 +401,7 @@ class SessionState:
         return known[1]
 
     def next(self) -> Step:
-        """What comes next."""
+        """Return the next step of the session."""
         if self.ended is not None:
             return DoEnd(self.ended)
         counted = [trial for trial in self.trials if not trial.void]
@@ -431,9 +431,9 @@ class SessionState:
         first = self._before(block)
         if first is not None:
             return first
-        spoiled = _in_a_row(trial.by_machine for trial in self.trials[self._continued :])
+        spoiled = _count_in_a_row(trial.by_machine for trial in self.trials[self._continued :])
         if spoiled >= self.protocol.stop.machine:
-            why = told(self.trials[-1].reasons, blind=True)  # a blinded operator reads the log
+            why = summarise_reasons(self.trials[-1].reasons, blind=True)  # a blinded operator reads the log
             return DoPause(f"this computer or the link made {spoiled} trials in a row invalid: {why}")
         last = next((t for t in reversed(self.trials) if t.block == block.number and not t.void), None)
         if last is not None and last.invalid and last.run in [run.number for run in waiting]:
@@ -451,7 +451,7 @@ class SessionState:
         return DoTrial(self._presented(block, run, probe, attempt))
 
     def _before(self, block: Block) -> Step | None:
-        """What must be done before a trial of a block, once."""
+        """Return the step that must precede the next trial of a block; None if there is none."""
         begun = block.number in self.begun
         between = self.protocol.rest.between_blocks_s if self.trials and not begun else 0.0
         if between > 0.0 and self._rested.get("block") != self.newest:
@@ -529,7 +529,7 @@ class SessionState:
         return None
 
     def _owes(self) -> bool:
-        """Whether a trial was redone and has not come again: nothing ends before it has."""
+        """Return True if a redone trial has not been repeated yet; nothing ends before it is."""
         return any(
             self._owed.get(run.number) and self.asks(run) is not None
             for block in self.blocks
@@ -545,10 +545,10 @@ class SessionState:
         if stop.minutes is not None and self.active_s >= 60.0 * stop.minutes:
             return f"{stop.minutes:g} minutes"
         invalid = [one.invalid for one in self.trials if not one.by_machine]
-        if stop.invalid is not None and _in_a_row(invalid) >= stop.invalid:
+        if stop.invalid is not None and _count_in_a_row(invalid) >= stop.invalid:
             return f"{stop.invalid} invalid trials in a row"
         aborted = [one.aborted != "" for one in self.trials if not one.invalid]
-        if stop.aborts is not None and _in_a_row(aborted) >= stop.aborts:
+        if stop.aborts is not None and _count_in_a_row(aborted) >= stop.aborts:
             return f"{stop.aborts} hits in a row cut off for safety"
         return None
 
@@ -557,7 +557,7 @@ def _run_of(events: Sequence[Event], trial: int) -> int:
     return next(int(e.content["run"]) for e in events if e.kind == "trial" and e.content["trial"] == trial)
 
 
-def _in_a_row(found: Iterable[bool]) -> int:
+def _count_in_a_row(found: Iterable[bool]) -> int:
     """How many of the newest are true, without one between that is not."""
     count = 0
     for one in found:
@@ -565,7 +565,7 @@ def _in_a_row(found: Iterable[bool]) -> int:
     return count
 
 
-def amended(events: Iterable[Event]) -> list[Event]:
+def apply_corrections(events: Iterable[Event]) -> list[Event]:
     """The events with their corrections in place; the corrections themselves stay too."""
     events = list(events)
     changes: dict[int, dict[str, Any]] = {}

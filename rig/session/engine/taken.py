@@ -20,15 +20,15 @@ from rig.session.planning.protocol import Protocol, Trial
 from rig.session.planning.times import QUESTION_S, Taken
 
 
-def taken(protocol: Protocol, study: Path) -> Taken | None:
-    """What participants took whose trials were those of a protocol; None where no session of them is finished.
+def find_taken(protocol: Protocol, study: Path) -> Taken | None:
+    """Return the times that earlier participants took for the same trials; None if none of their sessions is finished.
 
     Parameters
     ----------
     study
         Directory of the participants. What is no session there, or cannot be read, counts for nothing.
     """
-    logs = [events for path in sorted(study.glob(f"*/{LOG}")) if (events := _finished(protocol, path))]
+    logs = [events for path in sorted(study.glob(f"*/{LOG}")) if (events := _read_finished(protocol, path))]
     steps = [step for events in logs for step in _steps(events)]
     of = {kind: [s for name, s in steps if name == kind] for kind in ("trial", "judged", "answered")}
     if not of["trial"]:
@@ -42,19 +42,19 @@ def taken(protocol: Protocol, study: Path) -> Taken | None:
     )
 
 
-def _finished(protocol: Protocol, path: Path) -> Sequence[Event]:
+def _read_finished(protocol: Protocol, path: Path) -> Sequence[Event]:
     """The events of a participant's session that is over and had the same trials; none of another."""
     try:
         events = read(path)
         state = SessionState.of(events)
     except (RigError, KeyError, TypeError, ValueError):
         return ()
-    same = _lived(state.protocol) == _lived(protocol)
+    same = _trial_timing(state.protocol) == _trial_timing(protocol)
     return events if state.ended is not None and state.rehearsal is None and same else ()
 
 
-def _lived(protocol: Protocol) -> tuple[str, Trial]:
-    """What decides how long a trial takes; what was planned of people's own times does not."""
+def _trial_timing(protocol: Protocol) -> tuple[str, Trial]:
+    """Return the settings that decide the duration of a trial, without the planned times of people."""
     return protocol.study.judge, replace(protocol.trial, ready_s=0.0, verdict_s=0.0, fastest_verdict_s=0.0)
 
 

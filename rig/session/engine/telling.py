@@ -8,8 +8,8 @@ from rig.control.verdict import Kind
 from rig.core.sample import Motion, unit_of
 from rig.experiments.trials.judgement import FINISHED
 from rig.session.engine.log import Event, log_losses
-from rig.session.engine.place import device_words, lost_samples
-from rig.session.planning.reasons import told
+from rig.session.engine.place import device_words, list_lost_samples
+from rig.session.planning.reasons import summarise_reasons
 from rig.session.planning.trial import RecordedTrial, trial_of
 
 _LINES: dict[str, str] = {
@@ -43,11 +43,11 @@ def line_of_event(event: Event) -> str:
         opened = ["opened"]
         if walls := sum(len(one["stiffness"]) for one in event.content.get("armed_anyway", ())):
             opened.append(f"{walls} walls that the arming gate refuses are armed with the operator's consent")
-        return "; ".join([*opened, *lost_samples(event.content)])
+        return "; ".join([*opened, *list_lost_samples(event.content)])
     if event.kind == "amended" and "trial" in event.content:
         value = event.content["value"]
-        said = {True: "does not count", False: "counts after all"}.get(value, f"corrected: {value}")
-        return f"trial {event.content['trial']} {said} ({event.content['why']})"
+        change = {True: "does not count", False: "counts after all"}.get(value, f"corrected: {value}")
+        return f"trial {event.content['trial']} {change} ({event.content['why']})"
     if event.kind == "stopped":  # many a reason begins with that word
         return f"stopped: {event.content['reason']}".replace("stopped: stopped", "stopped", 1)
     if event.kind == "resumed":
@@ -57,23 +57,23 @@ def line_of_event(event: Event) -> str:
 
 def whole_line(event: Event, motion: Motion) -> str:
     """An event as a line for those who are not blinded: with condition and wall, and reasons in full."""
-    content, said = event.content, [line_of_event(event)]
+    content, parts = event.content, [line_of_event(event)]
     if event.kind == "trial":
         return _whole(trial_of(content), motion)
     if event.kind == "began":
-        said.append(f"{content['protocol']['study']['title']}, row {content['row']} of the order")
+        parts.append(f"{content['protocol']['study']['title']}, row {content['row']} of the order")
     elif event.kind == "opened":
-        said.append(device_words(content))
-        said += [
+        parts.append(device_words(content))
+        parts += [
             f"armed anyway: {one['condition']}, B = {one['damping']:g}, "
             f"K = {', '.join(f'{stiffness:g}' for stiffness in one['stiffness'])}"
             for one in content.get("armed_anyway", ())
         ]
     elif event.kind == "pulse":
-        said += content["checks"]
+        parts += content["checks"]
     elif event.kind == "stopped" and "detail" in content:
-        said.append(" ".join(content["detail"].split()))
-    return "; ".join(said)
+        parts.append(" ".join(content["detail"].split()))
+    return "; ".join(parts)
 
 
 def _whole(trial: RecordedTrial, motion: Motion) -> str:
@@ -84,13 +84,13 @@ def _whole(trial: RecordedTrial, motion: Motion) -> str:
     kind = [name for name in ("practice", "catch") if getattr(trial, name)]
     attempt = [f"attempt {trial.attempt}"] if trial.attempt > 1 else []
     ended = trial.aborted or trial.ended.replace(FINISHED, "")
-    said = [
+    parts = [
         ", ".join([f"trial {trial.trial}", *kind, trial.condition, wall, *attempt]),
         ": ".join(["automatic verdict " + trial.automatic, *filter(None, ["; ".join(trial.reasons)])]),
-        *([] if trial.invalid else _kept(trial.outside, blind=False)),
+        *([] if trial.invalid else _describe_kept(trial.outside, blind=False)),
         *([f"ended early: {ended.replace('_', ' ')}"] if ended else []),
     ]
-    return "; ".join(said)
+    return "; ".join(parts)
 
 
 def outcome(trial: RecordedTrial, *, blind: bool) -> str:
@@ -101,11 +101,16 @@ def outcome(trial: RecordedTrial, *, blind: bool) -> str:
         return f"trial {trial.trial}: over"
     aborted = ["cut off for safety"] if trial.aborted else []
     return ", ".join(
-        [f"trial {trial.trial}: done", *_too_fast(trial), *aborted, *_kept(trial.outside, blind=blind)]
+        [
+            f"trial {trial.trial}: done",
+            *_describe_too_fast(trial),
+            *aborted,
+            *_describe_kept(trial.outside, blind=blind),
+        ]
     )
 
 
-def _too_fast(trial: RecordedTrial) -> list[str]:
+def _describe_too_fast(trial: RecordedTrial) -> list[str]:
     """A verdict that no person gives so soon, in one phrase or none."""
     if not trial.too_fast or trial.response_time_s is None:
         return []
@@ -115,15 +120,19 @@ def _too_fast(trial: RecordedTrial) -> list[str]:
     ]
 
 
-def _kept(outside: Sequence[str], *, blind: bool) -> list[str]:
+def _describe_kept(outside: Sequence[str], *, blind: bool) -> list[str]:
     """How a trial that counts lay outside the protocol's bands, in one phrase or none.
 
     Not shown before the verdict: that a press was judged reveals that the wall was not unstable.
     """
-    return [f"counts, but {told(outside, blind=blind)}"] if outside else []
+    return [f"counts, but {summarise_reasons(outside, blind=blind)}"] if outside else []
 
 
 def _invalid(trial: int, reasons: Sequence[str], *, blind: bool) -> str:
     return ": ".join(
-        [f"trial {trial}", "invalid, will be repeated", *filter(None, [told(reasons, blind=blind)])]
+        [
+            f"trial {trial}",
+            "invalid, will be repeated",
+            *filter(None, [summarise_reasons(reasons, blind=blind)]),
+        ]
     )

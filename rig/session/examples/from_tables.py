@@ -27,8 +27,8 @@ def read(directory: Path, name: str) -> pd.DataFrame:
     """Read a table; the unit at the end of a column's name is dropped."""
     dictionary = json.loads((directory / "tables.json").read_text(encoding="utf-8"))
     table = pd.read_parquet(directory / f"{name}.parquet")
-    for column, told in dictionary["tables"][name]["columns"].items():
-        unit = told["unit"].lower().replace("·", "_").replace("/", "_per_").replace("²", "2")
+    for column, column_facts in dictionary["tables"][name]["columns"].items():
+        unit = column_facts["unit"].lower().replace("·", "_").replace("/", "_per_").replace("²", "2")
         table = table.rename(columns={column: column.removesuffix(f"_{unit}")})
     return table
 
@@ -87,7 +87,7 @@ def kappa(directory: Path) -> float:
 
 
 def main(directory: Path) -> None:
-    """Print everything."""
+    """Read the tables of an analysis and print the examples' results."""
     kmax = limits(directory)
     print(over_participants(kmax).to_string(index=False), end="\n\n")
     print(

@@ -19,7 +19,7 @@ from rig.control.verdict import Kind
 from rig.core.sample import Motion, Phase, unit_of
 from rig.recording.data import Recording
 from rig.session.planning.protocol import Band, Trial
-from rig.session.planning.reasons import outside
+from rig.session.planning.reasons import explain_outside
 from rig.session.planning.trial import HitOutcome
 
 # Key of the protocol: the quantity that it is of, its number in a hit's, and what it is called.
@@ -29,8 +29,8 @@ BANDS: Mapping[str, tuple[str, str, str]] = {
 }
 
 
-def asked(trial: Trial, motion: Motion) -> str:
-    """What a protocol asks of the hand, in words; empty for nothing."""
+def describe_task(trial: Trial, motion: Motion) -> str:
+    """Return the ranges that a protocol requires of the hand, in words; empty if it requires none."""
     return ", ".join(
         f"{words} {_words(band)} {unit_of(quantity, motion)}"
         for name, (quantity, _, words) in BANDS.items()
@@ -46,7 +46,7 @@ def press_of(recording: Recording, experiment: Experiment) -> float | None:
     return -experiment.wall.side * float(tail.mean()) if len(tail) else None
 
 
-def judged(hit: HitOutcome, trial: Trial, motion: Motion) -> HitOutcome:
+def judge_bands(hit: HitOutcome, trial: Trial, motion: Motion) -> HitOutcome:
     """The hit with what of it lies outside the bands, and invalid because of that where the protocol says so."""
     found = () if hit.automatic == Kind.INVALID else tuple(_outside(hit, trial, motion))
     if not found or trial.outside == "keep":
@@ -67,7 +67,9 @@ def _outside(hit: HitOutcome, trial: Trial, motion: Motion) -> Iterator[str]:
             continue
         value = abs(value)
         if not band[0] <= value <= band[-1]:
-            yield outside(name, value, _words(band), unit_of(quantity, motion), above=value > band[-1])
+            yield explain_outside(
+                name, value, _words(band), unit_of(quantity, motion), above=value > band[-1]
+            )
 
 
 def _words(band: Band) -> str:
@@ -80,5 +82,5 @@ def pressing(x: Experiment, trial: Trial) -> dict[str, float]:
 
 
 def middle(band: Band) -> float:
-    """What a simulated hand aims at."""
+    """Return the value that a simulated hand aims at."""
     return 0.5 * (band[0] + band[-1])

@@ -16,7 +16,7 @@ from rig.session.planning.expected import ExpectedRange
 from rig.session.planning.plan import CellPlan
 from rig.session.planning.protocol import Protocol, Trial
 from rig.session.planning.schedule import schedule
-from rig.session.planning.simulated_hand import simulated
+from rig.session.planning.simulated_hand import simulate_hits
 from rig.session.planning.times import Heat, TrialTimes
 
 TIRES_S = 1200.0  # chosen: so long without a rest, and a hand tires
@@ -62,7 +62,7 @@ def _severity(check: Check) -> int:
 
 
 def level_checks(cells: Sequence[CellPlan], motion: Motion) -> Iterator[Check]:
-    """Whether the limit is likely to lie among the levels: beyond them it is censored, and there is no mean."""
+    """Check whether the limit is likely to lie among the levels: beyond them it is censored, and there is no mean."""
     unit = unit_of("stiffness", motion)
     beyond = []
     for cell in cells:
@@ -127,7 +127,7 @@ def _cell(cell: CellPlan) -> str:
 
 
 def heat_check(protocol: Protocol, heat: Heat, trials: float) -> Check:
-    """Whether the motor keeps cool, and how often it has to wait for that."""
+    """Check whether the motor keeps cool, and how often it has to wait for that."""
     share = protocol.rest.heat
     text = (
         f"{100 * heat.after_one:.2g} % of the winding's heat budget per hit at {heat.load:.2g} of the nominal effort, "
@@ -148,7 +148,7 @@ def heat_check(protocol: Protocol, heat: Heat, trials: float) -> Check:
 
 
 def energy_check(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterator[Check]:
-    """Whether a wall that gives energy to a hand ends by that."""
+    """Check whether a wall that gives energy to a hand ends by that."""
     if protocol.trial.kind != "human":
         return
     limits = [one.rig.limits.energy for of in under for one in of]
@@ -165,9 +165,9 @@ def energy_check(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> I
 
 
 def band_checks(trial: Trial, walls: Sequence[Experiment]) -> Iterator[Check]:
-    """Whether the simulated hand of a rehearsal keeps within the bands, in these soft walls."""
+    """Check whether the simulated hand of a rehearsal keeps within the bands, in these soft walls."""
     bands = {name: band for name in BANDS if (band := getattr(trial, name))}
-    does = [simulated(x) for x in walls] if bands else []
+    does = [simulate_hits(x) for x in walls] if bands else []
     for name, band in bands.items():
         quantity, _, words = BANDS[name]
         values, unit = [one for of in does for one in of[name]], unit_of(quantity, walls[0].rig.motion)
@@ -182,7 +182,7 @@ def band_checks(trial: Trial, walls: Sequence[Experiment]) -> Iterator[Check]:
 
 
 def cap_checks(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterator[Check]:
-    """Whether a cap can ever act: one far beyond what any hit here can give is a typing error."""
+    """Check whether a cap can ever act: one far beyond what any hit here can give is a typing error."""
     caps, experiments = protocol.caps, [one for of in under for one in of]
     stiffest = max([x.wall.stiffness for x in experiments] + list(protocol.practice.stiffness))
     most = max(x.rig.limits.effort * x.rig.limits.speed * x.trial.duration_s for x in experiments)
@@ -197,7 +197,7 @@ def cap_checks(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Ite
 
 
 def order_checks(protocol: Protocol, rows: int) -> Iterator[Check]:
-    """Whether the order is balanced over those who come; it is after so many `rows`."""
+    """Check whether the order is balanced over those who come; it is after so many `rows`."""
     number = protocol.study.participants
     if protocol.order.kind == "latin-square":
         runs = sum(len(one.damping) for one in protocol.condition)
@@ -221,7 +221,7 @@ def order_checks(protocol: Protocol, rows: int) -> Iterator[Check]:
 def stop_checks(
     protocol: Protocol, trials: ExpectedRange, failures: ExpectedRange, session_s: ExpectedRange
 ) -> Iterator[Check]:
-    """Whether a stop rule leaves a session its end."""
+    """Check whether a stop rule leaves a session its end."""
     stop = protocol.stop
     for name, limit, expected, unit in (
         ("trials", stop.trials, trials, "trials"),
@@ -237,7 +237,7 @@ def stop_checks(
 
 
 def rest_checks(protocol: Protocol, trials: ExpectedRange, times: TrialTimes) -> Iterator[Check]:
-    """Whether a hand has time to rest."""
+    """Check whether a hand has time to rest."""
     rest = protocol.rest
     if protocol.trial.kind != "human":
         return

@@ -129,7 +129,7 @@ class Walls:
     def _experiment(self, condition: Condition, damping: float, stiffness: float) -> Experiment:
         protocol, name = self.protocol, condition.name
         source = f"condition {shown(name)}"
-        experiment = config.override(self.base, _studied(protocol), source, check_rules=False)
+        experiment = config.override(self.base, _study_changes(protocol), source, check_rules=False)
         if condition.scheme is not None:
             experiment = Scheme.parse(condition.scheme).on(experiment)
             source += f" with scheme {condition.scheme}"
@@ -153,7 +153,7 @@ class Walls:
 
 
 def own_rates(condition: Condition, experiment: Experiment) -> dict[str, Any]:
-    """What a device must not change of an experiment: the rates, where the condition's scheme names them."""
+    """Return the settings that a device must not change: the rates, if the condition's scheme names them."""
     if condition.scheme is None:
         return {}
     rates = experiment.controller
@@ -173,21 +173,21 @@ def base_of(protocol: Protocol, folder: Path) -> Experiment:
 
 
 def broken_conditions(walls: Walls) -> list[Problem]:
-    """What of the conditions the rig, the trial or the estimators do not allow, each condition's first problems."""
+    """Return the first problems of each condition that rig, trial or estimators do not allow."""
     protocol, base = walls.protocol, walls.base
-    problems = [*_misplaced(protocol), *_wide_caps(protocol, base), *_wide_bands(protocol, base)]
-    return problems or list(_refused(walls))
+    problems = [*_find_misplaced(protocol), *_wide_caps(protocol, base), *_wide_bands(protocol, base)]
+    return problems or list(_find_refused(walls))
 
 
-def _studied(protocol: Protocol) -> dict[str, Any]:
-    """What all conditions change of the experiment."""
-    return {**protocol.study.changes, **_said(protocol)}
+def _study_changes(protocol: Protocol) -> dict[str, Any]:
+    """Return the changes to the experiment that all conditions share."""
+    return {**protocol.study.changes, **_trial_and_caps(protocol)}
 
 
-def _said(protocol: Protocol) -> dict[str, Any]:
-    """What ``[trial]`` and ``[caps]`` say, as keys of the experiment; what they leave out stays as it is."""
+def _trial_and_caps(protocol: Protocol) -> dict[str, Any]:
+    """Return the settings of ``[trial]`` and ``[caps]`` as keys of the experiment, without those they omit."""
     trial, caps = protocol.trial, protocol.caps
-    said = {
+    values = {
         "trial.duration_s": trial.duration_s,
         "trial.baseline_s": trial.baseline_s or None,
         "trial.foreperiod_s": trial.foreperiod_s or None,
@@ -196,11 +196,11 @@ def _said(protocol: Protocol) -> dict[str, Any]:
         "rig.limits.speed": caps.speed,
         "rig.limits.energy": caps.energy,
     }
-    given = {key: value for key, value in said.items() if value is not None}
+    given = {key: value for key, value in values.items() if value is not None}
     return {"trial.kind": trial.kind, "trial.repeats": 1, "trial.seed": protocol.study.seed, **given}
 
 
-def _misplaced(protocol: Protocol) -> Iterator[Problem]:
+def _find_misplaced(protocol: Protocol) -> Iterator[Problem]:
     """Yield changes to unknown keys, and to keys that the protocol sets elsewhere."""
     places: list[tuple[str, Mapping[str, Any]]] = [("study.changes", protocol.study.changes)]
     places += [(f"condition {n}.changes", one.changes) for n, one in enumerate(protocol.condition, 1)]
@@ -231,8 +231,8 @@ def _wide_caps(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
 
 
 def _wide_bands(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
-    """What ends a hit, or what the motor cannot push back with, is not asked of a hand."""
-    studied, kind = _studied(protocol), {"trial.kind": protocol.trial.kind}
+    """Yield problems of bands beyond the limits that end a hit, or beyond the motor's effort."""
+    studied, kind = _study_changes(protocol), {"trial.kind": protocol.trial.kind}
     limits = config.override(base, kind, "the study", check_rules=False).rig.limits
     for name, (quantity, _, _) in BANDS.items():
         band, limited = getattr(protocol.trial, name), "effort" if name == "press" else "speed"
@@ -243,7 +243,7 @@ def _wide_bands(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
             yield Problem(f"trial.{name}", f"{shown(band)} {unit}", must, "lower its upper end")
 
 
-def _refused(walls: Walls) -> Iterator[Problem]:
+def _find_refused(walls: Walls) -> Iterator[Problem]:
     """Every condition and damping at the softest and the stiffest wall, until one of them is refused."""
     protocol, unit = walls.protocol, unit_of("stiffness", walls.base.rig.motion)
     for number, condition in enumerate(protocol.condition, 1):

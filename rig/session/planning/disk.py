@@ -19,7 +19,7 @@ TRIAL_BYTES = 100e3  # what one takes besides
 
 
 def bytes_of_trial(x: Experiment, protocol: Protocol) -> float:
-    """Room of one recording."""
+    """Return the disk space of the recording of one trial (bytes)."""
     seconds = trial_times(x).recorded
     return TRIAL_BYTES + TICK_BYTES * seconds * x.controller.position_rate
 
@@ -37,12 +37,12 @@ def refuse_full_disk(walls: Walls, row: int, place: Path) -> None:
         free = shutil.disk_usage(here).free
     if free < needed:
         raise ConfigError(
-            f"{here} has {in_words(free)} left, and a session of about {sum(trials.values()):.0f} trials takes "
-            f"{in_words(needed)}",
+            f"{here} has {format_size(free)} left, and a session of about {sum(trials.values()):.0f} trials takes "
+            f"{format_size(needed)}",
             remedy="free some space, or give a directory on another disk with `study`",
         )
 
 
-def in_words(size: float) -> str:
+def format_size(size: float) -> str:
     """A size in bytes for people."""
     return f"{size / 1e9:.2g} GB" if size >= 1e9 else f"{size / 1e6:.{0 if size >= 1e7 else 1}f} MB"

@@ -50,7 +50,7 @@ class ExpectedRange:
 
     @property
     def values(self) -> tuple[float, float, float]:
-        """All three, rising."""
+        """Return least, likely and most, in rising order."""
         return self.least, self.likely, self.most
 
 
@@ -153,7 +153,7 @@ NO_TRIALS = ExpectedTrials(count=NOTHING, failures=NOTHING)
 
 
 def expected_trials(wanted: Search, limit: ExpectedRange) -> ExpectedTrials:
-    """What one search takes, by observers whose K50 lie where the limit is expected.
+    """Simulate a search with observers whose K50 lie around the expected limit; return its numbers of trials.
 
     Invalid and repeated trials come on top.
     """
@@ -171,7 +171,7 @@ def expected_trials(wanted: Search, limit: ExpectedRange) -> ExpectedTrials:
     if wanted.rule == "ascending" and settings.get("repeats", 5) != 1:  # series are all alike
         series = replace(wanted, settings={**settings, "repeats": 1})
         return expected_trials(series, limit) * float(settings.get("repeats", 5))
-    taken = {k50: _taken(wanted, max(k50, 1e-3 * levels[0])) for k50 in set(limit.values)}
+    taken = {k50: _simulate_searches(wanted, max(k50, 1e-3 * levels[0])) for k50 in set(limit.values)}
     count, failures, ended_by_most = zip(*(taken[k50] for k50 in limit.values), strict=True)
     return ExpectedTrials(
         count=ExpectedRange(min(count), count[1], max(count)),
@@ -200,7 +200,7 @@ def likely_trials(protocol: Protocol, blocks: Iterable[Block]) -> dict[str, floa
     return found
 
 
-def _taken(wanted: Search, k50: float) -> tuple[float, float, int]:
+def _simulate_searches(wanted: Search, k50: float) -> tuple[float, float, int]:
     """Mean trials of some observers, those among them that were not stable, and searches that ended by `most`."""
     observer = Observer(threshold=k50, spread=SPREAD * k50, lapse_rate=LAPSE_RATE)
     rules = [asking(wanted, seed) for seed in range(OBSERVERS)]

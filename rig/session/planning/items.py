@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from rig.session.planning.protocol import Item
 
 
-def asked(item: Item) -> dict[str, Any]:
+def describe_item(item: Item) -> dict[str, Any]:
     """An item of the questionnaire as a desk is given it."""
     return {
         "name": item.name,
@@ -42,8 +42,8 @@ def parse_answer(item: Mapping[str, Any], text: str) -> str | int | None:
     return number if item["lowest"] <= number <= item["highest"] else None
 
 
-def wanted(item: Mapping[str, Any]) -> str:
-    """What an answer must be, in a few words."""
+def describe_answer(item: Mapping[str, Any]) -> str:
+    """Return a short description of a valid answer."""
     if item["kind"] == "choice":
         return f"a number from 1 to {len(item['choices'])}, or one of: {', '.join(item['choices'])}"
     return f"a number from {item['lowest']} to {item['highest']}" if item["kind"] == "scale" else "any text"

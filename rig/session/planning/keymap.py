@@ -59,7 +59,7 @@ class KeyMap:
             A key that is not valid, that has two meanings, or that the console needs itself.
         """
         named = {field.name: getattr(keys, field.name) for field in fields(keys) if field.name != "bell"}
-        return cls({meaning: _checked(meaning, key, named) for meaning, key in named.items()}, keys.bell)
+        return cls({meaning: _check_key(meaning, key, named) for meaning, key in named.items()}, keys.bell)
 
     @classmethod
     def from_mapping(cls, value: Mapping[str, Any]) -> KeyMap:
@@ -67,7 +67,7 @@ class KeyMap:
         return cls(dict(value["keys"]), bool(value["bell"]))
 
     def meaning(self, key: str) -> str:
-        """What a key means: a verdict, an action, ``stop``, ``help``, or nothing. Case does not matter."""
+        """Return the meaning of a key: a verdict, an action, ``stop``, ``help`` or "". Case does not matter."""
         special = {STOP: "stop", HELP: "help", "enter": "go"}.get(key)
         if special:
             return special
@@ -83,7 +83,7 @@ class KeyMap:
         return [(self.keys[verdict], verdict) for verdict in VERDICTS]
 
 
-def _checked(meaning: str, written: str, all_keys: Mapping[str, str]) -> str:
+def _check_key(meaning: str, written: str, all_keys: Mapping[str, str]) -> str:
     key = written.lower()
     if key == " ":
         key = STOP

@@ -48,7 +48,7 @@ def load_walls(path: str | Path, reach_for: ReachFor | None = None) -> Walls:
     table = tidy(read_toml(path, "a protocol"))
     base = base_experiment(table.get("study"), path.parent)
     motion = None if isinstance(base, list) else base.rig.motion
-    protocol, problems = _checked(table, motion)
+    protocol, problems = _check_table(table, motion)
     if isinstance(base, list):
         known = {problem.key for problem in problems}
         problems += [problem for problem in base if problem.key not in known]
@@ -72,7 +72,7 @@ def protocol_from_mapping(mapping: Mapping[str, Any], source: str) -> Protocol:
             f"{source} is not a protocol: its top level must be a table of sections",
             remedy="write it like the file from rig session new",
         )
-    protocol, problems = _checked(table, None)
+    protocol, problems = _check_table(table, None)
     if problems or protocol is None:
         raise config_error(problems, source)
     return protocol
@@ -149,7 +149,7 @@ def _type_settings(search: dict[str, Any]) -> None:
     ]
 
 
-def _checked(table: dict[str, Any], motion: Motion | None) -> tuple[Protocol | None, list[Problem]]:
+def _check_table(table: dict[str, Any], motion: Motion | None) -> tuple[Protocol | None, list[Problem]]:
     """Types and ranges of every key; rules between keys when those are right."""
     table = _with_names(_flat_changes(table))
     try:

@@ -105,10 +105,10 @@ class StudyPlan:
 
     @reported
     def session_s(self) -> ExpectedRange:
-        """Length of a session (s)."""
+        """Return the expected duration of a session (s)."""
         return sum(self.duration_s.values(), NOTHING)
 
     @reported
     def ok(self) -> bool:
-        """Whether nothing is refused."""
+        """Return True if nothing is refused."""
         return all(check.outcome is not Outcome.REFUSED for check in self.checks)

@@ -40,16 +40,16 @@ _OUTSIDE = {
 }
 
 
-def outside(name: str, value: float, band: str, unit: str, *, above: bool) -> str:
+def explain_outside(name: str, value: float, band: str, unit: str, *, above: bool) -> str:
     """Why a trial lies outside a band of the protocol (`rig.session.planning.bands`)."""
     return f"{_OUTSIDE[name][above]}: {value:.3g} {unit} (required: {band} {unit})"
 
 
-def told(reasons: Iterable[str], *, blind: bool) -> str:
+def summarise_reasons(reasons: Iterable[str], *, blind: bool) -> str:
     """The reasons of an invalid trial in one line: as they are, or as a blinded operator may read them."""
-    return "; ".join(dict.fromkeys(_blinded(one) if blind else one for one in reasons))
+    return "; ".join(dict.fromkeys(_hide(one) if blind else one for one in reasons))
 
 
-def _blinded(reason: str) -> str:
+def _hide(reason: str) -> str:
     found = next((said for start, said in _TOLD.items() if reason.startswith(start)), HIDDEN)
     return reason if found is AS_IT_IS else found

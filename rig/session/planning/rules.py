@@ -50,18 +50,18 @@ _NO_TEXT = re.compile(r"\\.|\[\^?\]?(?:\\.|[^\]\\])*\]|\(\?(?:P?<\w+>|P=\w+|[a-z
 
 
 def broken_rules(protocol: Protocol) -> list[Problem]:
-    """Every problem of every rule."""
+    """Yield the problems that the rules between keys find in a protocol."""
     return [problem for rule_between in RULES for problem in rule_between(protocol)]
 
 
 def looks_like_a_name(code: str) -> bool:
-    """Whether it has letters alone and more than two of them: initials and numbers say less."""
+    """Return True if a code consists of more than two letters only; initials and numbers reveal less."""
     letters = [character for character in code if character not in "-_.'"]
     return len(letters) > 2 and all(character.isalpha() for character in letters)
 
 
 def spells_a_name(code: str, pattern: str) -> bool:
-    """Whether a pattern left three letters in a row of a code free, maybe a name: SUB of SUB[0-9]{2} is not."""
+    """Return True if a code has three letters in a row that its pattern does not fix; SUB of SUB[0-9]{2} is fixed."""
     own = sorted(_FREE.findall(_NO_TEXT.sub(" ", pattern)), key=len, reverse=True)
     left = re.sub("|".join(map(re.escape, own)), " ", code, flags=re.IGNORECASE) if own else code
     return _FREE.search(left) is not None
@@ -69,12 +69,12 @@ def spells_a_name(code: str, pattern: str) -> bool:
 
 # Every log of a study has its protocol with it, which is checked whenever the log is read.
 @lru_cache(maxsize=64)
-def _names_taken(pattern: str) -> tuple[str, ...]:
+def _find_names(pattern: str) -> tuple[str, ...]:
     """The first names that match a pattern, among those that are tried; raises as `re.compile`."""
-    return tuple(islice(_all_taken(re.compile(pattern)), 3))
+    return tuple(islice(_iterate_names(re.compile(pattern)), 3))
 
 
-def _all_taken(compiled: re.Pattern[str]) -> Iterator[str]:
+def _iterate_names(compiled: re.Pattern[str]) -> Iterator[str]:
     begins = re.match(r"[\w-]*", compiled.pattern)
     before = dict.fromkeys((*BEFORE, begins[0] if begins else ""))
     yield from (name for name in NAMES if compiled.fullmatch(name))
@@ -101,7 +101,7 @@ def codes(protocol: Protocol) -> Iterator[Problem]:
     """The pattern of codes is one, and takes no names."""
     pattern = protocol.study.code
     try:
-        taken = _names_taken(pattern)
+        taken = _find_names(pattern)
     except (re.error, OverflowError, RecursionError) as error:
         yield Problem(
             "study.code",
@@ -281,7 +281,7 @@ def _refused_settings(key: str, wanted: Search) -> list[Problem]:
 
 
 def runs(protocol: Protocol) -> Iterator[Problem]:
-    """A session has an end."""
+    """Yield a problem if the protocol has too many runs."""
     cells = sum(len(one.damping) for one in protocol.condition)
     if cells * protocol.order.repeats > MOST_RUNS:
         yield Problem(

@@ -95,7 +95,7 @@ def rows_of(protocol: Protocol) -> int:
 
 
 def cells_of(protocol: Protocol) -> tuple[tuple[str, float], ...]:
-    """What is searched, as written: every condition at every damping of it."""
+    """Return what is searched, in the order of the file: every condition at each of its dampings."""
     return tuple((one.name, damping) for one in protocol.condition for damping in one.damping)
 
 
@@ -160,11 +160,11 @@ class InOrder:
     levels: Sequence[float]
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
-        """The next wall."""
+        """Return the next practice wall; None after the last one."""
         return Probe(self.levels[len(answers)]) if len(answers) < len(self.levels) else None
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Nothing."""
+        """Return an estimate without a value, as practice finds no limit."""
         return Estimate(
             value=math.nan, low=0.0, high=math.inf, share=math.nan, censored="", hits=len(answers)
         )
@@ -198,14 +198,14 @@ def _orders(protocol: Protocol, row: int) -> list[list[_Cell]]:
         within = row // _rows(len(fits)) if square else row
         names = [
             name
-            for fit in _ordered(protocol, "fits", list(fits), row)
-            for name in _ordered(protocol, f"conditions{fit}", fits[fit], within)
+            for fit in _order(protocol, "fits", list(fits), row)
+            for name in _order(protocol, f"conditions{fit}", fits[fit], within)
         ]
         return [
             [
                 (cell, repeat)
                 for repeat in repeats
-                for cell in _ordered(
+                for cell in _order(
                     protocol, f"{name}/{repeat}", [c for c in cells if c[0] == name], row + repeat - 1
                 )
             ]
@@ -213,10 +213,10 @@ def _orders(protocol: Protocol, row: int) -> list[list[_Cell]]:
         ]
     if order.blocks == "one" and order.kind == "randomised":
         every = [(cell, repeat) for repeat, cell in product(repeats, cells)]
-        drawn = _drawn(every, f"{protocol.study.seed}/{row}/all")
-        return [_counted(cell for cell, _ in drawn)]
+        drawn = _draw(every, f"{protocol.study.seed}/{row}/all")
+        return [_count_repeats(cell for cell, _ in drawn)]
     by_repeat = [
-        [(cell, repeat) for cell in _ordered(protocol, f"{repeat}", cells, row + repeat - 1)]
+        [(cell, repeat) for cell in _order(protocol, f"{repeat}", cells, row + repeat - 1)]
         for repeat in repeats
     ]
     return by_repeat if order.blocks == "repeat" else [[cell for block in by_repeat for cell in block]]
@@ -230,19 +230,19 @@ def _fits(protocol: Protocol) -> dict[str, list[str]]:
     return found
 
 
-def _ordered(protocol: Protocol, what: str, items: Sequence[T], row: int) -> Sequence[T]:
+def _order(protocol: Protocol, what: str, items: Sequence[T], row: int) -> Sequence[T]:
     """Items as the protocol wants them; `what` separates draws, `row` the rows of a square."""
     seed = protocol.study.seed
     match protocol.order.kind:
         case "fixed":
             return items
         case "randomised":
-            return _drawn(items, f"{seed}/{row}/{what}")
+            return _draw(items, f"{seed}/{row}/{what}")
     # Which item is which letter of the square is drawn once for the study.
-    return williams(_drawn(items, f"{seed}/letters/{len(items)}"), row)
+    return williams(_draw(items, f"{seed}/letters/{len(items)}"), row)
 
 
-def _counted(cells: Iterable[tuple[str, float]]) -> list[_Cell]:
+def _count_repeats(cells: Iterable[tuple[str, float]]) -> list[_Cell]:
     """Repeats are numbered in the order in which they come."""
     seen: dict[tuple[str, float], int] = {}
     counted = []
@@ -267,7 +267,7 @@ def _practice(protocol: Protocol, row: int) -> list[Block]:
     return [Block(number=PRACTICE, runs=(run,), practice=True)]
 
 
-def _drawn(items: Sequence[T], key: str) -> list[T]:
+def _draw(items: Sequence[T], key: str) -> list[T]:
     """Items in an order that the key decides, each order as likely as another."""
     places = sorted(range(len(items)), key=lambda place: _hash(f"{key}/{place}"))
     return [items[place] for place in places]

@@ -26,15 +26,15 @@ def reach_for(x: Experiment, speed: float) -> float:
     for _ in range(HALVINGS):
         middle = 0.5 * (quick + slow)
         reaching = replace(brief, operator=replace(brief.operator, reach_s=math.exp(middle)))
-        if fmean(simulated(reaching)["impact_speed"]) > speed:
+        if fmean(simulate_hits(reaching)["impact_speed"]) > speed:
             quick = middle
         else:
             slow = middle
     return round(math.exp(quick), 3)
 
 
-def simulated(x: Experiment) -> dict[str, list[float]]:
-    """What a simulated hand does in some hits of a soft wall (units of the rig); no speed where it never comes there.
+def simulate_hits(x: Experiment) -> dict[str, list[float]]:
+    """Return speeds and presses of a simulated hand in some hits of a soft wall (units of the rig).
 
     The press is that of the wall's spring at the resting penetration, which in a soft wall is the mean effort.
     """

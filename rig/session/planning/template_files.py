@@ -18,7 +18,7 @@ SCHEMA = "haptic-rig-protocol.schema.json"  # beside a protocol, which names it 
 
 @cache
 def template_names() -> tuple[str, ...]:
-    """Names of the templates."""
+    """Return the names of the built-in protocol templates."""
     found = (files("rig.session") / "templates").iterdir()
     return tuple(sorted(entry.name.removesuffix(".toml") for entry in found if entry.name.endswith(".toml")))
 
@@ -32,12 +32,12 @@ def template_text(name: str) -> str:
 
 
 def template_path(name: str) -> Path:
-    """Where a template lies."""
+    """Return the path of a template; raise `ConfigError` for an unknown name."""
     return Path(str(files("rig.session") / "templates" / f"{name}.toml"))
 
 
 def template_subject(name: str) -> str:
-    """What a template is about: its first line."""
+    """Return the subject of a template, its first line."""
     return template_text(name).partition("\n")[0].removeprefix("# ")
 
 

@@ -37,12 +37,12 @@ class TrialTimes:
 
     @property
     def recorded(self) -> float:
-        """What of it is ticks: all but what waits for people."""
+        """Return the recorded part of a trial: all but the waiting times of people."""
         return self.homing + self.baseline + self.hit + self.release
 
     @property
     def total(self) -> float:
-        """All of it."""
+        """Return the duration of a whole trial (s)."""
         return self.ready + self.homing + self.baseline + self.hit + self.release + self.verdict
 
 
@@ -102,7 +102,7 @@ class Heat:
 
     @property
     def cooling_s(self) -> float:
-        """All pauses together (s)."""
+        """Return the total duration of the cooling pauses (s)."""
         return self.pauses * self.pause_s
 
 

@@ -53,12 +53,12 @@ class Presented:
 
     @property
     def probe(self) -> Probe:
-        """What the search asked for."""
+        """Return the wall that the search chose, as its probe."""
         return Probe(self.stiffness, track=self.track, catch=self.catch)
 
     @property
     def marked(self) -> dict[str, Any]:
-        """What a marker reports about the wall."""
+        """Return the facts about the wall for a marker."""
         return {name: getattr(self, name) for name in MARKED}
 
 
@@ -123,12 +123,12 @@ class RecordedTrial(Presented, HitOutcome):
 
     @property
     def invalid(self) -> bool:
-        """Whether the hit cannot be judged: it is repeated, and no verdict is asked for."""
+        """Return True if the hit cannot be judged: it is repeated, and no verdict is asked for."""
         return self.automatic == Kind.INVALID
 
     @property
     def judged(self) -> bool:
-        """Whether it has a verdict about its wall."""
+        """Return True if it has a verdict about its wall."""
         return self.verdict != "" and not self.invalid
 
     def leave_out(self, why: str) -> None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.core.deferred import stats
-from rig.session.search.psychometric import opened
+from rig.session.search.psychometric import open_interval
 from rig.session.search.resolution import is_resolved, rounding_deviation, step_at
 from rig.session.search.rule import (
     Censored,
@@ -22,7 +22,7 @@ from rig.session.search.rule import (
     Probe,
     check_whole,
     checked_levels,
-    marked,
+    mark_contradictions,
     verdicts_of,
 )
 
@@ -90,7 +90,7 @@ class Ascending:
             half = float(stats.t.ppf(0.975, len(limits) - 1) * deviation / math.sqrt(len(limits)))
         elif len(limits) > 1 and censored:
             half = 0.0
-        low, high = opened(censored, value, max(0.0, value - half), value + half)
+        low, high = open_interval(censored, value, max(0.0, value - half), value + half)
         estimate = Estimate(
             value=value,
             low=low,
@@ -100,10 +100,10 @@ class Ascending:
             hits=len(answers),
             step=step,
         )
-        return marked(estimate, verdicts_of(answers))
+        return mark_contradictions(estimate, verdicts_of(answers))
 
     def series(self, answers: Sequence[JudgedProbe]) -> tuple[AscendingSeries, ...]:
-        """The series that have ended."""
+        """Return the series that have ended, in their order."""
         return tuple(self._series(place) for place in self._places(answers)[0])
 
     def _series(self, place: int) -> AscendingSeries:

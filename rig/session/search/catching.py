@@ -38,12 +38,12 @@ class CatchTrials:
 
     @property
     def count(self) -> int:
-        """Of both kinds."""
+        """Return the number of catch trials of both kinds."""
         return self.soft + self.stiff
 
     @property
     def lapses(self) -> int:
-        """Of both kinds."""
+        """Return the number of lapses of both kinds."""
         return self.false_unstable + self.false_stable
 
     @classmethod
@@ -107,7 +107,7 @@ class Catching:
             )
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
-        """What the rule asks for, or before it a catch trial; an invalid one is asked again."""
+        """Return the rule's next probe, or a catch trial before it; an invalid catch trial is repeated."""
         probe = self.rule.next(answers)
         if probe is None:
             return None
@@ -116,7 +116,7 @@ class Catching:
         return self._drawn(len(verdicts_of(answers)), caught) or probe
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """The rule's."""
+        """Return the rule's estimate, without the catch trials."""
         return self.rule.estimate(answers)
 
     def _drawn(self, verdicts: int, caught: int) -> Probe | None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from rig.session.search import psychometric
 from rig.session.search.resolution import step_at
-from rig.session.search.rule import Censored, Estimate, JudgedProbe, Probe, marked, verdicts_of
+from rig.session.search.rule import Censored, Estimate, JudgedProbe, Probe, mark_contradictions, verdicts_of
 from rig.session.search.staircase import Staircase
 
 
@@ -75,7 +75,7 @@ class Interleaved:
         values = [one.value for one in single if math.isfinite(one.value)]
         value = sum(values) / len(values) if values else math.nan
         censored: Censored = next((one.censored for one in single if one.censored), "")
-        low, high = psychometric.opened(censored, value, low, high)
+        low, high = psychometric.open_interval(censored, value, low, high)
         short = [f"{one.mark}, track {number}" for number, one in enumerate(single, 1) if one.ended_by_most]
         mark = "; ".join(short)
         if {"above", "below"} <= {one.censored for one in single}:
@@ -91,4 +91,4 @@ class Interleaved:
             mark=mark,
             ended_by_most=bool(short),
         )
-        return marked(estimate, verdicts_of(answers))
+        return mark_contradictions(estimate, verdicts_of(answers))

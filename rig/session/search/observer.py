@@ -30,7 +30,7 @@ class Observer:
     lapse_rate: float = 0.0
 
     def judge(self, stiffness: float, drawn: np.random.Generator) -> bool:
-        """One verdict: stable or not."""
+        """Draw one verdict of this observer: True for stable."""
         return bool(drawn.random() < share_stable(stiffness, self.threshold, self.spread, self.lapse_rate))
 
     def level_of(self, share: float) -> float:
@@ -106,7 +106,7 @@ def study(
 def performance(
     name: str, make: Making, observer: Observer, sessions: int, *, seed: int = 0, off_lattice: float = 0.0
 ) -> Performance:
-    """What one rule makes of one observer.
+    """Simulate one rule with one observer and return its performance.
 
     Parameters
     ----------

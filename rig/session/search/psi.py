@@ -22,7 +22,7 @@ from rig.session.search.rule import (
     Probe,
     check_whole,
     checked_levels,
-    marked,
+    mark_contradictions,
     verdicts_of,
 )
 
@@ -96,7 +96,7 @@ def posterior_estimate(levels: tuple[float, ...], answers: Sequence[JudgedProbe]
         hits=len(answers),
         step=step_at(levels, found.value),
     )
-    return marked(estimate, verdicts)
+    return mark_contradictions(estimate, verdicts)
 
 
 def _entropy(joint: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -61,12 +61,12 @@ class PsychometricGrid:
 
     @cached_property
     def thresholds(self) -> Floats:
-        """Values of K50, shape (thresholds,)."""
+        """Return the grid's values of K50, shape (thresholds,)."""
         return np.asarray((self.edges[:-1] + self.edges[1:]) / 2.0)
 
     @cached_property
     def spreads(self) -> Floats:
-        """Values of s, shape (spreads,)."""
+        """Return the grid's values of the spread s, shape (spreads,)."""
         least = LEAST_SPREAD * np.diff(self.levels).min()
         return np.geomspace(
             least, max(MOST_SPREAD * (self.levels[-1] - self.levels[0]), 2.0 * least), SPREADS
@@ -159,11 +159,11 @@ def locate(levels: tuple[float, ...], verdicts: Sequence[tuple[float, bool]], sh
         side, end = "above", levels[-1] if False in kinds else max(judged)
     elif kinds == {False} or middle < levels[0]:
         side, end = "below", levels[0] if True in kinds else min(judged)
-    low, high = opened(side, end, low, high)
+    low, high = open_interval(side, end, low, high)
     return Located(value=end, low=low, high=high, censored=side)
 
 
-def opened(side: Censored, end: float, low: float, high: float) -> tuple[float, float]:
+def open_interval(side: Censored, end: float, low: float, high: float) -> tuple[float, float]:
     """Open an interval on the side where a stiffness lies beyond an end; the same where it lies beyond none."""
     if side == "above":
         return min(low, end), math.inf
@@ -188,7 +188,7 @@ def _edges(levels: Floats, least: float) -> Floats:
 
 
 def _ratio_apart(levels: Sequence[float]) -> bool:
-    """Whether levels are evener in their logarithm; some may be of another search, so neither need be quite even."""
+    """Return True if the levels are more evenly spaced in their logarithm than as they are."""
 
     def unevenness(values: Floats) -> float:
         steps = np.diff(values)

@@ -50,7 +50,7 @@ class Estimate:
     step
         Distance of the levels between which it lies, so how finely the value is known (`resolution`).
     mark
-        Why the value is no limit that the verdicts show, see `marked`; empty where it is one.
+        Why the value is no limit that the verdicts show, see `mark_contradictions`; empty where it is one.
     ended_by_most
         True if the rule ended by its largest number of verdicts before it had its turns; then `mark` says so.
     """
@@ -102,7 +102,7 @@ def check_whole(name: str, value: int, least: int, most: int) -> None:
         )
 
 
-def marked(estimate: Estimate, verdicts: Sequence[tuple[float, bool]]) -> Estimate:
+def mark_contradictions(estimate: Estimate, verdicts: Sequence[tuple[float, bool]]) -> Estimate:
     """Return the estimate with the reason in `mark` if its own verdicts contradict it; see `contradiction`."""
     if estimate.mark or estimate.censored:
         return estimate

@@ -21,7 +21,7 @@ from rig.session.search.rule import (
     Probe,
     check_whole,
     checked_levels,
-    marked,
+    mark_contradictions,
     verdicts_of,
 )
 
@@ -99,7 +99,7 @@ class Staircase:
         return self.estimate_of(self.walk(verdicts), verdicts, len(answers))
 
     def walk(self, verdicts: Sequence[tuple[float, bool]]) -> _Walk:
-        """Where these verdicts lead."""
+        """Follow the staircase through verdicts; return its place, step and turns."""
         top, last = len(self.levels) - 1, len(self.steps) - 1
         place = len(self.levels) // 2 if self.start is None else list(self.levels).index(self.start)
         step = direction = run = pressed = 0
@@ -117,7 +117,7 @@ class Staircase:
         return _Walk(place, direction, pressed, turns, len(verdicts))
 
     def has_ended(self, walk: _Walk) -> bool:
-        """Whether it knows enough, or cannot know more on these levels."""
+        """Return True if it knows enough, or cannot know more on these levels."""
         fine = sum(1 for _, smallest in walk.turns if smallest)
         return fine >= self.turns or walk.hits >= self.most or walk.pressed >= EDGE_VERDICTS
 
@@ -131,7 +131,7 @@ class Staircase:
         if walk.pressed >= EDGE_VERDICTS:
             censored = "above" if walk.direction > 0 else "below"
             value = self.levels[-1] if walk.direction > 0 else self.levels[0]
-        low, high = psychometric.opened(censored, value, low, high)
+        low, high = psychometric.open_interval(censored, value, low, high)
         ended_by_most = not censored and len(fine) < self.turns and walk.hits >= self.most
         estimate = Estimate(
             value=value,
@@ -144,4 +144,4 @@ class Staircase:
             mark=f"ended by most after {len(fine)} of {self.turns} turns" if ended_by_most else "",
             ended_by_most=ended_by_most,
         )
-        return marked(estimate, verdicts)
+        return mark_contradictions(estimate, verdicts)

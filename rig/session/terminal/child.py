@@ -38,7 +38,7 @@ class Child:
         How the terminal was set.
     setup
         Content of the first message.
-    heard
+    inbox
         Where its messages go, with this object.
 
     Attributes
@@ -54,10 +54,10 @@ class Child:
         place: int,
         before: list[Any],
         setup: Message,
-        heard: SimpleQueue[tuple[Child, Message]],
+        inbox: SimpleQueue[tuple[Child, Message]],
     ) -> None:
         self._place, self._before = place, before
-        self._inbox = heard
+        self._inbox = inbox
         self._pending = bytearray()
         self._closed = False
         self.greeted = False
@@ -105,12 +105,12 @@ class Child:
 
     @property
     def pid(self) -> int:
-        """Of the process."""
+        """Return the id of the process."""
         return self._process.pid
 
     @property
     def dead(self) -> bool:
-        """Whether it has ended."""
+        """Return True if it has ended."""
         return self._process.poll() is not None
 
     @property

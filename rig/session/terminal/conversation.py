@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, cast
 
 from rig.session.engine.desk import Action, DeskView, Question
-from rig.session.planning.items import parse_answer, wanted
+from rig.session.planning.items import describe_answer, parse_answer
 from rig.session.planning.keymap import HELP, STOP, VERDICTS, KeyMap
 from rig.session.terminal.held import RELEASED_S, HeldKeys
 from rig.session.terminal.pointer import HandKind
@@ -97,7 +97,7 @@ class Conversation:
         self.help = False
 
     def see(self, view: Mapping[str, Any]) -> None:
-        """Take a new view."""
+        """Replace the view that the console shows."""
         self.view = DeskView(**{**view, "lines": tuple(view.get("lines", ()))})
 
     def ask(self, question: Mapping[str, Any], now_s: float) -> list[Decision]:
@@ -131,16 +131,16 @@ class Conversation:
 
     @property
     def moving(self) -> bool:
-        """Whether the handle may move: a loop runs, or no question is open."""
+        """Return True if the handle may move: a loop runs, or no question is open."""
         return self.live or self.question is None
 
     @property
     def allowed(self) -> tuple[Action, ...]:
-        """What may be answered now."""
+        """Return the actions that may be answered now."""
         return () if self.question is None else self.question.actions
 
     def press(self, key: str, now_s: float | None = None) -> list[Decision]:
-        """What a key does that arrives at `now_s` (s, the caller's clock); None if it cannot have been held before."""
+        """Handle a key that arrives at `now_s` (s, the caller's clock; None: it cannot have been held before)."""
         self.notice = ""
         is_new = now_s is None or self.held.arrive(key, now_s)
         if key == STOP and (self.moving or self.entry is None):
@@ -249,5 +249,5 @@ class Conversation:
         item = (self.question.item if self.question is not None else None) or {"kind": "text"}
         value = parse_answer(item, text)
         if value is None:
-            self.notice = wanted(item)
+            self.notice = describe_answer(item)
         return None if value is None else str(value)

@@ -112,7 +112,7 @@ class ConsoleDesk(AskingDesk):
 
     @property
     def pid(self) -> int:
-        """Of the console's process."""
+        """Return the id of the console's process."""
         return self._child.pid
 
     def close(self) -> None:

@@ -39,7 +39,7 @@ class Keyboard:
 
     @property
     def waiting(self) -> bool:
-        """Whether bytes wait for what may belong to them: a lone escape may be the key, or the start of a sequence."""
+        """Return True if bytes wait for more: a lone escape may be the key itself or the start of a sequence."""
         return bool(self._rest)
 
     def feed(self, data: bytes) -> list[str]:
@@ -56,7 +56,7 @@ class Keyboard:
         return keys
 
     def flush(self) -> list[str]:
-        """What waits will not be completed any more."""
+        """Return the keys in the waiting bytes, which will not be completed any more."""
         rest, self._rest = self._rest, b""
         if not rest:
             return []
@@ -75,7 +75,6 @@ def _first(data: bytes) -> tuple[int, str]:
 
 
 def _character(data: bytes) -> tuple[int, str]:
-    """A character in UTF-8."""
     lead = data[0]
     length = 1 if lead < 0x80 else 2 if lead < 0xE0 else 3 if lead < 0xF0 else 4
     try:

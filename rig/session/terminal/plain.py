@@ -11,11 +11,11 @@ class PlainLines:
     """Lines that are printed already, so that each is printed once."""
 
     def __init__(self) -> None:
-        self._said: dict[str, str] = {}
+        self._printed: dict[str, str] = {}
         self._log: tuple[str, ...] = ()
 
     def lines(self, talk: Conversation, live: Snapshot | None, now_s: float) -> list[str]:
-        """What is new, a line each."""
+        """Return the new texts, one line each."""
         view = talk.view
         found = [self._new("keys", words.always(talk)), self._new("place", words.place(view))]
         found.append(self._new("state", f"state: {words.state(talk)}"))
@@ -34,7 +34,7 @@ class PlainLines:
 
     def _new(self, name: str, text: str) -> str:
         """Return the text if it differs from the last one of this name, else an empty one."""
-        before, self._said[name] = self._said.get(name, ""), text
+        before, self._printed[name] = self._printed.get(name, ""), text
         return text if text != before else ""
 
     @staticmethod

@@ -27,7 +27,7 @@ class PointerTarget(Protocol):
         """Reach for a position of the link (rad or m), and press with a force (N)."""
 
     def close(self) -> None:
-        """Let go."""
+        """Release the hand, which then rests."""
 
 
 class Pointer:
@@ -64,7 +64,7 @@ class Pointer:
 
     @property
     def share(self) -> float:
-        """How far."""
+        """Return the position between start and wall as a share."""
         return self._share
 
     @property

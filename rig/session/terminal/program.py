@@ -85,7 +85,7 @@ class _Console:
                 return messages[0], messages[1:]
 
     def run(self) -> int:
-        """Rounds until it is over."""
+        """Show the console and pass on keys until the session ends; return the exit code."""
         before = terminal.from_plain(self._attributes)
         # What was typed while no console was here answers nothing, but STOP is STOP, and a key may still be down.
         typed = Keyboard().feed(terminal.take(IN, before))

@@ -42,7 +42,7 @@ class SeatHand:
         self._hand = hand
 
     def key(self, name: str) -> bool:
-        """Whether the key moved the hand."""
+        """Return True if the key moved the hand."""
         return self.kind == "keyboard" and self.pointer.key(name)
 
     def begin(self) -> None:
@@ -57,7 +57,7 @@ class SeatHand:
             self._hand.move(*intention)
 
     def close(self) -> None:
-        """Let go."""
+        """Release the simulated hand."""
         self._hand.close()
 
 

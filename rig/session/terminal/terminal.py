@@ -21,7 +21,7 @@ _INPUT, _LOCAL, _CHARACTERS = 0, 3, 6  # places in what tcgetattr gives
 
 
 def as_plain(before: list[Any]) -> list[Any]:
-    """What `termios.tcgetattr` gave, as plain values for JSON."""
+    """Convert the result of `termios.tcgetattr` to plain values for JSON."""
     return [
         *before[:_CHARACTERS],
         [value if isinstance(value, int) else value[0] for value in before[_CHARACTERS]],
@@ -29,7 +29,7 @@ def as_plain(before: list[Any]) -> list[Any]:
 
 
 def from_plain(value: list[Any]) -> list[Any]:
-    """What `as_plain` was given."""
+    """Invert `as_plain`."""
     timed = (termios.VMIN, termios.VTIME)  # numbers where lines are not wanted: the module takes both
     characters = [n if i in timed else bytes([n]) for i, n in enumerate(value[_CHARACTERS])]
     return [*value[:_CHARACTERS], characters]

@@ -49,7 +49,7 @@ class Gauge:
 
 
 def place(view: DeskView) -> str:
-    """Where the session stands."""
+    """Return code, block, run and trial, as far as known."""
     parts = [view.code] if view.code else []
     if view.practice:
         parts.append("practice")
@@ -63,13 +63,13 @@ def place(view: DeskView) -> str:
 
 
 def state(talk: Conversation) -> str:
-    """What is happening, in a word or two."""
+    """Return the state in a word or two."""
     waits = "" if talk.later is None else f" ({talk.later} next)"
     return talk.view.state + waits
 
 
 def facts(view: DeskView) -> list[tuple[str, str]]:
-    """What stands beside the live numbers."""
+    """Return the facts shown beside the live numbers."""
     wall = "hidden"
     if view.stiffness is not None:
         wall = f"K = {view.stiffness:g}" + ("" if view.damping is None else f", B = {view.damping:g}")
@@ -125,7 +125,7 @@ def effort(view: DeskView, live: Snapshot, name: str = "effort") -> Gauge:
 
 
 def question(talk: Conversation, now_s: float) -> str:
-    """What is asked now, or what to wait for."""
+    """Return the open question, or what to wait for."""
     if talk.twice is not None:
         return f"{TWICE[talk.twice]}?"
     asked = talk.question
@@ -144,7 +144,7 @@ def question(talk: Conversation, now_s: float) -> str:
     return text + (f"  ({left:.0f} s left)" if asked.kind == "rest" and asked.seconds else "")
 
 
-def offered(talk: Conversation) -> list[tuple[str, str]]:
+def list_offered(talk: Conversation) -> list[tuple[str, str]]:
     """Return the keys that answer now, each with its meaning."""
     keymap, allowed = talk.keymap, talk.allowed
     if talk.twice is not None:
@@ -159,16 +159,16 @@ def choices(talk: Conversation) -> str:
     """Keys that answer what is asked."""
     if talk.twice is not None:
         return f"[y] yes, or {talk.keymap.key_of(talk.twice)} again; any other key: no"
-    return "  ".join(f"[{key}] {text}" for key, text in offered(talk))
+    return "  ".join(f"[{key}] {text}" for key, text in list_offered(talk))
 
 
 def always(talk: Conversation) -> str:
-    """Keys that always work."""
+    """Return the line with the keys that work at any time."""
     return "\n".join(filter(None, [hand(talk), "[SPACE] STOP  [?] keys  [^C] stop and leave"]))
 
 
 def hand(talk: Conversation) -> str:
-    """What moves the simulated hand here; empty where nothing does."""
+    """Return how the simulated hand is moved here; empty if it is not."""
     if talk.hand is None:
         return ""
     if talk.hand == "mouse":

@@ -43,7 +43,7 @@ def test_no_more_processes_than_there_is_room_for(monkeypatch: pytest.MonkeyPatc
         return {"result": process}, b""
 
     monkeypatch.setattr(Errands, "_start", start)
-    monkeypatch.setattr(sent, "_asked", asked)
+    monkeypatch.setattr(sent, "_request", asked)
 
     async def body() -> None:
         errands = Errands()

@@ -123,7 +123,7 @@ def test_time_left_is_told_by_weight_from_what_came_since_the_first_column() -> 
     left = []
     for now_s, grown in zip((0.0, 100.0, 110.0), told, strict=True):
         watched.take(grown, now_s)
-        left.append(json.loads(watched.told([], now_s, anew=False))["left_s"])
+        left.append(json.loads(watched.progress_message([], now_s, anew=False))["left_s"])
     assert left == [None, None, pytest.approx(10.0 * 2000 / 20_000)]
 
 
@@ -153,10 +153,10 @@ def test_a_hit_of_a_device_is_the_recording_that_it_left(tmp_path: Path) -> None
     task = replace(PLAN.tasks[0], key=series.key)
     run_here("serial:///dev/rig", lambda task: [row], [task], journal=place / maps.JOURNAL)
     with pytest.raises(RecordingError, match=r"recording koul-1\.parquet is missing"):
-        map_errands.recorded(str(place), series.key, 10.0, str(tmp_path / "out"))
+        map_errands.find_recording(str(place), series.key, 10.0, str(tmp_path / "out"))
     (place / maps.RECORDINGS).mkdir()
     (place / maps.RECORDINGS / "koul-1.parquet").touch()
-    found = map_errands.recorded(str(place), series.key, 10.0, str(tmp_path / "out"))
+    found = map_errands.find_recording(str(place), series.key, 10.0, str(tmp_path / "out"))
     assert found == {"name": "koul-1.parquet", "map": "of-a-rig"}
     assert not (tmp_path / "out").exists()
 
@@ -164,7 +164,7 @@ def test_a_hit_of_a_device_is_the_recording_that_it_left(tmp_path: Path) -> None
 @pytest.mark.parametrize(("key", "stiffness"), [("9/0.0/0.1/0", 10.0), ("0/0.0/0.1/0", 10.5), ("../x", 10.0)])
 def test_a_hit_that_the_map_does_not_have_is_refused(root: Path, key: str, stiffness: float) -> None:
     with pytest.raises(ConfigError, match="no hit"):
-        map_errands.recorded(str(root / "maps" / NAME), key, stiffness, str(root / "nowhere"))
+        map_errands.find_recording(str(root / "maps" / NAME), key, stiffness, str(root / "nowhere"))
     assert not (root / "nowhere").exists()
 
 

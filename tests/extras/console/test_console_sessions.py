@@ -239,7 +239,7 @@ def test_a_real_rig_needs_a_word_at_the_terminal(
     """Also where only the log says that it is one."""
     before = Place(url="serial:///dev/ttyACM0", realtime=True, simulated=False)
     monkeypatch.setattr(session_lists, "took_place", lambda _: before)
-    monkeypatch.setattr(session_lists, "rehearsed", lambda _: None)
+    monkeypatch.setattr(session_lists, "read_person", lambda _: None)
     monkeypatch.setitem(ERRANDS, "session digest", lambda **_: "1234 5678")
     page.jobs.started = {}
     with pytest.raises(ConfigError, match="ttyACM0 is a real rig and was not armed") as caught:
@@ -256,7 +256,7 @@ def test_what_may_be_begun_and_resumed_is_listed(tmp_path: Path, monkeypatch: py
     assert [one["name"] for one in protocols()] == ["mine.toml", *template_names()]
     monkeypatch.setattr(session_desk, "DeviceRunner", lambda **_: FakeRunner())
     told: list[Any] = []
-    talk = Talk(goes_on=False)
+    talk = Talk(is_detached=False)
     monkeypatch.setattr(talk, "tell", lambda say, **content: told.append((say, content)))
     done = session_desk.session({**CONTENT, "person": PERSON}, talk)
     assert done["stands"] == "session of P01: complete"
@@ -290,7 +290,7 @@ def test_a_stop_does_not_end_a_job_that_asks_and_a_console_that_closes_does() ->
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
         )
-        job, heard = Job("session", {}, process, goes_on=False, asks=True), []
+        job, heard = Job("session", {}, process, is_detached=False, asks=True), []
         assert process.stdout is not None
         heard.append((await process.stdout.readline()).decode())
         job.end()

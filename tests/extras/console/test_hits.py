@@ -15,4 +15,4 @@ def test_a_page_asks_the_gate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     changes = {"host.realtime": "off", "trial.minimum_rest_counts": 0.0}
     content = {"url": "serial:///dev/rig", "verified": True, "output": str(tmp_path), "changes": changes}
     with pytest.raises(PlanError, match=REFUSED):
-        hits.hit(content, Talk(goes_on=False))
+        hits.hit(content, Talk(is_detached=False))

@@ -119,7 +119,7 @@ def test_a_job_without_an_operator_ends_unless_it_goes_on(
             shared.lease.release("a-page-here")  # whoever then closes the page answers for nothing
             await here.ended()
             here.told.clear()
-            going = await here.jobs.start("hit", {}, goes_on=True)
+            going = await here.jobs.start("hit", {}, is_detached=True)
             await asyncio.sleep(0.3)
             assert here.jobs.running is going
             going.end()
@@ -134,7 +134,7 @@ def test_a_console_that_cannot_watch_ends_what_it_moves_also_what_would_go_on(
 ) -> None:
     async def body(here: Here) -> None:
         monkeypatch.setattr(Lease, "expire", lambda _: {}["a defect"])
-        await here.jobs.start("hit", {}, goes_on=True)
+        await here.jobs.start("hit", {}, is_detached=True)
         with SharedHand.create(tmp_path / "hand") as hand:
             shared = ServiceContext(set(), Lease(), here.jobs, tmp_path)
             with pytest.raises(KeyError):
@@ -170,7 +170,7 @@ def test_a_job_that_cannot_be_followed_ends(monkeypatch: pytest.MonkeyPatch) -> 
                 raise KeyError("a defect")
 
         here.jobs = Jobs(tell)
-        job = await here.jobs.start("hit", {}, goes_on=True)
+        job = await here.jobs.start("hit", {}, is_detached=True)
         await here.ended()
         assert [one["say"] for one in here.told] == ["up", "failed", "ended"]
         assert "a defect" in here.told[1]["error"]

@@ -624,7 +624,7 @@ def test_settings_of_an_estimator_are_those_of_the_registry_and_checked_as_overr
             for key, value, told_of in (
                 ("cutoff_hz", 1e9, "out of range"),
                 ("cutoff_hz", "many", "not a number"),
-                ("noise", 1.0, "no parameter 'noise'"),
+                ("noise", 1.0, "unknown parameter 'noise'"),
             ):
                 wrong = {**changes, f"controller.parameters.{key}": value}
                 for do in ("experiment", "regions"):

@@ -96,7 +96,7 @@ def test_a_terminal_obeys_no_page(
         answer = await asks(terminal, "serial:///é\x1b[2J\r\nrig: all is well\x9b\u202e", "and more\n")
         terminal.withdraw()
         assert not await answer
-        with pytest.raises(ConfigError, match="too long"):
+        with pytest.raises(ConfigError, match="more than 2000 characters"):
             await terminal.insist(REAL, ["x" * LONGEST, "y"])
 
     at_a_terminal(monkeypatch, body)
@@ -171,7 +171,7 @@ def test_terminal_and_page_show_what_is_agreed_to_and_nothing_else_is_armed(
         (content,) = started
         assert f"experiment {content['digest']}" in text
         with pytest.raises(ConfigError, match="has changed since the operator agreed to it"):
-            hits.hit({**content, "changes": {"wall.stiffness": 56}}, Talk(goes_on=False))
+            hits.hit({**content, "changes": {"wall.stiffness": 56}}, Talk(is_detached=False))
 
     at_a_terminal(monkeypatch, body)
 
@@ -182,7 +182,7 @@ def test_a_resumed_session_has_the_digest_that_it_began_with(
     monkeypatch.chdir(tmp_path)
     write_template("first-steps", tmp_path / "mine.toml")
     monkeypatch.setattr(session_desk, "DeviceRunner", lambda **_: FakeRunner())
-    talk = Talk(goes_on=False)
+    talk = Talk(is_detached=False)
     monkeypatch.setattr(talk, "tell", lambda say, **content: None)
     monkeypatch.setattr(talk, "hear", lambda _: {"kind": "reply", "number": 1, "action": "abort"})
     session_desk.session(CONTENT, talk)
@@ -197,12 +197,12 @@ def test_a_resumed_session_has_the_digest_that_it_began_with(
 
 def test_what_a_session_does_although_something_speaks_against_it_is_agreed_to() -> None:
     begun = BeginSession(do="session", protocol="a.toml", code="P01", arm_anyway=True, lossy_anyway=True)
-    lines = consent.to_session(begun, REAL, "1234 5678")
+    lines = consent.describe_session(begun, REAL, "1234 5678")
     assert lines[0] == f"{REAL} for the session of P01 with a.toml"
     assert "refuses, a computer or link that loses samples" in lines[1]
     assert "another device" not in lines[1]
     resumed = BeginSession(do="session", directory="sessions/a/P01", at="block", other_device=True)
-    lines = consent.to_session(resumed, REAL, "1234 5678")
+    lines = consent.describe_session(resumed, REAL, "1234 5678")
     assert "sessions/a/P01, resumed at the block" in lines[0]
     assert lines[1] == "consents to: another device than before"
 

@@ -22,7 +22,7 @@ from rig.core.errors import ConfigError, DeviceRefusedError, LinkLostError
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
 from rig.extras.drives import describe, odrive
-from rig.extras.drives.bus import CanBus, _connected
+from rig.extras.drives.bus import CanBus, _connect
 from rig.extras.drives.library import Bridge
 from rig.extras.drives.link import BridgeLink
 from rig.extras.drives.serve import look
@@ -107,7 +107,7 @@ def test_an_odrive_gets_no_torque_when_its_bridge_is_killed(tmp_path: Path) -> N
             assert len(device.states(0.3)) > 5
             facts = device.link.bus_facts()
             assert (facts["cycle_us"], facts["temperature"]) == (10_000, 25)
-            watching = CanBus(bus, _connected(bus))
+            watching = CanBus(bus, _connect(bus))
             os.kill(device.link.process, signal.SIGKILL)
             until, state = time.monotonic() + PATIENCE_S, 8
             while state != 1 and time.monotonic() < until:

@@ -39,8 +39,8 @@ from rig.extras.papers.rules import ClaimStatus
 
 
 def test_an_order_is_strict() -> None:
-    assert chawda_rules.in_order([4.0, 3.0, 2.0])
-    assert not chawda_rules.in_order([4.0, 4.0, 2.0])
+    assert chawda_rules.is_in_order([4.0, 3.0, 2.0])
+    assert not chawda_rules.is_in_order([4.0, 4.0, 2.0])
 
 
 def test_stiffer_means_more_than_a_rung_of_the_search() -> None:
@@ -52,10 +52,10 @@ def test_stiffer_means_more_than_a_rung_of_the_search() -> None:
 
 def test_a_width_drops_where_it_stays_below_half_of_its_peak() -> None:
     b = (0.0, 100.0, 200.0, 300.0)
-    assert chawda_rules.dropped(b, (1.0, 2.0, 0.5, 0.1)) == 200.0
-    assert chawda_rules.dropped(b, (1.0, 0.2, 2.0, 0.1)) == 300.0  # it comes back
-    assert chawda_rules.dropped(b, (1.0, 2.0, 2.0, 2.0)) == math.inf
-    assert chawda_rules.dropped(b, (0.0, 0.0, 0.0, 0.0)) == 0.0
+    assert chawda_rules.find_drop(b, (1.0, 2.0, 0.5, 0.1)) == 200.0
+    assert chawda_rules.find_drop(b, (1.0, 0.2, 2.0, 0.1)) == 300.0  # it comes back
+    assert chawda_rules.find_drop(b, (1.0, 2.0, 2.0, 2.0)) == math.inf
+    assert chawda_rules.find_drop(b, (0.0, 0.0, 0.0, 0.0)) == 0.0
     assert chawda_rules.sharpness((2.0, 2.0, 0.5)) == 4.0
     assert chawda_rules.sharpness((2.0, 0.0)) == math.inf
 
@@ -228,6 +228,6 @@ def test_undamped_walls_hold_twice_the_damping_over_the_period() -> None:
 
 
 def test_c_of_a_hit_is_its_largest_acceleration_and_the_printed_gains_are_far_below_it() -> None:
-    found = chawda_parts.identified(*chawda.WALLS[0])
+    found = chawda_parts.identify_wall(*chawda.WALLS[0])
     assert found["lipschitz"] == pytest.approx(found["true"], rel=0.1)
     assert found["lipschitz"] > 20.0  # the gains of section V are those of 6 m/s²

@@ -31,7 +31,7 @@ from rig.extras.study.report import (
 )
 from rig.extras.study.report_events import _with_units, deviations, invalid_trials, notes
 from rig.extras.study.report_methods import effective, methods
-from rig.extras.study.report_tables import filled, psychometric, summarised
+from rig.extras.study.report_tables import drop_empty_columns, psychometric, summarise_differences
 from rig.session.engine.state import SessionState
 from rig.session.search.psychometric import LAPSE_RATES
 from rig.views.plots import style
@@ -523,9 +523,9 @@ def test_a_slope_that_is_not_there_is_a_sentence_and_no_row(tmp_path: Path) -> N
 
 def test_a_table_keeps_its_columns_where_a_single_cell_says_something() -> None:
     table = Table(("who", "when", "a", "b"), [("P01", "–", "–", "–"), ("P02", "–", "1", "–")], "c", words=2)
-    assert filled(table) == Table(["who", "a"], [["P01", "–"], ["P02", "1"]], "c", words=1)
+    assert drop_empty_columns(table) == Table(["who", "a"], [["P01", "–"], ["P02", "1"]], "c", words=1)
     empty = Table(("who", "a"), [], "c")
-    assert filled(empty).head == ["who", "a"]
+    assert drop_empty_columns(empty).head == ["who", "a"]
 
 
 def test_limits_beyond_the_levels_are_marked(tmp_path: Path) -> None:
@@ -572,7 +572,7 @@ def test_a_study_beyond_the_levels_has_bounds_and_no_tests(tmp_path: Path) -> No
     }
     write_study(tmp_path, mapping, people)
     found = analyse([tmp_path])
-    ((one, _),) = summarised(found)
+    ((one, _),) = summarise_differences(found)
     assert (one.bound, one.beyond.count, one.beyond.limits, math.isnan(one.p)) == ("least", 5, 10, True)
     text = _flat(render(found, {}))
     assert re.search(r"dual − uniform, at B = 0: ≥ \+\d\S* N·m/rad with 5 of 10 limits censored", text)
@@ -590,7 +590,9 @@ def test_where_the_mean_over_dampings_is_a_bound_the_summary_tells_each_damping(
     assert [one.damping for one in rule] == [0.0, 0.5, None]
 
     def dampings(paired: Any) -> Any:
-        return [one.damping for one, _ in summarised(replace(found, paired=tuple(paired), mixed=()))]
+        return [
+            one.damping for one, _ in summarise_differences(replace(found, paired=tuple(paired), mixed=()))
+        ]
 
     nothing = dict.fromkeys(("low", "high", "p", "holm"), math.nan)
     assert dampings(rule) == [None]

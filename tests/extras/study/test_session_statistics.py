@@ -91,7 +91,7 @@ def runs_of_people(
 
 
 def model_of(rows: Any) -> Any:
-    return mixed.mixed(kmax.observed(rows, "rule", {}), "rule", "ab")
+    return mixed.fit_mixed(kmax.collect_limits(rows, "rule", {}), "rule", "ab")
 
 
 def trial_row(
@@ -254,14 +254,14 @@ def test_an_interval_of_kappa_is_over_people_where_there_are_enough() -> None:
 
 def test_means_intervals_and_paired_tests_are_those_of_scipy() -> None:
     rows = runs_of_people(people=7)
-    each = kmax.of_participants(rows, {})
+    each = kmax.estimate_participants(rows, {})
     over = kmax.over_participants(each, "ab")
     means = {name: np.array([one.mean for one in each if one.condition == name]) for name in "ab"}
     for one in over:
         expected = stats.ttest_1samp(means[one.condition], 0.0).confidence_interval()
         assert (one.low, one.high) == pytest.approx((expected.low, expected.high))
         assert (one.participants, one.runs) == (7, 21)
-    (difference,) = kmax.paired(each, "ab")
+    (difference,) = kmax.compare_pairs(each, "ab")
     expected = stats.ttest_rel(means["b"], means["a"])
     assert (difference.condition, difference.against) == ("b", "a")
     assert difference.p == pytest.approx(expected.pvalue)
@@ -278,13 +278,13 @@ def test_people_who_all_differ_by_the_same_give_no_interval_and_no_p(apart: floa
         for condition in "ab"
         for value in (values if condition == "a" else reversed(values))
     ]
-    each = kmax.of_participants(rows, {})
-    (one,) = kmax.paired(each, "ab")
+    each = kmax.estimate_participants(rows, {})
+    (one,) = kmax.compare_pairs(each, "ab")
     assert "the differences of the participants are equal" in one.problem
     assert one.difference == pytest.approx(apart)
     assert all(math.isnan(value) for value in (one.low, one.high, one.p, one.holm))
-    assert not kmax.paired(kmax.of_participants(runs_of_people(), {}), "ab")[0].problem
-    (alone,) = kmax.paired([row for row in each if row.participant == "P0"], "ab")
+    assert not kmax.compare_pairs(kmax.estimate_participants(runs_of_people(), {}), "ab")[0].problem
+    (alone,) = kmax.compare_pairs([row for row in each if row.participant == "P0"], "ab")
     assert "1 participant; an" in alone.problem
 
 
@@ -322,7 +322,7 @@ def test_a_bootstrap_of_four_values_against_all_their_samples() -> None:
 def test_an_interval_says_what_it_is_of(values: Any, interval: str, low: float | None) -> None:
     rows = [run_row(value=value) for value in values]
     pooled = LimitInterval(value=400.0, low=380.0, high=440.0, censored="", share=0.5)
-    (one,) = kmax.of_participants(rows, {("rule", "P01", ("a", 0.0)): pooled})
+    (one,) = kmax.estimate_participants(rows, {("rule", "P01", ("a", 0.0)): pooled})
     assert (one.interval, one.repeats) == (interval, len(values))
     assert low is None or one.low == low
     assert math.isnan(one.student_low) == (len(set(values)) < 3)
@@ -338,13 +338,13 @@ def test_an_interval_says_what_it_is_of(values: Any, interval: str, low: float |
 
 def test_a_single_series_has_no_interval_of_its_own() -> None:
     endless = LimitInterval(value=400.0, low=0.0, high=math.inf, censored="", share=None)
-    (one,) = kmax.of_participants([replace(run_row(), limits={"rule": endless})], {})
+    (one,) = kmax.estimate_participants([replace(run_row(), limits={"rule": endless})], {})
     assert (one.interval, math.isnan(one.low)) == ("none", True)
 
 
 def test_limits_beyond_the_levels_are_counted_and_what_has_not_ended_is_left_out() -> None:
     rows = [run_row(), run_row(censored="above"), run_row(state="unfinished"), run_row(state="skipped")]
-    (one,) = kmax.of_participants(rows, {})
+    (one,) = kmax.estimate_participants(rows, {})
     assert (one.repeats, one.limits, one.above, one.below) == (2, 2, 1, 0)
 
 
@@ -352,11 +352,11 @@ def test_repeats_that_are_mostly_bounds_have_the_open_interval_of_all_verdicts()
     """Two ends of the levels and a limit just below them scatter little, and say nothing of where the limit is."""
     rows = [run_row(value=780.0), *(run_row(value=800.0, censored="above") for _ in range(2))]
     pooled = LimitInterval(value=800.0, low=790.0, high=math.inf, censored="above", share=0.5)
-    (one,) = kmax.of_participants(rows, {("rule", "P01", ("a", 0.0)): pooled})
+    (one,) = kmax.estimate_participants(rows, {("rule", "P01", ("a", 0.0)): pooled})
     assert (one.interval, one.low, one.high) == ("verdicts", 790.0, math.inf)
     assert math.isnan(one.student_low)
     open_run = replace(run_row(), limits={"rule": pooled})
-    (one,) = kmax.of_participants([open_run], {})
+    (one,) = kmax.estimate_participants([open_run], {})
     assert (one.interval, one.low, one.high) == ("run", 790.0, math.inf)
 
 
@@ -375,15 +375,15 @@ def mostly_beyond(people: int = 8, within: int = 1, seed: int = 3, spread: float
 def test_where_most_limits_are_bounds_nothing_is_tested(spread: float) -> None:
     """Eight ends of the levels are no eight limits: their mean is a bound, and has no interval."""
     rows = mostly_beyond(spread=spread)
-    each = kmax.of_participants(rows, {})
+    each = kmax.estimate_participants(rows, {})
     a, b = kmax.over_participants(each, "ab")
     assert (b.limits, b.above, math.isnan(b.low), math.isnan(a.low)) == (8, 7, True, False)
-    (one,) = kmax.paired(each, "ab")
+    (one,) = kmax.compare_pairs(each, "ab")
     assert (one.bound, one.beyond.count, one.beyond.limits) == ("least", 7, 16)
     assert one.withheld
     assert one.problem == kmax.MOSTLY_CENSORED
     assert all(math.isnan(value) for value in (one.low, one.high, one.p, one.holm))
-    assert kmax.paired(each, "ba")[0].bound == "most"
+    assert kmax.compare_pairs(each, "ba")[0].bound == "most"
     model = model_of(rows)
     assert model.problem == "most limits lie beyond the searched levels, except those of a, B = 0"
     assert model.contrasts == ()
@@ -398,18 +398,18 @@ def test_a_difference_with_some_bounds_says_on_which_side_it_is_open() -> None:
     ]
     above = [replace(row, limits={"rule": replace(row.limits["rule"], censored="above")}) for row in rows]
     some = [above[0], *rows[1:]]  # of "a"
-    (one,) = kmax.paired(kmax.of_participants(some, {}), "ab")
+    (one,) = kmax.compare_pairs(kmax.estimate_participants(some, {}), "ab")
     assert (one.bound, one.withheld, one.beyond.count) == ("most", False, 1)
     both = [above[0], above[1], *rows[2:]]
-    (one,) = kmax.paired(kmax.of_participants(both, {}), "ab")
+    (one,) = kmax.compare_pairs(kmax.estimate_participants(both, {}), "ab")
     assert (one.bound, one.beyond.count) == ("unknown", 2)
-    (one,) = kmax.paired(kmax.of_participants(rows, {}), "ab")
+    (one,) = kmax.compare_pairs(kmax.estimate_participants(rows, {}), "ab")
     assert one.bound == ""
 
 
 def test_p_is_corrected_for_all_differences_of_a_measure_whatever_the_damping() -> None:
     rows = runs_of_people(people=7, dampings=(0.0, 1.0, 3.0), effect=8.0)
-    for family in (kmax.paired(kmax.of_participants(rows, {}), "ab"), model_of(rows).contrasts):
+    for family in (kmax.compare_pairs(kmax.estimate_participants(rows, {}), "ab"), model_of(rows).contrasts):
         assert len(family) == 4
         assert [one.holm for one in family] == kmax.holm([one.p for one in family])
 
@@ -579,7 +579,9 @@ def test_a_cell_that_is_mostly_beyond_the_levels_is_left_out_and_so_is_the_mean_
     assert [contrast.damping for contrast in model.contrasts] == [0.0, 1.0]
     assert ("b", 3.0) not in dict(model.means)
     assert "21 of 21 limits of b, B = 3 lie beyond the searched levels: excluded" in model.notes
-    withheld = [one.damping for one in kmax.paired(kmax.of_participants(stiff, {}), "ab") if one.withheld]
+    withheld = [
+        one.damping for one in kmax.compare_pairs(kmax.estimate_participants(stiff, {}), "ab") if one.withheld
+    ]
     assert withheld == [3.0, None]
 
 
@@ -641,7 +643,7 @@ def test_no_method_infers_from_a_scatter_that_rounding_to_the_levels_makes(
 ) -> None:
     """Rounding makes differences scatter by 10 / √6 = 4.1; those here scatter by 0, 1.1, 3.3 and 11."""
     rows = quantised(scatter)
-    (paired,) = kmax.paired(kmax.of_participants(rows, {}), "ab")
+    (paired,) = kmax.compare_pairs(kmax.estimate_participants(rows, {}), "ab")
     model = model_of(rows)
     slope = next(one for one in effects.slopes(rows, []) if (one.along, one.measure) == ("order", "rule"))
     for problem, values in (
@@ -660,7 +662,7 @@ def test_repeats_that_scatter_by_rounding_have_the_interval_of_all_verdicts() ->
         replace(run_row(), limits={"rule": replace(pooled, value=v, step=STEP)})
         for v in (400.0, 402.0, 404.0)
     ]
-    (one,) = kmax.of_participants(rows, {("rule", "P01", ("a", 0.0)): pooled})
+    (one,) = kmax.estimate_participants(rows, {("rule", "P01", ("a", 0.0)): pooled})
     assert (one.interval, one.low, one.high) == ("verdicts", 380.0, 440.0)
     assert one.rounding == pytest.approx(STEP / 6.0)  # of the mean of three
 

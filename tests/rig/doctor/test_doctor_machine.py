@@ -397,7 +397,7 @@ def test_wake_ups_are_measured_as_far_as_granted(realtime: str) -> None:
     assert woken.thread.is_fifo == (
         realtime != "off" and not any("SCHED_FIFO" in text for text in woken.refusals)
     )
-    finding = wake_up.judged(woken)
+    finding = wake_up.judge(woken)
     assert "50 at 1 kHz as SCHED_" in finding.text
     assert finding.numbers["worst_s"] == woken.worst_s
 
@@ -420,7 +420,7 @@ def test_late_wake_ups_are_a_warning_with_what_was_refused() -> None:
         thread=thread,
         refusals=("SCHED_FIFO 80 is refused",),
     )
-    finding = wake_up.judged(woken)
+    finding = wake_up.judge(woken)
     assert isinstance(finding, Check)
     assert finding.outcome == WARNING
     assert finding.text == (

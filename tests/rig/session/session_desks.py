@@ -145,7 +145,7 @@ class Line(Talk):
     """A job's line whose other end is in this process."""
 
     def __init__(self, page: AtPage) -> None:
-        super().__init__(goes_on=False)
+        super().__init__(is_detached=False)
         self._page = page
         self.heard: SimpleQueue[Any] = self._answers
 
@@ -161,7 +161,7 @@ class Line(Talk):
 class FakeJob:
     """What the service has of a job: its process is this one."""
 
-    name, asks, goes_on, pid = JOB, True, False, os.getpid()
+    name, asks, is_detached, pid = JOB, True, False, os.getpid()
 
     def __init__(self, page: AtPage) -> None:
         self._page = page
@@ -311,7 +311,9 @@ class FakeJobs:
         self.job, self.running = job, None
         self.started: dict[str, Any] = {}
 
-    async def start(self, name: str, content: Any, *, asks: bool = False, goes_on: bool = False) -> FakeJob:
+    async def start(
+        self, name: str, content: Any, *, asks: bool = False, is_detached: bool = False
+    ) -> FakeJob:
         assert name == JOB
         self.job.asks, self.started = asks, dict(content)
         return self.job

@@ -28,11 +28,11 @@ from rig.session.engine.log import Event, read
 from rig.session.engine.rehearsal import Person
 from rig.session.engine.run import rehearsal_desk, run_session, summary
 from rig.session.engine.telling import outcome, whole_line
-from rig.session.planning.bands import judged, press_of
+from rig.session.planning.bands import judge_bands, press_of
 from rig.session.planning.conditions import Walls
 from rig.session.planning.load import load_walls
 from rig.session.planning.protocol import Trial
-from rig.session.planning.simulated_hand import reach_for, simulated
+from rig.session.planning.simulated_hand import reach_for, simulate_hits
 from rig.session.planning.trial import HitOutcome
 from rig.session.terminal import words
 from tests.rig.session.session_fakes import FakeRunner, ScriptedDesk, protocol_of, started, study
@@ -102,16 +102,16 @@ def hit(automatic: str = "stable", **numbers: float | None) -> HitOutcome:
 def test_what_lies_outside_is_invalid_or_kept_as_the_protocol_says(
     one: HitOutcome, outside: tuple[str, ...]
 ) -> None:
-    found = judged(one, BOTH, "rotary")
+    found = judge_bands(one, BOTH, "rotary")
     assert found.outside == outside
     assert (found.automatic, found.reasons) == (("invalid", outside) if outside else (one.automatic, ()))
     assert found.passes == ({"any": None} if outside else one.passes)
-    kept = judged(one, replace(BOTH, outside="keep"), "rotary")
+    kept = judge_bands(one, replace(BOTH, outside="keep"), "rotary")
     assert kept == replace(one, outside=outside)
 
 
 def test_without_bands_nothing_lies_outside() -> None:
-    assert judged(hit(impact_velocity=9.0, press=9.0), Trial(), "rotary") == hit(
+    assert judge_bands(hit(impact_velocity=9.0, press=9.0), Trial(), "rotary") == hit(
         impact_velocity=9.0, press=9.0
     )
 
@@ -197,7 +197,7 @@ def test_a_simulated_hand_aims_at_the_middle_whichever_wall_comes_first(walls: W
     soft, stiff = (walls.at(condition, 0.1, stiffness) for stiffness in (40.0, 160.0))
     assert push_at_rest(soft) == pytest.approx(0.2)
     assert push_at_rest(stiff) == pytest.approx(0.2)
-    does = simulated(soft)
+    does = simulate_hits(soft)
     assert fmean(does["impact_speed"]) == pytest.approx(0.3, rel=0.1)
     assert fmean(does["press"]) == pytest.approx(0.2, rel=0.1)
     again = Walls(walls.protocol, walls.base, reach_for)

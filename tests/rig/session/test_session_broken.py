@@ -155,7 +155,7 @@ class Slow(WallClock):
     def took(self, seconds: float) -> None:
         self.told.append(seconds)
 
-    def goes_on_from(self, at: float) -> None:
+    def resume_at(self, at: float) -> None:
         self.told.append(at)
 
 

@@ -233,7 +233,7 @@ def test_a_condition_that_theory_does_not_know_is_said(schemes: Protocol) -> Non
     assert found.cells[-1].expected.by_hand
     levant = Condition(name="levant", scheme="dual:20k/2k,estimator=levant", damping=(0.1,))
     found = check(replace(schemes, condition=(levant,), practice=Practice()), Path())
-    assert "stands in" in found.cells[0].expected.note
+    assert "theory uses" in found.cells[0].expected.note
 
 
 def test_the_times_of_people_who_have_finished_replace_the_planned_ones(

@@ -484,7 +484,7 @@ def test_a_trial_is_left_out_afterwards_and_taken_back(tmp_path: Path) -> None:
     after = SessionState.of(read(log))
     assert [trial.trial for trial in after.trials if trial.void] == [3]
     run = next(run for block in after.blocks for run in block.runs if run.number == after.trials[2].run)
-    assert len(after.heard(run)) == len(before.heard(run)) - 1
+    assert len(after.judged_probes(run)) == len(before.judged_probes(run)) - 1
     assert after.ended == "complete"
     amend(tmp_path / "P01", number, "counts", "it was another table")
     assert SessionState.of(read(log)).trials == before.trials

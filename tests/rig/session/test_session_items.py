@@ -10,15 +10,17 @@ from hypothesis import strategies as st
 
 from rig.core.present import plain
 from rig.session.engine.desk import Question
-from rig.session.planning.items import asked, parse_answer, wanted
+from rig.session.planning.items import describe_answer, describe_item, parse_answer
 from rig.session.planning.keymap import KeyMap
 from rig.session.planning.protocol import Item, Keys
 from rig.session.terminal import words
 from rig.session.terminal.conversation import Answer, Conversation
 
-SCALE = asked(Item(name="tired", text="How tired?", lowest=-2, highest=7))
-CHOICE = asked(Item(name="hand", text="Which hand?", kind="choice", choices=("left", "right", "3", "1")))
-TEXT = asked(Item(name="remarks", text="Anything?", kind="text"))
+SCALE = describe_item(Item(name="tired", text="How tired?", lowest=-2, highest=7))
+CHOICE = describe_item(
+    Item(name="hand", text="Which hand?", kind="choice", choices=("left", "right", "3", "1"))
+)
+TEXT = describe_item(Item(name="remarks", text="Anything?", kind="text"))
 
 
 @pytest.mark.parametrize(
@@ -64,12 +66,12 @@ def test_the_console_takes_what_the_engine_takes(text: str, kept: str | None) ->
     question = Question(kind="item", text="How tired?", actions=("answer", "abort"), item=SCALE)
     told.ask(plain(question), 0.0)
     assert words.question(told, 0.0) == "How tired?  (-2 to 7)"
-    assert words.offered(told)[0] == ("enter", "answer")
+    assert words.list_offered(told)[0] == ("enter", "answer")
     answers = [answer for key in (*text, "enter") for answer in told.press(key)]
     assert answers == ([] if kept is None else [Answer("answer", kept)])
-    assert (told.notice == wanted(SCALE)) is (kept is None)
+    assert (told.notice == describe_answer(SCALE)) is (kept is None)
 
 
 def test_what_is_wanted_names_the_choices() -> None:
-    assert wanted(CHOICE) == "a number from 1 to 4, or one of: left, right, 3, 1"
-    assert wanted(SCALE) == "a number from -2 to 7"
+    assert describe_answer(CHOICE) == "a number from 1 to 4, or one of: left, right, 3, 1"
+    assert describe_answer(SCALE) == "a number from -2 to 7"

@@ -13,7 +13,7 @@ from rig.core.errors import ConfigError
 from rig.session.engine.directory import study_directory
 from rig.session.engine.rehearsal import Person, thresholds_of
 from rig.session.engine.run import rehearsal_desk, run_session
-from rig.session.planning.items import asked, parse_answer
+from rig.session.planning.items import describe_item, parse_answer
 from rig.session.planning.load import as_mapping, protocol_from_mapping
 from rig.session.planning.protocol import Item, Protocol
 from rig.session.planning.trial import trial_of
@@ -90,9 +90,12 @@ def test_a_question_its_choices_and_what_is_fitted_are_names_too() -> None:
     protocol = protocol_of(question=question)
     (item,) = protocol.question
     assert (item.name, item.choices) == ("hand", ("left one", "Größe"))
-    assert parse_answer(asked(item), "left  one") == "left one"
-    assert parse_answer(asked(item), NFD) == "Größe"
-    assert parse_answer(asked(Item(name="x", text="?", kind="text")), f" as{NBSP}typed ") == f"as{NBSP}typed"
+    assert parse_answer(describe_item(item), "left  one") == "left one"
+    assert parse_answer(describe_item(item), NFD) == "Größe"
+    assert (
+        parse_answer(describe_item(Item(name="x", text="?", kind="text")), f" as{NBSP}typed ")
+        == f"as{NBSP}typed"
+    )
     fits = [
         {"name": name, "scheme": "dual:20k/2k", "fit": fit}
         for name, fit in (("a", "damper"), ("b", "damper "))

@@ -72,8 +72,8 @@ def test_the_rate_that_is_proposed_is_the_highest_that_these_answers_keep() -> N
     assert found.kept_hz == 500
     assert pace_of(measured(often), 500, LIMITS).lost_share == 0.0
     assert sentence(found, simulated=True) == (
-        "this computer or the link loses 2 % of the samples at 1000 Hz, or is late with them, up to 1 ms at a time; "
-        "run at 500 Hz, or rehearse, or close other programs and run `rig doctor`"
+        "this computer or the link loses 2 % of the samples at 1000 Hz, or is late with them, for up to 1 ms "
+        "at a time; run at 500 Hz, or rehearse, or close other programs and run `rig doctor`"
     )
     assert pace_of(measured({1: 0.1, 900: 0.1}), 1000, LIMITS).kept_hz is None
 
@@ -126,7 +126,7 @@ def test_what_was_measured_stands_in_the_log_and_is_told() -> None:
         },
     )
     assert (
-        "of the samples at 1000 Hz, or is late with them, up to 4 ms at a time; run at 125 Hz"
+        "of the samples at 1000 Hz, or is late with them, for up to 4 ms at a time; run at 125 Hz"
         in line_of_event(opened)
     )
     assert "nearly every trial will be invalid, which the operator accepted" in line_of_event(opened)

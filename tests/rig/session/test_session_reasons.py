@@ -23,7 +23,7 @@ from rig.session.engine.desk import DeskView
 from rig.session.engine.log import Event
 from rig.session.engine.run import summary
 from rig.session.engine.telling import line_of_event, whole_line
-from rig.session.planning.reasons import HIDDEN, RIG_LIMIT, told
+from rig.session.planning.reasons import HIDDEN, RIG_LIMIT, summarise_reasons
 from tests.rig.session.session_fakes import (
     INVALID,
     SPOILED,
@@ -58,30 +58,30 @@ def reason(objection: Objection, **changes: Any) -> str:
 def test_every_reason_is_told_and_effort_only_as_a_rig_limit(objection: Objection) -> None:
     """A new reason, or a new wording, is not told before somebody has decided how."""
     text = reason(objection)
-    said = told([text], blind=True)
+    said = summarise_reasons([text], blind=True)
     assert said != HIDDEN
     assert (said == RIG_LIMIT) == bool(objection & OF_THE_RIG)
     assert not re.search(r"4179|calm|saturat|slew|settl|ripple", said)
-    assert told([text], blind=False) == text
+    assert summarise_reasons([text], blind=False) == text
 
 
 @pytest.mark.parametrize(
     "text", ["a false start: the handle moved before the cue", "the run ended early: stopped"]
 )
 def test_what_judges_without_the_signals_is_told(text: str) -> None:
-    assert told([text], blind=True) == text
+    assert summarise_reasons([text], blind=True) == text
 
 
 def test_what_nobody_has_decided_about_is_hidden() -> None:
-    assert told(["K = 412 is too much"], blind=True) == HIDDEN
+    assert summarise_reasons(["K = 412 is too much"], blind=True) == HIDDEN
     several = [reason(Objection.SLEW_BOUND), reason(Objection.IDLE_SATURATION), reason(Objection.TOO_SHORT)]
-    assert told(several, blind=True) == f"{RIG_LIMIT}; the trial was too short"
-    assert told([], blind=True) == ""
+    assert summarise_reasons(several, blind=True) == f"{RIG_LIMIT}; the trial was too short"
+    assert summarise_reasons([], blind=True) == ""
 
 
 def test_a_dead_channel_of_the_encoder_is_told() -> None:
     text = reason(Objection.NEVER_TOUCHED, toggles=TOGGLES)
-    assert told([text], blind=True) == text
+    assert summarise_reasons([text], blind=True) == text
     assert "one channel of the encoder is dead" in text
 
 

@@ -199,7 +199,7 @@ static struct {
     int32_t count;
 } index_seen;
 
-/* The pin remembers a rise until it is told to forget it, so that none is too short to be seen. */
+/* The pin latches a rise until the latch is cleared, so that none is too short to be seen. */
 void encoder_look_for_index(void)
 {
     const uint32_t rose = GPIO_ROSE(BOARD_ENCODER_INDEX_PIN);

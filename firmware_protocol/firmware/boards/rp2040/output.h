@@ -20,7 +20,7 @@ void output_set(int16_t quanta);
 int16_t output_active(void);
 
 #ifdef BOARD_OUTPUT_DAC
-/* What enable has held in reset hears from here on. */
+/* From here on a converter that enable has held in reset accepts frames. */
 void output_begin(void);
 
 /* Whether no set-point has left since the last question. Asked before each tick, it notices within two. */

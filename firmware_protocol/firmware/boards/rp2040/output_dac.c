@@ -1,9 +1,9 @@
 /* A voltage of ±10 V from an AD5761R (data sheets of AD5761R, Rev. C, and AD5761R-EP, Rev. 0). A state machine of PIO shifts
- * out frames of 24 bits, which the converter takes at the end of each; the processor writes one word and goes on.
+ * out frames of 24 bits, which the converter takes at the end of each; the processor writes one word and continues.
  *
- * The converter's RESET is the enable wire: while that is low, whoever holds it low, the output is clamped to ground, and
+ * The converter's RESET is the enable wire: while that is low, for whatever reason, the output is clamped to ground, and
  * the converter knows no range (EP, Table 4). CLEAR would do so at an edge only, and let the next frame in. So at rest
- * each tick tells the range again, and a converter that was in reset, or without its supply, is ready for the next
+ * each tick sends the range again, and a converter that was in reset, or without its supply, is ready for the next
  * current; until then it gives none. */
 #include "output.h"
 

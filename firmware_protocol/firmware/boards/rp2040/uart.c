@@ -55,7 +55,7 @@ void uart_start(uint8_t *send_ring)
     DMA_CONTROL(DMA_COPY) = DMA_ENABLE | DMA_BYTES | DMA_STEP_FROM | DMA_STEP_TO | DMA_RING_TO(SEND_BITS) | DMA_QUIET
                             | DMA_WHEN(REQUEST_ALWAYS) | DMA_THEN((uint32_t)DMA_COPY);
     DMA_FROM(DMA_RECEIVE) = UART_DATA;
-    PAD(RECEIVE_PIN) = PAD_INPUT | PAD_SCHMITT | PAD_PULL_UP; /* a line without anybody is idle, not noise */
+    PAD(RECEIVE_PIN) = PAD_INPUT | PAD_SCHMITT | PAD_PULL_UP; /* an unconnected line reads as idle, not as noise */
     pin_function(RECEIVE_PIN, GPIO_UART);
     pin_function(TRANSMIT_PIN, GPIO_UART);
     UART_CONTROL = UART_ON_BOTH_WAYS;

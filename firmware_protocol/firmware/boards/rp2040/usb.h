@@ -25,7 +25,7 @@ size_t usb_read(uint8_t *into, size_t capacity);
  * dropped meanwhile. From the main loop. */
 void usb_hold(bool held);
 
-/* A whole frame or nothing: false when nobody is connected or the host has not fetched what the words hold. From the tick or
+/* A whole frame or nothing: false when no host is connected or the host has not fetched what the words hold. From the tick or
  * the main loop, of which one must not interrupt the other. Whole words (a frame at an address divisible by four)
  * go four times as fast. */
 bool usb_write(const uint8_t *frame, size_t count);

@@ -94,7 +94,7 @@ static void sync_outputs(void *context, uint8_t bits)
 
 /* ------------------------------------------------------------------ the board */
 
-/* The timer: a tick that nobody could take waits, and no more than one. */
+/* The timer: one tick that could not be served waits, and no more than one. */
 void simulated_board_tick(struct simulated_board *board)
 {
     const uint64_t now = board->host.time;

@@ -16,7 +16,7 @@ from rig.extras.papers.rules import MOST, Ruling, each, judge, judge_share, over
 
 
 def rulings(chawda: Chawda) -> dict[str, Ruling]:
-    """On every claim, by key."""
+    """Return the ruling on every claim, by its key."""
     drops = derived.drops(chawda)
     fits = [fit for of in derived.by_edge(chawda).values() for fit in of]
     mass, damping = derived.mass_and_damping()
@@ -173,7 +173,7 @@ def _stiffnesses(chawda: Chawda) -> list[dict[str, float]]:
 
 def _order(chawda: Chawda) -> Ruling:
     widths = _stiffnesses(chawda)
-    count = sum(rules.in_order([k[rigs.LEVANT], k[rigs.AKF], k[rigs.FDM], k[rigs.FOAW]]) for k in widths)
+    count = sum(rules.is_in_order([k[rigs.LEVANT], k[rigs.AKF], k[rigs.FDM], k[rigs.FOAW]]) for k in widths)
     return judge_share(count, len(widths))
 
 

@@ -29,7 +29,7 @@ def curve(chawda: Chawda, name: str) -> list[float]:
 def drops(chawda: Chawda) -> dict[str, float]:
     """Where each Z-width of Fig. 3 drops below half of its peak for good; infinite where it does not."""
     dampings = chawda.scale.hit_dampings
-    return {name: rules.dropped(dampings, curve(chawda, name)) for name in chawda.hit_names}
+    return {name: rules.find_drop(dampings, curve(chawda, name)) for name in chawda.hit_names}
 
 
 def over_filtered(chawda: Chawda, name: str, up_to: float = math.inf) -> list[float]:
@@ -127,7 +127,7 @@ class Edge:
 
 
 def edges(chawda: Chawda) -> list[Edge]:
-    """Upper edges of the band."""
+    """Return the upper edges of the mapped frequency bands (Hz)."""
     closed = zip(*(closed_widths(chawda, name) for name in (rigs.FDM, rigs.AKF)), strict=True)
     return [
         Edge(
@@ -145,7 +145,7 @@ def edges(chawda: Chawda) -> list[Edge]:
 
 
 def common_gains(chawda: Chawda, reading: int = rigs.MAIN) -> dict[str, list[float]]:
-    """By how much FOAW's mean error is lower, at walls passive with all three filters; a share, by measurement."""
+    """Return by which share FOAW's mean error is lower, by measurement, at walls passive with all three filters."""
     numbers = {name: rigs.ESTIMATORS.index(name) for name in rigs.FILTERS}
     common = chawda.map.common(reading, list(numbers.values()))
     if not common.any():
@@ -191,7 +191,7 @@ def errors_of_quarters(chawda: Chawda) -> dict[str, tuple[float, float]]:
 
 
 def larger_first(found: Readings) -> dict[str, tuple[int, int]]:
-    """By tolerance: how often the first of two schemes has the larger K-width, of how many readings that differ."""
+    """Return, by tolerance, how often the first of two schemes has the larger K-width, and of how many readings."""
     counts: dict[str, tuple[int, int]] = {}
     for number, reading in enumerate(found.grid.readings):
         above, differ = counts.get(reading.allowed, (0, 0))
@@ -208,14 +208,14 @@ def at_softest_wall(chawda: Chawda) -> tuple[int, int]:
     return sum(k == chawda.map.grid.stiffnesses[0] for k in worst), len(worst)
 
 
-def tuned(chawda: Chawda, name: str) -> int:
+def count_tuned(chawda: Chawda, name: str) -> int:
     """How many numbers of an estimator were chosen."""
     controller = rigs.SCHEMES[name].applied(chawda.map.grid.experiment).controller
     return len(tuned_numbers(controller.estimator, controller.parameters))
 
 
-def capped(widths: Sequence[FrequencyWidth], name: str) -> bool:
-    """Whether some width reaches to the end of the grid."""
+def is_capped(widths: Sequence[FrequencyWidth], name: str) -> bool:
+    """Return True if some width reaches to the end of the grid."""
     return any(getattr(width, f"{name}_capped") for width in widths)
 
 
@@ -239,8 +239,8 @@ class Ranked:
     capped: bool  # whether the region reaches the stiffest walls of the grid
 
 
-def ranked(found: Readings, reading: int) -> list[Ranked]:
-    """Every scheme, the widest first."""
+def rank_schemes(found: Readings, reading: int) -> list[Ranked]:
+    """Rank the schemes by the area of their Z-width, the widest first."""
     schemes = found.grid.schemes
     reference = schemes.index(Scheme.parse(rigs.PAPERS_DUAL))
     rows = []
@@ -253,7 +253,7 @@ def ranked(found: Readings, reading: int) -> list[Ranked]:
                 spread(widths, "stiffness"),
                 spread(widths, "damping"),
                 _relative_error(found, reading, number, reference),
-                capped(widths, "stiffness"),
+                is_capped(widths, "stiffness"),
             )
         )
     return sorted(rows, key=lambda row: -row.area.mean)
@@ -282,7 +282,7 @@ class BestDual:
 
     @classmethod
     def of(cls, rows: Sequence[Ranked]) -> BestDual:
-        """Choose among ranked schemes."""
+        """Choose the best scheme of each kind among ranked ones."""
         best, *others = (row for row in rows if row.scheme.kind == "dual")
         judged = [row for row in (best, *others) if row.error.count]
         uniform = max((row for row in rows if row.scheme.kind == "uniform"), key=lambda row: row.area.mean)

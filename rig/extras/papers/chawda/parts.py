@@ -66,10 +66,10 @@ def linear(payload: Mapping[str, Any]) -> dict[str, Any]:
 
 def constant(payload: Mapping[str, Any]) -> dict[str, float]:
     """C of one hit of the paper's rig at 10 kHz, its velocity filtered, by the paper's way; and the true one."""
-    return identified(payload["stiffness"], payload["damping"])
+    return identify_wall(payload["stiffness"], payload["damping"])
 
 
-def identified(stiffness: float, damping: float) -> dict[str, float]:
+def identify_wall(stiffness: float, damping: float) -> dict[str, float]:
     """Hit one wall with the filtered difference, fit a sum of sines to the counts around the contact.
 
     Returns
@@ -99,7 +99,7 @@ def identified(stiffness: float, damping: float) -> dict[str, float]:
 
 
 def control(payload: Mapping[str, Any]) -> dict[str, float]:
-    """What theory fixes without friction and quantum, for one scheme: K-width at B = 0, fidelity without a wall.
+    """Compute a scheme's K-width at B = 0 and its fidelity without a wall, without friction and quantum.
 
     Returns
     -------
@@ -129,7 +129,7 @@ def control(payload: Mapping[str, Any]) -> dict[str, float]:
 def control_payload(
     experiment: Experiment, scheme: Scheme, search: StiffnessSearch, band: tuple[float, float]
 ) -> Any:
-    """Payload of `control`."""
+    """Return the arguments of `control` for one scheme."""
     applied = scheme.applied(config.excited(experiment))
     return {
         "experiment": config.as_mapping(applied),

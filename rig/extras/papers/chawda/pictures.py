@@ -256,7 +256,7 @@ def _dual(chawda: Chawda, path: Path) -> None:
     for axes, preset in zip(panels, rigs.KOUL, strict=True):
         width = 0.8 / len(rigs.DUAL_READINGS)
         for number, reading in enumerate(rigs.DUAL_READINGS):
-            rows = {row.scheme.text: row for row in derived.ranked(chawda.dual[preset], number)}
+            rows = {row.scheme.text: row for row in derived.rank_schemes(chawda.dual[preset], number)}
             axes.barh(
                 place + (1 - number) * width,
                 [rows[text].area.mean for text in texts],

@@ -113,7 +113,7 @@ def _excited(bench: ExcitedRig, stiffness: float, damping: float, numbers: range
 def read(
     impedance: Impedance, stiffness: float, damping: float, readings: Sequence[Reading]
 ) -> tuple[Flags, Floats]:
-    """What readings make of a measured wall: passive or not; and the rms of |Z| − |K/(jω) + B| over each of `bands`."""
+    """Return whether a wall is passive in each reading, and the rms of |Z| − |K/(jω) + B| in each of `bands`."""
     lines, z = impedance.lines_hz, impedance.z
     error = impedance.magnitude - np.abs(ideal_wall(stiffness, damping, lines))
     seen = ~(impedance.coherence_motion < COHERENCE)  # what is unknown does not count against a wall
@@ -134,7 +134,7 @@ def bands(readings: Sequence[Reading]) -> list[tuple[float, float]]:
 
 
 def _tolerance(impedance: Impedance, tolerance: float, kind: str) -> Floats:
-    """By how much Re Z may be negative at each line."""
+    """Return by how much Re Z may be negative at each line."""
     if tolerance == 0.0:
         return np.zeros(len(impedance.z))
     if kind == "deviations":
@@ -188,7 +188,7 @@ class Readings:
         )
 
     def widths(self, reading: int, scheme: int) -> list[FrequencyWidth]:
-        """Of every measurement."""
+        """Return the widths of every measurement."""
         return [self.width(m, reading, scheme) for m in range(self.grid.measurements)]
 
     def common(self, reading: int, schemes: Sequence[int] | None = None) -> Flags:

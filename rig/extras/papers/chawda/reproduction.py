@@ -49,7 +49,7 @@ class ChawdaPlan:
 
     def __init__(self, scale: rigs.ChawdaScale) -> None:
         self._scale = scale
-        self._nominal = chawda_parts.identified(*WALLS[0])  # the schemes of the hits need its C
+        self._nominal = chawda_parts.identify_wall(*WALLS[0])  # the schemes of the hits need its C
         self._named_hits = self._hit_schemes()
         self._hits = self._hit_plan(rigs.FIGURE_3_RATE, tuple(self._named_hits.values()), scale.hit_ratio)
         self._slow_hits = self._hit_plan(1000, tuple(rigs.SCHEMES.values()), scale.hit_ratio**0.5)
@@ -173,7 +173,7 @@ class ChawdaPlan:
         return grids
 
     def _weight(self, name: str) -> float:
-        """Of one run, in hits at 10 kHz."""
+        """Return the cost of one run, in hits at 10 kHz."""
         return 2.0 if name.startswith("dual") else 2.2
 
     def _linear_dampings(self) -> list[float]:
@@ -194,7 +194,7 @@ def _impedances(scale: rigs.ChawdaScale) -> tuple[Any, ...]:
 
 
 def words(chawda: Chawda) -> dict[str, Any]:
-    """What the templates call for."""
+    """Return the names and values that the templates use."""
     return {
         "chawda": chawda,
         "rigs": rigs,

@@ -48,7 +48,7 @@ class Chawda:
     lipschitz
         C that was identified at the nominal wall (m/s²), which the gains of Fig. 3 use.
     constants
-        C at some walls, see `rig.extras.papers.chawda.parts.identified`.
+        C at some walls, see `rig.extras.papers.chawda.parts.identify_wall`.
     hits
         Fig. 3: walls hit at 10 kHz, the schemes named by `hit_names`.
     adjusted
@@ -148,7 +148,7 @@ def spread(widths: Sequence[FrequencyWidth], name: str) -> Spread:
 
 
 def numbers(chawda: Chawda) -> dict[str, Any]:
-    """Every number, in plain values."""
+    """Return every number of the reproduction as plain values, for JSON."""
     return {
         "identified": list(chawda.constants),
         "lipschitz": chawda.lipschitz,
@@ -217,7 +217,6 @@ def _main(found: Readings) -> int:
 
 
 def _width(width: FrequencyWidth) -> list[float | None]:
-    """K-width, B-width and worst fidelity."""
     values = (width.stiffness, width.damping, width.worst_fidelity)
     return [value if np.isfinite(value) else None for value in values]
 
@@ -237,7 +236,7 @@ def _impedance(result: ImpedanceResult) -> dict[str, Any]:
 
 
 def provenance(chawda: Chawda) -> dict[str, Any]:
-    """What the numbers come from, the same on every machine."""
+    """Return the sources of the numbers, the same on every machine."""
     x = rigs.excited_rig(chawda.scale)
     return {
         "haptic-rig": code_version(),

@@ -60,7 +60,7 @@ class Reading:
 
     @property
     def text(self) -> str:
-        """In words."""
+        """Return the reading's band and tolerance in words."""
         return f"{self.low_hz:g} to {self.high_hz:g} Hz, {self.allowed}"
 
 
@@ -145,7 +145,7 @@ DUAL_READINGS = tuple(Reading(low_hz=2.0, high_hz=high, tolerance=2.0) for high 
 
 
 def dual_schemes() -> tuple[Scheme, ...]:
-    """What is mapped on Koul's rigs: uniform sampling to compare with, then every estimator at both dual rates."""
+    """Return the schemes mapped on Koul's rigs: uniform for comparison, then each estimator at both dual rates."""
     texts = [f"{rates},estimator={estimator}" for rates in DUAL_RATES for estimator in DUAL_ESTIMATORS]
     return tuple(Scheme.parse(text) for text in (*REFERENCES, *texts))
 

@@ -29,8 +29,8 @@ BETTER_COMMON = 0.05  # share of the error
 TRACED = 0.9  # of the columns
 
 
-def in_order(widths: Sequence[float]) -> bool:
-    """Whether each is larger than the next: K-widths in the order that the paper gives."""
+def is_in_order(widths: Sequence[float]) -> bool:
+    """Return True if each is larger than the next: K-widths in the order that the paper gives."""
     return all(first > second for first, second in pairwise(widths))
 
 
@@ -52,7 +52,7 @@ def mostly_larger(cases: Mapping[str, tuple[int, int]]) -> Ruling:
     return judge(held, above=above, differ=differ)
 
 
-def dropped(dampings: Sequence[float], stiffnesses: Sequence[float]) -> float:
+def find_drop(dampings: Sequence[float], stiffnesses: Sequence[float]) -> float:
     """Damping beyond its peak from which on a Z-width stays below half of the peak; infinite if it does not."""
     peak = max(stiffnesses)
     found = math.inf
@@ -87,7 +87,7 @@ def drops_at(drops: Mapping[str, tuple[float, float]], others: Sequence[float]) 
 
 
 def near_table(ours: Mapping[str, float], paper: Mapping[str, float], step: float = 1.0) -> bool:
-    """Whether every number is within `NEAR_WIDTH` of the paper's, a rung allowed."""
+    """Return True if every number is within `NEAR_WIDTH` of the paper's, a rung allowed."""
     return all(within(ours[name], paper[name], NEAR_WIDTH * step) for name in paper)
 
 
@@ -103,7 +103,7 @@ def controlled(found: Mapping[str, float], theory: float) -> Ruling:
 
 
 def lower(gains: Mapping[tuple[str, float], Sequence[float]]) -> Ruling:
-    """By how much one estimator's error at common walls is lower, as a share of another's.
+    """Return by which share one estimator's error at common walls is lower than another's.
 
     By the other's name and upper edge of the band (Hz), measurement by measurement; below zero it is higher.
     """

@@ -18,7 +18,7 @@ NUMBERS = {key: number for number, key in enumerate(rigs.SCHEMES)}
 
 
 def rulings(koul: Koul) -> dict[str, Ruling]:
-    """On every claim, by key."""
+    """Return the ruling on every claim, by its key."""
     k_max = {
         rigs.NAMES[p]: [b.stiffness for b in koul.kmax[p, rigs.WITH_LAG].curve("any")] for p in rigs.PRESETS
     }
@@ -83,7 +83,7 @@ def _same_range(koul: Koul) -> Ruling:
 
 
 def _ranges(koul: Koul) -> dict[str, float]:
-    """Of the softest wall, and of any wall: the softest is one of them."""
+    """Return the ranges of the softest wall and of any wall (including the softest)."""
     values: dict[str, float] = {}
     for held in rigs.MAIN:
         rig, found = RIGS[held.preset], koul.maps[held.name]

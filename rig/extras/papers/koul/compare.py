@@ -77,7 +77,7 @@ class WordLength:
 
     @reported
     def as_in_the_paper(self) -> bool:
-        """Whether the peaks are ordered as in figure 7.
+        """Return True if the peaks are ordered as in figure 7.
 
         At 20 kHz the uniform wall is like an undamped one (within 5 %), at 10 kHz it lies between the others (by 10 %
         at least), and the dual-rate peak is at most 0.6 of the undamped one at both.

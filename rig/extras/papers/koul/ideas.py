@@ -64,7 +64,7 @@ class Tried:
     linear: Mapping[str, Any] | None
 
     def width(self, criterion: str) -> Width:
-        """Summary of its map."""
+        """Return the Z-width of its map by one criterion."""
         return self.map.width(0, criterion)
 
     def area(self, criterion: str) -> float:
@@ -107,7 +107,7 @@ class Change:
 
     @classmethod
     def of(cls, tried: Tried, reference: Tried) -> Change:
-        """Compare two ideas."""
+        """Return the changes of one idea's ranges and area against another's."""
         new, old = tried.width("any"), reference.width("any")
         return cls(
             over(new.stiffness_undamped or 0.0, old.stiffness_undamped or 0.0),
@@ -118,7 +118,7 @@ class Change:
 
 
 def direction(changes: Iterable[Change]) -> Literal["wider", "narrower", "same", "both"]:
-    """What some ideas do to the area, all together."""
+    """Return the common direction in which some ideas change the area."""
     areas = [change.area for change in changes]
     if all(area > 1.0 + SAME for area in areas):
         return "wider"
@@ -235,7 +235,7 @@ def _estimators() -> list[Idea]:
     ]
 
 
-def ranked(tried: Mapping[str, Tried], criterion: str = "any") -> list[Tried]:
+def rank_ideas(tried: Mapping[str, Tried], criterion: str = "any") -> list[Tried]:
     """Ideas by the area of their Z-width, largest first; those of another rig than the reference's are left out."""
     on_rig = [one for one in tried.values() if one.idea.preset == tried[REFERENCE].idea.preset]
     return sorted(on_rig, key=lambda one: (-one.area(criterion), one.idea.key))

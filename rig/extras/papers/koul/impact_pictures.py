@@ -48,7 +48,7 @@ def draw_figure_8(profiles: Profiles, picture: str | Path) -> Path:
         for axes, (name, (begin, end)) in zip(row, parts, strict=True):
             for profile in sorted(shown, key=lambda p: -p.velocity_rate):
                 noise = profile.noise_early if name == "early" else profile.noise_late
-                axes.plot(profile.time_s, profile.velocity, **_look(profile), label=_said(profile, noise))
+                axes.plot(profile.time_s, profile.velocity, **_look(profile), label=_label(profile, noise))
             time_s, true = profiles.time_s, profiles.velocity_true
             axes.plot(time_s, true, color=style.WALL, linewidth=2.5, zorder=1, label="true")
             axes.set_xlim(begin, end)
@@ -68,5 +68,5 @@ def _look(profile: EstimatorProfile) -> dict[str, Any]:
     return {"color": style.SENT if fast else style.MEASURED, "linewidth": 0.8 if fast else 1.2}
 
 
-def _said(profile: EstimatorProfile, noise: float) -> str:
+def _label(profile: EstimatorProfile, noise: float) -> str:
     return f"{profile.velocity_rate / 1e3:g} kHz: {noise:.2g} rad/s rms off"

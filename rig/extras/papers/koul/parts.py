@@ -193,7 +193,7 @@ def linear_limits(payload: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _passivity(lifted: theory.Lifted) -> dict[str, Any]:
-    """Of a wall that any hand may touch: the same whichever holds the rig."""
+    """Compute the passivity limit of a wall, which is the same in every hand."""
     passive = theory.passivity_bound(lifted)
     dampings = np.linspace(0.0, passive.largest_damping, PASSIVE_POINTS).tolist()
     return {
@@ -272,7 +272,7 @@ FINER = 1024  # times the encoder's resolution: next to no quantiser
 
 
 def velocity_noise(payload: Mapping[str, Any]) -> dict[str, float]:
-    """What one encoder count adds to the velocity early in the impact of Fig. 8 (rad/s rms), in floating point.
+    """Compute the velocity noise of one encoder count early in the impact of Fig. 8 (rad/s rms), in floating point.
 
     Each estimator sees the same motion in counts and in counts a thousand times finer. It is linear, so that what is
     left of the difference is noise and nothing else: neither delay nor the filter's own view of the motion. Mean square

@@ -11,7 +11,7 @@ import numpy as np
 
 from rig.extras.papers.koul import rigs
 from rig.extras.papers.koul import ways as koul_ways
-from rig.extras.papers.koul.ideas import REFERENCE, Tried, ranked
+from rig.extras.papers.koul.ideas import REFERENCE, Tried, rank_ideas
 from rig.extras.papers.koul.impact_pictures import draw_figure_7, draw_figure_8
 from rig.extras.papers.koul.results import Koul
 from rig.extras.papers.koul.rules import LEVEL
@@ -219,7 +219,7 @@ def _idea_curve(axes: Any, tried: Tried, colour: str, width: float) -> None:
 
 @style.own_style()
 def _ranking(koul: Koul, path: Path) -> None:
-    tried = ranked(koul.ideas)
+    tried = rank_ideas(koul.ideas)
     figure = style.new_figure(10.0, 0.6 + 0.24 * len(tried))
     axes = figure.subplots()
     areas = [t.area("any") for t in tried]

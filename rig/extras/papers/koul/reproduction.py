@@ -248,7 +248,7 @@ def _dampings(experiment: Experiment, columns: int) -> tuple[float, ...]:
 
 
 def words(koul: Koul) -> dict[str, Any]:
-    """What the templates call for."""
+    """Return the names and values that the templates use."""
     return {
         "koul": koul,
         "rigs": rigs,

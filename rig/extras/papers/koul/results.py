@@ -21,7 +21,7 @@ from rig.extras.papers.koul.ideas import (
     Change,
     Tried,
     encoder_key,
-    ranked,
+    rank_ideas,
 )
 from rig.extras.papers.koul.parts import DampingRange
 from rig.extras.papers.koul.ways import Way, ways_of
@@ -162,7 +162,7 @@ class Koul:
         }
 
     def against(self, key: str) -> Change:
-        """What an idea changes against the dual-rate wall of the paper."""
+        """Return the change of an idea against the dual-rate wall of the paper."""
         return Change.of(self.ideas[key], self.ideas[REFERENCE])
 
     def linear_change(self, key: str) -> dict[str, float]:
@@ -171,11 +171,11 @@ class Koul:
         return {name: over(new[name], old[name]) for name in ("peak", "range")} if new and old else {}
 
     def group(self, group: str) -> list[Tried]:
-        """The ideas of one kind."""
+        """Return the tried ideas of one group."""
         return [one for one in self.ideas.values() if one.idea.group == group]
 
     def changes(self, group: str) -> dict[str, Change]:
-        """What the ideas of one kind change, by label."""
+        """Return the changes of the ideas of one kind, by label."""
         return {one.idea.label: self.against(one.idea.key) for one in self.group(group)}
 
     def best(self, group: str) -> Best:
@@ -208,7 +208,7 @@ class Koul:
     def ranked(self) -> list[Tried]:
         """Ideas by the area of their Z-width, then those on another rig."""
         elsewhere = [t for t in self.ideas.values() if t.idea.preset != self.ideas[REFERENCE].idea.preset]
-        return [*ranked(self.ideas), *elsewhere]
+        return [*rank_ideas(self.ideas), *elsewhere]
 
     def highest_search(self) -> float:
         """The highest stiffness that was tried with any idea."""
@@ -231,7 +231,7 @@ def _share_of_ones(ratios: Sequence[float]) -> float:
 
 
 def numbers(koul: Koul) -> dict[str, Any]:
-    """Every number, in plain values."""
+    """Return every number of the reproduction as plain values, for JSON."""
     return {
         "kmax": {
             f"{preset}, {lag}": {**found.as_mapping(), "linear_theory": koul.kmax_theory[preset, lag]}
@@ -251,7 +251,7 @@ def numbers(koul: Koul) -> dict[str, Any]:
 
 
 def provenance(koul: Koul) -> dict[str, Any]:
-    """What the numbers come from, the same on every machine."""
+    """Return the sources of the numbers, the same on every machine."""
     limits = presets.load(rigs.COMPLIANT).verdict
     return {
         "haptic-rig": code_version(),

@@ -109,12 +109,12 @@ class HeldRig:
 
     @property
     def name(self) -> str:
-        """Its name in results."""
+        """Return the name of this rig and hand in results."""
         return f"{self.preset}, {self.push}"
 
     @property
     def push(self) -> str:
-        """Who pushes."""
+        """Return who pushes the handle: the motor, or a hand of this grip."""
         return "automated" if self.grip is None else f"{self.grip} hand"
 
     def experiment(self, changes: Mapping[str, Any] | None = None) -> Experiment:

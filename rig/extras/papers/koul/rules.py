@@ -62,7 +62,7 @@ def rises(curves: Mapping[str, Sequence[float]], rates: Sequence[int], step: flo
 
 
 def _rising(stiffnesses: Sequence[float], step: float) -> bool:
-    """Whether each is at least `DROP` of the one before."""
+    """Return True if each is at least `DROP` of the one before."""
     return all(high >= DROP / step * low for low, high in pairwise(stiffnesses))
 
 
@@ -80,7 +80,7 @@ def levels_off(
 
 
 def near(values: Mapping[str, float], target: float, factor: float, *, unfitted: str = "") -> Ruling:
-    """Whether numbers are near the paper's; on the rig that is not fitted, that is a confirmation."""
+    """Compare numbers with the paper's; agreement on the rig that was not fitted is a confirmation."""
     cases = {name: within(value, target, factor) for name, value in values.items()}
     return judge(cases, decisive=[unfitted] if cases.get(unfitted) else [], found=list(values.items()))
 

@@ -83,7 +83,7 @@ def columns(found: ZWidth, scheme: int, criterion: str, *, offset: float | None 
             continue
         tried = {row["stiffness"]: row[f"passes_{criterion}{TRUE}"] for row in rows}
         limit = limit_of(tried)
-        walked = _bisected(found, tried, criterion)
+        walked = _bisect(found, tried, criterion)
         made.append(
             GridColumn(
                 damping=one.damping,
@@ -98,7 +98,7 @@ def columns(found: ZWidth, scheme: int, criterion: str, *, offset: float | None 
     return made
 
 
-def _bisected(found: ZWidth, tried: Mapping[float, Passes], criterion: str) -> dict[float, Passes]:
+def _bisect(found: ZWidth, tried: Mapping[float, Passes], criterion: str) -> dict[float, Passes]:
     """The rungs that a bisection would have visited."""
     walk = replace(found.plan.search, way="bisection").walk([criterion])
     visited: dict[float, Passes] = {}
