@@ -25,8 +25,7 @@ def _rows() -> list[tuple[str, str, str, tuple[Value, Value], Value, str, bool]]
     fixed, live = False, True
     rows: list[tuple[str, str, str, tuple[Value, Value], Value, str, bool]] = [
         ("law", "u8", "", (0, 3), 0,
-         "place of the law: 0 host; device: 1 integers, 2 float32, 3 float32, with the wall "
-         "rendered by the drive", fixed),
+         "place of the law: 0 host; device: 1 integers, 2 float32, 3 float32 and a wall by the drive", fixed),
         ("batch_layout", "u8", "", (0, 2), 0, "layout of BATCH (BATCH_LAYOUTS)", fixed),
         ("batch_samples", "u8", "tick", (1, 76), 45, "largest number of samples in a frame", fixed),
         ("estimator", "u8", "", (0, 6), 0, "0 fdm-butterworth in integers; 1 fdm, 2 fdm-butterworth, "

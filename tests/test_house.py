@@ -19,12 +19,12 @@ ROOMS = sorted(path.name for path in RIG.iterdir() if (path / "__init__.py").is_
 MODULE_BY_NAME = re.compile(r"(rig|sim_backend|firmware_protocol)(\.\w+)+(:\w+)?")
 # Registries that may name modules by string: those of their own room, and the simulation.
 REGISTRIES = {
-    "rig/cli/table.py": "rig.cli.",
+    "rig/cli/_table.py": "rig.cli.",
     "rig/cli/hit.py": "rig.views.plots.",  # the process that draws
     "rig/cli/session_protocol.py": "rig.session.",
     "rig/devices/__init__.py": ("rig.devices.", "sim_backend."),
     "rig/control/laws.py": "rig.control.",
-    "rig/control/estimators/family.py": "rig.control.estimators.",
+    "rig/control/estimators/_family.py": "rig.control.estimators.",
     "rig/control/estimators/__init__.py": "rig.control.estimators.",
 }
 
@@ -150,8 +150,8 @@ def test_modules_are_imported_by_name_in_few_places() -> None:
     }
     assert found == {
         "rig/core/lazy.py", "rig/core/extras.py", "rig/core/deferred.py",
-        "rig/cli/lazy.py", "rig/cli/session_protocol.py",
-        "rig/control/laws.py", "rig/control/estimators/__init__.py", "rig/control/estimators/family.py",
+        "rig/cli/_lazy.py", "rig/cli/session_protocol.py",
+        "rig/control/laws.py", "rig/control/estimators/__init__.py", "rig/control/estimators/_family.py",
         "rig/devices/__init__.py", "rig/realtime/parts.py",
         "rig/extras/cluster/cluster.py", "rig/extras/lsl/library.py",
     }  # fmt: skip

@@ -15,10 +15,10 @@ from itertools import pairwise
 
 import click
 
-from rig.cli.compiling import EXPECTED, CompilingNotice
-from rig.cli.lazy import LazyGroup
+from rig.cli._compiling import EXPECTED, CompilingNotice
+from rig.cli._lazy import LazyGroup
+from rig.cli._table import TITLES
 from rig.cli.output import error_facts, for_terminal, print_json
-from rig.cli.table import TITLES
 from rig.core.errors import ConfigError, RigError
 from rig.core.namesakes import explain_failure, wrong_package
 from rig.realtime import compiling

@@ -6,8 +6,8 @@ import click
 
 from rig import config
 from rig.cli import options
+from rig.cli._next_step import name_next
 from rig.cli.command import command
-from rig.cli.next_step import name_next
 from rig.cli.output import print_json, print_pairs, show
 from rig.core.sample import unit_of
 from rig.devices import load_backend

@@ -9,8 +9,8 @@ import click
 
 from rig import config
 from rig.cli import options, output
+from rig.cli._keyword_options import keyword_options
 from rig.cli.command import command
-from rig.cli.keyword_options import keyword_options
 from rig.core.present import plain
 from rig.experiments.hits import compare as comparing
 from rig.experiments.hits.compare import entries_of, refuse_unused

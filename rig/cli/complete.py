@@ -16,8 +16,8 @@ from typing import Any
 import click
 from click.shell_completion import BashComplete, FishComplete, ShellComplete, ZshComplete, split_arg_string
 
-from rig.cli import values
-from rig.cli.listing import commands
+from rig.cli import _values as values
+from rig.cli._listing import commands
 
 ASKED = "_RIG_COMPLETE"  # variable by which a shell's script asks
 

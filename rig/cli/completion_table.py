@@ -15,7 +15,8 @@ from typing import Any
 import click
 
 from rig import cli
-from rig.cli import listing, values
+from rig.cli import _listing as listing
+from rig.cli import _values as values
 from rig.control import estimators
 from rig.core import extras
 from rig.experiments.estimation.interface import SIGNALS

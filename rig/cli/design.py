@@ -12,11 +12,11 @@ import click
 
 from rig import config
 from rig.cli import map_options, options, output
+from rig.cli._design_report import write_design_report
+from rig.cli._next_step import name_next
+from rig.cli._zwidth_rig import CONFIRM, Dialogue, load_device, refuse_without_device
 from rig.cli.command import RESULT, command, option
-from rig.cli.design_report import write_design_report
-from rig.cli.next_step import name_next
 from rig.cli.progress import SweepBar
-from rig.cli.zwidth_rig import CONFIRM, Dialogue, load_device, refuse_without_device
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import click
 
-from rig.cli import options, output, values
+from rig.cli import _values as values
+from rig.cli import options, output
 from rig.cli.command import command
 from rig.core.present import Row, plain
 from rig.devices import open_device

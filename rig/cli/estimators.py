@@ -10,7 +10,8 @@ from typing import Any
 import click
 
 from rig import config
-from rig.cli import options, output, values
+from rig.cli import _values as values
+from rig.cli import options, output
 from rig.cli.command import command, option
 from rig.control import estimators as family
 from rig.core.errors import ConfigError

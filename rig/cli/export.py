@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from rig.cli import options, output, values
+from rig.cli import _values as values
+from rig.cli import options, output
 from rig.cli.command import RESULT, command, option
 from rig.recording.export import EXPORTERS
 from rig.recording.export import export as write

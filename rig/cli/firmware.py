@@ -8,9 +8,10 @@ from pathlib import Path
 import click
 
 from rig import config
-from rig.cli import options, output, values
+from rig.cli import _values as values
+from rig.cli import options, output
+from rig.cli._keyword_options import gathered_options
 from rig.cli.command import command, option
-from rig.cli.keyword_options import gathered_options
 from rig.config import amplifiers as profiles
 from rig.config import presets
 from rig.config.checked import read_toml

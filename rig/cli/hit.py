@@ -11,9 +11,10 @@ from typing import Any
 
 import click
 
-from rig.cli import hit_output, options, output
+from rig.cli import _hit_output as hit_output
+from rig.cli import options, output
+from rig.cli._next_step import name_next
 from rig.cli.command import command
-from rig.cli.next_step import name_next
 from rig.control.verdict import Verdict
 from rig.core.errors import RigError
 from rig.core.present import Row, plain

@@ -11,8 +11,8 @@ import click
 
 from rig import Plan, format_identification
 from rig.cli import options, output
+from rig.cli._next_step import name_next
 from rig.cli.command import EXPERIMENT, command, option
-from rig.cli.next_step import name_next
 from rig.config import Experiment
 from rig.core.errors import ConfigError, RecordingError
 from rig.core.present import plain

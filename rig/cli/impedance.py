@@ -11,8 +11,8 @@ import click
 
 from rig.analysis.impedance import EFFECTIVE_LINES, Fidelity
 from rig.cli import options, output
+from rig.cli._keyword_options import gathered_options, keyword_options
 from rig.cli.command import command, option
-from rig.cli.keyword_options import gathered_options, keyword_options
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, GuardError

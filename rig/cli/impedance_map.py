@@ -9,8 +9,8 @@ from typing import Any
 import click
 
 from rig.cli import map_options, options, output
+from rig.cli._keyword_options import gathered_options, keyword_options
 from rig.cli.command import command
-from rig.cli.keyword_options import gathered_options, keyword_options
 from rig.cli.progress import SweepBar
 from rig.config import Experiment
 from rig.config.schemes import Scheme

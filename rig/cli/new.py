@@ -12,8 +12,8 @@ import click
 
 from rig import NewRig, new_rig
 from rig.cli import options, output
+from rig.cli._next_step import name_next
 from rig.cli.command import command, option
-from rig.cli.next_step import name_next
 from rig.core.errors import ConfigError
 from rig.core.present import Row
 from rig.experiments.new_rig import DataSheetQuestion, questions, questions_for

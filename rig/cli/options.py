@@ -15,10 +15,11 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 import click
 
 from rig import config
-from rig.cli import command, output, values
+from rig.cli import _values as values
+from rig.cli import command, output
+from rig.cli._keyword_options import gathered_options as gathered_options  # noqa: PLC0414  (extras take it)
+from rig.cli._keyword_options import keyword_options
 from rig.cli.command import DEVICE, EXPERIMENT, RESULT, option
-from rig.cli.keyword_options import gathered_options as gathered_options  # noqa: PLC0414  (extras take it)
-from rig.cli.keyword_options import keyword_options
 from rig.config import Experiment, SchemeCutoff, presets
 from rig.config.schemes import parse_rates
 from rig.core.errors import ConfigError, RecordingError, RigError
@@ -161,7 +162,7 @@ def repeats_option(help: str, **more: Any) -> Callable[[F], F]:
 
 
 def signal_option(*names: str, help: str, **more: Any) -> Callable[[F], F]:
-    """Add --signal, a reference signal of `rig.experiments.estimation.signals`."""
+    """Add --signal, a reference signal of `rig.experiments.estimation._signals`."""
     return option("--signal", *names, type=values.SIGNAL, help=help, **more)
 
 

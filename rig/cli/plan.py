@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from rig import config
-from rig.cli import hit_output, options, output
+from rig.cli import _hit_output as hit_output
+from rig.cli import options, output
+from rig.cli._next_step import name_next
 from rig.cli.command import command, option
-from rig.cli.next_step import name_next
 from rig.config import controller
 from rig.core.check import refused
 from rig.core.errors import PlanError

@@ -5,7 +5,8 @@ from __future__ import annotations
 import click
 
 from rig import config
-from rig.cli import options, output, values
+from rig.cli import _values as values
+from rig.cli import options, output
 from rig.cli.command import command
 from rig.config import presets
 

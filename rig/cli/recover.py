@@ -10,7 +10,8 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
-from rig.cli import options, output, values
+from rig.cli import _values as values
+from rig.cli import options, output
 from rig.cli.command import command
 from rig.experiments.trials import recover as recovering
 from rig.experiments.trials.recover import Recovered

@@ -7,7 +7,8 @@ from typing import Any
 
 import click
 
-from rig.cli import options, output, values
+from rig.cli import _values as values
+from rig.cli import options, output
 from rig.cli.command import command
 from rig.core.present import plain
 from rig.core.sample import unit_of

@@ -10,8 +10,8 @@ from typing import Any
 import click
 
 from rig.cli import options, output
+from rig.cli._session_progress import Rehearsed
 from rig.cli.command import DEVICE, command, option
-from rig.cli.session_progress import Rehearsed
 from rig.core.errors import ConfigError
 from rig.core.present import plain
 from rig.session import conducting

@@ -9,7 +9,9 @@ from typing import Any
 
 import click
 
-from rig.cli import hit_output, options, output, values
+from rig.cli import _hit_output as hit_output
+from rig.cli import _values as values
+from rig.cli import options, output
 from rig.cli.command import RESULT, command, option
 from rig.config import Experiment
 from rig.core.present import Row, plain

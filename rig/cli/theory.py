@@ -18,8 +18,8 @@ from rig.analysis.theory import (
     theory_of,
 )
 from rig.cli import options, output
+from rig.cli._next_step import name_next
 from rig.cli.command import EXPERIMENT, command, option
-from rig.cli.next_step import name_next
 from rig.core.errors import RecordingError
 from rig.core.present import plain
 from rig.core.sample import unit_of

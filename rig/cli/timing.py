@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from rig.cli import options, output, values
+from rig.cli import _values as values
+from rig.cli import options, output
 from rig.cli.command import command
 from rig.core.present import plain
 from rig.recording.timing_report import timing_of

@@ -8,12 +8,13 @@ from typing import Any
 import click
 
 from rig import config
-from rig.cli import hit_output, map_options, options, output
+from rig.cli import _hit_output as hit_output
+from rig.cli import map_options, options, output
+from rig.cli._keyword_options import gathered_options
+from rig.cli._next_step import name_next
+from rig.cli._zwidth_rig import CONFIRM, CRITERIA, Dialogue, load_device, refuse_without_device
 from rig.cli.command import command
-from rig.cli.keyword_options import gathered_options
-from rig.cli.next_step import name_next
 from rig.cli.progress import SweepBar
-from rig.cli.zwidth_rig import CONFIRM, CRITERIA, Dialogue, load_device, refuse_without_device
 from rig.core.errors import ConfigError
 from rig.core.present import Table
 from rig.core.sample import unit_of

@@ -6,7 +6,7 @@ decide. It prepares no run (`controller`), knows no device, and keeps nothing be
 pydantic is loaded when something is validated, not by this import.
 """
 
-from rig.config.derive import (
+from rig.config._derive import (
     check_plugins,
     excitation_s,
     excitation_size,
@@ -18,7 +18,7 @@ from rig.config.derive import (
     rig_model,
     verdict_thresholds,
 )
-from rig.config.load import (
+from rig.config._load import (
     DEFAULT_PRESET,
     EXPERIMENT,
     FREE,
@@ -31,8 +31,8 @@ from rig.config.load import (
     restore_experiment,
     with_realtime,
 )
-from rig.config.people import human_limits_exceeded
-from rig.config.sections import (
+from rig.config._people import human_limits_exceeded
+from rig.config._sections import (
     BOARD_ARITHMETICS,
     OSCILLATIONS,
     Controller,
@@ -47,7 +47,7 @@ from rig.config.sections import (
     VerdictLimits,
     Wall,
 )
-from rig.config.table import (
+from rig.config._table import (
     ConfigKey,
     ListedKey,
     describe,

@@ -14,9 +14,9 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_type_hints
 
-from rig.config.files import LEAVES, Table, flatten, nest, read_toml, tidy
-from rig.config.problems import Problem, config_error, did_you_mean
-from rig.config.table import ConfigKey, parameters_of, sections_of, shown
+from rig.config._files import LEAVES, Table, flatten, nest, read_toml, tidy
+from rig.config._problems import Problem, config_error, did_you_mean
+from rig.config._table import ConfigKey, parameters_of, sections_of, shown
 from rig.core.deferred import pydantic
 from rig.core.quantity import STRICT
 from rig.core.sample import Motion
@@ -104,7 +104,7 @@ def parse_table(kind: FileKind[T], table: Table, motion: Motion | None) -> tuple
     kind
         Kind of the file.
     table
-        Plain nested tables (`rig.config.files.tidy`).
+        Plain nested tables (`rig.config._files.tidy`).
     motion
         Motion of the rig, for units in messages; None when it is unknown.
     """
@@ -131,7 +131,7 @@ def apply_changes(
     described
         Values to start from; they are not changed.
     changes
-        Nested tables (`rig.config.files.nest`) of new values; in a table of free keys they join those that are there.
+        Nested tables (`rig.config._files.nest`) of new values; in a table of free keys they join those that are there.
     motion
         As in `parse_table`.
     """

@@ -16,10 +16,10 @@ import numpy as np
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME
 from rig.config import device_law
-from rig.config.derive import free_s, motor_push, push_s, rig_model, verdict_thresholds
+from rig.config._derive import free_s, motor_push, push_s, rig_model, verdict_thresholds
+from rig.config._sections import OSCILLATIONS, Experiment
 from rig.config.homing import home_tolerance
 from rig.config.prepared_run import LawOnDevice, PreparedRun
-from rig.config.sections import OSCILLATIONS, Experiment
 from rig.control import cogging, estimators, friction, laws
 from rig.control.laws import Law
 from rig.control.step import CONTROL, TRAVEL, TRAVEL_COUNTS, UNMOVED_SPEED, ControllerState, new_memory
@@ -55,7 +55,7 @@ def current_limit(experiment: Experiment, current_quantum_a: float) -> int:
 
 
 def oscillation_limit(experiment: Experiment) -> int:
-    """Oscillations of the effort in a row that end a trial (`rig.control.watch`); 0: any number."""
+    """Oscillations of the effort in a row that end a trial (`rig.control._watch`); 0: any number."""
     if experiment.trial.kind == "excitation":  # which drives the effort itself
         return 0
     limits = experiment.rig.limits

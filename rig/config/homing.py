@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.config.sections import Experiment
+from rig.config._sections import Experiment
 
 ABOVE_FRICTION = 1.25  # over what friction, weight and cogging can hold: tolerance and effort leave so much
 LARGEST_SHARE, USUAL_SHARE = (

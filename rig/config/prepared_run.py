@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from firmware_protocol.parameter import Value
-from rig.config.sections import Experiment
+from rig.config._sections import Experiment
 from rig.control.step import ControllerState
 
 

@@ -22,9 +22,9 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
 
-from rig.config.derive import check_plugins
-from rig.config.load import override
-from rig.config.sections import Experiment
+from rig.config._derive import check_plugins
+from rig.config._load import override
+from rig.config._sections import Experiment
 from rig.control import estimators
 from rig.core.errors import ConfigError
 

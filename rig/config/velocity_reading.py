@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.config.sections import Controller, Experiment
+from rig.config._sections import Controller, Experiment
 from rig.control import estimators
 
 # Samples at rest before a count and after it: longer than any filter of an estimator.

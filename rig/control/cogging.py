@@ -8,7 +8,7 @@ outside of it nothing is known and nothing is done.
 **It cannot drive the rig.** A map of effort over position alone gives back on any way home what it took: its work along
 a closed path is zero, true map or false. The remaining effect is that of the delay, as with any wall: with the loop's
 delay τ a slope s of F, compensated late, adds damping s·τ where cogging stiffens and removes as much where it softens;
-theory includes it (`rig.analysis.theory.loop`). A position zero that has slipped can at most double the cogging, and
+theory includes it (`rig.analysis.theory._loop`). A position zero that has slipped can at most double the cogging, and
 the limit bounds the effort whatever the map says; guard, window and energy watch treat it like any other effort.
 
 It is off unless a law is wrapped in it, and works where that law does: in trial and release, inside the wall and

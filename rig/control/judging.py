@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from firmware_protocol.faults import LimitFlag
 from firmware_protocol.messages import NO_COMMAND_YET
-from rig.control.measure import (
+from rig.control._measure import (
     LOST_BITS,
     METER_TYPE,
     NUMBERS,
@@ -67,7 +67,7 @@ class TrialSignals:
     late: Bools
     lost: Ints  # samples lost just before each one; at the last one also what was lost between it and the release
     slew_bound: Bools
-    currents: Ints  # marks of `rig.loop.currents`: bits of RowFlag
+    currents: Ints  # marks of `rig.loop._currents`: bits of RowFlag
     overruled: Bools  # the device limited, ramped or withheld what the law commanded
 
 
@@ -144,7 +144,7 @@ def meter(thresholds: Thresholds, tick_s: float, resolution: float) -> Meter:
     """Return what measures trials for `decide`, `kinds` and `Measured`: one for each thread.
 
     Its `recorded` and `true` take the arrays of `recorded_signals` and `true_signals` and return one record of
-    `rig.control.measure.NUMBERS`; `resolution` is that of a count in the recorded ones.
+    `rig.control._measure.NUMBERS`; `resolution` is that of a count in the recorded ones.
     """
     return Meter(
         tick_s=tick_s,

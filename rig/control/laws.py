@@ -24,7 +24,7 @@ __all__ = [
 
 # Name → function that makes the law, imported with the compiled code of it.
 BUILT_IN = {
-    "spring-damper": "rig.control.wall:spring_damper_law",
+    "spring-damper": "rig.control._wall:spring_damper_law",
     "bilateral": "rig.control.bilateral:bilateral_law",
     "excited": "rig.control.bilateral:excited_law",
 }

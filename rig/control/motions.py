@@ -37,7 +37,7 @@ def traced(
 ) -> float:
     """Servo along straight lines between points (tick, position), holding the last: spring, damper, clipped.
 
-    Source: the homing servo of `rig.control.sources`, with the path's own velocity fed forward.
+    Source: the homing servo of `rig.control._sources`, with the path's own velocity fed forward.
     """
     state[LAW_CLAMPED] = 0.0
     tick = state[TICK] - 1.0 + elapsed_ticks if state[TICK] > 0.0 else 0.0

@@ -2,7 +2,8 @@
 
 The order of one tick is normative:
 
-1. the count becomes a position, and the watch looks at what the last effort did on the way to it (`rig.control.watch`);
+1. the count becomes a position, and the watch looks at what the last effort did on the way to it
+   (`rig.control._watch`);
 2. penetration = side · (position − wall), inside iff above zero, no half-count correction;
 3. when the sample index enters a new velocity period, the estimator runs, with the number of velocity periods
    since its last run (also outside the wall: resetting it there changes the first peak by a fifth);
@@ -31,12 +32,15 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from rig.control import guard, laws, sources, watch
+from rig.control import _guard as guard
+from rig.control import _sources as sources
+from rig.control import _watch as watch
+from rig.control import laws
+from rig.control._watch import TRAVEL, TRAVEL_COUNTS, UNMOVED_COUNTS, UNMOVED_SPEED
+from rig.control.estimators._family import get as get_estimator
+from rig.control.estimators._fdm import count_difference
 from rig.control.estimators.estimator import WINDOW, Prepared
-from rig.control.estimators.family import get as get_estimator
-from rig.control.estimators.fdm import count_difference
 from rig.control.law import Law, PreparedLaw
-from rig.control.watch import TRAVEL, TRAVEL_COUNTS, UNMOVED_COUNTS, UNMOVED_SPEED
 from rig.core.errors import RecordingError
 from rig.core.sample import HOLD, Phase, RowFlag
 from rig.realtime.groups import Floats, Ints, group, type_of

@@ -23,7 +23,7 @@ repeat such a trial would throw an unstable wall away. So does a hand that comes
 
 A velocity from counts has a floor: one toggling count of size Δ at f Hz is a square wave whose fundamental
 reads 2√2·f·Δ rms, and each of its odd harmonics in the band as much again. It is reported for the frequency at which
-the count toggles in the tail (`rig.control.measure`), and when it exceeds the threshold *felt* is not measurable and
+the count toggles in the tail (`rig.control._measure`), and when it exceeds the threshold *felt* is not measurable and
 is ignored.
 """
 
@@ -156,7 +156,7 @@ _EXCEEDED_BY = dict(zip(CRITERIA, (Objection.FELT, Objection.HEARD, EXCEEDED), s
 
 
 def objections(numbers: Numbers, thresholds: Thresholds) -> Any:
-    """Return objections to trials as bits of `Objection`, for a record of `rig.control.measure.NUMBERS` or an array.
+    """Return objections to trials as bits of `Objection`, for a record of `rig.control._measure.NUMBERS` or an array.
 
     The thresholds must be those that the numbers were measured with: where the floor hides it, felt is NaN.
     """
@@ -210,7 +210,7 @@ def kinds(numbers: Numbers, thresholds: Thresholds) -> NDArray[np.int64]:
 
 
 def decide(numbers: np.void, thresholds: Thresholds) -> tuple[Kind, tuple[str, ...]]:
-    """Return the kind of one trial (a record of `rig.control.measure.NUMBERS`) and the reasons for it."""
+    """Return the kind of one trial (a record of `rig.control._measure.NUMBERS`) and the reasons for it."""
     found = Objection(int(objections(numbers, thresholds)))
     kind = KINDS[int(_codes(int(found)))]
     shown = {Kind.INVALID: INVALID, Kind.UNSTABLE: UNSTABLE | EXCEEDED}.get(kind, EXCEEDED)
@@ -224,12 +224,12 @@ class Measured:
     Attributes
     ----------
     numbers
-        One record of `rig.control.measure.NUMBERS`.
+        One record of `rig.control._measure.NUMBERS`.
     thresholds
         Those that it was measured with.
     thrown_out
         True if a guard ended the push because the handle left its window or went too fast, or the motor gave too much
-        energy or oscillated violently (`rig.control.watch`), which the signals before do not show. After contact that
+        energy or oscillated violently (`rig.control._watch`), which the signals before do not show. After contact that
         is unstable, without it invalid.
     """
 

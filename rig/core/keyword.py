@@ -28,7 +28,7 @@ class Keyword:
     group
         Group of options on a help page.
     values, metavar
-        Kind of values that a shell completes (`rig.cli.values.KINDS`), and how a help page calls one.
+        Kind of values that a shell completes (`rig.cli._values.KINDS`), and how a help page calls one.
     name, type, marks, default
         Properties of its field, the type without None, as `keywords` finds them.
     """

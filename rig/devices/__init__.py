@@ -25,13 +25,13 @@ from rig.devices.simulated import OpenExcitedSimulation, OpenRig, OpenWatchedLin
 
 BUILT_IN = {
     "sim": "sim_backend.ends.link:open_link",
-    "serial": "rig.devices.threaded_serial:open_link",
+    "serial": "rig.devices._threaded_serial:open_link",
     "usb": "rig.devices.usb:open_link",
 }
 if sys.platform == "linux":
     BUILT_IN |= {
         "serial": "rig.devices.serial:open_link",
-        "unix": "rig.devices.local_socket:open_link",
+        "unix": "rig.devices._local_socket:open_link",
     }
 # Schemes that stay reserved for an extra of this distribution while it is missing or broken: another package's backend
 # would drive the motor in its place.

@@ -10,8 +10,8 @@ import sys
 import time
 
 from rig.core.errors import LinkLostError
+from rig.devices._failures import error_number, link_error
 from rig.devices.device import DeviceUrl, RealLink
-from rig.devices.failures import error_number, link_error
 from rig.devices.port import LoopPort
 from rig.realtime import system
 from rig.realtime.clock import Clock, MonotonicClock

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from firmware_protocol import messages
 from firmware_protocol.packing import encoded_bytes
 from rig.core.errors import ConfigError
-from rig.devices.failures import failure
+from rig.devices._failures import failure
 from rig.devices.port import LoopPort
 from rig.realtime.clock import Clock
 

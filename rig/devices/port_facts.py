@@ -18,7 +18,7 @@ from serial.tools import list_ports
 from rig.core.check import Check, Outcome
 
 if sys.platform == "linux":
-    from rig.devices import tty
+    from rig.devices import _tty as tty
 
 FTDI_VENDOR = "0403"
 LONGEST_LATENCY_MS = 1  # of an FTDI adapter: time for which it holds received bytes to pass on more at once

@@ -1,7 +1,7 @@
 """A serial port as a link: opened by pyserial, read and written through its descriptor.
 
 pyserial finds, opens, configures and locks the port; the bytes then move by read(2), write(2) and poll(2),
-which the compiled loop and Python share. What a port answers is set, and read back (`rig.devices.tty`):
+which the compiled loop and Python share. What a port answers is set, and read back (`rig.devices._tty`):
 
 * pyserial leaves VMIN at 0, so that "nothing there" and "unplugged" look alike: it becomes 1;
 * an FTDI adapter waits up to 16 ms for more bytes: low latency is asked for, and its timer looked at;
@@ -29,10 +29,10 @@ import serial
 
 from rig.core.errors import DeviceNotFoundError
 from rig.core.model import RigModel
-from rig.devices import tty
+from rig.devices import _tty as tty
+from rig.devices._serial_options import SerialOptions, capacity
 from rig.devices.device import DeviceUrl
 from rig.devices.port_facts import PortFacts, is_pseudo, port_facts, ports_in_words
-from rig.devices.serial_options import SerialOptions, capacity
 
 if sys.platform == "linux":
     from rig.devices.descriptor import CLOSED, WRITE_TIMEOUT_S, DescriptorLink

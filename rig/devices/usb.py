@@ -1,8 +1,8 @@
 """A USB device with two bulk endpoints as a link: ``usb://1209:0001``, ``usb://1209:0001/SERIAL``.
 
 pyusb finds, opens and claims it; the bytes then move by libusb's transfers, from the compiled loop and from Python
-alike (`rig.devices.usb_queue`), or by pyusb's own calls where those cannot be reached (`rig.devices.usb_plain`). A rig
-is an interface of vendor class (0xFF) with one bulk endpoint each way; the bytes are the frames of any other link.
+alike (`rig.devices._usb_queue`), or by pyusb's own calls where those cannot be reached (`rig.devices._usb_plain`). A
+rig is an interface of vendor class (0xFF) with one bulk endpoint each way; the bytes are the frames of any other link.
 
 ``?transfers=plain`` forces pyusb's own calls, ``?transfers=queued`` refuses them.
 """
@@ -28,12 +28,12 @@ from rig.core.errors import (
     UnpluggedError,
 )
 from rig.core.model import RigModel
+from rig.devices._failures import error_number, link_error
+from rig.devices._usb_handle import UsbBus, handle_of, unsuitable
+from rig.devices._usb_plain import PlainTransfers
+from rig.devices._usb_queue import QueuedTransfers
 from rig.devices.device import DeviceUrl, RealLink
-from rig.devices.failures import error_number, link_error
 from rig.devices.port import LoopPort
-from rig.devices.usb_handle import UsbBus, handle_of, unsuitable
-from rig.devices.usb_plain import PlainTransfers
-from rig.devices.usb_queue import QueuedTransfers
 from rig.realtime.clock import Clock, MonotonicClock
 from rig.realtime.scheduling.refusals import RULES_COMMAND
 
@@ -268,7 +268,7 @@ def _not_opened(error: Exception, device: Any, url: DeviceUrl) -> RigError:
 
 
 class Transfers(Protocol):
-    """The bulk pipes of a claimed interface: `rig.devices.usb_queue.QueuedTransfers`, or `PlainTransfers`."""
+    """The bulk pipes of a claimed interface: `rig.devices._usb_queue.QueuedTransfers`, or `PlainTransfers`."""
 
     note: str
 

@@ -32,11 +32,11 @@ from rig.core.check import Check
 from rig.core.errors import ConfigError, PlanError
 from rig.devices.framed import FramedDevice
 from rig.devices.local import host_beside
+from rig.doctor._late_walls import late_wall, stability
+from rig.doctor._round_trip import ENOUGH, LinkMeasurement, Progress, measure_link
 from rig.doctor.gate_result import Gate, ticks_text
 from rig.doctor.late_loops import LateLoops, loop_delay_ticks, unstable_hands
-from rig.doctor.late_walls import late_wall, stability
 from rig.doctor.predicted import homing_checks
-from rig.doctor.round_trip import ENOUGH, LinkMeasurement, Progress, measure_link
 from rig.realtime.scheduling import obtained
 
 LIFETIME_SHARE = 0.5  # of a command's lifetime that the link may take there and back
@@ -194,7 +194,7 @@ def measured_once(
 ) -> LinkMeasurement:
     """Measure the link of an open device, once for each scheduling: under that which the loop would have.
 
-    Errors as `rig.doctor.round_trip.measure_link`, and `RealtimeError` where scheduling is demanded and not
+    Errors as `rig.doctor._round_trip.measure_link`, and `RealtimeError` where scheduling is demanded and not
     granted.
     """
     kept = _MEASURED.setdefault(device, {})

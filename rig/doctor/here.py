@@ -13,7 +13,7 @@ from rig.config import presets
 from rig.core.present import Item, Row
 from rig.devices.port_facts import available_ports
 from rig.devices.usb import UsbDevice, available_devices
-from rig.doctor.ports import Port, serial_port
+from rig.doctor._ports import Port, serial_port
 
 
 @dataclass(frozen=True, slots=True)

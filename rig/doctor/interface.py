@@ -6,14 +6,14 @@ arms a wall needs `gate` alone, what plans one `predicted`.
 
 import sys
 
-from rig.doctor.ports import NO_PORTS, Port, ports_here, rules_for_rigs, serial_port
-from rig.doctor.round_trip import LinkMeasurement, measure_link
-from rig.doctor.walls import Supported, supported_walls, wall_items
+from rig.doctor._ports import NO_PORTS, Port, ports_here, rules_for_rigs, serial_port
+from rig.doctor._round_trip import LinkMeasurement, measure_link
+from rig.doctor._walls import Supported, supported_walls, wall_items
 
 if sys.platform == "linux":
-    from rig.doctor.machine import machine_checks
+    from rig.doctor._machine import machine_checks
 else:
-    from rig.doctor.elsewhere import machine_checks
+    from rig.doctor._elsewhere import machine_checks
 
 __all__ = [
     "NO_PORTS",

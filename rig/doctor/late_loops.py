@@ -22,7 +22,7 @@ from rig.core.model import Operator
 from rig.core.operators import GRIPS, NO_OPERATOR
 
 if TYPE_CHECKING:
-    from rig.doctor.round_trip import LinkMeasurement
+    from rig.doctor._round_trip import LinkMeasurement
 
 LARGEST_DELAY = 40  # ticks: at a longer delay a command's lifetime has long ended
 STAND_IN = "fdm-butterworth"

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from rig.config import Host, VerdictLimits
 from rig.devices.framed import FramedDevice
 from rig.devices.local import host_beside
+from rig.doctor._ping import EXCHANGE
+from rig.doctor._round_trip import TIMEOUT_S, LinkMeasurement, measure_link
 from rig.doctor.gate import LOST_SHARE
-from rig.doctor.ping import EXCHANGE
-from rig.doctor.round_trip import TIMEOUT_S, LinkMeasurement, measure_link
 from rig.realtime.scheduling import obtained
 
 __all__ = [

@@ -18,7 +18,7 @@ from rig.control.step import UNMOVED_COUNTS, UNMOVED_SPEED
 from rig.core.board import current_sensor
 from rig.core.check import Check, Outcome
 from rig.core.sample import unit_of
-from rig.doctor.late_walls import late_wall
+from rig.doctor._late_walls import late_wall
 
 __all__ = [
     "COUNT_SPEED_SHARE",

@@ -28,9 +28,9 @@ from rig.experiments.hits import hit as one_hit
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.compare import OFFSETS, SchemeComparison, entries_of, refuse_unused
 from rig.experiments.hits.hit import HitRequest, HitResult, Watch
-from rig.experiments.mapping import maps
-from rig.experiments.mapping.ranges import hit_plan, schemes_for, search_for
-from rig.experiments.mapping.searches import Way
+from rig.experiments.mapping import _maps as maps
+from rig.experiments.mapping._ranges import hit_plan, schemes_for, search_for
+from rig.experiments.mapping._searches import Way
 from rig.experiments.mapping.zwidth import Judged, ZWidth
 from rig.experiments.trials import plan as planning
 from rig.experiments.trials import replay as replaying
@@ -283,9 +283,9 @@ def zwidth(
         One curve each, as ``"dual:20k/2k,estimator=kalman"``; the experiment's and the uniform ones of its rates if
         empty.
     dampings, offsets, repeats, judged
-        As in `rig.experiments.mapping.ranges.hit_plan`.
+        As in `rig.experiments.mapping._ranges.hit_plan`.
     lowest, highest, search, ratio
-        Range of the stiffness, and the way through it: `rig.experiments.mapping.ranges.search_for`.
+        Range of the stiffness, and the way through it: `rig.experiments.mapping._ranges.search_for`.
     law, estimator
         Name, or one of your own. Other processes can use yours only when a package installs it: see `directory`.
     directory
@@ -360,7 +360,7 @@ def design(
         Highest position rate of the board (Hz), the experiment's own if None; what the link carries (bytes/s), anything
         if None; how long a law on this computer takes to answer a sample (s), as the experiment says if None.
     schemes
-        To choose from; the listed set of `rig.experiments.design.listing` if empty.
+        To choose from; the listed set of `rig.experiments.design._listing` if empty.
     paper
         True if the schemes of the rig's own paper are compared with all of that set, too.
     directory

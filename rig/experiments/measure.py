@@ -14,14 +14,14 @@ from rig.config import DEFAULT_PRESET
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
 from rig.experiments import sweep
-from rig.experiments.hits.on_device import OnDevice
+from rig.experiments.hits._on_device import OnDevice
 from rig.experiments.identification import identify as identifying
 from rig.experiments.identification.identify import Identification, IdentifyRequest
 from rig.experiments.lab import ExperimentLike, load
+from rig.experiments.mapping import _maps as maps
 from rig.experiments.mapping import impedance as measuring
-from rig.experiments.mapping import maps
+from rig.experiments.mapping._ranges import frequency_plan
 from rig.experiments.mapping.impedance import ImpedanceResult, Judging, Method, Wall
-from rig.experiments.mapping.ranges import frequency_plan
 from rig.experiments.mapping.zwidth_frequency import FrequencyMap
 from rig.experiments.trials.excitation_run import Signal
 from rig.experiments.trials.settings import Settings, takes

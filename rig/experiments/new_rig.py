@@ -31,7 +31,13 @@ from rig.core.check import refused
 from rig.core.errors import ConfigError, PlanError
 from rig.core.present import Item, Row
 from rig.core.shown import Shown
-from rig.experiments.data_sheets import DataSheetQuestion, DataSheets, check_answers, questions, questions_for
+from rig.experiments._data_sheets import (
+    DataSheetQuestion,
+    DataSheets,
+    check_answers,
+    questions,
+    questions_for,
+)
 from rig.experiments.trials.plan import make_plan, plan_of
 from rig.firmware.tick_budget import INTEGERS, named_budget
 from rig.recording.files import whole_file
@@ -128,7 +134,7 @@ def new_rig(
     overwrite
         Replace a file that exists.
     **data_sheets
-        Numbers in SI units, by the names of `rig.experiments.data_sheets.DataSheets`: ``mechanism="lever",
+        Numbers in SI units, by the names of `rig.experiments._data_sheets.DataSheets`: ``mechanism="lever",
         torque_constant=0.0385, rotor_inertia=1.1e-5, nominal_current=2.5, encoder_lines=2048, transmission=12.0,
         handle_length=0.08, handle_mass=0.06``. Others that are omitted are assumed, and marked so in the file.
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from rig.control.estimators import Ints
 from rig.core.scratch import scratch
-from rig.firmware.cortex import CORES, Simulator, build
-from rig.firmware.estimator_c import FIXED, EstimatorC, c_float, estimator_c
+from rig.firmware._cortex import CORES, Simulator, build
+from rig.firmware._estimator_c import FIXED, EstimatorC, c_float, estimator_c
 
 __all__ = [
     "FIXED",
@@ -31,7 +31,7 @@ _ENTRIES = ("begin", "velocity")
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """Of one call, on one processor with code and data in memory without wait states (`rig.firmware.cortex`).
+    """Of one call, on one processor with code and data in memory without wait states (`rig.firmware._cortex`).
 
     Attributes
     ----------

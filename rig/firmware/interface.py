@@ -4,14 +4,14 @@ It defines nothing, and no file of the room imports it. What a law costs on a bo
 plans and exports load no toolchain.
 """
 
-from rig.firmware import boards
-from rig.firmware.build import DEVICE, PORT_CHECK, BuildRequest, build
-from rig.firmware.flash import flash
-from rig.firmware.info import info
-from rig.firmware.port_check import PortCheckRequest, check_port
-from rig.firmware.port_check import failure as broken_duties
-from rig.firmware.selftest import SelfTestRequest, failure, selftest
-from rig.firmware.wiring import draw, wiring
+from rig.firmware import _boards as boards
+from rig.firmware._build import DEVICE, PORT_CHECK, BuildRequest, build
+from rig.firmware._flash import flash
+from rig.firmware._info import info
+from rig.firmware._port_check import PortCheckRequest, check_port
+from rig.firmware._port_check import failure as broken_duties
+from rig.firmware._selftest import SelfTestRequest, failure, selftest
+from rig.firmware._wiring import draw, wiring
 
 __all__ = [
     "DEVICE",

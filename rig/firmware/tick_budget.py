@@ -1,7 +1,7 @@
 """Whether a board's processor has the time for a law: cycles of a whole tick, by processor and estimator.
 
 A tick takes at most `SHARE` of its period, so that link and host have the rest. The cycles are those of
-`rig.firmware.cortex`: estimates for memory without wait states, not a measurement on a board.
+`rig.firmware._cortex`: estimates for memory without wait states, not a measurement on a board.
 
 Plans and designs call it. It must not load a toolchain.
 """
@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 from firmware_protocol.dictionary import SettingValue
 from rig.core.errors import ConfigError
-from rig.firmware.boards import Board, load, settings_of
-from rig.firmware.cortex import CORES, CortexCore
+from rig.firmware._boards import Board, load, settings_of
+from rig.firmware._cortex import CORES, CortexCore
 
 BOARD = "rp2040"  # where no board is named: the one that this package has firmware for
 SHARE = 0.4  # of a period

@@ -4,10 +4,10 @@
 consist of is in `rig.loop.layout`, which followers of a run read without loading a loop.
 """
 
-from rig.loop.exchange import EVERY_NS
-from rig.loop.run import LoopEnd, LoopSettings, LoopThread
-from rig.loop.signals import Signals, stop_on_signals
-from rig.loop.supervised import BOUNDS, NO_BOUND, SupervisedThread
+from rig.loop._exchange import EVERY_NS
+from rig.loop._run import LoopEnd, LoopSettings, LoopThread
+from rig.loop._signals import Signals, stop_on_signals
+from rig.loop._supervised import BOUNDS, NO_BOUND, SupervisedThread
 
 __all__ = [
     "BOUNDS",

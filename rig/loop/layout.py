@@ -38,11 +38,11 @@ class EndReason(IntEnum):
     ENERGY = 14  # the motor gave more energy to the handle than it may
     VIOLENT = 15  # the effort oscillated between zero and its limit
     CURRENT_DIFFERS = 16  # the measured current did not follow the active one
-    DEVICE_CONTRADICTS = 17  # what the device says cannot be (rig.loop.contradictions)
+    DEVICE_CONTRADICTS = 17  # what the device says cannot be (rig.loop._contradictions)
     DEVICE_RESTARTED = 18  # the device counts its samples anew
     LIMIT_SWITCH = 19  # the end of the travel was reached, or the switch's wire is broken
     LINK_DELAYED = (
-        20  # nothing but commands older than their lifetime came, for a lifetime (rig.loop.link_delay)
+        20  # nothing but commands older than their lifetime came, for a lifetime (rig.loop._link_delay)
     )
     UNMOVED = 21  # the motor must have moved the rig by itself, and the count stands still
 
@@ -101,10 +101,10 @@ PROGRESS = np.dtype(
         ("sync_told", "<i8"),  # time of the newest edge of the sync input in a STATE (32 bits)
         ("sync_time", "<i8"),  # the same extended to 64 bits (device ticks); 0 for none
         ("clock_error", "<i8"),  # device's clock ahead of its sample index (device ticks)
-        ("contradiction", "<i8"),  # of the device (rig.loop.contradictions), 0 for none
+        ("contradiction", "<i8"),  # of the device (rig.loop._contradictions), 0 for none
         ("switch_open", "<i8"),  # samples for which the limit switch has been open
         ("active", "<i8"),  # sequence of the command that was active last, -1 for none
-        ("too_old_from", "<i8"),  # sample from which on no command came in time (rig.loop.link_delay), or -1
+        ("too_old_from", "<i8"),  # sample from which on no command came in time (rig.loop._link_delay), or -1
     ],
     align=True,
 )

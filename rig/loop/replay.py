@@ -9,9 +9,9 @@ from numba import types
 
 from rig.control.step import CONTROLLER_TYPE, ControllerArguments, step
 from rig.core.sample import RowFlag
+from rig.loop._parameters import activate
+from rig.loop._rows import show_law
 from rig.loop.layout import ROWS_TYPE
-from rig.loop.parameters import activate
-from rig.loop.rows import show_law
 from rig.realtime.kernel import kernel
 
 _LOOPS = int(  # noticed by the loop, not by the law

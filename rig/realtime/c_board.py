@@ -12,7 +12,7 @@ from typing import Self
 
 from rig.core import board, current_sensor
 from rig.core.model import RigModel
-from rig.realtime.c_library import FLAGS, CLibrary, doubles
+from rig.realtime._c_library import FLAGS, CLibrary, doubles
 
 __all__ = [
     "FLAGS",

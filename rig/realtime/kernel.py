@@ -1,4 +1,4 @@
-"""The one decorator of every compiled function of this project; its machine code is kept by `rig.realtime.cache`.
+"""The one decorator of every compiled function of this project; its machine code is kept by `rig.realtime._cache`.
 
 Inlined helpers, no counted references and predictable branches (no division in a tick without an edge) make a whole
 simulated tick cost what hand-written C costs (`tests/benchmarks/test_trial.py`).
@@ -20,7 +20,7 @@ from numba.core.typing.templates import make_concrete_template
 from numba.extending import register_jitable
 
 from rig.realtime import compiling
-from rig.realtime.cache import open_cache
+from rig.realtime._cache import open_cache
 from rig.realtime.groups import kind_of
 from rig.realtime.handlers import interrupts_later
 from rig.realtime.parts import KernelCache, PartCompiler
@@ -188,7 +188,7 @@ def kernel(
 
     Notes
     -----
-    A kernel allocates nothing and raises nothing; a value that is not finite is handled by `rig.control.guard`.
+    A kernel allocates nothing and raises nothing; a value that is not finite is handled by `rig.control._guard`.
     With ``NUMBA_DISABLE_JIT=1`` the plain function is returned, so that tests and coverage see it.
     """
     arguments = getattr(signature, "args", ())  # a text names no group

@@ -15,11 +15,11 @@ from io import FileIO
 from rig.realtime.control_words import CONTROL_BYTES, CREATOR, LAYOUT_VERSION, LOOP_DONE, STOP, VERSION
 
 if sys.platform == "linux":
-    from rig.realtime import anonymous_memory
+    from rig.realtime import _anonymous_memory as anonymous_memory
 
     place = anonymous_memory
 else:
-    from rig.realtime import named_memory
+    from rig.realtime import _named_memory as named_memory
 
     place = named_memory
 
@@ -34,7 +34,7 @@ class LoopMemory:
     path
         Where that process has it open, for one ``/proc/PID/fd/N``.
     held
-        Where this process has (`rig.realtime.anonymous_memory.held`).
+        Where this process has (`rig.realtime._anonymous_memory.held`).
     ran
         True if its loop was still running at `ask_to_stop`.
 

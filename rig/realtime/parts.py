@@ -200,7 +200,7 @@ class KernelCache(caching.FunctionCache):  # type: ignore[misc]
     Attributes
     ----------
     directory
-        Directory of all kernels (`rig.realtime.cache`).
+        Directory of all kernels (`rig.realtime._cache`).
     """
 
     directory: Path

@@ -15,8 +15,8 @@ The loop writes row ``HEAD % capacity`` and then publishes HEAD + 1; the recorde
 publishes TAIL. When the ring is full the loop either drops the row and counts it (real time: the recorder
 must never delay a tick) or waits for room (virtual time: nothing is ever lost, and runs are repeatable).
 
-Shared, the block is a file that other processes of the user find (`rig.realtime.anonymous_memory`; off Linux
-`rig.realtime.named_memory`).
+Shared, the block is a file that other processes of the user find (`rig.realtime._anonymous_memory`; off Linux
+`rig.realtime._named_memory`).
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Symbols are named through `numba.types.ExternalFunction` (a ctypes pointer would silently switch the disk
 cache off) and looked up before anything is compiled, because compiling against a missing symbol ends the
 interpreter. clock_nanosleep, ppoll and __errno_location exist on Linux alone under these names: elsewhere
-Python stands in for all of them (`rig.realtime.stand_ins`).
+Python stands in for all of them (`rig.realtime._stand_ins`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import sys
 from numba import carray, types
 
 from rig.core.errors import RigError
-from rig.realtime import stand_ins
+from rig.realtime import _stand_ins as stand_ins
 from rig.realtime.atomics import load_word, stack_words, store_word
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import NOW_SIGNATURE, TRANSFER_SIGNATURE, WAIT_SIGNATURE

@@ -24,11 +24,11 @@ from rig.core.errors import ConfigError, RecordingError
 from rig.core.present import Row
 from rig.core.regular_file import ROWS_BYTES, open_regular
 from rig.core.sample import COLUMNS, ROW, Motion, RowFlag, unit_of
+from rig.recording._parquet import check_pyarrow
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors, sha256_of
 from rig.recording.header import make_header
 from rig.recording.origin import COUNTS_FACTS
-from rig.recording.parquet import check_pyarrow
 
 UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
 WORST_DEVIATION = 0.1  # of a period: a speed from one interval is wrong by as much

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from rig.core.errors import RecordingError
+from rig.recording._capture import write_capture
+from rig.recording._ledger import CLOCK_KEY
+from rig.recording._parquet import has_pyarrow, write_parquet
 from rig.recording.canonical import lossless
-from rig.recording.capture import write_capture
 from rig.recording.data import Recording
 from rig.recording.files import free_name, make_directories, sha256_of, whole_file
-from rig.recording.ledger import CLOCK_KEY
 from rig.recording.origin import CUT, cut_facts
-from rig.recording.parquet import has_pyarrow, write_parquet
 from rig.recording.seal import SEALED_SUFFIX
 
 

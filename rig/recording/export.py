@@ -18,11 +18,11 @@ import numpy as np
 from rig.core.deferred import io as scipy_io
 from rig.core.errors import RecordingError
 from rig.core.sample import Phase
+from rig.recording._mcap import write_mcap
+from rig.recording._parquet import write_parquet
 from rig.recording.canonical import canonical_json
 from rig.recording.data import Recording
 from rig.recording.files import refuse_existing, whole_file
-from rig.recording.mcap import write_mcap
-from rig.recording.parquet import write_parquet
 from rig.recording.reader import open_recording
 
 _ROWS_AT_ONCE = 10_000

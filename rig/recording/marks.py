@@ -29,9 +29,9 @@ from firmware_protocol.faults import Input
 from rig.core.errors import RigError
 from rig.core.present import plain
 from rig.core.sample import Phase, RowFlag
+from rig.recording._ledger import CLOCK_KEY, clock_of, period_ns_of
 from rig.recording.canonical import lossless
 from rig.recording.data import Recording
-from rig.recording.ledger import CLOCK_KEY, clock_of, period_ns_of
 from rig.recording.timing import device_times
 
 EDGES_KEY = "sync_edges"  # of the trailer

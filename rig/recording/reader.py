@@ -9,12 +9,12 @@ from pathlib import Path
 from rig.core.errors import RecordingError
 from rig.core.regular_file import open_regular
 from rig.core.sample import COLUMNS
-from rig.recording.capture import read_capture, read_capture_header
+from rig.recording._capture import read_capture, read_capture_header
+from rig.recording._parquet import read_parquet, read_parquet_facts
+from rig.recording._shape import HEADER, TRAILER, misfit
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors
 from rig.recording.header import schema_of
-from rig.recording.parquet import read_parquet, read_parquet_facts
-from rig.recording.shape import HEADER, TRAILER, misfit
 
 _PARQUET_MAGIC = b"PAR1"
 

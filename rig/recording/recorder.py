@@ -33,8 +33,8 @@ from rig.realtime.handlers import take_no_signals
 from rig.realtime.kernel import kernel, prepare
 from rig.realtime.ring import Ring
 from rig.realtime.system import EIO, descriptor_sync, descriptor_write, monotonic_now, sleep_until
+from rig.recording._capture import BLOCK_ROWS, CRC_BYTES, HEAD_BYTES, ROWS_MAGIC, pack_end, pack_header
 from rig.recording.canonical import lossless
-from rig.recording.capture import BLOCK_ROWS, CRC_BYTES, HEAD_BYTES, ROWS_MAGIC, pack_end, pack_header
 from rig.recording.files import disk_error, plain_errors, sync_directory
 
 FLUSH_S = 0.25
@@ -74,7 +74,7 @@ def take_rows(
 
 @kernel(_i64(_words, _i64, _i64, _i64))
 def close_block(block: NDArray[np.int64], number: int, first_row: int, count: int) -> int:
-    """Write head and CRC around `count` rows (`rig.recording.capture` has the layout); returns the bytes."""
+    """Write head and CRC around `count` rows (`rig.recording._capture` has the layout); returns the bytes."""
     size = count * _ROW_WORDS * 8
     data = block.view(np.uint8)
     block[0] = _MAGIC_WORD

@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 
 from rig.core.errors import RecordingError
 from rig.core.sample import TRUTH_COLUMNS
+from rig.recording._capture import SUFFIX, write_capture
+from rig.recording._ledger import with_ledger
+from rig.recording._parquet import has_pyarrow, is_stored, write_parquet
 from rig.recording.canonical import lossless
-from rig.recording.capture import SUFFIX, write_capture
 from rig.recording.data import Recording
 from rig.recording.files import whole_file
 from rig.recording.header import dtype_of, make_schema
-from rig.recording.ledger import with_ledger
 from rig.recording.marks import with_sync_edges
-from rig.recording.parquet import has_pyarrow, is_stored, write_parquet
 from rig.recording.reader import open_facts, open_recording
 
 __all__ = [

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rig.core.shown import Drawn
+from rig.recording._ledger import ledger_of
+from rig.recording._timing_summary import TimingSummary, summarise
 from rig.recording.data import Recording
-from rig.recording.ledger import ledger_of
 from rig.recording.reader import open_recording
 from rig.recording.timing import LATENESS, STAGES, Ledger
-from rig.recording.timing_summary import TimingSummary, summarise
 
 __all__ = ["LATENESS", "STAGES", "Ledger", "Timing", "TimingSummary", "timing", "timing_of"]
 

@@ -4,15 +4,15 @@
 itself, and no caller writes to a session's directory but through it.
 """
 
-from rig.session.engine.desk import Desk, DeskView
-from rig.session.engine.device_checks import device_checks
-from rig.session.engine.directory import LOG, REHEARSALS, SESSIONS, amend, event_of_trial
-from rig.session.engine.hits import DeviceRunner
-from rig.session.engine.log import DamagedLineError, Event, read, set_damaged_line_aside
-from rig.session.engine.place import last_opened, list_lost_samples
-from rig.session.engine.protocol_changes import ChangedProtocolError
-from rig.session.engine.rehearsal import Person, thresholds_of
-from rig.session.engine.run import (
+from rig.session.engine._desk import Desk, DeskView
+from rig.session.engine._device_checks import device_checks
+from rig.session.engine._directory import LOG, REHEARSALS, SESSIONS, amend, event_of_trial
+from rig.session.engine._hits import DeviceRunner
+from rig.session.engine._log import DamagedLineError, Event, read, set_damaged_line_aside
+from rig.session.engine._place import last_opened, list_lost_samples
+from rig.session.engine._protocol_changes import ChangedProtocolError
+from rig.session.engine._rehearsal import Person, thresholds_of
+from rig.session.engine._run import (
     DeskFor,
     SessionResult,
     compare_with_study,
@@ -24,9 +24,9 @@ from rig.session.engine.run import (
     summary,
     took_place,
 )
-from rig.session.engine.runner import TrialRunner
-from rig.session.engine.state import SessionState
-from rig.session.engine.telling import line_of_event, whole_line
+from rig.session.engine._runner import TrialRunner
+from rig.session.engine._state import SessionState
+from rig.session.engine._telling import line_of_event, whole_line
 
 __all__ = [
     "LOG",

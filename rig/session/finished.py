@@ -4,10 +4,10 @@
 a file, and it loads neither the loop nor the simulation.
 """
 
-from rig.session.engine.log import Event, log_losses, read
-from rig.session.engine.place import device_words, list_lost_samples
-from rig.session.engine.place import differences as place_differences
-from rig.session.engine.protocol_changes import (
+from rig.session.engine._log import Event, log_losses, read
+from rig.session.engine._place import device_words, list_lost_samples
+from rig.session.engine._place import differences as place_differences
+from rig.session.engine._protocol_changes import (
     Difference,
     is_within,
     list_names,
@@ -15,13 +15,13 @@ from rig.session.engine.protocol_changes import (
     value_words,
     walls_in,
 )
-from rig.session.engine.protocol_changes import differences as protocol_differences
-from rig.session.engine.state import END, WALKING, SessionState
-from rig.session.planning.bands import describe_task
-from rig.session.planning.names import distinct_names
-from rig.session.planning.protocol import Condition, Protocol
-from rig.session.planning.schedule import SearchRun, cells_of, levels_of, rows_of, rule
-from rig.session.planning.trial import VOIDED, RecordedTrial
+from rig.session.engine._protocol_changes import differences as protocol_differences
+from rig.session.engine._state import END, WALKING, SessionState
+from rig.session.planning._bands import describe_task
+from rig.session.planning._names import distinct_names
+from rig.session.planning._protocol import Condition, Protocol
+from rig.session.planning._schedule import SearchRun, cells_of, levels_of, rows_of, rule
+from rig.session.planning._trial import VOIDED, RecordedTrial
 
 __all__ = [
     "END",

@@ -4,12 +4,12 @@
 and no device, and loads neither the loop nor the simulation; `rig.session.conducting` holds the session.
 """
 
-from rig.session.planning.keymap import STOP, VERDICTS, KeyMap
-from rig.session.terminal import words
-from rig.session.terminal.asking import SILENCE_S, AskingDesk
-from rig.session.terminal.conversation import LATER, Conversation
-from rig.session.terminal.pointer import START_SHARE, WALL_SHARE, HandKind
-from rig.session.terminal.seat import Seat, SeatHand, full_press, keymap_for, refuse_a_hand
+from rig.session.planning._keymap import STOP, VERDICTS, KeyMap
+from rig.session.terminal import _words as words
+from rig.session.terminal._asking import SILENCE_S, AskingDesk
+from rig.session.terminal._conversation import LATER, Conversation
+from rig.session.terminal._pointer import START_SHARE, WALL_SHARE, HandKind
+from rig.session.terminal._seat import Seat, SeatHand, full_press, keymap_for, refuse_a_hand
 
 __all__ = [
     "LATER",

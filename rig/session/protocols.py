@@ -1,17 +1,17 @@
 """A study before its first session: load and check a protocol, write a template, state plan, disk space and range.
 
 `rig session new`, `check` and `plan`, the page in the browser and the reference pages call it. It moves nothing: a
-device is opened at most to ask whether it can carry the conditions (`rig.session.engine.device_checks`).
+device is opened at most to ask whether it can carry the conditions (`rig.session.engine._device_checks`).
 """
 
-from rig.session.engine.check import check
-from rig.session.engine.directory import study_directory
-from rig.session.planning.disk import format_size
-from rig.session.planning.expected import ExpectedRange
-from rig.session.planning.load import as_mapping, json_schema, load_protocol, load_walls
-from rig.session.planning.plan import CellPlan, StudyPlan
-from rig.session.planning.protocol import Protocol
-from rig.session.planning.template_files import (
+from rig.session.engine._check import check
+from rig.session.engine._directory import study_directory
+from rig.session.planning._disk import format_size
+from rig.session.planning._expected import ExpectedRange
+from rig.session.planning._load import as_mapping, json_schema, load_protocol, load_walls
+from rig.session.planning._plan import CellPlan, StudyPlan
+from rig.session.planning._protocol import Protocol
+from rig.session.planning._template_files import (
     DEFAULT,
     SCHEMA,
     template_names,

@@ -87,7 +87,7 @@ def assert_passive(subject: Subject) -> None:
     """The wall gave the handle no energy: a passivity observer over the recording, after Hannaford and Ryu 2002.
 
     The energy of a contact is the sum of the wall's active effort times the travel under it; what one contact took is
-    no credit for the next (`rig.control.watch`). Travels are known to half a count at either end, so by summation by
+    no credit for the next (`rig.control._watch`). Travels are known to half a count at either end, so by summation by
     parts the sum is known to half a count times the total variation of the effort: more than that was surely given.
     """
     __tracebackhide__ = True

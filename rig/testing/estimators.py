@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rig.control import estimators
 from rig.control.estimators import PERIOD, RESOLUTION, Estimator, Prepared, inputs, run
-from rig.testing.compiled import allocations, guarded
+from rig.testing._compiled import allocations, guarded
 
 Make = Callable[[float, float], Prepared]
 Floats = NDArray[np.float64]

@@ -18,8 +18,8 @@ from rig.control import laws
 from rig.control.laws import Law, PreparedLaw
 from rig.control.plain_law import PlainLaw
 from rig.realtime.plugs import LAW_CLAMPED
-from rig.testing import law_arrays as arrays
-from rig.testing.compiled import allocations, guarded
+from rig.testing import _law_arrays as arrays
+from rig.testing._compiled import allocations, guarded
 
 Floats = NDArray[np.float64]
 

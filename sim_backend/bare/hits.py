@@ -51,7 +51,7 @@ def hit(
     """Run one trial and measure its trial phase; returns its number of ticks.
 
     The arguments of `sim_backend.bare.trial.run_ticks` with every sample in time, room for `SIGNALS` signals, the
-    meter, and a record of `rig.control.measure.NUMBERS` for what the rig records and for what is true.
+    meter, and a record of `rig.control._measure.NUMBERS` for what the rig records and for what is true.
     """
     ticks = run_ticks(controller, plant, script, ages, external_effort, start_units, tick_units, trace)
     states, counts, phases, flags = trace.states, trace.counts, trace.phases, trace.flags

@@ -1,4 +1,4 @@
-"""The firmware's C code as a library of this machine (`rig.realtime.c_library`).
+"""The firmware's C code as a library of this machine (`rig.realtime._c_library`).
 
 The device at the far end of a law that runs on the device is the firmware itself, not a copy of it in Python. Its
 sources come with the package.

@@ -59,7 +59,7 @@ def current_quanta(current_a: float, quantum_a: float) -> int:
 
     Notes
     -----
-    Nearest, halves towards +∞: the rule of the encoder and of the command (`rig.control.guard.current_quanta`).
+    Nearest, halves towards +∞: the rule of the encoder and of the command (`rig.control._guard.current_quanta`).
     """
     quanta = current_a / quantum_a
     if math.isnan(quanta):

@@ -20,7 +20,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from rig.realtime.cache import cache_root
+from rig.realtime._cache import cache_root
 from rig.realtime.kernel import CACHE_DIRECTORY
 from tests.attack.area import Outcome, isolation, mounted, require
 from tests.attack.commands import ROOT, documented

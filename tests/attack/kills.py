@@ -175,8 +175,8 @@ class Kills:
         return protocol, rehearse(protocol, place / "study")
 
     def _session(self, here: Path, chance: random.Random) -> Outcome:
-        from rig.session.engine.directory import LOG  # noqa: PLC0415
-        from rig.session.engine.log import read  # noqa: PLC0415
+        from rig.session.engine._directory import LOG  # noqa: PLC0415
+        from rig.session.engine._log import read  # noqa: PLC0415
         from tests.system.session_study import comparable  # noqa: PLC0415
         from tests.system.test_session import check_files, results  # noqa: PLC0415
 

@@ -39,7 +39,7 @@ from rig.config import presets
 from rig.core.sample import ROW, Phase
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
-from rig.experiments.mapping import maps
+from rig.experiments.mapping import _maps as maps
 from rig.realtime import control_words
 from rig.realtime.hand import HandMotion, SharedHand
 from rig.realtime.ring import Ring

@@ -15,10 +15,10 @@ from rig import config
 from rig.config import presets, rig_model
 from rig.config.schemes import Scheme
 from rig.devices.framed import FramedDevice
-from rig.experiments.hits.on_device import OnDevice
-from rig.experiments.mapping.ranges import hit_plan
-from rig.experiments.mapping.searches import StiffnessSearch
-from rig.experiments.mapping.zwidth_rig import DeviceMap, zwidth_on_rig
+from rig.experiments.hits._on_device import OnDevice
+from rig.experiments.mapping._ranges import hit_plan
+from rig.experiments.mapping._searches import StiffnessSearch
+from rig.experiments.mapping._zwidth_rig import DeviceMap, zwidth_on_rig
 from tests.conformance.bridged import Bridged
 
 DAMPINGS = (0.005, 0.01, 0.02, 0.04)  # N·m·s/rad

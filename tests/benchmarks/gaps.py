@@ -61,11 +61,11 @@ from rig.config import controller, presets
 from rig.config.controller import command_lifetime_s
 from rig.config.schemes import Scheme
 from rig.control import judging
-from rig.control.measure import LOST_BITS
+from rig.control._measure import LOST_BITS
 from rig.control.step import DONE, THROWN_OUT, TRIAL
 from rig.control.verdict import Measured
 from rig.core.sample import Phase
-from rig.experiments.mapping.searches import StiffnessSearch, drive, limit_of
+from rig.experiments.mapping._searches import StiffnessSearch, drive, limit_of
 from sim_backend.bare.trial import Trace, run_arguments, run_ticks
 from sim_backend.mechanics.operator import OperatorScript
 from sim_backend.mechanics.plant import DiscretePlant

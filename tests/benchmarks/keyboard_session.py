@@ -33,7 +33,7 @@ ALLOWED = 1 / 20
 INTO_THE_WALL = "\x1b[F"
 LOOK_S = 0.02  # between two looks at the lines
 STUCK_S = 120.0  # without a new line
-RELEASED_S = 1.3  # more than that of `rig.session.terminal.held`
+RELEASED_S = 1.3  # more than that of `rig.session.terminal._held`
 KEYS = {"stable": "1", "limit cycle": "2", "unstable": "3"}
 ANSWERS = {"item, then enter:": "4\r", "[g] go": "g"}  # what is printed, and the keys that answer it
 
@@ -51,7 +51,7 @@ def arguments() -> argparse.Namespace:
 
 def protocol(options: argparse.Namespace, directory: Path) -> Path:
     """The template, with as many trials as wanted and no practice."""
-    from rig.session.planning.template_files import template_text  # noqa: PLC0415
+    from rig.session.planning._template_files import template_text  # noqa: PLC0415
 
     text = template_text(options.template).replace("[stop]\n", f"[stop]\ntrials = {options.trials}\n")
     text = re.sub(r"\[practice\]\nstiffness = \[.*?\]", "[practice]\nstiffness = []", text)
@@ -94,7 +94,7 @@ class Participant:
     @property
     def trials(self) -> list[Any]:
         """Those in the log so far."""
-        from rig.session.engine.log import read  # noqa: PLC0415
+        from rig.session.engine._log import read  # noqa: PLC0415
 
         return [event.content for event in read(self.log) if event.kind == "trial"]
 

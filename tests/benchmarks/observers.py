@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.session import search
-from rig.session.search.observer import Observer, performance
+from rig.session.search._observer import Observer, performance
 from tests.conformance import guides
 
 ROOT = Path(__file__).parents[2]

@@ -43,7 +43,8 @@ from typing import Any
 import numpy as np
 
 from rig import config
-from rig.config import Experiment, load, presets
+from rig.config import Experiment, presets
+from rig.config import _load as load
 from rig.core.check import Check, refused
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import Phase

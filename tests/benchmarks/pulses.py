@@ -32,7 +32,7 @@ from rig.core.model import RigModel
 from rig.devices.fault_script import Faults
 from rig.devices.framed import FramedDevice
 from rig.experiments.motion.pulse import Pulse, pulse
-from rig.experiments.trials.identify_motions import still
+from rig.experiments.trials._identify_motions import still
 from sim_backend.board import device as simulated
 from sim_backend.board.device import SimulatedDevice
 from sim_backend.board.firmware import FirmwareDevice

@@ -36,7 +36,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.realtime.scheduling.rights import CAP_SYS_NICE, Rights
+from rig.realtime.scheduling._rights import CAP_SYS_NICE, Rights
 
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # for tests.*
@@ -148,7 +148,7 @@ class Watch:
             self.totals = self._summary(ring)
 
     def _minute(self, ring: Any) -> None:
-        from rig.loop.run import COUNTERS  # noqa: PLC0415
+        from rig.loop._run import COUNTERS  # noqa: PLC0415
 
         now, cpu = time.monotonic(), time.process_time()
         counters = {name: ring.get(word) for name, word in COUNTERS.items()}
@@ -172,7 +172,7 @@ class Watch:
 
     def _summary(self, ring: Any) -> dict[str, Any]:
         """The whole run in numbers."""
-        from rig.loop.run import COUNTERS  # noqa: PLC0415
+        from rig.loop._run import COUNTERS  # noqa: PLC0415
 
         total = np.cumsum(self.all_late)
         places = np.searchsorted(total, np.array([0.5, 0.99, 0.999]) * total[-1])
@@ -340,7 +340,7 @@ def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> di
 
 def own_ring() -> Any:
     """The block that the trial of this process shares with others."""
-    from rig.realtime.anonymous_memory import LINK  # noqa: PLC0415
+    from rig.realtime._anonymous_memory import LINK  # noqa: PLC0415
     from rig.realtime.ring import Ring  # noqa: PLC0415
 
     for entry in Path("/proc/self/fd").iterdir():

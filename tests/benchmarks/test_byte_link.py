@@ -12,7 +12,7 @@ from rig import config
 from rig.config import presets
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
-from rig.loop.run import LoopThread
+from rig.loop._run import LoopThread
 from rig.realtime import control_words
 
 GOAL_US = 3.0

@@ -18,8 +18,8 @@ from rig.control.judging import recorded_signals
 from rig.core.clock_fit import EXCHANGE, fit_clock
 from rig.core.sample import ROW, Phase
 from rig.realtime import codec
+from rig.recording._timing_summary import summarise
 from rig.recording.timing import ledger
-from rig.recording.timing_summary import summarise
 from sim_backend.bare import trial
 from sim_backend.mechanics.plant import DiscretePlant
 

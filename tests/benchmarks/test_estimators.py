@@ -20,10 +20,13 @@ import numpy as np
 import pytest
 
 from rig.control import estimators
-from rig.control.estimators import fdm_butterworth, foaw, kalman, levant
+from rig.control.estimators import _fdm_butterworth as fdm_butterworth
+from rig.control.estimators import _foaw as foaw
+from rig.control.estimators import _kalman as kalman
+from rig.control.estimators import _levant as levant
 from rig.control.estimators.arrays import quantise, update_all
 from rig.control.estimators.estimator import PERIOD, RESOLUTION
-from rig.experiments.estimation.signals import SIGNALS
+from rig.experiments.estimation._signals import SIGNALS
 from rig.realtime.plugs import ESTIMATOR_SIGNATURE, NativeFunction
 
 SOURCE = Path(__file__).with_name("estimators.c")

@@ -15,8 +15,8 @@ import pytest
 
 from rig import config
 from rig.config import presets
+from rig.experiments.mapping._ranges import frequency_plan
 from rig.experiments.mapping.impedance import Judging
-from rig.experiments.mapping.ranges import frequency_plan
 from rig.experiments.mapping.zwidth_frequency import run_column, wall_rows
 from rig.experiments.trials.excitation_run import ExcitedRig
 

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from rig import config
-from rig.analysis.impedance.estimate import periodic
+from rig.analysis.impedance._estimate import periodic
 from rig.config import controller, presets
 from rig.config.schemes import Scheme
 from rig.control import laws

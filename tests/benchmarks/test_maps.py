@@ -16,9 +16,9 @@ from rig import config
 from rig.analysis import theory
 from rig.config import presets
 from rig.experiments.hits import hit_simulator
-from rig.experiments.mapping import ranges
-from rig.experiments.mapping.maps import zwidth
-from rig.experiments.mapping.searches import StiffnessSearch
+from rig.experiments.mapping import _ranges as ranges
+from rig.experiments.mapping._maps import zwidth
+from rig.experiments.mapping._searches import StiffnessSearch
 from rig.experiments.mapping.zwidth import MapPlan, run_series
 from sim_backend.bare import hits
 

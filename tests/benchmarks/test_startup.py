@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from rig.cli.compiling import EXPECTED
+from rig.cli._compiling import EXPECTED
 from rig.realtime import control_words
 from rig.realtime.ring import Ring
 from tests.benchmarks.realtime.workbench import FULL

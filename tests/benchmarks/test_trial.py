@@ -23,8 +23,10 @@ from numba import types
 from firmware_protocol.messages import OLDEST_EDGE
 from rig import config
 from rig.config import controller, presets
-from rig.control import step, wall
-from rig.control.estimators import estimator, fdm_butterworth
+from rig.control import _wall as wall
+from rig.control import step
+from rig.control.estimators import _fdm_butterworth as fdm_butterworth
+from rig.control.estimators import estimator
 from rig.realtime.kernel import kernel
 from sim_backend.bare.trial import Trace, run_arguments, run_ticks
 from sim_backend.mechanics import plant as plants

@@ -9,8 +9,8 @@ from typing import Any
 
 from rig.core.sample import Phase
 from rig.recording.reader import open_recording
-from rig.session.engine.log import Event, read
-from rig.session.terminal.held import RELEASED_S
+from rig.session.engine._log import Event, read
+from rig.session.terminal._held import RELEASED_S
 from tests.browser.test_reading import check_readable
 from tests.conformance.tolerance import too_busy
 from tests.extras.console.test_session_console import PROTOCOL

@@ -20,9 +20,9 @@ from typing import Any
 
 from rig.control import estimators
 from rig.core.errors import ConfigError
+from rig.experiments.estimation._signals import SIGNALS
 from rig.experiments.estimation.cases import Case, signal_case
 from rig.experiments.estimation.estimators import Score, Variant, cost_ns, score
-from rig.experiments.estimation.signals import SIGNALS
 from rig.experiments.estimation.tuning import tune_estimator
 from tests.conformance import guides
 from tests.conformance.guides import ROOT

@@ -36,7 +36,7 @@ from rig.devices import open_device
 from rig.devices.fault_script import Direction, FrameFault
 from rig.devices.framed import FramedDevice
 from rig.devices.port import LoopPort
-from rig.experiments.trials import trial
+from rig.experiments.trials import _trial as trial
 from rig.realtime.callbacks import callback_plugs
 from rig.realtime.plugs import NOW_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 from sim_backend.board.device import SimulatedDevice
@@ -382,7 +382,7 @@ def processes() -> Any:
     """Context of child processes that start at once: they are forked from one that has imported everything."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(
-        ["tests.conformance.forked_from", "rig.experiments.trials.trial", "rig.devices.serial"]
+        ["tests.conformance.forked_from", "rig.experiments.trials._trial", "rig.devices.serial"]
     )
     return context
 

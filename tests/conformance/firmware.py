@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rig.core.errors import ConfigError
-from rig.realtime import c_library
+from rig.realtime import _c_library as c_library
 from sim_backend.board import firmware_library, make_device
 
 

@@ -13,10 +13,10 @@ from fractions import Fraction
 from functools import cache, cached_property
 from random import Random
 
+from rig.control._fixed_point import ROUNDINGS, Biquad
+from rig.control._fixed_wall import DEPTH, FixedWall, design_wall
 from rig.control.estimators import get
-from rig.control.estimators.fdm_butterworth_fixed import biquad
-from rig.control.fixed_point import ROUNDINGS, Biquad
-from rig.control.fixed_wall import DEPTH, FixedWall, design_wall
+from rig.control.estimators._fdm_butterworth_fixed import biquad
 
 
 def rounded(value: Fraction, rounding: int) -> int:

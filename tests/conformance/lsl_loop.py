@@ -49,7 +49,7 @@ class HandTurnedLoop:
         self.told = np.concatenate((self.told, rows))
 
     def compare_clocks(self, *, late_ns: int = 0) -> None:
-        """Do what `rig.loop.exchange` does with an answer that comes `late_ns` later than usual."""
+        """Do what `rig.loop._exchange` does with an answer that comes `late_ns` later than usual."""
         done = self.ring.get(control_words.EXCHANGES)
         device = 1_000_000 * (100 + len(self.told))
         host = device + OFFSET_NS

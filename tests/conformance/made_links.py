@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.doctor.round_trip import LinkMeasurement
+from rig.doctor._round_trip import LinkMeasurement
 from rig.recording.quantiles import Distribution
 
 

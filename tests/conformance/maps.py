@@ -5,7 +5,7 @@ from __future__ import annotations
 from rig import config
 from rig.config import presets
 from rig.config.schemes import Scheme
-from rig.experiments.mapping.searches import StiffnessSearch
+from rig.experiments.mapping._searches import StiffnessSearch
 from rig.experiments.mapping.zwidth import MapPlan
 
 SHORT = {"trial.duration_s": 0.3, "verdict.tail_s": 0.1, "homing.settle_s": 0.02}

@@ -30,7 +30,7 @@ from rig.realtime.atomics import load_word, store_word
 from rig.realtime.kernel import kernel
 from rig.realtime.ring import Ring
 from rig.realtime.system import monotonic_now, sleep_until
-from rig.recording.capture import BLOCK_ROWS, pack_header
+from rig.recording._capture import BLOCK_ROWS, pack_header
 from rig.recording.recorder import _HEAD_WORDS, _ROW_WORDS, FLUSH_S, POLL_NS, SYNC_NS, record
 from tests.conformance.recording import example_header
 from tests.conformance.started import started

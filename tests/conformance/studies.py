@@ -14,12 +14,12 @@ import numpy as np
 
 from rig.config import as_mapping, presets
 from rig.recording.lines import LineFile
-from rig.session.engine.log import SessionLog
-from rig.session.engine.state import DoAsk, DoBlock, DoEnd, DoJudge, DoRest, DoTrial, SessionState
-from rig.session.planning.load import as_mapping as protocol_as_mapping
-from rig.session.planning.load import protocol_from_mapping
-from rig.session.planning.trial import HitOutcome, Presented, event_of
-from rig.session.search.observer import Observer
+from rig.session.engine._log import SessionLog
+from rig.session.engine._state import DoAsk, DoBlock, DoEnd, DoJudge, DoRest, DoTrial, SessionState
+from rig.session.planning._load import as_mapping as protocol_as_mapping
+from rig.session.planning._load import protocol_from_mapping
+from rig.session.planning._trial import HitOutcome, Presented, event_of
+from rig.session.search._observer import Observer
 
 PRESET = "koul-compliant"
 VERSIONS = {

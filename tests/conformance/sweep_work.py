@@ -16,7 +16,7 @@ import numpy as np
 
 from rig.core.errors import PlanError
 from rig.experiments.sweep import Task
-from rig.experiments.sweep.executors import as_json
+from rig.experiments.sweep._executors import as_json
 
 Payload = dict[str, Any]
 

@@ -9,8 +9,8 @@ from rig.config import Experiment
 from rig.control.law import Law
 from rig.core.sample import RowFlag
 from rig.devices.framed import FramedDevice
+from rig.experiments.trials._trial import TrialEnd, TrialRequest, run_trial
 from rig.experiments.trials.preparation import prepared_on
-from rig.experiments.trials.trial import TrialEnd, TrialRequest, run_trial
 
 # Flags that a sensor of the current sets: a trial without bytes has none.
 CURRENTS = int(RowFlag.CURRENT_FOLLOWS | RowFlag.CURRENT_DIFFERS | RowFlag.OTHER_CURRENT)

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from rig.firmware import cortex
-from rig.firmware.cortex import RAM, CortexCore, Image
-from rig.firmware.toolchain import find_compiler
+from rig.firmware import _cortex as cortex
+from rig.firmware._cortex import RAM, CortexCore, Image
+from rig.firmware._toolchain import find_compiler
 from tests.firmware import cross
 from tests.firmware.build import FIRMWARE
 from tests.firmware.kept import content, kept

@@ -15,9 +15,9 @@ from rig import config
 from rig.config import amplifiers, presets
 from rig.core.model import RigModel
 from rig.core.present import plain
-from rig.firmware import boards
-from rig.firmware.build import BuildRequest, BuildResult, build, sources_hash
-from rig.firmware.toolchain import COMPILER, find_compiler
+from rig.firmware import _boards as boards
+from rig.firmware._build import BuildRequest, BuildResult, build, sources_hash
+from rig.firmware._toolchain import COMPILER, find_compiler
 from rig.realtime.source_files import source_files
 from tests.firmware.build import FIRMWARE
 from tests.firmware.kept import content, kept

@@ -28,9 +28,9 @@ from rig.core.errors import ConfigError, RecordingError, ToolchainError
 from rig.core.model import RigModel
 from rig.core.present import plain
 from rig.core.same_rig import check_rig
-from rig.firmware import boards
-from rig.firmware.board_config import configure
-from rig.firmware.build import (
+from rig.firmware import _boards as boards
+from rig.firmware._board_config import configure
+from rig.firmware._build import (
     PORT_CHECK,
     BuildRequest,
     build,
@@ -38,12 +38,12 @@ from rig.firmware.build import (
     shared_sources,
     sources_hash,
 )
-from rig.firmware.elf import read_segments
-from rig.firmware.flash import read_image
-from rig.firmware.info import info
-from rig.firmware.scales import check_scales
-from rig.firmware.toolchain import COMPILER_VARIABLE, find_compiler
-from rig.firmware.uf2 import read_uf2
+from rig.firmware._elf import read_segments
+from rig.firmware._flash import read_image
+from rig.firmware._info import info
+from rig.firmware._scales import check_scales
+from rig.firmware._toolchain import COMPILER_VARIABLE, find_compiler
+from rig.firmware._uf2 import read_uf2
 from tests.conformance.tiers import first_by_default
 from tests.firmware import cross
 from tests.firmware.build import CORE, FIRMWARE, compile_c, kept_objects
@@ -104,7 +104,7 @@ def pico(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     directory = shutil.copytree(boards.BOARDS / "rp2040", tmp_path / "rp2040")
     core = kept_objects(find_compiler().path, CORE, *PROCESSORS["cortex-m0plus"])
     assert set(core) == set(shared_sources())
-    monkeypatch.setattr("rig.firmware.build.shared_sources", lambda _application: ())
+    monkeypatch.setattr("rig.firmware._build.shared_sources", lambda _application: ())
     file = directory / "board.toml"
     text = file.read_text()
     for key, words in ("compile", ["-O0", "-g0"]), ("link", ["--specs=nano.specs", *map(str, core.values())]):

@@ -7,7 +7,7 @@ import pytest
 
 from rig import config
 from rig.config import presets
-from rig.firmware.build import BuildRequest, _warnings
+from rig.firmware._build import BuildRequest, _warnings
 from rig.firmware.tick_budget import named_budget
 
 PICO = named_budget("rp2040")

@@ -7,7 +7,7 @@ from collections import Counter
 
 import pytest
 
-from rig.firmware.toolchain import find_compiler
+from rig.firmware._toolchain import find_compiler
 from tests.conformance.tiers import first_by_default
 from tests.firmware import cross
 from tests.firmware.build import CORE, SOURCES, compiler, kept_objects

@@ -11,7 +11,7 @@ import rig.cli
 from firmware_protocol.duties import Duty, duties
 from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError, LinkLostError
-from rig.firmware.port_check import STEPS, PortCheck, PortCheckRequest, check_port, failure
+from rig.firmware._port_check import STEPS, PortCheck, PortCheckRequest, check_port, failure
 from tests.firmware import simulated_port
 from tests.firmware.simulated_port import Run, SimulatedPort, powered_up, wrong_ports
 

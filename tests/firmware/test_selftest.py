@@ -11,7 +11,7 @@ import pytest
 from rig import config
 from rig.config import presets
 from rig.devices.framed import FramedDevice
-from rig.firmware.selftest import SelfTestRequest, selftest
+from rig.firmware._selftest import SelfTestRequest, selftest
 from tests.firmware.mps2.lockstep import Rig, on_this_computer
 
 EXPERIMENT = presets.load("koul-rigid")

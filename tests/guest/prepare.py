@@ -25,7 +25,7 @@ from tests.guest.stage import PYTEST
 
 # Modules of which the tests in the guest enter kernels that a hit does not.
 ENTERED = (
-    *("rig.devices.usb_transfers", "sim_backend.board.hardware", "sim_backend.mechanics.sensors"),
+    *("rig.devices._usb_transfers", "sim_backend.board.hardware", "sim_backend.mechanics.sensors"),
     *("sim_backend.drives.motor", "sim_backend.drives.moteus_law", "sim_backend.drives.odrive_law"),
 )
 # Where the package is installed pytest would rewrite its plug-in, which this process has imported.

@@ -25,7 +25,7 @@ from rig.config import presets
 from rig.config.controller import prepared
 from rig.devices import open_device, open_link
 from rig.devices.usb import available_devices
-from rig.experiments.trials import trial
+from rig.experiments.trials import _trial as trial
 from rig.recording.reader import open_recording
 from sim_backend.ends.usb import VENDOR_CLASS
 from tests.conformance.host import Host

@@ -27,8 +27,8 @@ from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl
 from rig.devices.fault_script import DeviceFault, Faults, Happening
-from rig.realtime import c_library
-from rig.realtime.c_library import CLibrary
+from rig.realtime import _c_library as c_library
+from rig.realtime._c_library import CLibrary
 from sim_backend.board import firmware_library, lockstep
 from sim_backend.board.device import SimulatedDevice
 from sim_backend.board.firmware import FirmwareDevice

@@ -17,7 +17,7 @@ from rig.config import controller, presets
 from rig.core.sample import Phase, RowFlag
 from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault
 from rig.devices.framed import FramedDevice
-from rig.loop import exchange
+from rig.loop import _exchange as exchange
 from rig.recording.reader import open_recording
 from sim_backend.bare.trial import UNSEEN, run_trial
 from sim_backend.board.device import SimulatedDevice

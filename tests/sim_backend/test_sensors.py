@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.control.guard import current_quanta as command_quanta
+from rig.control._guard import current_quanta as command_quanta
 from sim_backend.board.lockstep import INDEX_COUNT, INDEX_EDGES, INPUTS, WORDS, Wires, sense
 from sim_backend.mechanics.sensors import cell, current_quanta, encoder_count
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from rig.session.engine.log import Event
+from rig.session.engine._log import Event
 from tests.rig.session.session_fakes import decisions
 
 PROTOCOL = """

@@ -13,8 +13,10 @@ if numba.config.DISABLE_JIT:
 
 from rig import config
 from rig.cli import design as command
-from rig.experiments.design import margin, search, whole
-from rig.experiments.design.search import Round
+from rig.experiments.design import _margin as margin
+from rig.experiments.design import _search as search
+from rig.experiments.design import _whole as whole
+from rig.experiments.design._search import Round
 
 BRIEF = [
     "--set", "trial.duration_s=0.3", "--set", "verdict.tail_s=0.1", "--set", "homing.settle_s=0.02",

@@ -17,7 +17,9 @@ from rig.core.check import Check, Outcome
 from rig.core.errors import RealtimeError
 from rig.devices import port_facts
 from rig.devices.port_facts import PortFacts
-from rig.doctor import gate, ports, round_trip
+from rig.doctor import _ports as ports
+from rig.doctor import _round_trip as round_trip
+from rig.doctor import gate
 from rig.experiments.hits import examine as examining
 from rig.recording.quantiles import Distribution
 from rig.recording.reader import open_recording
@@ -34,7 +36,7 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> None:
     check = Check("governor", Outcome.WARNING, "powersave", "sudo mend it", "clocks that ramp")
     monkeypatch.setattr(examining, "machine_checks", lambda host: [check])
     monkeypatch.setattr(ports, "available_ports", lambda: [])
-    monkeypatch.setattr("rig.doctor.ports.available_devices", lambda: [])
+    monkeypatch.setattr("rig.doctor._ports.available_devices", lambda: [])
     monkeypatch.setattr(gate, "LONGEST_S", 0.3)  # of measuring: a hit at 20 kHz does so for 1 s
 
 

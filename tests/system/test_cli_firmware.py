@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from rig.firmware import flash as flashing
+from rig.firmware import _flash as flashing
 from tests.conformance.firmware import need_compiler
 from tests.firmware import cross
 

@@ -15,8 +15,8 @@ import pytest
 
 import rig
 import rig.cli
-from rig.cli.listing import commands
-from rig.cli.next_step import NEXT
+from rig.cli._listing import commands
+from rig.cli._next_step import NEXT
 from rig.views import site
 from tests.conformance.commands import parse_line, resolve
 from tests.conformance.guides import blocks

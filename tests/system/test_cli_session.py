@@ -11,9 +11,9 @@ import pytest
 
 from rig.cli import run as rig
 from rig.doctor import pace
-from rig.session.engine.directory import LOG
-from rig.session.engine.log import SessionLog, read
-from rig.session.engine.rehearsal import Person
+from rig.session.engine._directory import LOG
+from rig.session.engine._log import SessionLog, read
+from rig.session.engine._rehearsal import Person
 from tests.conformance.far_end import patient_host
 from tests.system.session_study import PROTOCOL, written
 

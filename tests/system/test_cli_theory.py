@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from rig.analysis import theory
-from rig.analysis.theory import limits, summary
+from rig.analysis.theory import _limits as limits
+from rig.analysis.theory import _summary as summary
 
 
 @pytest.fixture(autouse=True)

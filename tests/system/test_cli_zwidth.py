@@ -193,7 +193,7 @@ def test_a_person_who_does_not_agree_ends_the_session(
 def test_in_real_time_a_simulated_device_is_a_process(
     run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rig.experiments.mapping.zwidth_rig.CALM_S", 0.0)
+    monkeypatch.setattr("rig.experiments.mapping._zwidth_rig.CALM_S", 0.0)
     search = ["--search", "bisection", "--ratio", "1.2", "-K", "30:31", "--scheme", "uniform:1k", "-B", "0.1"]
     code, _, err = run(
         "zwidth", "--realtime", *BRIEF, *search, "--set", "verdict.late_fraction=0.9", "--no-plot", "--json"

@@ -16,7 +16,7 @@ from rig.config import presets
 from rig.core.clock_fit import ClockFit, as_exchanges, fit_clock
 from rig.core.present import plain
 from rig.devices.framed import FramedDevice
-from rig.recording.capture import write_capture
+from rig.recording._capture import write_capture
 from rig.recording.reader import open_recording
 from rig.recording.timing_report import timing
 from sim_backend.board.device import SimulatedDevice

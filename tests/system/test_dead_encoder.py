@@ -20,7 +20,7 @@ from rig.devices.framed import FramedDevice
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
 from rig.experiments.motion.pulse import pulse
-from rig.experiments.trials.identify_motions import still
+from rig.experiments.trials._identify_motions import still
 from sim_backend.board.device import SimulatedDevice
 from sim_backend.board.hardware import Hardware
 from sim_backend.ends.link import MemoryLink

@@ -11,15 +11,16 @@ import pytest
 
 from rig import config
 from rig.config import presets
-from rig.config.derive import free_s
+from rig.config._derive import free_s
 from rig.core.errors import PlanError
 from rig.core.present import plain
 from rig.core.sample import Phase
+from rig.experiments.hits._on_device import OnDevice
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
-from rig.experiments.hits.on_device import OnDevice
 from rig.experiments.mapping import impedance
-from rig.experiments.trials import live, trial
+from rig.experiments.trials import _trial as trial
+from rig.experiments.trials import live
 from rig.experiments.trials.replay import replay
 from rig.recording.reader import open_recording
 from rig.testing import Hits, assert_stable

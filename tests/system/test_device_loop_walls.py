@@ -15,11 +15,11 @@ from rig.core.sample import Phase
 from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault, Happening
 from rig.devices.framed import FramedDevice
 from rig.experiments.trials.replay import COMPUTED
-from rig.loop import exchange
+from rig.loop import _exchange as exchange
+from rig.loop._run import LoopSettings
+from rig.loop._supervised import BOUNDS, SupervisedThread
 from rig.loop.layout import EndReason
 from rig.loop.replay import replay_rows
-from rig.loop.run import LoopSettings
-from rig.loop.supervised import BOUNDS, SupervisedThread
 from rig.realtime import control_words
 from rig.realtime.ring import Ring
 from sim_backend.board.firmware import FirmwareDevice

@@ -20,8 +20,8 @@ import pytest
 import rig
 import rig.cli
 from firmware_protocol.faults import Fault, Input, LimitFlag, Status
-from rig.cli.listing import commands
-from rig.config.table import parameters
+from rig.cli._listing import commands
+from rig.config._table import parameters
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import COLUMNS
 from rig.views import site

@@ -10,7 +10,7 @@ import pytest
 
 from rig import config
 from rig.config import controller, presets
-from rig.config.sections import OSCILLATIONS
+from rig.config._sections import OSCILLATIONS
 from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError, PlanError
 from rig.devices.fault_script import Faults, Happening

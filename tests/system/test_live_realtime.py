@@ -20,7 +20,7 @@ from rig.config import experiment_from_mapping
 from rig.core.errors import StoppedError
 from rig.experiments.trials.live import change_wall, parameter_set
 from rig.experiments.trials.recover import CaptureState, recover
-from rig.realtime.anonymous_memory import LINK
+from rig.realtime._anonymous_memory import LINK
 from rig.realtime.running import RunningLoop, running, stop
 from rig.recording.reader import open_recording
 from tests.conformance.census import MARK, marked, still_there

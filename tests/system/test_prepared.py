@@ -20,7 +20,7 @@ from rig.config import presets
 from rig.devices.framed import FramedDevice
 from rig.experiments.hits.hit import HitRequest, hit
 from rig.realtime.kernel import Kernel
-from rig.loop.run import LoopThread
+from rig.loop._run import LoopThread
 
 armed, late = [False], []
 prepare, arm, finish = Kernel.prepare, FramedDevice.arm, LoopThread.finish

@@ -12,18 +12,19 @@ from typing import Any
 
 import pytest
 
-from rig.config import controller, load, override, presets
+from rig.config import _load as load
+from rig.config import controller, override, presets
 from rig.control import judging
 from rig.core.present import plain
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
 from rig.experiments.trials import judgement, plan
 from rig.recording import reader
-from rig.session.engine.directory import LOG
-from rig.session.engine.hits import DeviceRunner
-from rig.session.engine.log import read
-from rig.session.engine.rehearsal import Person
-from rig.session.engine.run import rehearsal_desk, run_session
+from rig.session.engine._directory import LOG
+from rig.session.engine._hits import DeviceRunner
+from rig.session.engine._log import read
+from rig.session.engine._rehearsal import Person
+from rig.session.engine._run import rehearsal_desk, run_session
 from tests.system.session_study import PROTOCOL
 
 COUNTED: dict[str, Callable[..., Any]] = {

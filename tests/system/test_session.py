@@ -18,13 +18,13 @@ from rig.extras.study.report import render
 from rig.extras.study.tables import tables
 from rig.recording.files import sha256_of
 from rig.recording.reader import open_recording
-from rig.session.engine.directory import LOG
-from rig.session.engine.hits import DeviceRunner
-from rig.session.engine.log import read
-from rig.session.engine.rehearsal import Person
-from rig.session.engine.run import rehearsal_desk, resume_session, run_session
-from rig.session.engine.state import SessionState
-from rig.session.planning.template_files import DEFAULT, write_template
+from rig.session.engine._directory import LOG
+from rig.session.engine._hits import DeviceRunner
+from rig.session.engine._log import read
+from rig.session.engine._rehearsal import Person
+from rig.session.engine._run import rehearsal_desk, resume_session, run_session
+from rig.session.engine._state import SessionState
+from rig.session.planning._template_files import DEFAULT, write_template
 from tests.system.session_study import comparable, written
 
 PERSON = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0}, lapse_rate=0.05)

@@ -10,12 +10,12 @@ import pytest
 from rig.core.errors import ConfigError
 from rig.recording.files import sha256_of
 from rig.recording.reader import open_recording
-from rig.session.engine.directory import LOG
-from rig.session.engine.hits import DeviceRunner
-from rig.session.engine.log import read
-from rig.session.engine.rehearsal import Person
-from rig.session.engine.run import rehearsal_desk, resume_session, run_session
-from rig.session.engine.state import SessionState
+from rig.session.engine._directory import LOG
+from rig.session.engine._hits import DeviceRunner
+from rig.session.engine._log import read
+from rig.session.engine._rehearsal import Person
+from rig.session.engine._run import rehearsal_desk, resume_session, run_session
+from rig.session.engine._state import SessionState
 from tests.rig.session.session_fuse import DeadError, Fuse, fused
 from tests.system.session_study import PROTOCOL, comparable
 

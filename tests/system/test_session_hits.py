@@ -12,9 +12,9 @@ import pytest
 from rig.config.presets import load as preset
 from rig.core.present import plain
 from rig.experiments.hits import hit
-from rig.session.engine import hits
-from rig.session.engine.hits import DeviceRunner
-from rig.session.engine.log import SessionLog, read
+from rig.session.engine import _hits as hits
+from rig.session.engine._hits import DeviceRunner
+from rig.session.engine._log import SessionLog, read
 from tests.conformance.firmware import need_compiler
 
 

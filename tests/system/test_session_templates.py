@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from rig.cli import run as rig
-from rig.session.planning.load import load_protocol
-from rig.session.planning.template_files import template_names
+from rig.session.planning._load import load_protocol
+from rig.session.planning._template_files import template_names
 from tests.conformance.tiers import first_by_default
 
 TRIALS = 3

@@ -13,14 +13,14 @@ from rig.devices.fault_script import Direction, FaultKind, FrameFault
 from rig.experiments.hits import hit as one_hit
 from rig.extras.study import AnalysisOptions, analyse
 from rig.recording.reader import open_recording
-from rig.session.engine.desk import Desk, Question, Reply
-from rig.session.engine.directory import LOG
-from rig.session.engine.hits import DeviceRunner
-from rig.session.engine.log import read
-from rig.session.engine.rehearsal import Day, Person, RehearsalDesk
-from rig.session.engine.run import rehearsal_desk, resume_session, run_session
-from rig.session.engine.runner import TrialDone
-from rig.session.engine.state import RecordedTrial, SessionState
+from rig.session.engine._desk import Desk, Question, Reply
+from rig.session.engine._directory import LOG
+from rig.session.engine._hits import DeviceRunner
+from rig.session.engine._log import read
+from rig.session.engine._rehearsal import Day, Person, RehearsalDesk
+from rig.session.engine._run import rehearsal_desk, resume_session, run_session
+from rig.session.engine._runner import TrialDone
+from rig.session.engine._state import RecordedTrial, SessionState
 from sim_backend.ends.channel import ScriptedLine
 from tests.system.session_study import written
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from firmware_protocol.messages import OLDEST_EDGE
 from rig import config
 from rig.config import Experiment, controller, presets
+from rig.control._watch import UNMOVED_SPEED
 from rig.control.step import step
-from rig.control.watch import UNMOVED_SPEED
 from rig.core.board import moved_mechanics
 from rig.core.model import RigModel
 from rig.core.sample import Phase, RowFlag

@@ -14,7 +14,7 @@ from rig.core.sample import Phase, RowFlag
 from rig.experiments.hits.hit_simulator import HitSimulator
 from rig.experiments.trials.plan import make_plan
 from rig.experiments.trials.replay import replay
-from rig.session.engine.baseline import baseline
+from rig.session.engine._baseline import baseline
 from rig.testing import Hits, assert_stable
 from tests.conformance.firmware import need_compiler
 

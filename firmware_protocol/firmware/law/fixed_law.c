@@ -1,4 +1,4 @@
-/* A tick in integers, steps 3 to 7: rig.control.fixed_wall, with homing, release and slew around it.
+/* A tick in integers, steps 3 to 7: rig.control._fixed_wall, with homing, release and slew around it.
  *
  * Written for a processor with few registers and no product of 64 bits. What is nearly always small is tried in 32 bits
  * first, and what is rare stands in functions of its own. */

@@ -1,6 +1,6 @@
 /* The law of one tick, for a device that runs the loop itself: count in, current out.
  *
- * What rig.control.step does in float64 on a host, in integers (rig.control.fixed_wall, to the bit) or in float32. The order of a
+ * What rig.control.step does in float64 on a host, in integers (rig.control._fixed_wall, to the bit) or in float32. The order of a
  * tick is that of rig.control.step and normative:
  *
  *   1. the count becomes travel along the position, from the reference;
@@ -51,7 +51,7 @@ typedef enum {
     LAW_KALMAN = 6
 } law_estimator;
 
-typedef enum { LAW_FLOOR = 0, LAW_ZERO = 1, LAW_NEAREST = 2 } law_rounding; /* rig.control.fixed_point.ROUNDINGS */
+typedef enum { LAW_FLOOR = 0, LAW_ZERO = 1, LAW_NEAREST = 2 } law_rounding; /* rig.control._fixed_point.ROUNDINGS */
 typedef enum { LAW_HASHED = 0, LAW_SCHROEDER = 1 } law_phases; /* of the excitation's lines */
 typedef enum { LAW_EXPLICIT = 0, LAW_SEMI_IMPLICIT = 1, LAW_IMPLICIT = 2 } law_discretisation;
 
@@ -77,7 +77,7 @@ enum { /* rig.core.sample.RowFlag */
     LAW_ENDS_RUN = LAW_NONFINITE | LAW_OUT_OF_WINDOW | LAW_HOMING_FAILED
 };
 
-/* Finite difference and a second-order low pass in integers; rig.control.fixed_point.Biquad describes each. */
+/* Finite difference and a second-order low pass in integers; rig.control._fixed_point.Biquad describes each. */
 typedef struct {
     int32_t b0, b1, b2, a1, a2;
     int32_t coefficient_bits; /* 0 ... 30 */
@@ -119,7 +119,7 @@ typedef struct {
     float gain_position, gain_velocity, gain_acceleration; /* steady, counts and periods */
 } law_kalman;
 
-/* The wall in integers: rig.control.fixed_wall.FixedWall, and what the guard and homing need in the same arithmetic. */
+/* The wall in integers: rig.control._fixed_wall.FixedWall, and what the guard and homing need in the same arithmetic. */
 typedef struct {
     int64_t constant;     /* quanta * 2^shift */
     int64_t home_effort;  /* most that the servo gives, quanta * 2^home_shift */

@@ -1,4 +1,4 @@
-/* Integers as rig.control.fixed_point has them, to the bit. */
+/* Integers as rig.control._fixed_point has them, to the bit. */
 #ifndef LAW_NUMBERS_H
 #define LAW_NUMBERS_H
 

@@ -8,7 +8,7 @@ static float sign(float x)
     return x > 0.0f ? 1.0f : x < 0.0f ? -1.0f : 0.0f;
 }
 
-/* One period: error is the copy of the position less the new sample, before; returns u. See rig.control.estimators.levant. */
+/* One period: error is the copy of the position less the new sample, before; returns u. See rig.control.estimators._levant. */
 static float levant_step(law_levant_state *s, const law_levant *p, float error)
 {
     float u, push, beyond, b;

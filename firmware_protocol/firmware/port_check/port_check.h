@@ -1,4 +1,4 @@
-/* Requests of the host to the port check program, and its replies: rig/firmware/port_check.py has the same list
+/* Requests of the host to the port check program, and its replies: rig/firmware/_port_check.py has the same list
  * and says what the numbers mean for the port's duties (duties.toml).
  *
  * Frames as in PROTOCOL.md, with the protocol's header: a question has type 0x3C, nonce u16, probe u16, then the arguments,

@@ -4,19 +4,19 @@
 results. Nothing here commands a device or opens a recording; data that are too poor raise `IdentificationError`.
 """
 
-from rig.analysis.identification.cogging import SETTLE_S, CoggingMap, fit_cogging, pairs_of
-from rig.analysis.identification.dynamics import Dynamics, StructuralMode, fit_dynamics
-from rig.analysis.identification.interval import Interval
-from rig.analysis.identification.quality import (
+from rig.analysis.identification._cogging import SETTLE_S, CoggingMap, fit_cogging, pairs_of
+from rig.analysis.identification._dynamics import Dynamics, StructuralMode, fit_dynamics
+from rig.analysis.identification._interval import Interval
+from rig.analysis.identification._quality import (
     DOUBTFUL_DRIFT,
     LEAST_MOTION_COUNTS,
     MOST_DRIFT,
     IdentificationError,
     period_change,
 )
-from rig.analysis.identification.ripple import Ripple, fit_ripple
-from rig.analysis.identification.signs import SignCheck, check_signs, stiction_warning
-from rig.analysis.identification.sliding import PIECES, UNSTEADY, Sliding, Stroke, fit_sliding
+from rig.analysis.identification._ripple import Ripple, fit_ripple
+from rig.analysis.identification._signs import SignCheck, check_signs, stiction_warning
+from rig.analysis.identification._sliding import PIECES, UNSTEADY, Sliding, Stroke, fit_sliding
 
 __all__ = [
     "DOUBTFUL_DRIFT",

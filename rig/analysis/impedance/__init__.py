@@ -4,11 +4,11 @@
 `rig.control.excitation.Multisine`) and receive numbers. Nothing here runs a loop, simulates a rig or opens a recording.
 """
 
-from rig.analysis.impedance.estimate import Impedance, periodic
-from rig.analysis.impedance.fitting import Fit, RigidRig, fit
-from rig.analysis.impedance.ideal import bare, ideal_wall, rendered, walls
-from rig.analysis.impedance.signals import Complexes, ExcitedRun, Floats, hold
-from rig.analysis.impedance.verdict import (
+from rig.analysis.impedance._estimate import Impedance, periodic
+from rig.analysis.impedance._fitting import Fit, RigidRig, fit
+from rig.analysis.impedance._ideal import bare, ideal_wall, rendered, walls
+from rig.analysis.impedance._signals import Complexes, ExcitedRun, Floats, hold
+from rig.analysis.impedance._verdict import (
     EFFECTIVE_HZ,
     EFFECTIVE_LINES,
     RESIDUAL,
@@ -18,7 +18,7 @@ from rig.analysis.impedance.verdict import (
     fidelity,
     judge,
 )
-from rig.analysis.impedance.welch import estimate_welch
+from rig.analysis.impedance._welch import estimate_welch
 
 __all__ = [
     "EFFECTIVE_HZ",

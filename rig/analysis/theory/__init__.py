@@ -8,15 +8,15 @@
 
 A rig is a preset's name, a TOML file, an experiment or a `rig.core.model.RigModel`; a scheme is a text or a
 `rig.config.schemes.Scheme`. What the theory leaves out (Coulomb friction, the encoder's quantum, saturation, release)
-stands in `rig.analysis.theory.loop`, with what that is worth.
+stands in `rig.analysis.theory._loop`, with what that is worth.
 
 `rig theory`, the design, the checks of a run and the reproductions of papers call it. Nothing here simulates, decides
 whether a wall may be armed, or commands a device.
 """
 
-from rig.analysis.theory.describing import LimitCycle, limit_cycle
-from rig.analysis.theory.lifted import Lifted, spectral_radius
-from rig.analysis.theory.limits import (
+from rig.analysis.theory._describing import LimitCycle, limit_cycle
+from rig.analysis.theory._lifted import Lifted, spectral_radius
+from rig.analysis.theory._limits import (
     DampingLimit,
     Island,
     Limit,
@@ -28,9 +28,9 @@ from rig.analysis.theory.limits import (
     stability_map,
     stiffnesses,
 )
-from rig.analysis.theory.linear import NotLinearError, Realisation, realise
-from rig.analysis.theory.loop import LinearLoop, Subject, linear_loop, resolve
-from rig.analysis.theory.passivity import (
+from rig.analysis.theory._linear import NotLinearError, Realisation, realise
+from rig.analysis.theory._loop import LinearLoop, Subject, linear_loop, resolve
+from rig.analysis.theory._passivity import (
     Bound,
     Diolaiti,
     PassivityBound,
@@ -40,7 +40,7 @@ from rig.analysis.theory.passivity import (
     passivity_bound,
     rigid_b_max,
 )
-from rig.analysis.theory.summary import (
+from rig.analysis.theory._summary import (
     AtDamping,
     InHand,
     NotLinear,

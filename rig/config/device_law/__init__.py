@@ -9,9 +9,9 @@ refused with `PlanError` (`rig.control.on_device`), and `check_values` alone dec
 
 from __future__ import annotations
 
-from rig.config.device_law.batch import batch_layout, batch_samples, bytes_per_second
-from rig.config.device_law.elsewhere import wall_elsewhere
-from rig.config.device_law.parameters import (
+from rig.config.device_law._batch import batch_layout, batch_samples, bytes_per_second
+from rig.config.device_law._elsewhere import wall_elsewhere
+from rig.config.device_law._parameters import (
     ARITHMETICS,
     Arithmetic,
     arithmetic_of,

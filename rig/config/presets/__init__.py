@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rig.config.files import preset_names as names
-from rig.config.files import preset_text as text
-from rig.config.load import experiment_from_mapping, load_experiment
-from rig.config.sections import Experiment
+from rig.config._files import preset_names as names
+from rig.config._files import preset_text as text
+from rig.config._load import experiment_from_mapping, load_experiment
+from rig.config._sections import Experiment
 
 __all__ = ["load", "load_named", "names", "text"]
 

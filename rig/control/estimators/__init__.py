@@ -10,6 +10,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from rig.control.estimators._family import BUILT_IN, broken, get, names
 from rig.control.estimators.estimator import (
     PERIOD,
     RESOLUTION,
@@ -20,9 +21,15 @@ from rig.control.estimators.estimator import (
     Prepared,
     Setting,
 )
-from rig.control.estimators.family import BUILT_IN, broken, get, names
 
 if TYPE_CHECKING:
+    from rig.control.estimators._own_counts import (
+        COUNTS,
+        age_of_last_change,
+        real_numbers,
+        unwrapped,
+        whole_numbers,
+    )
     from rig.control.estimators.arrays import (
         estimate,
         estimate_with_window,
@@ -30,13 +37,6 @@ if TYPE_CHECKING:
         own_inputs,
         quantise,
         run,
-    )
-    from rig.control.estimators.own_counts import (
-        COUNTS,
-        age_of_last_change,
-        real_numbers,
-        unwrapped,
-        whole_numbers,
     )
 
 __all__ = [
@@ -70,7 +70,7 @@ _LATER = {
     "rig.control.estimators.arrays": (
         "estimate", "estimate_with_window", "inputs", "own_inputs", "quantise", "run",
     ),
-    "rig.control.estimators.own_counts": (
+    "rig.control.estimators._own_counts": (
         "COUNTS", "age_of_last_change", "real_numbers", "unwrapped", "whole_numbers",
     ),
 }  # fmt: skip

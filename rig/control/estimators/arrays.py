@@ -16,9 +16,8 @@ import numpy as np
 from numba import types
 from numpy.typing import ArrayLike, NDArray
 
-from rig.control.estimators import family
-from rig.control.estimators.estimator import WINDOW, Floats, Ints, Prepared
-from rig.control.estimators.own_counts import (
+from rig.control.estimators import _family as family
+from rig.control.estimators._own_counts import (
     COUNTS,
     EDGE_TIME,
     ELAPSED,
@@ -30,6 +29,7 @@ from rig.control.estimators.own_counts import (
     unwrapped,
     whole_numbers,
 )
+from rig.control.estimators.estimator import WINDOW, Floats, Ints, Prepared
 from rig.core.errors import ConfigError
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import ESTIMATOR

@@ -14,8 +14,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping, Sequence
 
+from rig.control.estimators._fdm import count_difference
 from rig.control.estimators.estimator import OWN_INTS, PERIOD, RESOLUTION, WINDOW, Estimator, Setting
-from rig.control.estimators.fdm import count_difference
 from rig.control.plain_functions import NO_NUMBERS, Form, Parameter, compiled
 from rig.realtime.kernel import kernel, prepare
 from rig.realtime.plugs import ESTIMATOR_SIGNATURE

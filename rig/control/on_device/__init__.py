@@ -4,9 +4,9 @@
 Nothing here reads an experiment or knows how values travel; what a device lacks raises `NotOnDeviceError`.
 """
 
-from rig.control.on_device.errors import ELSE_HOST, NotOnDeviceError, refusal
-from rig.control.on_device.estimators import estimator_parameters, velocity_format
-from rig.control.on_device.walls import (
+from rig.control.on_device._errors import ELSE_HOST, NotOnDeviceError, refusal
+from rig.control.on_device._estimators import estimator_parameters, velocity_format
+from rig.control.on_device._walls import (
     BILATERAL,
     Control,
     DeviceWall,

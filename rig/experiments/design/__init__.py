@@ -15,14 +15,14 @@ rigs that differ from the described one.
 * `search`: all of it in order
 """
 
-from rig.experiments.design import rules
-from rig.experiments.design.device import places_of
-from rig.experiments.design.linear import STAGE
-from rig.experiments.design.listing import Candidate, LawPlace, listed, places_for
-from rig.experiments.design.result import Design, Standing
-from rig.experiments.design.rules import GOALS, Goal, Measures, UnmetError, Wishes
-from rig.experiments.design.search import DesignRequest, design, directory_for
-from rig.experiments.design.whole import Against
+from rig.experiments.design import _rules as rules
+from rig.experiments.design._device import places_of
+from rig.experiments.design._linear import STAGE
+from rig.experiments.design._listing import Candidate, LawPlace, listed, places_for
+from rig.experiments.design._result import Design, Standing
+from rig.experiments.design._rules import GOALS, Goal, Measures, UnmetError, Wishes
+from rig.experiments.design._search import DesignRequest, design, directory_for
+from rig.experiments.design._whole import Against
 
 RULES = rules.__doc__ or ""
 

@@ -1,7 +1,7 @@
 """Test cases of estimators: counts, one for each velocity sample, and the velocity that they come from.
 
-A case is a reference signal (`rig.experiments.estimation.signals`) as an ideal encoder sees it, or a recording with the
-simulation's truth, or one of a real rig with a reference that looks into the future.
+A case is a reference signal (`rig.experiments.estimation._signals`) as an ideal encoder sees it, or a recording with
+the simulation's truth, or one of a real rig with a reference that looks into the future.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rig.core.deferred import signal
 from rig.core.errors import ConfigError
 from rig.core.present import reported
 from rig.core.sample import Motion, Phase
-from rig.experiments.estimation.signals import Signal, edge_times
+from rig.experiments.estimation._signals import Signal, edge_times
 from rig.experiments.trials.judgement import experiment_of
 from rig.recording.data import Recording
 from rig.recording.origin import counts_facts
@@ -110,7 +110,7 @@ def signal_case(signal: Signal, rate_hz: float, resolution: float, *, offset: fl
     Parameters
     ----------
     signal
-        Signal of `rig.experiments.estimation.signals`.
+        Signal of `rig.experiments.estimation._signals`.
     rate_hz
         Velocity samples per second.
     resolution

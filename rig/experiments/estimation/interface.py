@@ -4,8 +4,9 @@ Commands, pictures and papers import it. It defines nothing, and no file of the 
 constant alone (`rig.lipschitz_of`) does not load what exports an estimator.
 """
 
+from rig.experiments.estimation._estimator_export import export_estimator
+from rig.experiments.estimation._signals import SIGNALS
 from rig.experiments.estimation.cases import Case, recording_case, signal_case
-from rig.experiments.estimation.estimator_export import export_estimator
 from rig.experiments.estimation.estimators import (
     EstimatorComparison,
     Score,
@@ -21,7 +22,6 @@ from rig.experiments.estimation.lipschitz import (
     identify_lipschitz,
     lipschitz_of,
 )
-from rig.experiments.estimation.signals import SIGNALS
 from rig.experiments.estimation.tuning import Tuning, shown_range, tune_estimator
 
 __all__ = [

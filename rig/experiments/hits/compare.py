@@ -27,7 +27,7 @@ from rig.core.errors import ConfigError
 from rig.core.present import Item, Row, Table, reported
 from rig.core.sample import ROW, Motion, unit_of
 from rig.core.shown import Drawn, Shown
-from rig.experiments.hits.impact import Impact, ImpactNumbers, mean, measure
+from rig.experiments.hits._impact import Impact, ImpactNumbers, mean, measure
 from rig.loop.replay import NO_SETS, replay_rows
 
 OFFSETS = (0.1, 0.4, 0.7, 0.95)  # where position zero lies in its encoder cell, one trial each

@@ -25,9 +25,9 @@ from rig.core.shown import Drawn, Shown
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
 from rig.doctor.gate_result import Gate
+from rig.experiments.trials._trial import TrialEnd, TrialRequest, end_of, run_trial
 from rig.experiments.trials.judgement import Judgement, judge
 from rig.experiments.trials.settings import RigRequest
-from rig.experiments.trials.trial import TrialEnd, TrialRequest, end_of, run_trial
 from rig.realtime import stop_requests
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors, reserved_name
@@ -233,7 +233,7 @@ def hit(request: HitRequest, admit: Admit, watch: Watch | None = None) -> Iterat
     PlanError
         Something that must not run: nothing has moved.
     RigError
-        Whatever ended a trial early (see `rig.experiments.trials.trial.run_trial`); the effort is zero.
+        Whatever ended a trial early (see `rig.experiments.trials._trial.run_trial`); the effort is zero.
     """
     with stop_requests.listening() as series, _opened(request) as (device, effective):
         with series:

@@ -52,9 +52,9 @@ from rig.core.shown import Drawn, Shown
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
 from rig.doctor.pace import SECONDS
-from rig.experiments.identification.identified_values import identified_values
-from rig.experiments.identification.identify_rate import RATES, at_rate, choose_rate, halves, measure_for
-from rig.experiments.motion.motion_run import (
+from rig.experiments.identification._identified_values import identified_values
+from rig.experiments.identification._identify_rate import RATES, at_rate, choose_rate, halves, measure_for
+from rig.experiments.motion._motion_run import (
     ATTEMPTS,
     LONGEST_FILLED,
     FreeRigRequest,
@@ -67,7 +67,7 @@ from rig.experiments.motion.motion_run import (
     spoiled_by_timing,
     trial_rows,
 )
-from rig.experiments.motion.weigh import (
+from rig.experiments.motion._weigh import (
     STANDARD_GRAVITY,
     Ask,
     WeighRequest,
@@ -76,8 +76,7 @@ from rig.experiments.motion.weigh import (
     weigh,
     with_mass,
 )
-from rig.experiments.trials.excitation_run import late_ticks
-from rig.experiments.trials.identify_motions import (
+from rig.experiments.trials._identify_motions import (
     PERIODS,
     PUSHES,
     IdentificationMotion,
@@ -97,6 +96,7 @@ from rig.experiments.trials.identify_motions import (
     strokes_motion,
     strokes_of,
 )
+from rig.experiments.trials.excitation_run import late_ticks
 from rig.experiments.trials.plan import link_checks
 from rig.experiments.trials.planned import Plan
 from rig.experiments.trials.preparation import position_zero
@@ -262,7 +262,7 @@ def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None
     IdentificationError
         Wrong signs, or data that say nothing: the message says why.
     RigError
-        Whatever ended a trial early (see `rig.experiments.trials.trial.run_trial`); the effort is zero.
+        Whatever ended a trial early (see `rig.experiments.trials._trial.run_trial`); the effort is zero.
     """
     say = tell or (lambda text: None)
     free = without_end_mass(request)

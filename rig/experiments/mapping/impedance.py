@@ -45,9 +45,9 @@ from rig.core.keyword import Keyword
 from rig.core.present import Item, Row, plain, reported
 from rig.core.sample import Motion, Phase, unit_of
 from rig.core.shown import Drawn, Shown
-from rig.experiments.hits.on_device import Ended, OnDevice, Trials, kept_open
-from rig.experiments.mapping.searches import numbers_of
-from rig.experiments.trials.excitation_plan import excitation_checks
+from rig.experiments.hits._on_device import Ended, OnDevice, Trials, kept_open
+from rig.experiments.mapping._searches import numbers_of
+from rig.experiments.trials._excitation_plan import excitation_checks
 from rig.experiments.trials.excitation_run import (
     ExcitedRig,
     RealisationRun,
@@ -97,7 +97,7 @@ _JUDGEMENT: Final = "Excitation and judgement"  # group of options
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judging:
-    """Settings of a verdict beside the measurement (`rig.analysis.impedance.verdict.judge`)."""
+    """Settings of a verdict beside the measurement (`rig.analysis.impedance._verdict.judge`)."""
 
     band_hz: Annotated[
         tuple[float, float] | None,

@@ -4,11 +4,10 @@ Commands, pages, pictures and papers import it; they all need maps as a whole. I
 sub-room imports it, so that one measured impedance or a table of limit cycles does not load every kind of map.
 """
 
-from rig.experiments.hits.on_device import OnDevice
-from rig.experiments.mapping.impedance import Judging
-from rig.experiments.mapping.kmax import KMax, kmax_plan
-from rig.experiments.mapping.map_request import MapRequest
-from rig.experiments.mapping.maps import (
+from rig.experiments.hits._on_device import OnDevice
+from rig.experiments.mapping._kmax import KMax, kmax_plan
+from rig.experiments.mapping._map_request import MapRequest
+from rig.experiments.mapping._maps import (
     JOURNAL,
     PLAN,
     RECORDINGS,
@@ -22,7 +21,7 @@ from rig.experiments.mapping.maps import (
     write_map,
     zwidth,
 )
-from rig.experiments.mapping.ranges import (
+from rig.experiments.mapping._ranges import (
     PAPERS_SCHEMES,
     frequency_plan,
     highest_stiffness,
@@ -33,8 +32,8 @@ from rig.experiments.mapping.ranges import (
     search_for,
     theory_curves,
 )
-from rig.experiments.mapping.rendering import RENDERED
-from rig.experiments.mapping.searches import (
+from rig.experiments.mapping._rendering import RENDERED
+from rig.experiments.mapping._searches import (
     GridSearch,
     Outcomes,
     Passes,
@@ -47,6 +46,8 @@ from rig.experiments.mapping.searches import (
     numbers_of,
     trace_grid,
 )
+from rig.experiments.mapping._zwidth_rig import RECORDING, DeviceMap, Next, work_of, zwidth_on_rig
+from rig.experiments.mapping.impedance import Judging
 from rig.experiments.mapping.table_one import (
     PAPER,
     FrequencyWidth,
@@ -59,7 +60,6 @@ from rig.experiments.mapping.table_one import (
 )
 from rig.experiments.mapping.zwidth import TRUE, Boundary, MapPlan, Series, Width, ZWidth, run_series
 from rig.experiments.mapping.zwidth_frequency import TOGETHER, FrequencyMap, FrequencyPlan
-from rig.experiments.mapping.zwidth_rig import RECORDING, DeviceMap, Next, work_of, zwidth_on_rig
 
 __all__ = [
     "JOURNAL",

@@ -29,7 +29,7 @@ from rig.analysis.impedance import Floats
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.present import reported
-from rig.experiments.mapping.searches import Flags, GridSearch, connected, limit_of, trace_grid
+from rig.experiments.mapping._searches import Flags, GridSearch, connected, limit_of, trace_grid
 from rig.experiments.mapping.zwidth_frequency import FrequencyMap
 
 LEVANT_GAINS = ("lipschitz", "mu1", "mu2")

@@ -1,13 +1,13 @@
 """Z-width in the time domain: for which walls (K, B) a rig stays stable, scheme by scheme, by hitting them.
 
 A map is a set of independent *series*: one scheme, one damping, one encoder offset, one repeat, and a search through
-the stiffnesses (`rig.experiments.mapping.searches`). A series is decided by its description alone, so a map is the same
-to the last bit on one core, on many, or on a cluster, and a stopped one resumes where it was.
+the stiffnesses (`rig.experiments.mapping._searches`). A series is decided by its description alone, so a map is the
+same to the last bit on one core, on many, or on a cluster, and a stopped one resumes where it was.
 
 A wall fails under a criterion when its hit is unstable, or when what the criterion names (felt, heard, any) exceeds its
 threshold; every map holds all three. The recorded signals decide, as for a single hit, unless a simulation's truth is
 asked for; the table has the numbers of both. Range and area count only dampings that are rendered
-(`rig.experiments.mapping.rendering`).
+(`rig.experiments.mapping._rendering`).
 
 Source: Koul et al. 2013, section III (K raised until unstable, five repeats averaged) and Fig. 6.
 """
@@ -33,8 +33,8 @@ from rig.core.sample import unit_of
 from rig.core.shown import Drawn, Shown
 from rig.experiments import sweep
 from rig.experiments.hits.hit_simulator import HitSimulator
-from rig.experiments.mapping.rendering import RENDERED, rendered_share
-from rig.experiments.mapping.searches import (
+from rig.experiments.mapping._rendering import RENDERED, rendered_share
+from rig.experiments.mapping._searches import (
     Extent,
     Outcomes,
     StiffnessLimit,
@@ -207,7 +207,7 @@ class Boundary:
     limits
         Limits of each series, with its islands.
     rendered
-        Share of the damping that the effort limit leaves of a slow motion (`rig.experiments.mapping.rendering`).
+        Share of the damping that the effort limit leaves of a slow motion (`rig.experiments.mapping._rendering`).
     """
 
     scheme: int

@@ -1,6 +1,6 @@
 """Z-width in the frequency domain, with fidelity: for which walls (K, B) the impedance is passive, and how true it is.
 
-    found = zwidth(frequency_plan(presets.load("chawda-linear")))  # rig.experiments.mapping.maps, .ranges
+    found = zwidth(frequency_plan(presets.load("chawda-linear")))  # rig.experiments.mapping._maps, .ranges
     table_one(found)  # rig.experiments.mapping.table_one
 
 A map is an exhaustive grid. Each wall is excited by several realisations of the excitation, and every one of them is
@@ -11,7 +11,7 @@ measurement; the second is the map. A wall that throws the handle out, or to its
 A task of the sweep is a column: one scheme and one damping. It is decided by its description alone, as in
 `rig.experiments.mapping.zwidth`, and by the same machinery: journal, resume, threads, Dask.
 
-Source: Chawda et al., section V, Figs. 5 to 8; verdict and fidelity are those of `rig.analysis.impedance.verdict`.
+Source: Chawda et al., section V, Figs. 5 to 8; verdict and fidelity are those of `rig.analysis.impedance._verdict`.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from rig.core.present import Item, Row, plain
 from rig.core.sample import unit_of
 from rig.core.shown import Drawn, Shown
 from rig.experiments import sweep
+from rig.experiments.mapping._searches import check_values
 from rig.experiments.mapping.impedance import ImpedanceResult, Judging, concluded, refuse_excitations
-from rig.experiments.mapping.searches import check_values
 from rig.experiments.trials.excitation_run import ExcitedRig, RealisationRun, Signal
 
 TOGETHER = -1  # number that stands for all realisations

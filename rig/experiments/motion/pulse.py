@@ -4,7 +4,7 @@
     found.ok, found.checks
 
 Four small pushes, two each way, each growing until the handle has moved a few counts: by the law that the rig's runs
-have, on this computer (`rig.control.motions.nudges`) or on the board (`rig.experiments.motion.board_pushes`).
+have, on this computer (`rig.control.motions.nudges`) or on the board (`rig.experiments.motion._board_pushes`).
 They need no sensor of the current, no known sign, and no more energy than `energy_of`. A motor that is dead or
 reversed, an encoder that is dead or swapped, one dead channel of it, and a scale that is wrong by a factor show in
 whether, where to, how much and when the handle moves. What they cannot tell from a dead motor is friction beyond what a
@@ -32,8 +32,8 @@ from rig.core.same_rig import check_rig
 from rig.core.sample import unit_of
 from rig.core.this_system import refuse_real_time
 from rig.devices.framed import FramedDevice
-from rig.experiments.motion.board_pushes import board_pushes
-from rig.experiments.motion.motion_run import (
+from rig.experiments.motion._board_pushes import board_pushes
+from rig.experiments.motion._motion_run import (
     FreeRigRequest,
     Pushes,
     position_now,
@@ -44,8 +44,8 @@ from rig.experiments.motion.motion_run import (
     stalled,
     trial_rows,
 )
-from rig.experiments.trials.endings import IN_DOUBT
-from rig.experiments.trials.identify_motions import (
+from rig.experiments.trials._endings import IN_DOUBT
+from rig.experiments.trials._identify_motions import (
     coulomb_of,
     most_push,
     observable_check,

@@ -37,12 +37,12 @@ from rig.core.present import Row
 from rig.core.same_rig import check_rig
 from rig.core.sample import Motion, unit_of
 from rig.devices.framed import FramedDevice
-from rig.experiments.motion.motion_run import FreeRigRequest, refuse_unverified, run_motion
+from rig.experiments.motion._motion_run import FreeRigRequest, refuse_unverified, run_motion
 from rig.experiments.motion.pulse import at_own_rate, pulse
-from rig.experiments.trials.identify_motions import still, way_motion
+from rig.experiments.trials._identify_motions import still, way_motion
+from rig.experiments.trials._trial import end_of
 from rig.experiments.trials.plan import link_checks
 from rig.experiments.trials.preparation import prepared_on
-from rig.experiments.trials.trial import end_of
 from rig.loop.layout import EndReason
 from rig.realtime import stop_requests
 from rig.recording.files import free_name, plain_errors

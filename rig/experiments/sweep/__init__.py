@@ -8,10 +8,10 @@
 * `journal`: what is done, on disk
 """
 
-from rig.experiments.sweep.coordinator import Progress, Task
-from rig.experiments.sweep.executors import Failure
-from rig.experiments.sweep.journal import read_on
-from rig.experiments.sweep.tasks import Results, SweepStoppedError, TaskError, run, run_here
+from rig.experiments.sweep._coordinator import Progress, Task
+from rig.experiments.sweep._executors import Failure
+from rig.experiments.sweep._journal import read_on
+from rig.experiments.sweep._tasks import Results, SweepStoppedError, TaskError, run, run_here
 from rig.realtime.source_files import code_version
 
 __all__ = [

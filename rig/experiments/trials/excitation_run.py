@@ -1,6 +1,6 @@
 """From an experiment to the records that an impedance is estimated from: a rig excited about its wall, whole periods.
 
-Three ways give the same kind of record (`rig.analysis.impedance.signals.ExcitedRun`): a second actuator or the rig's
+Three ways give the same kind of record (`rig.analysis.impedance._signals.ExcitedRun`): a second actuator or the rig's
 own motor without bytes (`ExcitedRig`), and the own motor in a recording, over a link in virtual time or on a rig
 (`record_of`).
 

@@ -16,7 +16,7 @@ from rig.core.deferred import pydantic
 from rig.core.errors import ConfigError, RecordingError, UnexpectedVerdictError
 from rig.core.present import Row, written
 from rig.core.sample import Phase, unit_of
-from rig.experiments.trials.motion_balance import FACTOR, WINDOW_S, MotionBalance, motion_balance
+from rig.experiments.trials._motion_balance import FACTOR, WINDOW_S, MotionBalance, motion_balance
 from rig.recording.data import Recording
 from rig.recording.origin import cut_facts, refuse_counts
 

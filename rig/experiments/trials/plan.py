@@ -41,9 +41,9 @@ from rig.doctor.predicted import (
     quieter_changes,
     speed_reading,
 )
-from rig.experiments.trials.device_limits import check_limits
-from rig.experiments.trials.excitation_plan import excitation_plan
-from rig.experiments.trials.identify_motions import RATE_STEP, pushes_checks
+from rig.experiments.trials._device_limits import check_limits
+from rig.experiments.trials._excitation_plan import excitation_plan
+from rig.experiments.trials._identify_motions import RATE_STEP, pushes_checks
 from rig.experiments.trials.planned import (
     ARITHMETIC_WORDS,
     Plan,
@@ -388,7 +388,7 @@ def _baseline_step(x: Experiment) -> tuple[Step, ...]:
 
 
 def _watch_checks(x: Experiment) -> list[Check]:
-    """Return the limits that end a trial for energy or oscillation of the motor (`rig.control.watch`)."""
+    """Return the limits that end a trial for energy or oscillation of the motor (`rig.control._watch`)."""
     energy, oscillations = controller.energy_limit(x), controller.oscillation_limit(x)
     checks = []
     if energy > 0.0 and x.wall.stiffness > 0.0:

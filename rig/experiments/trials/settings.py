@@ -1,6 +1,6 @@
 """The keys of an experiment that people set by a name of their own, where a whole key would be too much to write.
 
-Type, range, unit and meaning are those of the key (`rig.config.table`). Any other key is reached by ``changes``, which
+Type, range, unit and meaning are those of the key (`rig.config._table`). Any other key is reached by ``changes``, which
 has whole keys. A help text here makes an option of commands.
 """
 

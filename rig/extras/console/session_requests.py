@@ -20,7 +20,7 @@ class ListSessions(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SessionPerson:
-    """Who is rehearsed (`rig.session.engine.rehearsal.Person`)."""
+    """Who is rehearsed (`rig.session.engine._rehearsal.Person`)."""
 
     __pydantic_config__ = STRICT
 

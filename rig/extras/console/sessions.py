@@ -1,7 +1,7 @@
 """The sessions' view: begins and resumes sessions, and is the seat of a session's operator, as a terminal is.
 
-What a page shows comes as texts (`rig.session.terminal.words`), and what it sends are keys and lines, so that a page is
-a terminal of another kind: one conversation, one set of rules. A key names the question that was open when it was
+What a page shows comes as texts (`rig.session.terminal._words`), and what it sends are keys and lines, so that a page
+is a terminal of another kind: one conversation, one set of rules. A key names the question that was open when it was
 pressed; a key for an earlier question answers nothing. A participant's screen shows what a participant may see, and
 answers verdicts and items alone.
 """

@@ -1,6 +1,6 @@
 """A wall that a drive renders itself (`controller.arithmetic = "drive"`): what is lost, and whether a drive can.
 
-A spring and a damper at its own rate is all that it gives. `rig.config.device_law.elsewhere` says who asks.
+A spring and a damper at its own rate is all that it gives. `rig.config.device_law._elsewhere` says who asks.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ BESIDE = "fdm-butterworth"
 
 
 class OwnWall:
-    """A `rig.config.device_law.elsewhere.WallElsewhere`."""
+    """A `rig.config.device_law._elsewhere.WallElsewhere`."""
 
     stands_for = (
         "simulated with the law of the host, at its rate and with its estimator; a drive that renders "

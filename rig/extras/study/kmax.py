@@ -417,7 +417,7 @@ def student(
     values
         One for each participant or repeat.
     rounding
-        Standard deviation that rounding to the levels makes, see `rig.session.search.resolution`.
+        Standard deviation that rounding to the levels makes, see `rig.session.search._resolution`.
     of, what
         Words for the values in `Student.problem`.
     """

@@ -1,9 +1,9 @@
 """Psychometric functions: where verdicts change from stable to not, how gradually, and how often a person lapses.
 
-The posterior on the grid of `rig.session.search.psychometric`, of all verdicts of a participant's complete runs under a
-condition at one damping, whatever rule asked for them. Its K50 is the one that K_max is made of
-(`rig.extras.study.trials.half_way`). The interval assumes one K50 in all repeats: if a person's K50 drifts
-between them it is too narrow, and Student's interval over the repeats' own limits shows that.
+The posterior on the grid of `rig.session.search._psychometric`, of all verdicts of a participant's complete runs under
+a condition at one damping, whatever rule asked for them. Its K50 is the one that K_max is made of
+(`rig.extras.study.trials.half_way`). The interval assumes one K50 in all repeats: if a person's K50 drifts between them
+it is too narrow, and Student's interval over the repeats' own limits shows that.
 
 Over participants K50 is the mean of their own, with Student's interval over them. Spread and lapse rate there are of
 all verdicts together, where differences between people make the spread wider, and have no interval: verdicts of one
@@ -52,7 +52,7 @@ class PsychometricFit:
         How many are behind it.
     threshold, spread
         K50 and s, in the units of stiffness. Beyond the levels K50 is their end, see
-        `rig.session.search.psychometric.Located`; over participants the mean of theirs.
+        `rig.session.search._psychometric.Located`; over participants the mean of theirs.
     above, below
         How many of the participants behind it have their K50 above or below the levels.
     lapse_rate

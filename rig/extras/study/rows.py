@@ -101,7 +101,7 @@ class LimitInterval:
 
     `share` is the share of stable verdicts at the value; None for the ascending rule, which aims at none. `step` is the
     distance of the levels between which it was found; 0 for a value that is not of levels. `mark` says why the value is
-    no limit that its verdicts show (`rig.session.search.rule.mark_contradictions`); it is left out by default.
+    no limit that its verdicts show (`rig.session.search._rule.mark_contradictions`); it is left out by default.
     """
 
     value: float

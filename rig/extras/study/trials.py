@@ -145,7 +145,7 @@ def half_way(
     """The stiffness with this share of stable verdicts (None: a half), as the median of its posterior.
 
     Verdicts of several runs are taken for those of one limit: where it wanders from run to run, the interval is too
-    narrow. Beyond the levels it is their end, see `rig.session.search.psychometric.Located`.
+    narrow. Beyond the levels it is their end, see `rig.session.search._psychometric.Located`.
 
     Parameters
     ----------

@@ -16,16 +16,16 @@ Nothing here loads numba. Off Linux nothing is asked for (`elsewhere`).
 
 import sys
 
-from rig.realtime.scheduling.request import BoardScheduling, RealtimeRequest
-from rig.realtime.scheduling.rights import Rights
+from rig.realtime.scheduling._request import BoardScheduling, RealtimeRequest
+from rig.realtime.scheduling._rights import Rights
 
 if sys.platform == "linux":
-    from rig.realtime.scheduling.idle import DEVICE as IDLE_DEVICE
-    from rig.realtime.scheduling.realtime import Realtime, obtained
-    from rig.realtime.scheduling.rights import name_of_group
-    from rig.realtime.scheduling.thread import ThreadState, tried
+    from rig.realtime.scheduling._idle import DEVICE as IDLE_DEVICE
+    from rig.realtime.scheduling._realtime import Realtime, obtained
+    from rig.realtime.scheduling._rights import name_of_group
+    from rig.realtime.scheduling._thread import ThreadState, tried
 else:
-    from rig.realtime.scheduling.elsewhere import Realtime, obtained
+    from rig.realtime.scheduling._elsewhere import Realtime, obtained
 
 __all__ = ["BoardScheduling", "Realtime", "RealtimeRequest", "Rights", "obtained"]
 if sys.platform == "linux":  # for the doctor

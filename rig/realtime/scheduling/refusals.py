@@ -10,6 +10,7 @@ import os
 from pathlib import Path
 
 from rig.core.check import Check, Outcome
+from rig.realtime.scheduling._rights import Rights
 from rig.realtime.scheduling.facts import (
     ROOT,
     idle_driver,
@@ -19,7 +20,6 @@ from rig.realtime.scheduling.facts import (
     status_kilobytes,
     text_of,
 )
-from rig.realtime.scheduling.rights import Rights
 
 GROUP = "realtime"
 LIMITS_FILE = "/etc/security/limits.d/95-haptic-rig.conf"

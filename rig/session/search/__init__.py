@@ -20,12 +20,12 @@ from collections.abc import Callable
 from typing import Any
 
 from rig.core.errors import ConfigError
-from rig.session.search.ascending import Ascending
-from rig.session.search.catching import Catching, CatchTrials
-from rig.session.search.grid import LevelGrid
-from rig.session.search.interleaved import Interleaved
-from rig.session.search.psi import Psi
-from rig.session.search.psychometric import (
+from rig.session.search._ascending import Ascending
+from rig.session.search._catching import Catching, CatchTrials
+from rig.session.search._grid import LevelGrid
+from rig.session.search._interleaved import Interleaved
+from rig.session.search._psi import Psi
+from rig.session.search._psychometric import (
     LAPSE_RATES,
     Located,
     PsychometricGrid,
@@ -33,15 +33,15 @@ from rig.session.search.psychometric import (
     of_levels,
     share_stable,
 )
-from rig.session.search.resolution import (
+from rig.session.search._resolution import (
     FLOATING,
     is_resolved,
     rounding_deviation,
     step_at,
     unresolved_words,
 )
-from rig.session.search.rule import Censored, Estimate, JudgedProbe, Probe, Rule, contradiction, verdicts_of
-from rig.session.search.staircase import EDGE_VERDICTS, Staircase
+from rig.session.search._rule import Censored, Estimate, JudgedProbe, Probe, Rule, contradiction, verdicts_of
+from rig.session.search._staircase import EDGE_VERDICTS, Staircase
 
 __all__ = [
     "EDGE_VERDICTS",

@@ -20,19 +20,19 @@ from rig.core.errors import ConfigError, StoppedError
 from rig.core.present import plain as plain_of
 from rig.core.scratch import scratch
 from rig.realtime.hand import SharedHand
-from rig.session.engine.desk import Desk
-from rig.session.planning.protocol import Keys, Protocol
-from rig.session.terminal import terminal
-from rig.session.terminal.asking import SILENCE_S, AskingDesk
-from rig.session.terminal.seat import full_press, keymap_for, refuse_a_hand
+from rig.session.engine._desk import Desk
+from rig.session.planning._protocol import Keys, Protocol
+from rig.session.terminal import _terminal as terminal
+from rig.session.terminal._asking import SILENCE_S, AskingDesk
+from rig.session.terminal._seat import full_press, keymap_for, refuse_a_hand
 
 if TYPE_CHECKING:  # a desk asks, and loads no loop
-    from rig.session.engine.runner import TrialRunner
+    from rig.session.engine._runner import TrialRunner
 
 if sys.platform != "win32":
     import termios
 
-    from rig.session.terminal.child import Child, Message
+    from rig.session.terminal._child import Child, Message
 
 assert sys.platform != "win32"
 
@@ -186,7 +186,7 @@ class ConsoleDesk(AskingDesk):
 def at_console(
     *, hand: Literal["keyboard"] | None = None, place: Path = TERMINAL
 ) -> Callable[[Protocol, Mapping[str, Any], TrialRunner], Desk]:
-    """A console for `rig.session.engine.run.run_session`.
+    """A console for `rig.session.engine._run.run_session`.
 
     Parameters
     ----------

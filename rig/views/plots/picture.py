@@ -17,10 +17,10 @@ from rig.experiments.mapping.interface import (
     linear_curves,
     theory_curves,
 )
+from rig.views.plots._zwidth_frequency import frequency_figure
 from rig.views.plots.hit import hit_figure
 from rig.views.plots.impedance import impedance_figure
 from rig.views.plots.zwidth import kmax_figure, zwidth_figure
-from rig.views.plots.zwidth_frequency import frequency_figure
 
 
 def hit_result_figure(result: HitResult) -> Any:

@@ -4,8 +4,8 @@ Commands and extras fill their own templates with `fill` and `fill_text`, and wr
 package must not import a result: what a page says of it stands in the template of who reports it.
 """
 
-from rig.views.report.template import data_uris, fill, fill_text, provenance_lines
-from rig.views.report.writing import (
+from rig.views.report._template import data_uris, fill, fill_text, provenance_lines
+from rig.views.report._writing import (
     MINUS,
     NOTHING,
     clock,

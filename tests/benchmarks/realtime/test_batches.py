@@ -24,11 +24,11 @@ from firmware_protocol.connection import State
 from firmware_protocol.framing import encode_frame
 from firmware_protocol.packing import pack, pack_batch_samples
 from rig.config import presets
+from rig.config._sections import Host
 from rig.config.controller import for_experiment
-from rig.config.sections import Host
 from rig.devices.port import LoopPort
-from rig.loop.run import LoopSettings
-from rig.loop.supervised import SupervisedThread
+from rig.loop._run import LoopSettings
+from rig.loop._supervised import SupervisedThread
 from rig.realtime import system
 from rig.realtime.clock import MonotonicClock
 from rig.realtime.ring import Ring

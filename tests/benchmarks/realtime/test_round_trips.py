@@ -38,7 +38,7 @@ from firmware_protocol.framing import FrameSplitter
 from firmware_protocol.packing import encoded_bytes, unpack
 from rig.devices import open_link
 from rig.devices.port import LoopPort
-from rig.loop.host import SHORTEST_WAIT_NS
+from rig.loop._host import SHORTEST_WAIT_NS
 from rig.realtime import control_words, system
 from rig.realtime.clock import MonotonicClock
 from rig.realtime.ring import Ring

@@ -25,12 +25,12 @@ from firmware_protocol.connection import State
 from firmware_protocol.framing import encode_frame
 from firmware_protocol.packing import pack, type_id_of
 from rig.config import controller, presets
-from rig.config.sections import Host
+from rig.config._sections import Host
 from rig.control.step import TRIAL, ControllerState
 from rig.devices.port import LoopPort
+from rig.loop._run import LoopSettings, LoopThread
+from rig.loop._signals import stop_on_signals
 from rig.loop.layout import EndReason
-from rig.loop.run import LoopSettings, LoopThread
-from rig.loop.signals import stop_on_signals
 from rig.realtime.clock import MonotonicClock
 from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 from rig.realtime.ring import Ring

@@ -180,7 +180,7 @@ def test_another_haptic_rig_on_the_workers_is_refused_with_both_versions(
 ) -> None:
     cluster.have(2)
     ours = code_version()
-    monkeypatch.setattr("rig.experiments.sweep.coordinator.code_version", lambda: "9.9.9+0123456789ab")
+    monkeypatch.setattr("rig.experiments.sweep._coordinator.code_version", lambda: "9.9.9+0123456789ab")
     with pytest.raises(ConfigError) as caught:
         sweep.run(sines_of(4), scheduler=cluster.address)
     assert f"runs haptic-rig {ours}, this is 9.9.9+0123456789ab" in caught.value.message

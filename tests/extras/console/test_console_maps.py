@@ -10,9 +10,10 @@ from click.testing import CliRunner
 
 import rig.cli
 from rig.core.errors import ConfigError, RecordingError, RigError
-from rig.experiments.mapping import interface, maps
+from rig.experiments.mapping import _maps as maps
+from rig.experiments.mapping import interface
 from rig.experiments.sweep import run_here
-from rig.experiments.sweep.journal import Journal, read_on
+from rig.experiments.sweep._journal import Journal, read_on
 from rig.extras.console import map_errands, map_jobs
 from rig.extras.console.maps import MapService, Watched
 from rig.extras.console.requests import request_of

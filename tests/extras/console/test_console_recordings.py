@@ -24,10 +24,10 @@ from rig.extras.console.live import Live
 from rig.extras.console.recordings import TRASH, Recordings
 from rig.extras.console.terminal import Terminal
 from rig.realtime.hand import SharedHand
-from rig.recording.capture import write_capture
+from rig.recording._capture import write_capture
+from rig.recording._parquet import write_parquet
 from rig.recording.data import Recording
 from rig.recording.export import export
-from rig.recording.parquet import write_parquet
 from rig.recording.reader import open_recording
 from tests.extras.console.console_fakes import Page, ask, run, shared
 

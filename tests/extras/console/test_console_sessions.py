@@ -29,10 +29,10 @@ from rig.realtime import control_words
 from rig.realtime.control_words import STOP
 from rig.realtime.hand import SharedHand
 from rig.realtime.ring import Ring
-from rig.session.engine.desk import DeskView, Question, Reply
-from rig.session.engine.place import Place
-from rig.session.planning.protocol import Keys
-from rig.session.planning.template_files import template_names, write_template
+from rig.session.engine._desk import DeskView, Question, Reply
+from rig.session.engine._place import Place
+from rig.session.planning._protocol import Keys
+from rig.session.planning._template_files import template_names, write_template
 from tests.conformance.terminal import PATIENCE_S
 from tests.extras.console.console_fakes import CONTENT
 from tests.rig.session.session_desks import AtPage, FakeClient, until

@@ -21,18 +21,18 @@ import numpy as np
 import pytest
 
 from rig.core.sample import Phase
-from rig.experiments.trials import trial as running_trial
+from rig.experiments.trials import _trial as running_trial
 from rig.realtime import running
 from rig.recording.files import sha256_of
 from rig.recording.reader import open_recording
-from rig.session.engine.desk import Desk
-from rig.session.engine.hits import DeviceRunner
-from rig.session.engine.log import Event, read
-from rig.session.engine.run import DeskFor, SessionResult, run_session
-from rig.session.terminal.asking import SILENCE_S
+from rig.session.engine._desk import Desk
+from rig.session.engine._hits import DeviceRunner
+from rig.session.engine._log import Event, read
+from rig.session.engine._run import DeskFor, SessionResult, run_session
+from rig.session.terminal._asking import SILENCE_S
+from rig.session.terminal._held import RELEASED_S
+from rig.session.terminal._live import snapshot_of
 from rig.session.terminal.desk import ConsoleDesk, at_console
-from rig.session.terminal.held import RELEASED_S
-from rig.session.terminal.live import snapshot_of
 from tests.conformance.terminal import PATIENCE_S, Program, Terminal
 
 ROOT = Path(__file__).parents[3]

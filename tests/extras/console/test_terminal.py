@@ -24,7 +24,7 @@ from rig.extras.console.session_requests import BeginSession
 from rig.extras.console.talk import Talk
 from rig.extras.console.terminal import LONGEST, Terminal
 from rig.realtime.hand import SharedHand
-from rig.session.planning.template_files import write_template
+from rig.session.planning._template_files import write_template
 from tests.conformance.console import served, stop_of_this_test
 from tests.extras.console.console_fakes import CONTENT, Here, Page, ask
 from tests.rig.session.session_fakes import FakeRunner

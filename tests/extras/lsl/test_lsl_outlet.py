@@ -289,7 +289,7 @@ def test_what_cannot_be_meant_is_refused(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_the_info_of_the_tests_is_that_of_a_run() -> None:
-    """`rig.experiments.trials.trial` leaves these keys, and the follower reads them."""
+    """`rig.experiments.trials._trial` leaves these keys, and the follower reads them."""
     from rig import config  # noqa: PLC0415
     from rig.config import presets  # noqa: PLC0415
 

@@ -6,13 +6,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-from rig.session.engine.desk import Desk, Question, Reply
-from rig.session.engine.directory import LOG
-from rig.session.engine.hits import DeviceRunner
-from rig.session.engine.log import read
-from rig.session.engine.rehearsal import Day, Person, RehearsalDesk
-from rig.session.engine.run import run_session
-from rig.session.engine.telling import line_of_event
+from rig.session.engine._desk import Desk, Question, Reply
+from rig.session.engine._directory import LOG
+from rig.session.engine._hits import DeviceRunner
+from rig.session.engine._log import read
+from rig.session.engine._rehearsal import Day, Person, RehearsalDesk
+from rig.session.engine._run import run_session
+from rig.session.engine._telling import line_of_event
 from tests.extras.lsl.test_lsl import Inlets, pylsl  # noqa: F401  (a fixture)
 from tests.system.session_study import PROTOCOL
 

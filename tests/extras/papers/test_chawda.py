@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig import config
-from rig.analysis.impedance.estimate import Impedance
-from rig.analysis.impedance.verdict import RESIDUAL, judge
+from rig.analysis.impedance._estimate import Impedance
+from rig.analysis.impedance._verdict import RESIDUAL, judge
 from rig.experiments.mapping.impedance import measure_impedance
 from rig.experiments.mapping.table_one import PAPER
 from rig.extras.papers.chawda import parts as chawda_parts

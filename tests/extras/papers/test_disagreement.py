@@ -12,8 +12,8 @@ from rig.config.schemes import Scheme
 from rig.control.bilateral import clinging_law
 from rig.core.errors import PlanError
 from rig.experiments.hits.hit_simulator import start_of
-from rig.experiments.mapping import maps
-from rig.experiments.mapping.searches import StiffnessSearch
+from rig.experiments.mapping import _maps as maps
+from rig.experiments.mapping._searches import StiffnessSearch
 from rig.experiments.mapping.zwidth import MapPlan
 from rig.extras.papers.disagreement.ablation import (
     CONTACT,

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.analysis import theory
-from rig.experiments.mapping.searches import StiffnessSearch
+from rig.experiments.mapping._searches import StiffnessSearch
 from rig.experiments.mapping.zwidth import MapPlan, ZWidth
 from rig.extras.papers.koul import ideas as koul_ideas
 from rig.extras.papers.koul import parts as koul_parts

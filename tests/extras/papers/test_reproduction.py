@@ -24,7 +24,8 @@ from rig.extras.papers.koul.reproduction import KOUL
 from rig.extras.papers.parts import Part, Parts
 from rig.extras.papers.reproduction import Paper, Reproduction, draw_into, render, write_report
 from rig.extras.papers.rules import ClaimStatus, Ruling
-from rig.views.report import template, writing
+from rig.views.report import _template as template
+from rig.views.report import _writing as writing
 from tests.conformance.sweep_work import raise_as_given
 
 NASTY = "</script><script>alert('K < B & \"C\"')</script>"

@@ -34,8 +34,8 @@ from rig.extras.study import trials as trials_module
 from rig.extras.study.cli_analyse import show
 from rig.extras.study.tables import column_name, tables
 from rig.extras.study.trials import answers, half_way, levels
-from rig.session.engine.log import SessionLog
-from rig.session.search.rule import verdicts_of
+from rig.session.engine._log import SessionLog
+from rig.session.search._rule import verdicts_of
 from tests.conformance.studies import PRESET, VERSIONS, Person, protocol, sitting, without_sync, write_study
 from tests.conformance.tiers import first_by_default
 

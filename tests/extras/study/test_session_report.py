@@ -17,8 +17,8 @@ import pytest
 from click.testing import CliRunner
 
 from rig.cli import rig
-from rig.config.sections import OSCILLATIONS
-from rig.config.table import parameters
+from rig.config._sections import OSCILLATIONS
+from rig.config._table import parameters
 from rig.core.present import Table
 from rig.extras.study import AnalysisOptions, analyse, cli_report
 from rig.extras.study.plots import draw_session, pictures, tracks_name, zwidth_figure
@@ -32,10 +32,10 @@ from rig.extras.study.report import (
 from rig.extras.study.report_events import _with_units, deviations, invalid_trials, notes
 from rig.extras.study.report_methods import effective, methods
 from rig.extras.study.report_tables import drop_empty_columns, psychometric, summarise_differences
-from rig.session.engine.state import SessionState
-from rig.session.search.psychometric import LAPSE_RATES
+from rig.session.engine._state import SessionState
+from rig.session.search._psychometric import LAPSE_RATES
 from rig.views.plots import style
-from rig.views.report.writing import interval
+from rig.views.report._writing import interval
 from tests.conformance.studies import Person, protocol, sitting, without_sync, write_study
 
 NASTY = "</script><script>alert('K < B & \"C\"')</script> $\\frac$ http://evil"

@@ -19,7 +19,7 @@ from rig.core.deferred import mixed_linear_model
 from rig.extras.study import agreement, effects, kmax, mixed, psychometric
 from rig.extras.study.rows import LimitInterval, RunRow, TrialRow
 from rig.extras.study.trials import half_way
-from rig.session.search.observer import Observer
+from rig.session.search._observer import Observer
 from tests.benchmarks import null_studies
 
 # ---------------------------------------------------------------------- rows to work on

@@ -1,7 +1,7 @@
 """The whole fixed-point law of a device in exact arithmetic: what `law.h` says, written again in fractions.
 
 Nothing is shared with the C code but the integers of the parameters; filter and wall are those of
-`tests.conformance.fixed_law`. Homing, release and slew limit, which `rig.control.fixed_wall` leaves to the host, are
+`tests.conformance.fixed_law`. Homing, release and slew limit, which `rig.control._fixed_wall` leaves to the host, are
 here.
 """
 
@@ -11,7 +11,7 @@ import math
 from fractions import Fraction
 from typing import Any
 
-from rig.control.fixed_point import Biquad, Format
+from rig.control._fixed_point import Biquad, Format
 from rig.core.sample import Phase, RowFlag
 from tests.conformance.fixed_law import ExactFilter, clipped, difference
 

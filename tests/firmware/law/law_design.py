@@ -9,9 +9,9 @@ from typing import Any
 from firmware_protocol.law_parameters import LAW_PARAMETERS
 from firmware_protocol.parameter import Value
 from rig.config import device_law
+from rig.control._fixed_wall import FixedWall
 from rig.control.estimators.estimator import PERIOD, RESOLUTION, Prepared
-from rig.control.fixed_wall import FixedWall
-from rig.control.on_device.estimators import ESTIMATORS, estimator_parameters
+from rig.control.on_device._estimators import ESTIMATORS, estimator_parameters
 from rig.control.step import ControllerState
 from tests.firmware.law.law_library import Parameters
 
@@ -110,7 +110,7 @@ def set_estimator(p: ct.Structure, prepared: Prepared) -> None:
 
 
 def copy_wall(p: Any, wall: FixedWall) -> None:
-    """Set what `rig.control.fixed_wall` has; where it has it twice, both say the same."""
+    """Set what `rig.control._fixed_wall` has; where it has it twice, both say the same."""
     for name in ("constant", "direction", "side", "surface", "stiffness", "damping", "shift"):
         setattr(p.fixed_wall, name, getattr(wall, name))
     p.current_limit, p.may_pull, p.entry_only = wall.limit, wall.may_pull, wall.entry_only

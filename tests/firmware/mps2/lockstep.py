@@ -20,9 +20,9 @@ import numpy as np
 from firmware_protocol.connection import State
 from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl
-from rig.firmware import boards
-from rig.firmware.board_config import configure
-from rig.firmware.build import BuildResult, package_version, sources_hash
+from rig.firmware import _boards as boards
+from rig.firmware._board_config import configure
+from rig.firmware._build import BuildResult, package_version, sources_hash
 from rig.realtime.clock import VirtualClock
 from sim_backend.board.hardware import Hardware
 from tests.conformance.started import LEASH

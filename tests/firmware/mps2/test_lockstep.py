@@ -20,7 +20,7 @@ from rig import config
 from rig.config import Experiment, controller, device_law, presets
 from rig.devices import framed
 from rig.devices.framed import FramedDevice
-from rig.firmware.flash import read_image
+from rig.firmware._flash import read_image
 from tests.conformance.faults import FarEnd, check_faults
 from tests.firmware import cross
 from tests.firmware.mps2.lockstep import Partner, Rig, in_emulator, on_this_computer

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from rig.core.check import Outcome
 from rig.devices import open_link
-from rig.firmware.build import PORT_CHECK
-from rig.firmware.port_check import PortCheckRequest, check_port
+from rig.firmware._build import PORT_CHECK
+from rig.firmware._port_check import PortCheckRequest, check_port
 from tests.conformance.started import started
 from tests.firmware import cross
 from tests.firmware.mps2.lockstep import Partner, emulator

@@ -16,9 +16,9 @@ from firmware_protocol.connection import State
 from rig.core.errors import LinkLostError
 from rig.devices import open_device
 from rig.devices.framed import FramedDevice
-from rig.firmware.build import BuildResult
-from rig.firmware.info import about
-from rig.firmware.selftest import SelfTestRequest, selftest
+from rig.firmware._build import BuildResult
+from rig.firmware._info import about
+from rig.firmware._selftest import SelfTestRequest, selftest
 from tests.conformance.started import started
 from tests.firmware import cross
 

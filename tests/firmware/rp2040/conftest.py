@@ -7,11 +7,11 @@ from contextlib import ExitStack
 
 import pytest
 
-from rig.config.derive import rig_model
-from rig.config.load import override
+from rig.config._derive import rig_model
+from rig.config._load import override
 from rig.config.presets import load
 from rig.core.model import RigModel
-from rig.firmware.build import BuildResult
+from rig.firmware._build import BuildResult
 from tests.firmware.rp2040 import emulator
 from tests.firmware.rp2040.session import Session
 

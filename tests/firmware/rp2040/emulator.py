@@ -23,7 +23,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rig.core.model import RigModel
-from rig.firmware.build import DEVICE, BuildResult
+from rig.firmware._build import DEVICE, BuildResult
 from rig.realtime.clock import VirtualClock
 from sim_backend.mechanics.plant import DiscretePlant
 from tests.firmware import cross

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from firmware_protocol import messages as m
 from firmware_protocol.packing import unpack_batch_samples
 from firmware_protocol.parameter import Value
+from rig.config._load import override
 from rig.config.controller import prepared
-from rig.config.load import override
 from rig.config.presets import load
-from rig.firmware.build import BuildResult
+from rig.firmware._build import BuildResult
 from tests.conformance.host import RUN_PARAMETERS, Host
 from tests.firmware.rp2040.emulator import Pico, PicoLink, Ticks
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from rig.config.derive import rig_model
+from rig.config._derive import rig_model
 from rig.config.presets import load
-from rig.firmware.build import BuildResult
+from rig.firmware._build import BuildResult
 from tests.firmware.rp2040.conftest import PRESET
 from tests.firmware.rp2040.emulator import START_US, WATCHDOG_US, Pico
 from tests.firmware.rp2040.session import Session

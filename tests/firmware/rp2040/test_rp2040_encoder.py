@@ -11,9 +11,9 @@ import pytest
 from firmware_protocol import messages as m
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, Input
-from rig.config.derive import rig_model
+from rig.config._derive import rig_model
 from rig.config.presets import load
-from rig.firmware.build import BuildResult
+from rig.firmware._build import BuildResult
 from tests.firmware.rp2040 import emulator
 from tests.firmware.rp2040.conftest import PRESET
 from tests.firmware.rp2040.session import Session

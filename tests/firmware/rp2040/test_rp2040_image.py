@@ -8,7 +8,7 @@ import subprocess
 
 import pytest
 
-from rig.firmware.build import BuildResult
+from rig.firmware._build import BuildResult
 
 BOOT2_BYTES = 256
 FLASH, RAM, STACK = 0x1000_0000, 0x2000_0000, 0x2004_0000

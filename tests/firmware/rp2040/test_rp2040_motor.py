@@ -11,7 +11,7 @@ from firmware_protocol.connection import State
 from firmware_protocol.faults import Input
 from firmware_protocol.messages import Sync
 from rig.config import override
-from rig.config.derive import rig_model
+from rig.config._derive import rig_model
 from rig.config.presets import load
 from sim_backend.mechanics.plant import DiscretePlant, advance
 from tests.firmware.rp2040 import emulator

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from rig.config.derive import rig_model
+from rig.config._derive import rig_model
 from rig.config.presets import load
 from rig.core.check import Outcome
 from rig.devices.device import DeviceUrl
-from rig.firmware.build import PORT_CHECK
-from rig.firmware.port_check import PortCheckRequest, check_port
+from rig.firmware._build import PORT_CHECK
+from rig.firmware._port_check import PortCheckRequest, check_port
 from tests.firmware.rp2040 import emulator
 from tests.firmware.rp2040.conftest import PRESET
 

@@ -9,7 +9,7 @@ from rig import config
 from rig.config import presets
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
-from rig.firmware import selftest
+from rig.firmware import _selftest as selftest
 from tests.firmware.rp2040.emulator import START_US, WATCHDOG_US
 from tests.firmware.rp2040.session import Session
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rig.doctor.udev import RIGS
+from rig.doctor._udev import RIGS
 from tests.firmware.rp2040.usb_host import IN, PACKET, SETUP, Host, StallError, program
 
 RIG, PORT, NOTES = 1, 2, 3

@@ -13,16 +13,16 @@ from firmware_protocol import messages as m
 from firmware_protocol.connection import Connection, Received, State
 from firmware_protocol.messages import Message, Role
 from rig.config import override
-from rig.config.derive import rig_model
+from rig.config._derive import rig_model
 from rig.config.presets import load
 from rig.devices.framed import FramedDevice
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
-from rig.experiments.motion.board_pushes import board_pushes
-from rig.experiments.motion.motion_run import signs_of
+from rig.experiments.motion._board_pushes import board_pushes
+from rig.experiments.motion._motion_run import signs_of
 from rig.experiments.motion.pulse import SAME_SCALE
-from rig.experiments.trials.identify_motions import PUSH_COUNTS, inertia_of, slow_rate
-from rig.firmware.build import BuildResult
+from rig.experiments.trials._identify_motions import PUSH_COUNTS, inertia_of, slow_rate
+from rig.firmware._build import BuildResult
 from tests.firmware.rp2040 import emulator
 from tests.firmware.rp2040.conftest import PRESET
 from tests.firmware.rp2040.session import Session

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.config.derive import rig_model
+from rig.config._derive import rig_model
 from rig.config.presets import load
-from rig.firmware.elf import flat, read_segments, sealed
+from rig.firmware._elf import flat, read_segments, sealed
 from tests.firmware.rp2040 import emulator
 from tests.firmware.rp2040.conftest import PRESET
 from tests.firmware.rp2040.test_rp2040_image import BOOT2_BYTES

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.analysis.identification.cogging import fit_cogging
-from rig.analysis.identification.quality import IdentificationError
-from rig.analysis.identification.sliding import Stroke
+from rig.analysis.identification._cogging import fit_cogging
+from rig.analysis.identification._quality import IdentificationError
+from rig.analysis.identification._sliding import Stroke
 from rig.core.model import Cogging
 
 RATE, TRAVEL, SPEEDS, REST_S = 500.0, 0.5, (0.10, 0.08, 0.06), 0.2

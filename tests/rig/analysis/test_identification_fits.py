@@ -11,17 +11,17 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from rig.analysis.identification.dynamics import fit_dynamics
-from rig.analysis.identification.interval import Interval, from_scatter
-from rig.analysis.identification.quality import (
+from rig.analysis.identification._dynamics import fit_dynamics
+from rig.analysis.identification._interval import Interval, from_scatter
+from rig.analysis.identification._quality import (
     IdentificationError,
     check_excited,
     check_explained,
     find_band,
 )
-from rig.analysis.identification.signs import check_signs, stiction_warning
-from rig.analysis.identification.sliding import Sliding, Stroke, fit_sliding
-from rig.analysis.impedance.signals import ExcitedRun
+from rig.analysis.identification._signs import check_signs, stiction_warning
+from rig.analysis.identification._sliding import Sliding, Stroke, fit_sliding
+from rig.analysis.impedance._signals import ExcitedRun
 from rig.control.excitation import Multisine
 from rig.core.present import plain
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.analysis.identification.cogging import pairs_of
-from rig.analysis.identification.quality import IdentificationError
-from rig.analysis.identification.ripple import Ripple, fit_ripple
+from rig.analysis.identification._cogging import pairs_of
+from rig.analysis.identification._quality import IdentificationError
+from rig.analysis.identification._ripple import Ripple, fit_ripple
 from rig.core.model import Cogging
 from tests.rig.analysis.test_identification_cogging import DAMPING, DOWN, INERTIA, PERIOD, UP, fitted, swept
 

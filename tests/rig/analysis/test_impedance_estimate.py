@@ -11,10 +11,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import csd, get_window
 
-from rig.analysis.impedance.estimate import Impedance, periodic, residual_share
-from rig.analysis.impedance.fitting import fit
-from rig.analysis.impedance.signals import ExcitedRun, hold
-from rig.analysis.impedance.welch import TFESTIMATE, WelchSettings, aligned, estimate_welch
+from rig.analysis.impedance._estimate import Impedance, periodic, residual_share
+from rig.analysis.impedance._fitting import fit
+from rig.analysis.impedance._signals import ExcitedRun, hold
+from rig.analysis.impedance._welch import TFESTIMATE, WelchSettings, aligned, estimate_welch
 from rig.control.excitation import Multisine
 from rig.core.errors import ConfigError
 from rig.core.present import plain

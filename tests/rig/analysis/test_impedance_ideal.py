@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from rig.analysis.impedance.estimate import Impedance, periodic
-from rig.analysis.impedance.ideal import bare, ideal_wall, rendered
-from rig.analysis.impedance.signals import ExcitedRun, hold
-from rig.analysis.impedance.verdict import passive
-from rig.analysis.theory.lifted import Lifted
-from rig.analysis.theory.loop import linear_loop
+from rig.analysis.impedance._estimate import Impedance, periodic
+from rig.analysis.impedance._ideal import bare, ideal_wall, rendered
+from rig.analysis.impedance._signals import ExcitedRun, hold
+from rig.analysis.impedance._verdict import passive
+from rig.analysis.theory._lifted import Lifted
+from rig.analysis.theory._loop import linear_loop
 from rig.control.excitation import Multisine
 from rig.core.model import state_space
 

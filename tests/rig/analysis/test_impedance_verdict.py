@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.analysis.impedance.estimate import Impedance
-from rig.analysis.impedance.fitting import RigidRig, fit
-from rig.analysis.impedance.verdict import fidelity, judge, passive
+from rig.analysis.impedance._estimate import Impedance
+from rig.analysis.impedance._fitting import RigidRig, fit
+from rig.analysis.impedance._verdict import fidelity, judge, passive
 from rig.core.errors import ConfigError
 from rig.core.present import plain
 

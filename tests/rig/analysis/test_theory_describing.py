@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from rig.analysis.theory.describing import limit_cycle, reading
+from rig.analysis.theory._describing import limit_cycle, reading
 from rig.core.model import Amplifier, Encoder, Mechanics, RigModel
 
 

@@ -13,7 +13,7 @@ from scipy.signal import butter, freqz
 
 from rig import config
 from rig.analysis import theory
-from rig.analysis.theory.dissipation import Damping, passive_stiffness
+from rig.analysis.theory._dissipation import Damping, passive_stiffness
 from rig.config import presets
 from rig.core.operators import GRIPS
 from tests.conformance.tiers import first_by_default

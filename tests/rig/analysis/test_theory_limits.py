@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from rig import config
 from rig.analysis import theory
-from rig.analysis.theory import limits
+from rig.analysis.theory import _limits as limits
 from rig.config import presets
 from rig.core.errors import ConfigError
 from rig.core.model import Amplifier, Encoder, Mechanics, RigModel

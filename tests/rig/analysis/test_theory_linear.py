@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.signal import butter, freqz_zpk, lfilter, sosfilt
 
-from rig.analysis.theory import linear
+from rig.analysis.theory import _linear as linear
 from rig.control import estimators
-from rig.control.estimators import family
+from rig.control.estimators import _family as family
+from rig.control.estimators._kalman_model import steady_gain
 from rig.control.estimators.estimator import Estimator
-from rig.control.estimators.kalman_model import steady_gain
 from rig.core.errors import ConfigError
 
 RESOLUTION = 1.5708e-4

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from rig import config
 from rig.analysis import theory
-from rig.analysis.theory.passivity import estimator_delay_s
+from rig.analysis.theory._passivity import estimator_delay_s
 from rig.config import presets
 from rig.core.operators import GRIPS
 

@@ -209,7 +209,7 @@ def test_a_message_never_means_the_program_where_a_command_shows_an_option() -> 
     """`rig` in a message is the argument of a function; the program is haptic-rig, or a whole command."""
     assert {module for module, text in texts() if "`rig`" in text} == {
         "rig.core.same_rig",
-        "rig.firmware.selftest",
+        "rig.firmware._selftest",
     }
 
 

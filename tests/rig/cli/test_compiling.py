@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from rig.cli.compiling import CompilingNotice
+from rig.cli._compiling import CompilingNotice
 from rig.realtime import compiling
 
 

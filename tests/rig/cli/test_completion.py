@@ -14,7 +14,9 @@ from typing import Any
 import pytest
 
 import rig.cli
-from rig.cli import complete, completion_table, listing, options, values
+from rig.cli import _listing as listing
+from rig.cli import _values as values
+from rig.cli import complete, completion_table, options
 from rig.config import presets
 from rig.control import estimators
 from rig.control.verdict import Kind

@@ -12,10 +12,10 @@ import pytest
 from annotated_types import Ge, Gt, Le
 
 import rig
+from rig.cli._keyword_options import gathered_options
 from rig.cli.command import GroupedCommand
-from rig.cli.keyword_options import gathered_options
 from rig.cli.options import CommandSettings
-from rig.config.table import parameters
+from rig.config._table import parameters
 from rig.core.keyword import Keyword, keywords
 from rig.experiments.hits.hit import HitRequest
 from rig.experiments.identification.identify import IdentifyRequest

@@ -32,8 +32,8 @@ from rig.config import (
     verdict_thresholds,
     with_realtime,
 )
-from rig.config.files import flatten, nest
-from rig.config.table import parameters
+from rig.config._files import flatten, nest
+from rig.config._table import parameters
 from rig.core.errors import ConfigError
 
 KOUL = presets.load("koul-compliant")

@@ -18,7 +18,7 @@ from rig.control.law import Law
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, PlanError
 from rig.devices.framed import FramedDevice
-from rig.experiments.trials.device_limits import check_limits
+from rig.experiments.trials._device_limits import check_limits
 from sim_backend.board.configuration import describe
 from sim_backend.board.device import SimulatedDevice
 from sim_backend.ends.link import MemoryLink

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from rig.config import homing, override, presets
-from rig.config.load import experiment_from_mapping, with_realtime
+from rig.config._load import experiment_from_mapping, with_realtime
 from rig.core.operators import NO_OPERATOR
 from rig.doctor.late_loops import LateLoops
 

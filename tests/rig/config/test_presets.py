@@ -12,7 +12,7 @@ import pytest
 
 from rig import config
 from rig.config import as_mapping, check_plugins, experiment_from_mapping, presets, rig_model, with_realtime
-from rig.config.files import flatten
+from rig.config._files import flatten
 from rig.control.verdict import Kind
 from rig.core.errors import ConfigError
 from rig.core.model import state_space

@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy import signal
 
-from rig.control.butterworth import band_pass, high_pass, low_pass
+from rig.control._butterworth import band_pass, high_pass, low_pass
 
 RATES = st.sampled_from([500.0, 1000.0, 2000.0, 3333.0, 20_000.0, 50_000.0])
 SHARES = st.floats(1e-3, 0.495)  # of the rate

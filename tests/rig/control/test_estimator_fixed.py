@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from rig.control import estimators
-from rig.control.estimators.fdm_butterworth_fixed import Y1, biquad
-from rig.control.fixed_point import ROUNDINGS, Biquad
+from rig.control._fixed_point import ROUNDINGS, Biquad
+from rig.control.estimators._fdm_butterworth_fixed import Y1, biquad
 from rig.core.errors import ConfigError
 from rig.testing.estimators import check_estimator, velocities
 from tests.conformance.fixed_law import ExactFilter, golden_vectors

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from scipy import integrate, linalg
 
 from rig.control import estimators
-from rig.control.estimators import kalman
+from rig.control.estimators import _kalman as kalman
+from rig.control.estimators._kalman import GAIN1, P11, P12, P13, P22, P23, P33
+from rig.control.estimators._kalman_model import process_noise, steady_gain
 from rig.control.estimators.estimator import PERIOD as PERIOD_INDEX
-from rig.control.estimators.kalman import GAIN1, P11, P12, P13, P22, P23, P33
-from rig.control.estimators.kalman_model import process_noise, steady_gain
 from rig.core.errors import ConfigError
 from rig.testing.estimators import check_estimator, velocities
 

@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.control.estimators import arrays, levant, levant_regions
-from rig.control.estimators.levant import ALPHA, ERROR, LAMBDA, U1, step
+from rig.control.estimators import _levant as levant
+from rig.control.estimators import arrays, levant_regions
+from rig.control.estimators._levant import ALPHA, ERROR, LAMBDA, U1, step
 from rig.core.errors import ConfigError
 from rig.testing.estimators import check_estimator, velocities
 

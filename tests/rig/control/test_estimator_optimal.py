@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.control.estimators import arrays, optimal
+from rig.control.estimators import _optimal as optimal
+from rig.control.estimators import arrays
 from rig.core.errors import ConfigError
 from rig.testing.estimators import velocities
 

@@ -16,8 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.control import estimators
+from rig.control.estimators._fdm import count_difference
 from rig.control.estimators.estimator import Prepared, Setting
-from rig.control.estimators.fdm import count_difference
 from rig.core import plugins
 from rig.core.errors import ConfigError
 from rig.testing.estimators import check_estimator, velocities

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
-from rig.control.fixed_point import (
+from rig.control._fixed_point import (
     FLOOR,
     NEAREST,
     ROUNDINGS,

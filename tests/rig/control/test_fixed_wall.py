@@ -12,9 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.control import guard, wall
-from rig.control.fixed_point import Format
-from rig.control.fixed_wall import DEPTH, GAIN_GREATEST, current_quanta, design_wall
+from rig.control import _guard as guard
+from rig.control import _wall as wall
+from rig.control._fixed_point import Format
+from rig.control._fixed_wall import DEPTH, GAIN_GREATEST, current_quanta, design_wall
 from rig.core.errors import ConfigError
 from tests.conformance.fixed_law import difference, exact_quanta, golden_vectors
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.control.guard import current_quanta, limited, slewed
+from rig.control._guard import current_quanta, limited, slewed
 
 EFFORT = st.floats(-1e6, 1e6)
 POSITIVE = st.floats(1e-6, 1e3)

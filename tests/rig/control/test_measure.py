@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, sosfilt, sosfilt_zi, sosfiltfilt
 
-from rig.control import measure
+from rig.control import _measure as measure
+from rig.control._measure import FEWEST_TICKS, LOST_BITS, NUMBERS, OVERRULED, filters, toggling_floor
+from rig.control._median import median
 from rig.control.judging import meter
-from rig.control.measure import FEWEST_TICKS, LOST_BITS, NUMBERS, OVERRULED, filters, toggling_floor
-from rig.control.median import median
 from rig.control.verdict import Thresholds, Verdict
 from rig.core.sample import RowFlag
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.control.sources import approach, servo
+from rig.control._sources import approach, servo
 
 PLACE = st.floats(-1.0, 1.0)
 

@@ -15,8 +15,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rig.control._measure import NUMBERS
 from rig.control.judging import TrialSignals, judge, meter, recorded_signals, true_signals
-from rig.control.measure import NUMBERS
 from rig.control.verdict import (
     CRITERIA,
     INVALID,

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.control import watch
+from rig.control import _watch as watch
 from rig.core.sample import Phase, RowFlag
 from tests.rig.control.test_step import DELTA, Tick
 

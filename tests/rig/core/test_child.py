@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from rig.core.child import find_program
-from rig.realtime.c_library import CLibrary
+from rig.realtime._c_library import CLibrary
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a script is no program there")

@@ -14,11 +14,11 @@ import pytest
 
 import rig.cli
 from rig import devices
-from rig.cli import listing
+from rig.cli import _listing as listing
 from rig.core import extras, plugins
 from rig.core.errors import ConfigError, RigError
 from rig.core.shown import Drawn, plot
-from rig.experiments.sweep.executors import executor_for
+from rig.experiments.sweep._executors import executor_for
 
 Install = Callable[..., Path]
 

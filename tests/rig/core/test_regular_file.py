@@ -13,13 +13,13 @@ import pytest
 from rig.config import presets
 from rig.core import regular_file
 from rig.core.errors import RigError
-from rig.experiments.mapping import maps
-from rig.experiments.sweep.journal import read_on
+from rig.experiments.mapping import _maps as maps
+from rig.experiments.sweep._journal import read_on
 from rig.extras.drives.odrive import Endpoints
-from rig.firmware.flash import read_image
+from rig.firmware._flash import read_image
 from rig.recording.counts import read_counts
 from rig.recording.reader import open_facts, open_recording
-from rig.session.planning.load import load_protocol
+from rig.session.planning._load import load_protocol
 
 if sys.platform == "win32":
     pytest.skip("no file there is a FIFO or a device", allow_module_level=True)

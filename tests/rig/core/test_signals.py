@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.control.estimators import quantise
-from rig.experiments.estimation.signals import SIGNALS, Signal, edge_times, ramp, sine, wall_bounce
+from rig.experiments.estimation._signals import SIGNALS, Signal, edge_times, ramp, sine, wall_bounce
 
 FINE = 1e-6  # step of the brute-force oracles (s)
 
@@ -111,6 +111,6 @@ def test_an_edge_lies_between_its_sample_and_the_one_before_that_shows_another_c
 
 def test_signals_load_numpy_alone() -> None:
     heavy = "{'numba', 'scipy', 'matplotlib'}"
-    script = f"import sys, rig.experiments.estimation.signals; print(sorted({heavy} & set(sys.modules)))"
+    script = f"import sys, rig.experiments.estimation._signals; print(sorted({heavy} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

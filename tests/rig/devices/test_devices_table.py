@@ -27,7 +27,7 @@ from rig.core.errors import ConfigError, DeviceNotFoundError
 from rig.core.process import announced
 from rig.devices import local
 from rig.devices.device import DeviceUrl
-from rig.experiments.hits.on_device import OnDevice, examined
+from rig.experiments.hits._on_device import OnDevice, examined
 from sim_backend.ends.link import MemoryLink
 from tests.conformance.census import children
 from tests.conformance.firmware import need_compiler

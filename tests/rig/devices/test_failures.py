@@ -16,7 +16,7 @@ from rig.core.errors import (
     StalledError,
     UnpluggedError,
 )
-from rig.devices.failures import FAILURES, error_number, failure, link_error
+from rig.devices._failures import FAILURES, error_number, failure, link_error
 
 USB, SERIAL = "usb://1209:0001", "serial:///dev/ttyACM0"
 

@@ -13,11 +13,11 @@ import pytest
 
 from firmware_protocol import messages as m
 from firmware_protocol.faults import Fault
-from rig.config.sections import Host as Scheduling
+from rig.config._sections import Host as Scheduling
 from rig.core.errors import ConfigError, DeviceNotFoundError, UnpluggedError
+from rig.devices._local_socket import SocketLink, open_link
 from rig.devices.device import DeviceUrl
 from rig.devices.local import host_beside
-from rig.devices.local_socket import SocketLink, open_link
 from tests.conformance.device import check_device
 from tests.conformance.firmware import need_compiler
 from tests.conformance.host import Host

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from rig.core.present import plain
+from rig.devices import _tty as tty
 from rig.devices import port_facts as module
-from rig.devices import tty
 from rig.devices.port_facts import PortFacts, port_facts
 
 

@@ -18,15 +18,16 @@ import pytest
 import serial
 
 from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError
-from rig.devices import port_facts, threaded_serial
+from rig.devices import _threaded_serial as threaded_serial
+from rig.devices import _tty as tty_settings
+from rig.devices import port_facts
 from rig.devices import serial as ports
-from rig.devices import tty as tty_settings
+from rig.devices._serial_options import DEFAULT_BAUD
+from rig.devices._serial_options import capacity as capacity_of
 from rig.devices.descriptor import WRITE_TIMEOUT_S
 from rig.devices.device import DeviceUrl
 from rig.devices.serial import SerialLink, open_link
-from rig.devices.serial_options import DEFAULT_BAUD
-from rig.devices.serial_options import capacity as capacity_of
-from rig.doctor.ports import serial_port
+from rig.doctor._ports import serial_port
 
 SLACK_S = 5.0  # of a loaded machine: these tests say "bounded", not "quick"
 IFLAG, OFLAG, CFLAG, LFLAG, CC = 0, 1, 2, 3, 6

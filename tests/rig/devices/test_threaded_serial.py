@@ -22,9 +22,9 @@ from rig.config import Experiment, experiment_from_mapping, presets
 from rig.core import this_system
 from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError, PlanError, StoppedError
 from rig.core.sample import Phase
-from rig.devices import threaded_serial
+from rig.devices import _threaded_serial as threaded_serial
+from rig.devices._threaded_serial import ThreadedSerialLink, open_link
 from rig.devices.device import DeviceUrl
-from rig.devices.threaded_serial import ThreadedSerialLink, open_link
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
 from rig.recording.reader import open_recording
@@ -130,7 +130,7 @@ def test_a_law_on_the_board_runs_through_it_and_a_stop_is_sent_not_awaited(
 ) -> None:
     """With the longest lifetime, in which a board that hears nothing would go on: STOP goes out at once, and again."""
     need_compiler()
-    monkeypatch.setitem(devices.BUILT_IN, "serial", "rig.devices.threaded_serial:open_link")
+    monkeypatch.setitem(devices.BUILT_IN, "serial", "rig.devices._threaded_serial:open_link")
     sent: list[bytes] = []
     true_send = threaded_serial._Line.send
     monkeypatch.setattr(
@@ -163,7 +163,7 @@ def test_a_law_on_the_board_runs_through_it_and_a_stop_is_sent_not_awaited(
 def test_a_law_of_this_computer_is_refused_off_linux_before_anything_moves(
     board: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setitem(devices.BUILT_IN, "serial", "rig.devices.threaded_serial:open_link")
+    monkeypatch.setitem(devices.BUILT_IN, "serial", "rig.devices._threaded_serial:open_link")
     monkeypatch.setattr(this_system, "sys", SimpleNamespace(platform="darwin"))
     experiment = presets.load("koul-rigid")
     url = f"serial://{board(config.rig_model(experiment))}"

@@ -11,7 +11,8 @@ import pytest
 import usb.core
 
 from rig.core.errors import ConfigError, DeviceNotFoundError, IncompatibleDeviceError
-from rig.devices import open_link, usb_handle
+from rig.devices import _usb_handle as usb_handle
+from rig.devices import open_link
 from rig.devices import usb as links
 from rig.realtime.scheduling.refusals import RULES_COMMAND
 
@@ -260,7 +261,7 @@ def test_what_is_not_as_tested_is_said_and_not_touched(monkeypatch: pytest.Monke
 
 
 def test_the_layout_of_a_transfer_is_what_the_compiled_code_reads() -> None:
-    from rig.devices import usb_transfers as compiled  # noqa: PLC0415
+    from rig.devices import _usb_transfers as compiled  # noqa: PLC0415
 
     assert usb_handle.Transfer.status.offset == compiled.STATUS_AT
     assert usb_handle.Transfer.length.offset == compiled.LENGTH_AT == compiled.STATUS_AT + 4
@@ -283,7 +284,7 @@ def test_the_layout_of_a_transfer_is_what_the_compiled_code_reads() -> None:
     ],
 )
 def test_libusbs_statuses_are_error_numbers(status: int, number: Any) -> None:
-    from rig.devices.usb_transfers import errno_of_status  # noqa: PLC0415
+    from rig.devices._usb_transfers import errno_of_status  # noqa: PLC0415
 
     assert errno_of_status(status) == number
 
@@ -292,7 +293,7 @@ def test_libusbs_codes_are_those_that_pyusb_knows() -> None:
     """An independent table: pyusb's own."""
     from usb.backend.libusb1 import _libusb_errno  # noqa: PLC0415
 
-    from rig.devices.usb_transfers import errno_of_code  # noqa: PLC0415
+    from rig.devices._usb_transfers import errno_of_code  # noqa: PLC0415
 
     for code, number in _libusb_errno.items():
         known = number is not None and code not in (-10, -12, -99)

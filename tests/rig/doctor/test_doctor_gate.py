@@ -17,9 +17,9 @@ from rig.core.check import Outcome
 from rig.core.errors import PlanError
 from rig.core.present import plain
 from rig.doctor import gate as gates
+from rig.doctor._walls import candidate_rates, dampings_of, supported_walls
 from rig.doctor.gate import LIFETIME_SHARE, check_armable, gate
 from rig.doctor.late_loops import LARGEST_DELAY, LateLoops, hands_of, late_by
-from rig.doctor.walls import candidate_rates, dampings_of, supported_walls
 from rig.experiments.hits.hit import in_effect
 from rig.realtime.clock import MonotonicClock, VirtualClock
 from tests.conformance.guides import ROOT, blocks

@@ -16,13 +16,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.cli.doctor import doctor
-from rig.config.sections import Host
+from rig.config._sections import Host
 from rig.core.check import Check, Outcome
 from rig.core.present import plain
-from rig.doctor import access, kernel, limits, wake_up
-from rig.doctor.machine import CHECKS, machine_checks
-from rig.doctor.subject import Machine
-from rig.doctor.udev import RIGS, udev_rules
+from rig.doctor import _access as access
+from rig.doctor import _kernel as kernel
+from rig.doctor import _limits as limits
+from rig.doctor import _wake_up as wake_up
+from rig.doctor._machine import CHECKS, machine_checks
+from rig.doctor._subject import Machine
+from rig.doctor._udev import RIGS, udev_rules
 from rig.realtime.scheduling import Rights, ThreadState, facts, name_of_group, refusals
 
 OK, WARNING, REFUSED = Outcome.OK, Outcome.WARNING, Outcome.REFUSED

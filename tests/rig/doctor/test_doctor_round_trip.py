@@ -25,7 +25,7 @@ from rig.core.errors import LinkLostError
 from rig.core.present import plain
 from rig.devices.device import DeviceUrl
 from rig.devices.port import LoopPort
-from rig.doctor.round_trip import TIMEOUT_S, WARM_UP, measure_link
+from rig.doctor._round_trip import TIMEOUT_S, WARM_UP, measure_link
 from rig.realtime.clock import VirtualClock
 from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 from tests.conformance.served import served_rig

@@ -22,12 +22,12 @@ from rig.doctor.gate import check_armable
 from rig.experiments.hits import admission
 from rig.experiments.hits import examine as examining
 from rig.experiments.hits import hit as hits
+from rig.experiments.hits._on_device import OnDevice, Trials
 from rig.experiments.hits.admission import admission_checks, admit
 from rig.experiments.hits.examine import Examination, ExaminationRequest
 from rig.experiments.hits.hit import HitRequest, in_effect
-from rig.experiments.hits.on_device import OnDevice, Trials
 from rig.experiments.trials.preparation import prepared_on
-from rig.session.engine.hits import DeviceRunner
+from rig.session.engine._hits import DeviceRunner
 from rig.testing import hits as hits_of_tests
 from sim_backend.board.make_device import make_device
 from sim_backend.ends.link import MemoryLink

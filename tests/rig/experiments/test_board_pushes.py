@@ -14,15 +14,15 @@ import pytest
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from rig import config
-from rig.analysis.identification.quality import IdentificationError
+from rig.analysis.identification._quality import IdentificationError
 from rig.config import presets
 from rig.config.controller import effort_quantum
 from rig.core.errors import PlanError
 from rig.devices.fault_script import Faults
 from rig.devices.framed import FramedDevice
-from rig.experiments.motion import board_pushes
+from rig.experiments.motion import _board_pushes as board_pushes
 from rig.experiments.motion.pulse import PUSHES, pulse
-from rig.experiments.trials.identify_motions import PUSH_COUNTS, PUSH_S, REST_S, most_push, slow_rate, still
+from rig.experiments.trials._identify_motions import PUSH_COUNTS, PUSH_S, REST_S, most_push, slow_rate, still
 from rig.experiments.trials.replay import replay
 from rig.recording.reader import open_recording
 from sim_backend.ends.link import MemoryLink

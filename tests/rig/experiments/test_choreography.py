@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from rig import config
-from rig.cli.hit_output import ProgressBars
+from rig.cli._hit_output import ProgressBars
 from rig.config import presets
-from rig.config.derive import free_s
+from rig.config._derive import free_s
 from rig.control.verdict import Kind
 from rig.core.errors import ConfigError
 from rig.core.sample import HOLD, Phase, phase_name
@@ -21,7 +21,7 @@ from rig.experiments.trials.judgement import judge
 from rig.recording.data import Recording
 from rig.recording.marks import marks
 from rig.recording.reader import open_recording
-from rig.session.engine.baseline import baseline
+from rig.session.engine._baseline import baseline
 from sim_backend.board.make_device import make_device
 from sim_backend.ends.link import MemoryLink
 from tests.conformance.trials import trial_on

@@ -18,8 +18,8 @@ from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, DeviceNotFoundError
 from rig.core.present import plain
 from rig.experiments.hits import compare as comparing
+from rig.experiments.hits._impact import mean, measure, second_peak
 from rig.experiments.hits.compare import Entry, Start, compare, default_entries, simulate
-from rig.experiments.hits.impact import mean, measure, second_peak
 from sim_backend.bare.trial import run_trial
 from sim_backend.mechanics.plant import DiscretePlant, energy
 from tests.conformance.rigs import rotary_rig

@@ -26,21 +26,21 @@ from rig.experiments.design import (
     UnmetError,
     Wishes,
     design,
-    device,
     directory_for,
-    linear,
     listed,
-    listing,
-    margin,
-    paths,
     places_for,
 )
-from rig.experiments.design import search as searching
-from rig.experiments.design.rules import BoundaryMeasures
-from rig.experiments.design.search import Round
-from rig.experiments.mapping import maps
-from rig.experiments.mapping.ranges import search_for
-from rig.experiments.mapping.rendering import RENDERED, rendered_damping, rendered_share
+from rig.experiments.design import _device as device
+from rig.experiments.design import _linear as linear
+from rig.experiments.design import _listing as listing
+from rig.experiments.design import _margin as margin
+from rig.experiments.design import _paths as paths
+from rig.experiments.design import _search as searching
+from rig.experiments.design._rules import BoundaryMeasures
+from rig.experiments.design._search import Round
+from rig.experiments.mapping import _maps as maps
+from rig.experiments.mapping._ranges import search_for
+from rig.experiments.mapping._rendering import RENDERED, rendered_damping, rendered_share
 from rig.experiments.mapping.zwidth import MapPlan
 from rig.firmware.tick_budget import CALLS
 from tests.conformance.made_links import link

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.experiments.design import rules
-from rig.experiments.design.rules import BoundaryMeasures, Comparison, Measures, UnmetError, Wishes
-from rig.experiments.mapping.searches import Extent
+from rig.experiments.design import _rules as rules
+from rig.experiments.design._rules import BoundaryMeasures, Comparison, Measures, UnmetError, Wishes
+from rig.experiments.mapping._searches import Extent
 
 FEW = st.sampled_from([0.0, 1.0, 2.0, 3.0])  # so that ties are common
 measured = st.builds(

@@ -9,10 +9,11 @@ from rig import config
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
-from rig.experiments.design import rules, whole
-from rig.experiments.design.listing import Candidate
-from rig.experiments.design.rounds import Sweeper
-from rig.experiments.design.whole import PaperSchemes
+from rig.experiments.design import _rules as rules
+from rig.experiments.design import _whole as whole
+from rig.experiments.design._listing import Candidate
+from rig.experiments.design._rounds import Sweeper
+from rig.experiments.design._whole import PaperSchemes
 from tests.conformance.maps import SHORT
 
 LOOSE = {

@@ -18,8 +18,8 @@ from rig.control import bilateral
 from rig.control.excitation_table import PHASES, ExcitationTable
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, PlanError
+from rig.doctor._walls import candidate_rates
 from rig.doctor.gate import gate
-from rig.doctor.walls import candidate_rates
 from rig.experiments.hits.hit import in_effect
 from rig.experiments.identification.identify import IdentifyRequest, identify
 from rig.experiments.trials import excitation_run, live

@@ -19,6 +19,7 @@ from rig.control.estimators.estimator import Choice, Setting
 from rig.core.errors import ConfigError
 from rig.core.present import plain
 from rig.core.sample import ROW, Phase
+from rig.experiments.estimation._signals import SIGNALS, edge_times, sine
 from rig.experiments.estimation.cases import recording_case, signal_case
 from rig.experiments.estimation.estimators import (
     Variant,
@@ -29,7 +30,6 @@ from rig.experiments.estimation.estimators import (
     rest_noise,
     score,
 )
-from rig.experiments.estimation.signals import SIGNALS, edge_times, sine
 from rig.experiments.estimation.tuning import OBJECTIVES, WITHIN, SettingRange, shown_range, tune_estimator
 from rig.recording.data import Recording
 from tests.conformance.tiers import first_by_default

@@ -13,10 +13,10 @@ from rig import config
 from rig.config import presets
 from rig.control import estimators
 from rig.core.errors import ConfigError, RecordingError
+from rig.experiments.estimation._estimator_export import EstimatorExport, Tolerance, export_estimator
+from rig.experiments.estimation._signals import SIGNALS
 from rig.experiments.estimation.cases import signal_case
-from rig.experiments.estimation.estimator_export import EstimatorExport, Tolerance, export_estimator
 from rig.experiments.estimation.estimators import Variant
-from rig.experiments.estimation.signals import SIGNALS
 from tests.conformance.tiers import first_by_default
 from tests.firmware.build import compile_c
 

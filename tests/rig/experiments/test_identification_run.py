@@ -12,9 +12,9 @@ import pytest
 
 import rig
 from rig import config
-from rig.analysis.identification.interval import Interval
-from rig.analysis.identification.quality import IdentificationError
-from rig.analysis.identification.signs import check_signs
+from rig.analysis.identification._interval import Interval
+from rig.analysis.identification._quality import IdentificationError
+from rig.analysis.identification._signs import check_signs
 from rig.cli.identify import _ripple_pairs
 from rig.config import controller, presets
 from rig.control.motions import nudging, tracing
@@ -24,12 +24,12 @@ from rig.core.model import Cogging
 from rig.core.sample import ROW, Phase
 from rig.devices.framed import FramedDevice
 from rig.experiments.identification import identify as identifying
+from rig.experiments.identification._identified_values import identified_values
 from rig.experiments.identification.identified_file import format_identification
-from rig.experiments.identification.identified_values import identified_values
 from rig.experiments.identification.identify import IdentifyRequest
-from rig.experiments.motion import motion_run
-from rig.experiments.motion.motion_run import LONGEST_FILLED, MOST_LOST_SHARE, TimingError, trial_rows, whole
-from rig.experiments.trials import identify_motions as motions
+from rig.experiments.motion import _motion_run as motion_run
+from rig.experiments.motion._motion_run import LONGEST_FILLED, MOST_LOST_SHARE, TimingError, trial_rows, whole
+from rig.experiments.trials import _identify_motions as motions
 from rig.recording.reader import open_recording
 from sim_backend.bare.trial import run_trial
 from sim_backend.board import device as simulated

@@ -11,10 +11,10 @@ import pytest
 from rig.config import presets
 from rig.config.controller import command_lifetime_s, rate_of_lifetime
 from rig.core.errors import PlanError
-from rig.doctor.ping import EXCHANGE
-from rig.doctor.round_trip import LinkMeasurement
-from rig.experiments.identification.identify_rate import at_rate, choose_rate
-from rig.experiments.motion.motion_run import SLOWEST_HZ, TimingError, advice, repeat_if_late
+from rig.doctor._ping import EXCHANGE
+from rig.doctor._round_trip import LinkMeasurement
+from rig.experiments.identification._identify_rate import at_rate, choose_rate
+from rig.experiments.motion._motion_run import SLOWEST_HZ, TimingError, advice, repeat_if_late
 from rig.recording.quantiles import Distribution
 
 RIG = presets.load("koul-rigid")

@@ -13,15 +13,15 @@ import pytest
 
 import rig
 from rig import config, devices
-from rig.analysis.impedance.estimate import periodic
-from rig.analysis.impedance.ideal import bare, rendered
+from rig.analysis.impedance._estimate import periodic
+from rig.analysis.impedance._ideal import bare, rendered
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.control import bilateral
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, GuardError, PlanError, RecordingError
 from rig.core.present import plain
-from rig.experiments.hits.on_device import OnDevice
+from rig.experiments.hits._on_device import OnDevice
 from rig.experiments.mapping import impedance as measuring
 from rig.experiments.mapping.impedance import Judging, measure_impedance, measure_on_device, write_results
 from rig.experiments.trials.excitation_run import (

@@ -11,11 +11,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from rig import config
-from rig.config import load
+from rig.config import _load as load
 from rig.core.errors import RecordingError
-from rig.experiments.mapping import maps
-from rig.experiments.sweep import executors
-from rig.experiments.sweep.journal import read_on
+from rig.experiments.mapping import _maps as maps
+from rig.experiments.sweep import _executors as executors
+from rig.experiments.sweep._journal import read_on
 from rig.recording.reader import open_recording
 from tests.conformance.maps import short_map
 

@@ -13,12 +13,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import rig
+from rig.config._load import as_mapping
 from rig.config.controller import prepared
-from rig.config.load import as_mapping
 from rig.control.verdict import Kind
 from rig.core.errors import ConfigError, PlanError, RecordingError
 from rig.core.sample import Phase
-from rig.experiments.data_sheets import questions
+from rig.experiments._data_sheets import questions
 from rig.experiments.trials.plan import make_plan, plan_of
 
 LEVER: dict[str, Any] = {

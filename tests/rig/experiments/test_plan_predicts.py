@@ -6,9 +6,9 @@ import pytest
 
 from rig.analysis.theory import theory_of
 from rig.config import Experiment, controller, override, presets
-from rig.config.load import experiment_from_mapping, with_realtime
+from rig.config._load import experiment_from_mapping, with_realtime
 from rig.core.check import Check, Outcome
-from rig.experiments.design.paths import fits_a_tick
+from rig.experiments.design._paths import fits_a_tick
 from rig.experiments.trials.plan import make_plan, plan_of
 from tests.benchmarks.plausible_rigs import named_changes, outcome, reaches
 from tests.conformance.tiers import first_by_default

@@ -15,19 +15,19 @@ import rig
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from rig import config
-from rig.analysis.identification.quality import IdentificationError
-from rig.analysis.identification.signs import check_signs
+from rig.analysis.identification._quality import IdentificationError
+from rig.analysis.identification._signs import check_signs
 from rig.cli import run
 from rig.config import presets
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, DeviceFaultError, PlanError, RigError
 from rig.devices.framed import FramedDevice
+from rig.experiments.hits._on_device import OnDevice, Trials
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
-from rig.experiments.hits.on_device import OnDevice, Trials
-from rig.experiments.motion.motion_run import FreeRigRequest
+from rig.experiments.motion._motion_run import FreeRigRequest
 from rig.experiments.motion.pulse import NO_HANDS, PUSHES, Pulse, check_rig_moves, energy_of, judged, pulse
-from rig.experiments.trials.identify_motions import coulomb_of, inertia_of, most_push, push_growth, push_way
+from rig.experiments.trials._identify_motions import coulomb_of, inertia_of, most_push, push_growth, push_way
 from rig.experiments.trials.plan import make_plan
 from rig.recording.reader import open_recording
 from sim_backend.board.firmware import FirmwareDevice

@@ -13,7 +13,7 @@ from rig.config.schemes import Scheme
 from rig.core.check import Outcome
 from rig.core.errors import PlanError
 from rig.experiments.identification.identify import IdentifyRequest, plan_of
-from rig.experiments.mapping import ranges
+from rig.experiments.mapping import _ranges as ranges
 from rig.experiments.trials.plan import make_plan
 
 PUSHED = presets.load("koul-compliant")

@@ -18,7 +18,7 @@ from rig.core.sample import ROW
 from rig.experiments.trials.recover import CaptureState, Recovered, failed, recover, unsealed
 from rig.realtime.control_words import LOOP_DONE
 from rig.realtime.ring import Ring
-from rig.recording.capture import write_capture
+from rig.recording._capture import write_capture
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording
 from rig.recording.recorder import AT_RISK_S, Recorder

@@ -11,7 +11,7 @@ import pytest
 
 from firmware_protocol.faults import Fault, Input
 from rig import config, devices
-from rig.analysis.identification.quality import IdentificationError
+from rig.analysis.identification._quality import IdentificationError
 from rig.cli import run
 from rig.config import Experiment, presets
 from rig.core.errors import ConfigError, DeviceFaultError, DeviceRefusedError, GuardError, RigError
@@ -19,7 +19,7 @@ from rig.devices.framed import FramedDevice
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
 from rig.experiments.motion.reference import FoundReference, reference
-from rig.experiments.trials.identify_motions import still
+from rig.experiments.trials._identify_motions import still
 from rig.experiments.trials.preparation import position_zero
 from rig.recording.reader import open_recording
 from sim_backend.board.hardware import Hardware

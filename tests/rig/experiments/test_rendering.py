@@ -13,7 +13,7 @@ from rig import config
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.control.estimators import names
-from rig.experiments.mapping.rendering import RENDERED, rendered_damping, rendered_share
+from rig.experiments.mapping._rendering import RENDERED, rendered_damping, rendered_share
 from rig.experiments.mapping.zwidth import Boundary, Width, ZWidth
 from tests.conformance.maps import short_map
 

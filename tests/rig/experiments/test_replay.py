@@ -24,7 +24,7 @@ from rig.experiments.trials.replay import COMPUTED, replay
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
 from rig.realtime.ring import Ring
-from rig.recording.capture import BLOCK_ROWS
+from rig.recording._capture import BLOCK_ROWS
 from rig.recording.reader import open_recording
 from sim_backend.board.make_device import make_device
 from sim_backend.ends.link import MemoryLink

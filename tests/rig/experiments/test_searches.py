@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.experiments.mapping.searches import StiffnessSearch, limit_of
+from rig.experiments.mapping._searches import StiffnessSearch, limit_of
 
 RANGE = {"lowest": 10.0, "highest": 1000.0, "ratio": 1.06}
 

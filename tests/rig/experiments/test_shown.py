@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import rig
-from rig.control.estimators import kalman
+from rig.control.estimators import _kalman as kalman
 from rig.core import deferred
 from rig.core.errors import ConfigError, RecordingError, RigError
 from rig.core.shown import LINES, WIDTH
-from rig.experiments.mapping.ranges import frequency_plan
+from rig.experiments.mapping._ranges import frequency_plan
 from rig.experiments.mapping.zwidth_frequency import FrequencyMap
 
 

@@ -28,8 +28,8 @@ from rig.cli.progress import CountBar, SweepBar
 from rig.core.errors import ConfigError, RecordingError, StoppedError
 from rig.experiments import sweep
 from rig.experiments.sweep import Progress, SweepStoppedError, Task, TaskError
-from rig.experiments.sweep import journal as journals
-from rig.experiments.sweep.executors import Threads, as_json
+from rig.experiments.sweep import _journal as journals
+from rig.experiments.sweep._executors import Threads, as_json
 from rig.recording import lines
 from tests.conformance import sweep_work
 from tests.conformance.started import started
@@ -234,7 +234,7 @@ def test_the_journal_of_another_plan_is_refused_with_what_differs(
 def test_a_journal_of_other_code_is_refused_with_both_versions(
     finished: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rig.experiments.sweep.tasks.code_version", lambda: "9.9.9+0123456789ab")
+    monkeypatch.setattr("rig.experiments.sweep._tasks.code_version", lambda: "9.9.9+0123456789ab")
     with pytest.raises(ConfigError, match=r'version: "0\.\d.*" there, "9\.9\.9\+0123456789ab" here'):
         sweep.run(FEW, journal=finished[0])
 

@@ -38,12 +38,12 @@ from rig.devices.fault_script import DeviceFault, Direction, FaultKind, Faults, 
 from rig.devices.framed import FaultReport, FramedDevice
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
-from rig.experiments.trials import trial as trials
-from rig.experiments.trials.endings import ENDINGS, error_of
+from rig.experiments.trials import _trial as trials
+from rig.experiments.trials._endings import ENDINGS, error_of
 from rig.experiments.trials.judgement import experiment_of, judge
-from rig.loop.contradictions import Contradiction
+from rig.loop._contradictions import Contradiction
+from rig.loop._run import COUNTERS, LoopEnd, LoopThread
 from rig.loop.layout import EndReason
-from rig.loop.run import COUNTERS, LoopEnd, LoopThread
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
 from rig.recording.files import free_name

@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 
 from rig import config, devices
-from rig.analysis.identification.quality import IdentificationError
+from rig.analysis.identification._quality import IdentificationError
 from rig.cli import run
 from rig.config import presets
 from rig.core.errors import ConfigError, PlanError
 from rig.devices.framed import FramedDevice
-from rig.experiments.motion.weigh import STANDARD_GRAVITY, Weighing, WeighRequest, weigh
+from rig.experiments.motion._weigh import STANDARD_GRAVITY, Weighing, WeighRequest, weigh
 from rig.recording.reader import open_recording
 
 RIGID = config.override(

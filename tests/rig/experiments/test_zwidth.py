@@ -13,8 +13,8 @@ from rig.config.schemes import Scheme
 from rig.core.errors import PlanError
 from rig.experiments.hits.hit_simulator import HitSimulator
 from rig.experiments.mapping import zwidth as maps
-from rig.experiments.mapping.maps import zwidth
-from rig.experiments.mapping.searches import StiffnessSearch
+from rig.experiments.mapping._maps import zwidth
+from rig.experiments.mapping._searches import StiffnessSearch
 from rig.experiments.mapping.zwidth import MapPlan, ZWidth
 
 SHORT = {"trial.duration_s": 0.4, "verdict.tail_s": 0.1, "homing.settle_s": 0.02}

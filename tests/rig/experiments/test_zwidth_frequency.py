@@ -19,20 +19,20 @@ from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.core.errors import PlanError
 from rig.core.present import plain
-from rig.experiments.mapping import maps
-from rig.experiments.mapping.impedance import Judging
-from rig.experiments.mapping.maps import zwidth
-from rig.experiments.mapping.ranges import (
+from rig.experiments.mapping import _maps as maps
+from rig.experiments.mapping._maps import zwidth
+from rig.experiments.mapping._ranges import (
     PAPERS_ESTIMATORS,
     default_grid,
     default_schemes,
     frequency_plan,
     linear_curves,
 )
-from rig.experiments.mapping.searches import boundary_search, connected, drive, trace_grid
+from rig.experiments.mapping._searches import boundary_search, connected, drive, trace_grid
+from rig.experiments.mapping.impedance import Judging
 from rig.experiments.mapping.table_one import PAPER, FrequencyWidth, Spread, table_one, tuned_numbers
 from rig.experiments.mapping.zwidth_frequency import TOGETHER, FrequencyMap
-from rig.views.plots.zwidth_frequency import draw_frequency_map
+from rig.views.plots._zwidth_frequency import draw_frequency_map
 
 CHAWDA = presets.load("chawda-linear")
 MASS, DAMPING = 0.52, 13.2  # kg, N·s/m

@@ -17,15 +17,15 @@ from rig.core.errors import ConfigError, GuardError, LinkLostError, PlanError, R
 from rig.core.sample import Phase
 from rig.devices.fault_script import DeviceFault, Faults
 from rig.devices.framed import FramedDevice
-from rig.experiments.hits import on_device
+from rig.experiments.hits import _on_device as on_device
+from rig.experiments.hits._on_device import OnDevice
 from rig.experiments.hits.hit import HitResult
 from rig.experiments.hits.hit_simulator import HitSimulator
-from rig.experiments.hits.on_device import OnDevice
-from rig.experiments.mapping import zwidth_rig
-from rig.experiments.mapping.maps import zwidth
-from rig.experiments.mapping.searches import StiffnessSearch
+from rig.experiments.mapping import _zwidth_rig as zwidth_rig
+from rig.experiments.mapping._maps import zwidth
+from rig.experiments.mapping._searches import StiffnessSearch
+from rig.experiments.mapping._zwidth_rig import DeviceMap, cooling_s, zwidth_on_rig
 from rig.experiments.mapping.zwidth import TRUE, MapPlan
-from rig.experiments.mapping.zwidth_rig import DeviceMap, cooling_s, zwidth_on_rig
 from rig.recording.reader import open_recording
 
 SHORT = {"trial.duration_s": 0.4, "verdict.tail_s": 0.1, "homing.settle_s": 0.02, "trial.release_s": 0.01}

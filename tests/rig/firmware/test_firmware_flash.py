@@ -10,10 +10,10 @@ import pytest
 import rig.cli
 from firmware_protocol import dictionary as dictionaries
 from rig.core.errors import ConfigError, DeviceNotFoundError, DeviceRefusedError, LinkLostError
-from rig.firmware import flash as flashing
-from rig.firmware.flash import BootDrive, drive_at, find_drives, flash
-from rig.firmware.record import ImageFacts, Record, pack
-from rig.firmware.uf2 import RP2040, Piece, write_uf2
+from rig.firmware import _flash as flashing
+from rig.firmware._flash import BootDrive, drive_at, find_drives, flash
+from rig.firmware._record import ImageFacts, Record, pack
+from rig.firmware._uf2 import RP2040, Piece, write_uf2
 
 DICTIONARY = dictionaries.build(device="mine", firmware="1", simulated=False, current_quantum_a=0.001)
 FACTS = ImageFacts(package="0.1", sources="abc", board="a pico", rig="mine", settings={})

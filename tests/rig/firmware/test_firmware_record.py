@@ -14,10 +14,10 @@ from firmware_protocol.parameters import PARAMETERS
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError
 from rig.core.present import plain
-from rig.firmware.flash import read_image
-from rig.firmware.info import about, compatibility, info
-from rig.firmware.record import MAGIC, ImageFacts, Record, find, pack
-from rig.firmware.uf2 import RP2040, Piece, write_uf2
+from rig.firmware._flash import read_image
+from rig.firmware._info import about, compatibility, info
+from rig.firmware._record import MAGIC, ImageFacts, Record, find, pack
+from rig.firmware._uf2 import RP2040, Piece, write_uf2
 
 DICTIONARY = dictionaries.build(device="mine", firmware="1", simulated=False, current_quantum_a=0.001)
 PACKED = dictionaries.encode(DICTIONARY)

@@ -16,8 +16,8 @@ from rig.core.check import Outcome
 from rig.core.errors import DeviceRefusedError
 from rig.core.present import plain
 from rig.devices import open_device
-from rig.firmware.selftest import SelfTestRequest, failure, selftest
-from rig.firmware.stream import judge_stream
+from rig.firmware._selftest import SelfTestRequest, failure, selftest
+from rig.firmware._stream import judge_stream
 
 DICTIONARY = build(device="mine", firmware="1", simulated=False, current_quantum_a=0.001)
 REQUEST = SelfTestRequest(rate=2_000, seconds=0.1)

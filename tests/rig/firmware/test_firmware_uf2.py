@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.core.errors import ConfigError
-from rig.firmware.elf import flat
-from rig.firmware.uf2 import RP2040, Piece, is_uf2, read_uf2, write_uf2
+from rig.firmware._elf import flat
+from rig.firmware._uf2 import RP2040, Piece, is_uf2, read_uf2, write_uf2
 
 FLASH = 0x1000_0000
 

@@ -10,8 +10,8 @@ import pytest
 
 import rig.cli
 from rig.core.errors import ConfigError
-from rig.firmware import boards
-from rig.firmware.wiring import Wiring, WiringPart, svg, wiring
+from rig.firmware import _boards as boards
+from rig.firmware._wiring import Wiring, WiringPart, svg, wiring
 
 BOARD = boards.load("rp2040")
 SETTINGS = boards.settings_of(BOARD, {})

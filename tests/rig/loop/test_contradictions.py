@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, Input
-from rig.loop.contradictions import WRAP, Contradiction, ahead, clock_error, of_clock
+from rig.loop._contradictions import WRAP, Contradiction, ahead, clock_error, of_clock
 from rig.loop.layout import EndReason
 from tests.conformance.batch_device import BatchDevice
 from tests.rig.loop import test_loop, test_supervise

@@ -12,7 +12,7 @@ from firmware_protocol.faults import LimitFlag
 from firmware_protocol.messages import NO_COMMAND_YET
 from rig.control.step import new_memory
 from rig.core.sample import RowFlag
-from rig.loop.currents import OLDER, compare_command, keep_command
+from rig.loop._currents import OLDER, compare_command, keep_command
 from rig.loop.layout import COMMANDS_KEPT, Buffers
 from rig.realtime.codec import STATE
 

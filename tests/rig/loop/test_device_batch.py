@@ -15,7 +15,7 @@ from firmware_protocol.law_parameters import LAW_PARAMETERS
 from firmware_protocol.packing import pack
 from rig import config
 from rig.config import presets
-from rig.config.device_law import batch
+from rig.config.device_law import _batch as batch
 from rig.core.errors import PlanError
 
 RIGID = config.override(presets.load("koul-rigid"), {"controller.loop": "device"})

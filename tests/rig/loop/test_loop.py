@@ -29,13 +29,13 @@ from rig.control.law import Law
 from rig.control.step import SETTLE
 from rig.core.sample import Phase, RowFlag
 from rig.devices.port import LoopPort
-from rig.loop import receive
-from rig.loop.contradictions import WRAP
-from rig.loop.host import run
+from rig.loop import _receive as receive
+from rig.loop._contradictions import WRAP
+from rig.loop._host import run
+from rig.loop._rows import DRIFT_PPM
+from rig.loop._rows import lateness as row_lateness
+from rig.loop._run import LoopSettings, LoopThread
 from rig.loop.layout import PROGRESS, RECEIVE_BYTES, SETTINGS, Buffers, EndReason
-from rig.loop.rows import DRIFT_PPM
-from rig.loop.rows import lateness as row_lateness
-from rig.loop.run import LoopSettings, LoopThread
 from rig.realtime import control_words, system
 from rig.realtime.atomics import load_word, store_word, write_word
 from rig.realtime.callbacks import callback_plugs
@@ -1041,7 +1041,7 @@ def waits_for_a_word(penetration: Any, velocity: Any, elapsed_ticks: Any, state:
 def test_a_law_that_never_returns_keeps_nobody_from_ending_the_run(
     wire: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rig.loop.run.JOIN_S", 0.2)
+    monkeypatch.setattr("rig.loop._run.JOIN_S", 0.2)
     words = np.zeros(2, np.int64)
     entered, freed = (int(words.ctypes.data) + 8 * place for place in range(2))
     law = Law("waits", "for this test", waits_for_a_word, 2, lambda wall: [float(entered), float(freed)])

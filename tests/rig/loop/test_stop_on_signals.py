@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from rig.loop.signals import stop_on_signals
+from rig.loop._signals import stop_on_signals
 from rig.realtime.stop_requests import STOPPING
 
 pytestmark = pytest.mark.signals

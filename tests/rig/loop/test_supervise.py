@@ -23,12 +23,12 @@ from rig.core.errors import ConfigError, PlanError
 from rig.core.present import plain
 from rig.core.sample import Phase, RowFlag
 from rig.experiments.trials.replay import COMPUTED
-from rig.loop import supervise
+from rig.loop import _supervise as supervise
+from rig.loop._parameter_update import update_of
+from rig.loop._run import LoopSettings, LoopThread
+from rig.loop._supervised import SupervisedThread
 from rig.loop.layout import EndReason
-from rig.loop.parameter_update import update_of
 from rig.loop.replay import NO_SETS, replay_rows
-from rig.loop.run import LoopSettings, LoopThread
-from rig.loop.supervised import SupervisedThread
 from rig.realtime import control_words
 from rig.realtime.ring import Ring
 from tests.conformance.batch_device import BatchDevice

@@ -12,7 +12,7 @@ import pytest
 from numba import types
 
 from rig.config import controller, presets
-from rig.loop import host
+from rig.loop import _host as host
 from rig.loop.layout import SETTINGS, Buffers, SharedRing
 from rig.realtime.groups import Address, Floats, Int, group, type_of
 from rig.realtime.kernel import kernel

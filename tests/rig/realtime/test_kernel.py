@@ -27,10 +27,12 @@ import pytest
 from numba import types
 
 from rig.core import locks, program
-from rig.realtime import cache, compiling, groups, handlers, parts, user_cache
+from rig.realtime import _cache as cache
+from rig.realtime import _user_cache as user_cache
+from rig.realtime import compiling, groups, handlers, parts
 from rig.realtime import kernel as module
 from rig.realtime import source_files as sources
-from rig.realtime.cache import cache_key, writable_by_others
+from rig.realtime._cache import cache_key, writable_by_others
 from rig.realtime.kernel import kernel
 from rig.realtime.source_files import compiled_sources, source_files
 
@@ -293,7 +295,7 @@ def copied(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("rig/control/step.py", "def step(", "def step_(", True),
         ("rig/cli/hit.py", "def ", "def x_", False),
         ("rig/experiments/hits/hit.py", '"""', '"""Edited. ', False),
-        ("rig/session/engine/conduct.py", "def ", "def x_", False),
+        ("rig/session/engine/_conduct.py", "def ", "def x_", False),
     ],
 )
 def test_the_key_follows_what_kernels_depend_on_and_nothing_else(

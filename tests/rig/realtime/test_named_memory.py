@@ -13,7 +13,8 @@ from typing import Any
 import pytest
 
 from rig.core.errors import ConfigError, RigError
-from rig.realtime import memories, named_memory, ring, running
+from rig.realtime import _named_memory as named_memory
+from rig.realtime import memories, ring, running
 from rig.realtime.control_words import STOP
 from rig.realtime.ring import Ring
 from tests.conformance.started import started

@@ -20,7 +20,7 @@ from numba import types
 from rig.core.errors import RigError
 from rig.core.sample import ROW
 from rig.realtime import control_words
-from rig.realtime.anonymous_memory import LINK, NAME
+from rig.realtime._anonymous_memory import LINK, NAME
 from rig.realtime.atomics import exchange_word, load_word, read_word, store_word, write_word
 from rig.realtime.kernel import kernel, prepare
 from rig.realtime.mailbox import MAILBOX_BYTES

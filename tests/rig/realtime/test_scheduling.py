@@ -27,16 +27,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.core.errors import RealtimeError
-from rig.realtime.scheduling import (
-    Realtime,
-    Rights,
-    ThreadState,
-    calls,
-    facts,
-    memory,
-    obtained,
-    refusals,
-)
+from rig.realtime.scheduling import Realtime, Rights, ThreadState, facts, obtained, refusals
+from rig.realtime.scheduling import _calls as calls
+from rig.realtime.scheduling import _memory as memory
 
 CHILD_S = 60.0
 PATIENCE_S = 5.0
@@ -363,7 +356,7 @@ CHILD = """
 import json, os, resource, sys, threading
 from rig.core.errors import RealtimeError
 from rig.realtime.scheduling import calls, facts, obtained
-from rig.realtime.scheduling.thread import ThreadState
+from rig.realtime.scheduling._thread import ThreadState
 from tests.rig.realtime.test_scheduling import Asked, all_threads, in_thread, is_as, state
 
 group, rtprio, memlock, user = json.loads(sys.argv[1])

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.realtime import stand_ins
+from rig.realtime import _stand_ins as stand_ins
 from rig.realtime.system import EAGAIN
 
 BILLION = 1_000_000_000

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from rig.realtime import user_cache
+from rig.realtime import _user_cache as user_cache
 
 HOME = os.path.expanduser("~")
 

@@ -21,12 +21,12 @@ from rig.core.present import plain
 from rig.core.sample import Phase, RowFlag
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
-from rig.loop.contradictions import WRAP
+from rig.loop._contradictions import WRAP
+from rig.loop._rows import sync_time
 from rig.loop.layout import Buffers
-from rig.loop.rows import sync_time
 from rig.realtime.codec import STATE
+from rig.recording._ledger import period_ns_of
 from rig.recording.data import Recording
-from rig.recording.ledger import period_ns_of
 from rig.recording.marks import EDGES_KEY, marks, sync_edges
 from rig.recording.reader import open_recording
 from sim_backend.ends.link import open_link

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rig.core.sample import ROW
-from rig.recording.capture import HEAD_BYTES, ROWS_MAGIC, pack_block
+from rig.recording._capture import HEAD_BYTES, ROWS_MAGIC, pack_block
 from rig.recording.recorder import close_block, take_rows
 from tests.conformance.recording import example_rows
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from rig.core.errors import RecordingError
 from rig.core.sample import COLUMNS, ROW
-from rig.realtime.scheduling import memory
-from rig.recording.capture import (
+from rig.realtime.scheduling import _memory as memory
+from rig.recording._capture import (
     CRC_BYTES,
     HEAD_BYTES,
     ROWS_MAGIC,

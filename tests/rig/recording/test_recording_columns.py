@@ -14,9 +14,9 @@ import pytest
 import rig
 from rig.core.errors import RecordingError
 from rig.experiments.trials.judgement import JUDGED, experiment_of, judge
-from rig.recording.capture import write_capture
+from rig.recording._capture import write_capture
+from rig.recording._parquet import write_parquet
 from rig.recording.data import Recording
-from rig.recording.parquet import write_parquet
 from rig.recording.reader import open_recording
 from rig.views.plots.hit import DRAWN, hit_figure, xy_figure
 from rig.views.plots.style import STRETCHES, visible

@@ -17,12 +17,12 @@ from rig.config import presets
 from rig.core.errors import RecordingError
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
-from rig.recording import parquet
+from rig.recording import _parquet as parquet
+from rig.recording._capture import END_MAGIC, ROWS_MAGIC, pack_block, pack_header
+from rig.recording._shape import DEPTH, misfit, parsed
 from rig.recording.canonical import canonical_json
-from rig.recording.capture import END_MAGIC, ROWS_MAGIC, pack_block, pack_header
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording
-from rig.recording.shape import DEPTH, misfit, parsed
 
 COMMANDS = (
     ["recording", "show", "--marks"],

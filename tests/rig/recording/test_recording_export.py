@@ -14,9 +14,9 @@ from scipy.io import loadmat
 
 from rig.core.errors import RecordingError
 from rig.core.sample import Phase
+from rig.recording._mcap import ROWS
 from rig.recording.data import Recording
 from rig.recording.export import EXPORTERS, export, sidecar_of
-from rig.recording.mcap import ROWS
 from rig.recording.reader import open_recording
 from rig.recording.seal import with_truth
 from tests.conformance.recording import example_header, example_rows, example_truth

@@ -15,7 +15,7 @@ from scipy.io import loadmat
 
 from rig.core.errors import RecordingError
 from rig.core.sample import COLUMNS
-from rig.recording.capture import write_capture
+from rig.recording._capture import write_capture
 from rig.recording.data import Recording
 from rig.recording.export import export
 from rig.recording.header import VERSION, dtype_of

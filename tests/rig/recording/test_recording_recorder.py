@@ -24,7 +24,7 @@ from rig.realtime.control_words import DROPPED, HEAD, LOOP_DONE, TAIL, TICKS
 from rig.realtime.ring import Ring
 from rig.realtime.running import running
 from rig.realtime.system import descriptor_sync
-from rig.recording.capture import pack_header
+from rig.recording._capture import pack_header
 from rig.recording.reader import open_recording
 from rig.recording.recorder import AT_RISK_S, Recorder, write_all
 from tests.conformance.recording import example_header, example_rows

@@ -19,9 +19,9 @@ from rig.core.errors import RecordingError
 from rig.core.present import plain
 from rig.core.sample import COLUMNS, TRUTH_COLUMNS
 from rig.recording import seal as seal_module
-from rig.recording.capture import write_capture
+from rig.recording._capture import write_capture
+from rig.recording._parquet import write_parquet
 from rig.recording.data import Recording
-from rig.recording.parquet import write_parquet
 from rig.recording.reader import open_recording
 from rig.recording.seal import seal, with_truth
 from rig.recording.timing import NO_AGE

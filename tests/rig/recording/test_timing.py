@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from rig.core.clock_fit import ClockFit
 from rig.core.present import plain
 from rig.core.sample import ROW, RowFlag
+from rig.recording._timing_summary import EDGES_NS, LOWEST_NS, WORST, summarise
 from rig.recording.timing import LATENESS, NO_AGE, STAGES, WRAP_NS, device_times, ledger
-from rig.recording.timing_summary import EDGES_NS, LOWEST_NS, WORST, summarise
 
 PERIOD_NS = 500_000
 

@@ -31,11 +31,11 @@ from rig.extras.console.sessions import JOB, Sessions
 from rig.extras.console.talk import Talk
 from rig.extras.console.terminal import Terminal as Consents
 from rig.realtime.hand import SharedHand
-from rig.session.planning.protocol import Keys
-from rig.session.terminal.asking import AskingDesk
+from rig.session.planning._protocol import Keys
+from rig.session.terminal._asking import AskingDesk
+from rig.session.terminal._pointer import HandKind
+from rig.session.terminal._seat import keymap_for
 from rig.session.terminal.desk import ConsoleDesk, MovedHand
-from rig.session.terminal.pointer import HandKind
-from rig.session.terminal.seat import keymap_for
 from tests.conformance.terminal import PATIENCE_S, Terminal
 from tests.extras.console.console_fakes import Here
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.analysis.identification.signs import check_signs
+from rig.analysis.identification._signs import check_signs
 from rig.config import Experiment
 from rig.config.presets import load as preset
 from rig.core.check import Check, Outcome
@@ -17,16 +17,16 @@ from rig.core.errors import RigError
 from rig.doctor.pace import Pace
 from rig.experiments.motion.pulse import Pulse
 from rig.recording.files import whole_file
-from rig.session.engine.conduct import conduct
-from rig.session.engine.desk import Desk, DeskView, Question, Reply
-from rig.session.engine.directory import Session, begin
-from rig.session.engine.log import Event
-from rig.session.engine.rehearsal import Day, Person, RehearsalDesk
-from rig.session.engine.runner import RefusedWalls, SessionWall, TrialDone
-from rig.session.engine.state import BOOKKEEPING, SessionState
-from rig.session.planning.load import protocol_from_mapping
-from rig.session.planning.protocol import Protocol
-from rig.session.planning.trial import HitOutcome
+from rig.session.engine._conduct import conduct
+from rig.session.engine._desk import Desk, DeskView, Question, Reply
+from rig.session.engine._directory import Session, begin
+from rig.session.engine._log import Event
+from rig.session.engine._rehearsal import Day, Person, RehearsalDesk
+from rig.session.engine._runner import RefusedWalls, SessionWall, TrialDone
+from rig.session.engine._state import BOOKKEEPING, SessionState
+from rig.session.planning._load import protocol_from_mapping
+from rig.session.planning._protocol import Protocol
+from rig.session.planning._trial import HitOutcome
 
 TRUE_LIMIT = 430.0
 TEXT = b"# as it was\n"  # of the protocol's file

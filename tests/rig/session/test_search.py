@@ -18,12 +18,13 @@ from scipy.optimize import brentq
 
 from rig.core.errors import ConfigError
 from rig.session import search
-from rig.session.search import JudgedProbe, psychometric
-from rig.session.search.catching import CatchTrials
-from rig.session.search.interleaved import Interleaved
-from rig.session.search.observer import Observer, performance, run
-from rig.session.search.rule import verdicts_of
-from rig.session.search.staircase import Staircase
+from rig.session.search import JudgedProbe
+from rig.session.search import _psychometric as psychometric
+from rig.session.search._catching import CatchTrials
+from rig.session.search._interleaved import Interleaved
+from rig.session.search._observer import Observer, performance, run
+from rig.session.search._rule import verdicts_of
+from rig.session.search._staircase import Staircase
 from tests.conformance.tiers import first_by_default
 
 LEVELS = tuple(float(level) for level in range(25, 1000, 25))

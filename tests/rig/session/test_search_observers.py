@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from rig.session import search
-from rig.session.search.observer import Observer, study
+from rig.session.search._observer import Observer, study
 from tests.benchmarks import observers
 from tests.conformance.tiers import first_by_default
 

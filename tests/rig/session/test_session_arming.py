@@ -18,20 +18,20 @@ from rig.core.errors import ConfigError, PlanError
 from rig.doctor import gate as gates
 from rig.doctor.gate import gate, refused_among
 from rig.experiments.hits.hit import HitRequest
-from rig.session.engine import hits
-from rig.session.engine.arming import arming_checks, refuse_unarmable, walls_of
-from rig.session.engine.check import check
-from rig.session.engine.desk import Desk, Question, Reply
-from rig.session.engine.device_checks import device_checks
-from rig.session.engine.directory import LOG
-from rig.session.engine.hits import DeviceRunner
-from rig.session.engine.log import read
-from rig.session.engine.run import resume_session, run_session
-from rig.session.engine.runner import RefusedWalls, SessionWall
-from rig.session.engine.telling import line_of_event
-from rig.session.planning.conditions import Walls
-from rig.session.planning.protocol import Protocol
-from rig.session.planning.schedule import levels_of
+from rig.session.engine import _hits as hits
+from rig.session.engine._arming import arming_checks, refuse_unarmable, walls_of
+from rig.session.engine._check import check
+from rig.session.engine._desk import Desk, Question, Reply
+from rig.session.engine._device_checks import device_checks
+from rig.session.engine._directory import LOG
+from rig.session.engine._hits import DeviceRunner
+from rig.session.engine._log import read
+from rig.session.engine._run import resume_session, run_session
+from rig.session.engine._runner import RefusedWalls, SessionWall
+from rig.session.engine._telling import line_of_event
+from rig.session.planning._conditions import Walls
+from rig.session.planning._protocol import Protocol
+from rig.session.planning._schedule import levels_of
 from tests.conformance.made_links import link
 from tests.rig.session.session_fakes import FakeRunner, ScriptedDesk, protocol_of, study
 from tests.system.session_study import PROTOCOL

@@ -21,20 +21,20 @@ from rig.core.sample import Phase
 from rig.extras.study import analyse
 from rig.extras.study.report_methods import methods
 from rig.extras.study.tables import tables
-from rig.session.engine.check import check
-from rig.session.engine.conduct import conduct
-from rig.session.engine.hits import DeviceRunner
-from rig.session.engine.log import Event, read
-from rig.session.engine.rehearsal import Person
-from rig.session.engine.run import rehearsal_desk, run_session, summary
-from rig.session.engine.telling import outcome, whole_line
-from rig.session.planning.bands import judge_bands, press_of
-from rig.session.planning.conditions import Walls
-from rig.session.planning.load import load_walls
-from rig.session.planning.protocol import Trial
-from rig.session.planning.simulated_hand import reach_for, simulate_hits
-from rig.session.planning.trial import HitOutcome
-from rig.session.terminal import words
+from rig.session.engine._check import check
+from rig.session.engine._conduct import conduct
+from rig.session.engine._hits import DeviceRunner
+from rig.session.engine._log import Event, read
+from rig.session.engine._rehearsal import Person
+from rig.session.engine._run import rehearsal_desk, run_session, summary
+from rig.session.engine._telling import outcome, whole_line
+from rig.session.planning._bands import judge_bands, press_of
+from rig.session.planning._conditions import Walls
+from rig.session.planning._load import load_walls
+from rig.session.planning._protocol import Trial
+from rig.session.planning._simulated_hand import reach_for, simulate_hits
+from rig.session.planning._trial import HitOutcome
+from rig.session.terminal import _words as words
 from tests.rig.session.session_fakes import FakeRunner, ScriptedDesk, protocol_of, started, study
 
 BOTH = Trial(impact_speed=(0.2, 0.4), press=(0.15, 0.25))
@@ -238,5 +238,5 @@ def test_the_plan_warns_of_a_band_that_the_simulated_hand_does_not_keep(walls: W
 
 
 def test_who_reads_a_protocol_or_analyses_a_study_does_not_pay_for_the_simulated_hand() -> None:
-    script = "import sys, rig.session.planning.load, rig.extras.study; print({'numba', 'scipy'} & set(sys.modules))"
+    script = "import sys, rig.session.planning._load, rig.extras.study; print({'numba', 'scipy'} & set(sys.modules))"
     assert subprocess.check_output([sys.executable, "-c", script], text=True) == "set()\n"

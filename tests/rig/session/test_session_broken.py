@@ -11,19 +11,19 @@ import pytest
 
 from rig import config
 from rig.core.errors import ConfigError, LawError, LinkLostError, PlanError, RigError, StoppedError
-from rig.experiments.trials.trial import TrialEnd
+from rig.experiments.trials._trial import TrialEnd
 from rig.loop.layout import EndReason
-from rig.session.engine import hits
-from rig.session.engine.clock import WallClock
-from rig.session.engine.conduct import conduct
-from rig.session.engine.desk import Desk, DeskView, Question, Reply
-from rig.session.engine.directory import LOG, Session, resume
-from rig.session.engine.hits import DeviceRunner
-from rig.session.engine.log import Event, read
-from rig.session.engine.rehearsal import Day
-from rig.session.engine.state import DoTrial
-from rig.session.engine.telling import line_of_event
-from rig.session.planning.protocol import Protocol
+from rig.session.engine import _hits as hits
+from rig.session.engine._clock import WallClock
+from rig.session.engine._conduct import conduct
+from rig.session.engine._desk import Desk, DeskView, Question, Reply
+from rig.session.engine._directory import LOG, Session, resume
+from rig.session.engine._hits import DeviceRunner
+from rig.session.engine._log import Event, read
+from rig.session.engine._rehearsal import Day
+from rig.session.engine._state import DoTrial
+from rig.session.engine._telling import line_of_event
+from rig.session.planning._protocol import Protocol
 from tests.rig.session.session_fakes import INVALID, FakeRunner, ScriptedDesk, protocol_of, started, study
 
 

@@ -21,21 +21,21 @@ from rig.core.errors import ConfigError
 from rig.core.present import plain
 from rig.doctor.pace import Pace
 from rig.experiments.trials.plan import predict_impact
-from rig.session.engine.check import check
-from rig.session.engine.device_checks import device_checks
-from rig.session.engine.directory import LOG
-from rig.session.engine.hits import DeviceRunner
-from rig.session.engine.pace import pace_checks
-from rig.session.planning import disk
-from rig.session.planning.conditions import Walls, base_of
-from rig.session.planning.disk import refuse_full_disk
-from rig.session.planning.expected import ExpectedRange, expected_trials
-from rig.session.planning.load import as_mapping, load_protocol
-from rig.session.planning.plan import StudyPlan
-from rig.session.planning.protocol import Caps, Condition, Practice, Protocol, Rest, Search, Stop
-from rig.session.planning.schedule import levels_of
-from rig.session.planning.template_files import DEFAULT, template_names, write_template
-from rig.session.planning.times import QUESTION_S, REHEARSED_TICK_S, heat_of, trial_times
+from rig.session.engine._check import check
+from rig.session.engine._device_checks import device_checks
+from rig.session.engine._directory import LOG
+from rig.session.engine._hits import DeviceRunner
+from rig.session.engine._pace import pace_checks
+from rig.session.planning import _disk as disk
+from rig.session.planning._conditions import Walls, base_of
+from rig.session.planning._disk import refuse_full_disk
+from rig.session.planning._expected import ExpectedRange, expected_trials
+from rig.session.planning._load import as_mapping, load_protocol
+from rig.session.planning._plan import StudyPlan
+from rig.session.planning._protocol import Caps, Condition, Practice, Protocol, Rest, Search, Stop
+from rig.session.planning._schedule import levels_of
+from rig.session.planning._template_files import DEFAULT, template_names, write_template
+from rig.session.planning._times import QUESTION_S, REHEARSED_TICK_S, heat_of, trial_times
 from tests.conformance.studies import Person, sitting, without_sync, write_study
 from tests.conformance.tiers import first_by_default
 

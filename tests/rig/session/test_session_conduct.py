@@ -23,15 +23,15 @@ from rig.core.errors import (
 )
 from rig.core.present import plain
 from rig.extras.study import analyse
-from rig.session.engine.conduct import conduct
-from rig.session.engine.desk import Question, Reply
-from rig.session.engine.directory import LOG, Session, amend, event_of_trial, resume
-from rig.session.engine.hits import heat_after
-from rig.session.engine.log import Event, read
-from rig.session.engine.rehearsal import Day, Person
-from rig.session.engine.run import row_of, summary
-from rig.session.engine.state import BOOKKEEPING, SessionState
-from rig.session.engine.telling import line_of_event
+from rig.session.engine._conduct import conduct
+from rig.session.engine._desk import Question, Reply
+from rig.session.engine._directory import LOG, Session, amend, event_of_trial, resume
+from rig.session.engine._hits import heat_after
+from rig.session.engine._log import Event, read
+from rig.session.engine._rehearsal import Day, Person
+from rig.session.engine._run import row_of, summary
+from rig.session.engine._state import BOOKKEEPING, SessionState
+from rig.session.engine._telling import line_of_event
 from tests.rig.session.session_fakes import (
     INVALID,
     LOST,

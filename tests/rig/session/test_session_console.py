@@ -19,17 +19,17 @@ from rig.core.present import plain
 from rig.core.sample import ROW, Phase, RowFlag
 from rig.realtime import control_words
 from rig.realtime.ring import Ring
-from rig.session.engine.desk import Action, DeskView, Question
-from rig.session.planning.keymap import KeyMap
-from rig.session.planning.protocol import Keys
-from rig.session.terminal import words
-from rig.session.terminal.conversation import Answer, Conversation, StopPressed
-from rig.session.terminal.held import RELEASED_S
-from rig.session.terminal.keyboard import Keyboard
-from rig.session.terminal.live import LiveLoop, Snapshot, snapshot_of
-from rig.session.terminal.messages import MessageReader, line_of
-from rig.session.terminal.plain import PlainLines
-from rig.session.terminal.pointer import HandKind, Pointer
+from rig.session.engine._desk import Action, DeskView, Question
+from rig.session.planning._keymap import KeyMap
+from rig.session.planning._protocol import Keys
+from rig.session.terminal import _words as words
+from rig.session.terminal._conversation import Answer, Conversation, StopPressed
+from rig.session.terminal._held import RELEASED_S
+from rig.session.terminal._keyboard import Keyboard
+from rig.session.terminal._live import LiveLoop, Snapshot, snapshot_of
+from rig.session.terminal._messages import MessageReader, line_of
+from rig.session.terminal._plain import PlainLines
+from rig.session.terminal._pointer import HandKind, Pointer
 
 KEYMAP = KeyMap.of(Keys())
 READY: tuple[Action, ...] = ("go", "pause", "skip", "redo", "note", "abort")

@@ -15,12 +15,12 @@ import pytest
 from rig.core.present import plain
 from rig.realtime.control_words import STOP
 from rig.realtime.ring import Ring
-from rig.session.engine.desk import DeskView, Question
-from rig.session.planning.keymap import KeyMap
-from rig.session.planning.protocol import Keys
-from rig.session.terminal import program
-from rig.session.terminal.conversation import StopPressed
-from rig.session.terminal.messages import line_of
+from rig.session.engine._desk import DeskView, Question
+from rig.session.planning._keymap import KeyMap
+from rig.session.planning._protocol import Keys
+from rig.session.terminal import _program as program
+from rig.session.terminal._conversation import StopPressed
+from rig.session.terminal._messages import line_of
 
 
 @dataclass

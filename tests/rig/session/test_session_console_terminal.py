@@ -20,7 +20,7 @@ from typing import Any
 import pytest
 
 from rig.core.errors import ConfigError, RigError, StoppedError
-from rig.session.engine.desk import DeskView, Question, Reply
+from rig.session.engine._desk import DeskView, Question, Reply
 from rig.session.terminal.desk import ConsoleDesk, at_console
 from tests.conformance.terminal import PATIENCE_S, Program, Terminal
 from tests.rig.session.session_fakes import FakeRunner, protocol_of
@@ -167,7 +167,7 @@ def test_a_console_that_dies_again_and_again_ends_the_session(
 def test_closing_on_a_stopped_console_gives_the_terminal_back(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rig.session.terminal.child.END_S", 0.2)
+    monkeypatch.setattr("rig.session.terminal._child.END_S", 0.2)
     with console(terminal) as (desk, _):
         terminal.wait("[SPACE] STOP")
         os.kill(desk.pid, signal.SIGSTOP)
@@ -189,7 +189,7 @@ import sys
 from rig.core.errors import RigError
 from rig.session.terminal import child
 from rig.session.terminal.desk import ConsoleDesk
-from rig.session.engine.desk import DeskView, Question
+from rig.session.engine._desk import DeskView, Question
 
 child.END_S = 0.2  # of one that is stopped
 with ConsoleDesk() as desk:
@@ -260,7 +260,7 @@ def test_a_console_that_does_not_start_leaves_nothing(
     def second() -> Any:
         return next(answers)()
 
-    module = "rig.session.terminal.child"
+    module = "rig.session.terminal._child"
     match refused:
         case "Popen":
             monkeypatch.setattr(f"{module}.subprocess.Popen", refuse)

@@ -9,11 +9,11 @@ import pytest
 
 from rig.core.errors import ConfigError, RecordingError
 from rig.recording.files import sha256_of
-from rig.session.engine.directory import LOG, Session, resume
-from rig.session.engine.log import read
-from rig.session.engine.rehearsal import Day, Person
-from rig.session.engine.state import SessionState
-from rig.session.planning.protocol import Protocol
+from rig.session.engine._directory import LOG, Session, resume
+from rig.session.engine._log import read
+from rig.session.engine._rehearsal import Day, Person
+from rig.session.engine._state import SessionState
+from rig.session.planning._protocol import Protocol
 from tests.conformance.tiers import first_by_default
 from tests.rig.session.session_fakes import FakeRunner, decisions, protocol_of, rehearsed, started
 from tests.rig.session.session_fuse import DeadError, Full, Fuse, fused

@@ -13,11 +13,11 @@ import pytest
 
 from rig.core.errors import ConfigError, StoppedError
 from rig.realtime.hand import SharedHand, Wish
-from rig.session.engine.conduct import conduct
-from rig.session.engine.desk import Action, DeskView, Question, Reply
-from rig.session.planning.protocol import Keys
-from rig.session.terminal.held import RELEASED_S
-from rig.session.terminal.pointer import HandKind
+from rig.session.engine._conduct import conduct
+from rig.session.engine._desk import Action, DeskView, Question, Reply
+from rig.session.planning._protocol import Keys
+from rig.session.terminal._held import RELEASED_S
+from rig.session.terminal._pointer import HandKind
 from tests.conformance.terminal import PATIENCE_S
 from tests.rig.session.session_desks import PLACES, Place, until
 from tests.rig.session.session_fakes import INVALID, LOST, FakeRunner, protocol_of, started

@@ -15,13 +15,13 @@ from rig.core.board import describe
 from rig.core.check import Check
 from rig.core.errors import ConfigError, PlanError
 from rig.core.same_rig import check_rig
-from rig.session.engine.desk import Question, Reply
-from rig.session.engine.directory import LOG, amend, resume
-from rig.session.engine.fitting import refuse_misfit
-from rig.session.engine.log import read
-from rig.session.engine.state import DoTrial, SessionState
-from rig.session.planning.conditions import Walls
-from rig.session.planning.protocol import Protocol
+from rig.session.engine._desk import Question, Reply
+from rig.session.engine._directory import LOG, amend, resume
+from rig.session.engine._fitting import refuse_misfit
+from rig.session.engine._log import read
+from rig.session.engine._state import DoTrial, SessionState
+from rig.session.planning._conditions import Walls
+from rig.session.planning._protocol import Protocol
 from tests.rig.session.session_fakes import FakeRunner, ScriptedDesk, protocol_of, started
 from tests.rig.session.test_session_conduct import run_with
 

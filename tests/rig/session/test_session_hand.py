@@ -12,7 +12,7 @@ import pytest
 
 from rig import config
 from rig.config import presets
-from rig.session.engine import hits
+from rig.session.engine import _hits as hits
 
 HELD = config.override(presets.load("koul-compliant"), {"trial.kind": "human"})
 

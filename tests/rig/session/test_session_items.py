@@ -9,12 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.core.present import plain
-from rig.session.engine.desk import Question
-from rig.session.planning.items import describe_answer, describe_item, parse_answer
-from rig.session.planning.keymap import KeyMap
-from rig.session.planning.protocol import Item, Keys
-from rig.session.terminal import words
-from rig.session.terminal.conversation import Answer, Conversation
+from rig.session.engine._desk import Question
+from rig.session.planning._items import describe_answer, describe_item, parse_answer
+from rig.session.planning._keymap import KeyMap
+from rig.session.planning._protocol import Item, Keys
+from rig.session.terminal import _words as words
+from rig.session.terminal._conversation import Answer, Conversation
 
 SCALE = describe_item(Item(name="tired", text="How tired?", lowest=-2, highest=7))
 CHOICE = describe_item(

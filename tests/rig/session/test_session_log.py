@@ -19,8 +19,8 @@ from hypothesis import strategies as st
 
 from rig.core.errors import RecordingError
 from rig.recording import files, lines
-from rig.session.engine import log as log_module
-from rig.session.engine.log import (
+from rig.session.engine import _log as log_module
+from rig.session.engine._log import (
     VERSION,
     DamagedLineError,
     SessionLog,

@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.core.errors import ConfigError
-from rig.session.engine.directory import study_directory
-from rig.session.engine.rehearsal import Person, thresholds_of
-from rig.session.engine.run import rehearsal_desk, run_session
-from rig.session.planning.items import describe_item, parse_answer
-from rig.session.planning.load import as_mapping, protocol_from_mapping
-from rig.session.planning.protocol import Item, Protocol
-from rig.session.planning.trial import trial_of
+from rig.session.engine._directory import study_directory
+from rig.session.engine._rehearsal import Person, thresholds_of
+from rig.session.engine._run import rehearsal_desk, run_session
+from rig.session.planning._items import describe_item, parse_answer
+from rig.session.planning._load import as_mapping, protocol_from_mapping
+from rig.session.planning._protocol import Item, Protocol
+from rig.session.planning._trial import trial_of
 from tests.conformance.studies import Person as SimulatedPerson
 from tests.conformance.studies import protocol as study_mapping
 from tests.conformance.studies import sitting

@@ -14,14 +14,14 @@ from rig.config import Experiment, VerdictLimits
 from rig.config.presets import load as preset
 from rig.core.errors import PlanError
 from rig.core.present import plain
+from rig.doctor._round_trip import LinkMeasurement
 from rig.doctor.pace import Pace, pace_of
-from rig.doctor.round_trip import LinkMeasurement
 from rig.recording.quantiles import Distribution
-from rig.session.engine.log import Event
-from rig.session.engine.pace import refuse_lossy, sentence
-from rig.session.engine.place import resume_command
-from rig.session.engine.telling import line_of_event
-from rig.session.planning.conditions import Walls
+from rig.session.engine._log import Event
+from rig.session.engine._pace import refuse_lossy, sentence
+from rig.session.engine._place import resume_command
+from rig.session.engine._telling import line_of_event
+from rig.session.planning._conditions import Walls
 from tests.rig.session.session_fakes import FakeRunner, protocol_of
 
 LIMITS = VerdictLimits(longest_gap=2, lost_fraction=0.01)

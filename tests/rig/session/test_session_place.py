@@ -13,12 +13,12 @@ from rig.config.presets import load as preset
 from rig.core.errors import ConfigError, StoppedError
 from rig.experiments.motion.pulse import NO_HANDS
 from rig.extras.study import read_study
-from rig.session.engine import run as sessions
-from rig.session.engine.conduct import conduct
-from rig.session.engine.directory import LOG
-from rig.session.engine.hits import DeviceRunner
-from rig.session.engine.log import read
-from rig.session.engine.place import Place, resume_command
+from rig.session.engine import _run as sessions
+from rig.session.engine._conduct import conduct
+from rig.session.engine._directory import LOG
+from rig.session.engine._hits import DeviceRunner
+from rig.session.engine._log import read
+from rig.session.engine._place import Place, resume_command
 from tests.rig.session.session_fakes import FakeRunner, ScriptedDesk, started
 
 REAL = {

@@ -18,9 +18,9 @@ import pytest
 
 from rig.core.errors import RecordingError
 from rig.recording.files import make_directories, sha256_of
-from rig.session.engine.directory import LOG, PROTOCOL, TRIALS, Session, resume
-from rig.session.engine.log import Event, SessionLog, read
-from rig.session.engine.rehearsal import Day, Person
+from rig.session.engine._directory import LOG, PROTOCOL, TRIALS, Session, resume
+from rig.session.engine._log import Event, SessionLog, read
+from rig.session.engine._rehearsal import Day, Person
 from tests.rig.session.session_fakes import TEXT, FakeRunner, decisions, protocol_of, rehearsed, started
 
 PERSON = Person(thresholds={"dual-hidden": 330.0, "uniform-hidden": 330.0})

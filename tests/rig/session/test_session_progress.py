@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from rig.cli import session_progress
-from rig.cli.session_progress import Rehearsed
-from rig.session.engine.desk import DeskView
-from rig.session.engine.log import Event
+from rig.cli import _session_progress as session_progress
+from rig.cli._session_progress import Rehearsed
+from rig.session.engine._desk import DeskView
+from rig.session.engine._log import Event
 
 
 class Terminal:

@@ -11,20 +11,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.config.files import parse_toml
-from rig.config.table import parameters_of
+from rig.config._files import parse_toml
+from rig.config._table import parameters_of
 from rig.core.errors import ConfigError, RecordingError
-from rig.session.planning.conditions import Walls, base_of
-from rig.session.planning.load import (
+from rig.session.planning._conditions import Walls, base_of
+from rig.session.planning._load import (
     as_mapping,
     check_code,
     json_schema,
     load_protocol,
     protocol_from_mapping,
 )
-from rig.session.planning.protocol import Protocol
-from rig.session.planning.rules import settings_schema
-from rig.session.planning.template_files import SCHEMA, template_names, write_template
+from rig.session.planning._protocol import Protocol
+from rig.session.planning._rules import settings_schema
+from rig.session.planning._template_files import SCHEMA, template_names, write_template
 from rig.session.search import RULES
 
 TEXT = """

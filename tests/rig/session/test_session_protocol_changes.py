@@ -10,18 +10,18 @@ import pytest
 from click.testing import CliRunner
 
 from rig.cli import rig
-from rig.config.files import parse_toml
+from rig.config._files import parse_toml
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError
 from rig.extras.study import AnalysisOptions, analyse
 from rig.extras.study.report_events import deviations
 from rig.extras.study.study import read_study
-from rig.session.engine.check import check
-from rig.session.engine.log import read
-from rig.session.engine.protocol_changes import ChangedProtocolError
-from rig.session.engine.rehearsal import Person
-from rig.session.engine.run import rehearsal_desk, run_session
-from rig.session.planning.load import load_walls, protocol_from_mapping
+from rig.session.engine._check import check
+from rig.session.engine._log import read
+from rig.session.engine._protocol_changes import ChangedProtocolError
+from rig.session.engine._rehearsal import Person
+from rig.session.engine._run import rehearsal_desk, run_session
+from rig.session.planning._load import load_walls, protocol_from_mapping
 from tests.conformance.studies import Person as SimulatedPerson
 from tests.conformance.studies import protocol, sitting, without_sync
 from tests.rig.session.session_fakes import FakeRunner

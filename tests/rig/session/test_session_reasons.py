@@ -13,17 +13,17 @@ import pytest
 from rig.cli import run as rig
 from rig.config import presets, verdict_thresholds
 from rig.control import verdict
-from rig.control.measure import NUMBERS
+from rig.control._measure import NUMBERS
 from rig.control.verdict import INVALID as MAKES_INVALID
 from rig.control.verdict import TOGGLES, Objection
 from rig.core.errors import GuardError
 from rig.core.present import plain
-from rig.session.engine.conduct import conduct
-from rig.session.engine.desk import DeskView
-from rig.session.engine.log import Event
-from rig.session.engine.run import summary
-from rig.session.engine.telling import line_of_event, whole_line
-from rig.session.planning.reasons import HIDDEN, RIG_LIMIT, summarise_reasons
+from rig.session.engine._conduct import conduct
+from rig.session.engine._desk import DeskView
+from rig.session.engine._log import Event
+from rig.session.engine._run import summary
+from rig.session.engine._telling import line_of_event, whole_line
+from rig.session.planning._reasons import HIDDEN, RIG_LIMIT, summarise_reasons
 from tests.rig.session.session_fakes import (
     INVALID,
     SPOILED,

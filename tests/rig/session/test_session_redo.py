@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from rig.session.engine.conduct import conduct
-from rig.session.engine.desk import Question, Reply
-from rig.session.engine.directory import LOG
-from rig.session.engine.log import read
-from rig.session.engine.state import SessionState
+from rig.session.engine._conduct import conduct
+from rig.session.engine._desk import Question, Reply
+from rig.session.engine._directory import LOG
+from rig.session.engine._log import read
+from rig.session.engine._state import SessionState
 from tests.rig.session.session_fakes import INVALID, FakeRunner, ScriptedDesk, protocol_of, started
 
 STOPS: list[dict[str, Any]] = [{}, {"trials": 3}, {"minutes": 0.001}, {"aborts": 2}]

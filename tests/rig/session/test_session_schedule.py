@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.session.planning.protocol import Condition, Order, Practice, Protocol, Search, Study
-from rig.session.planning.schedule import (
+from rig.session.planning._protocol import Condition, Order, Practice, Protocol, Search, Study
+from rig.session.planning._schedule import (
     SearchRun,
     asking_of,
     cells_of,

@@ -159,7 +159,7 @@ def test_a_person_agrees_to_each_hit_of_a_map(
         return found
 
     monkeypatch.setattr("builtins.input", answer)
-    monkeypatch.setattr("rig.experiments.mapping.zwidth_rig.CALM_S", 0.0)
+    monkeypatch.setattr("rig.experiments.mapping._zwidth_rig.CALM_S", 0.0)
     suite.makepyfile(
         """
         def test_it(rig_zwidth):

@@ -11,8 +11,8 @@ import pytest
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.control.verdict import CRITERIA
-from rig.experiments.mapping.kmax import KMax, kmax_plan
-from rig.experiments.mapping.searches import StiffnessLimit, StiffnessSearch
+from rig.experiments.mapping._kmax import KMax, kmax_plan
+from rig.experiments.mapping._searches import StiffnessLimit, StiffnessSearch
 from rig.experiments.mapping.zwidth import Boundary, MapPlan, ZWidth
 from rig.extras.papers.disagreement.disagreement import DisagreementPlan
 from rig.extras.papers.disagreement.plot import disagreement_figure

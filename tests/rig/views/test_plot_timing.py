@@ -11,9 +11,9 @@ import pytest
 
 from rig.core.clock_fit import ClockFit
 from rig.core.sample import ROW
+from rig.recording._timing_summary import summarise
 from rig.recording.timing import LATENESS, NO_AGE, STAGES, ledger
 from rig.recording.timing_report import Timing
-from rig.recording.timing_summary import summarise
 from rig.views.plots.timing import COLOURS, label
 
 FIT = ClockFit(0, 10**12, 0.0, 10.0, 0.01, 1_000, 2_000, 0.0, 5.0, 10**9, 50, 1)

@@ -30,7 +30,9 @@ from rig.core.errors import (
     StalledError,
     UnpluggedError,
 )
-from rig.devices import open_link, usb_plain, usb_queue
+from rig.devices import _usb_plain as usb_plain
+from rig.devices import _usb_queue as usb_queue
+from rig.devices import open_link
 from rig.devices.usb import UsbLink, available_devices
 from rig.realtime.kernel import kernel, prepare
 from rig.realtime.plugs import TRANSFER, WAIT

@@ -2,7 +2,7 @@
 
 A wall's impedance is measured a few times, each time by some realisations of the excitation. Each measurement is judged
 by every reading (`rig.extras.papers.chawda.rigs.Reading`: a band, a tolerance), so that what a result owes to the
-reading can be counted. The test is that of `rig.analysis.impedance.verdict`: real parts, residual power, coherence.
+reading can be counted. The test is that of `rig.analysis.impedance._verdict`: real parts, residual power, coherence.
 """
 
 from __future__ import annotations

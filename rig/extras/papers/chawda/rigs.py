@@ -41,7 +41,7 @@ Kind = Literal["deviations", "degrees"]
 class Reading:
     """A band of lines, and by how much a line may miss ±90°.
 
-    `tolerance` is in standard deviations of the measured line, as in `rig.analysis.impedance.verdict`, or in degrees;
+    `tolerance` is in standard deviations of the measured line, as in `rig.analysis.impedance._verdict`, or in degrees;
     0: none.
     """
 
@@ -79,7 +79,7 @@ READINGS = tuple(
 )
 # Of the pictures and of Table I: what `rig impedance measure` and `rig impedance map` do by default.
 MAIN = READINGS.index(Reading(low_hz=1.0, high_hz=250.0, tolerance=2.0))
-RESIDUAL, COHERENCE = 0.1, 0.5  # as in rig.analysis.impedance.verdict
+RESIDUAL, COHERENCE = 0.1, 0.5  # as in rig.analysis.impedance._verdict
 
 # --- wall hits ---------------------------------------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ a cycle whose phase wanders, as toggling between two ticks makes it; a line fitt
 such a cycle. A wall *rests* where no count changes any more. **The errors** are predicted over measured, less one, over
 the walls where both have a cycle; where only one of both has one is counted apart. Where less than `PURE` of the
 variance lies in the band the motion is no sinusoid, and its errors are given apart. So are, once more, those of the
-walls whose predicted cycle is `alone` (`rig.analysis.theory.describing`), which is known before any simulation.
+walls whose predicted cycle is `alone` (`rig.analysis.theory._describing`), which is known before any simulation.
 """
 
 from __future__ import annotations

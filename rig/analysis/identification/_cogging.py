@@ -1,0 +1,265 @@
+"""Cogging from slow sweeps: half the sum of both ways is the motor's effort over position, half the rest is friction.
+
+While the handle moves slowly through x the motor's command is −F(x) + friction upwards and −F(x) − friction downwards,
+F being cogging; inertia and damping are taken off, because no servo keeps a speed quite constant. F is a sum of
+harmonics of a period, fitted to each pair of ways by itself. The pairs differ in speed, so that what depends on it
+widens the intervals, as noise does. A constant external effort is not part of cogging: it appears in the friction
+levels, which any motion that slides both ways measures better (`sliding`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.analysis.identification._interval import Interval, from_scatter, quantile
+from rig.analysis.identification._quality import IdentificationError
+from rig.analysis.identification._sliding import Stroke
+from rig.core.model import Cogging
+from rig.core.present import reported
+
+Floats = NDArray[np.float64]
+
+BLOCKS = 64  # in a wave of the highest order: their means are the points of a fit
+SETTLE_S = 0.3  # of a sweep, at both of its ends
+CERTAIN = 2.0  # an order is kept where its amplitude is this many times its interval
+SHARE = 0.02  # and this share of the largest
+LEAST_PERIODS = 1.0  # in the range; with fewer, harmonics cannot be separated
+
+
+@dataclass(frozen=True, eq=False)
+class CoggingMap:
+    """Effort of the motor over its position.
+
+    Attributes
+    ----------
+    period
+        Fundamental period of the harmonics (rad or m).
+    orders, cosine, sine
+        Orders of the identified harmonics, and their amplitudes (N·m or N); see `rig.core.model.Cogging`.
+    minimum, maximum
+        Range in which they were measured (rad or m).
+    ci95
+        Half width of the 95 % interval of the whole map, where it is widest in the range (N·m or N).
+    unseen
+        Amplitude that a harmonic may have and not have been found (N·m or N).
+    friction
+        Half the difference of the two ways (N·m or N).
+    position, effort, rubbing
+        Half the sum and half the difference of the two ways, measured, at positions in the range, shape (n,).
+    """
+
+    period: float
+    orders: tuple[int, ...]
+    cosine: tuple[Interval, ...]
+    sine: tuple[Interval, ...]
+    minimum: float
+    maximum: float
+    ci95: float
+    unseen: float
+    friction: Interval
+    position: Floats = field(repr=False)
+    effort: Floats = field(repr=False)
+    rubbing: Floats = field(repr=False)
+
+    @property
+    def cogging(self) -> Cogging:
+        """The map as a rig has it."""
+        return Cogging(
+            period=self.period,
+            orders=self.orders,
+            cosine=tuple(c.value for c in self.cosine),
+            sine=tuple(s.value for s in self.sine),
+            minimum=self.minimum,
+            maximum=self.maximum,
+        )
+
+    @reported
+    def peak(self) -> float:
+        """Most effort in the range (N·m or N)."""
+        return float(np.abs(self.cogging.effort(self._range)).max())
+
+    @reported
+    def stiffness(self) -> tuple[float, float]:
+        """Least and most stiffness that it gives the handle in the range (N·m/rad or N/m)."""
+        stiffness = -self.cogging.slope(self._range)
+        return float(stiffness.min()), float(stiffness.max())
+
+    @property
+    def _range(self) -> Floats:
+        return np.linspace(self.minimum, self.maximum, 2001)
+
+
+def fit_cogging(
+    time_s: Floats,
+    effort: Floats,
+    position: Floats,
+    sweeps: Sequence[Stroke],
+    *,
+    period: float,
+    most_order: int,
+    inertia: float,
+    damping: float,
+) -> CoggingMap:
+    """Fit a map to sweeps.
+
+    Parameters
+    ----------
+    time_s, effort, position
+        Signals of the whole run, shape (n,), evenly sampled, with the time origin of the sweeps; `effort` as commanded.
+    sweeps
+        Commanded sweeps: pairs, up and down, over the same travel.
+    period
+        Period of the harmonics (rad or m).
+    most_order
+        Highest harmonic that is looked for.
+    inertia, damping
+        Totals of all moving parts (kg·m² or kg; N·m·s/rad or N·s/m, back-EMF included under voltage drive).
+
+    Raises
+    ------
+    IdentificationError
+        Fewer than two pairs that moved, or a range of less than a period.
+    """
+    wave = period / most_order
+    pairs = pairs_of(time_s, effort, position, sweeps, wave=wave, inertia=inertia, damping=damping)
+    low, high = common_range(pairs, period)
+    pairs = [within(pair, low, high) for pair in pairs]
+    orders, unseen = _orders(pairs, period, most_order)
+    each = np.array([fitted_pair(pair, period, orders) for pair in pairs])
+    every = [from_scatter(float(column.mean()), column) for column in each.T]
+    levels, n = each[:, -2:] @ [[0.5, -0.5], [0.5, 0.5]], len(orders)  # bias, friction
+    at, up, down = _both_ways(pairs, low, high, wave)
+    maps = np.array([basis(at, period, orders) @ row[: 2 * n] for row in each])
+    factor = quantile(len(pairs) - 1) / math.sqrt(len(pairs))
+    return CoggingMap(
+        period=period,
+        orders=orders,
+        cosine=tuple(every[:n]),
+        sine=tuple(every[n : 2 * n]),
+        minimum=float(low),
+        maximum=float(high),
+        ci95=factor * float(maps.std(axis=0, ddof=1).max()),
+        unseen=unseen,
+        friction=from_scatter(float(levels[:, 1].mean()), levels[:, 1]),
+        position=at,
+        effort=0.5 * (up + down) - float(levels[:, 0].mean()),
+        rubbing=0.5 * (down - up),
+    )
+
+
+Points = tuple[Floats, Floats]
+Pair = tuple[Points, Points]  # up, down
+
+
+def pairs_of(
+    time_s: Floats,
+    effort: Floats,
+    position: Floats,
+    sweeps: Sequence[Stroke],
+    *,
+    wave: float,
+    inertia: float,
+    damping: float,
+) -> list[Pair]:
+    """Positions and efforts of cogging less friction in pairs of sweeps; see `fit_cogging`.
+
+    `wave` is the shortest that is looked for (rad or m). Raises `IdentificationError` where fewer than two pairs moved.
+    """
+    ways = [_points(time_s, effort, position, sweep, wave, inertia, damping) for sweep in sweeps]
+    if len(ways) < 4 or min(len(x) for x, _ in ways) == 0:
+        raise IdentificationError(
+            "the handle moved in fewer than two pairs of sweeps",
+            remedy="keep everything off the handle, and allow more effort",
+        )
+    return list(zip(ways[::2], ways[1::2], strict=True))
+
+
+def common_range(pairs: Sequence[Pair], period: float) -> tuple[float, float]:
+    """Where all sweeps have been (rad or m); raises `IdentificationError` for less than a period."""
+    ways = [x for pair in pairs for x, _ in pair]
+    low, high = max(float(x.min()) for x in ways), min(float(x.max()) for x in ways)
+    if high - low < LEAST_PERIODS * period:
+        raise IdentificationError(
+            f"the sweeps cover {high - low:.4g} of a period of {period:.4g}, which is too little to "
+            "separate its harmonics",
+            remedy="widen the window of positions, or give rig.cogging.period if it is shorter",
+        )
+    return low, high
+
+
+def within(pair: Pair, low: float, high: float) -> Pair:
+    """Return what of a pair lies in a range."""
+    up, down = ((x[(x >= low) & (x <= high)], y[(x >= low) & (x <= high)]) for x, y in pair)
+    return up, down
+
+
+def _points(
+    time_s: Floats,
+    effort: Floats,
+    position: Floats,
+    sweep: Stroke,
+    wave: float,
+    inertia: float,
+    damping: float,
+) -> Points:
+    """Positions in a sweep, and cogging less friction there: means over blocks, whose accelerations are taken off."""
+    tick_s = float(time_s[1] - time_s[0])
+    n = max(1, round(wave / abs(sweep.velocity) / BLOCKS / tick_s))
+    inside = (time_s >= sweep.begin_s + SETTLE_S) & (time_s < sweep.end_s - SETTLE_S)
+    chosen = np.flatnonzero(inside)
+    blocks = chosen[: len(chosen) // n * n].reshape(-1, n)
+    if len(blocks) < BLOCKS:
+        return np.empty(0), np.empty(0)
+    x, u, block_s = position[blocks].mean(axis=1), effort[blocks].mean(axis=1), n * tick_s
+    acceleration, velocity = np.diff(x, 2) / block_s**2, (x[2:] - x[:-2]) / (2.0 * block_s)
+    return x[1:-1], inertia * acceleration + damping * velocity - u[1:-1]
+
+
+def basis(x: Floats, period: float, orders: Sequence[int]) -> Floats:
+    """Cosines and then sines of harmonics at positions, shape (n, 2·orders)."""
+    angle = 2.0 * math.pi / period * np.multiply.outer(x, np.asarray(orders, dtype=np.float64))
+    return np.hstack([np.cos(angle), np.sin(angle)])
+
+
+def fitted_pair(pair: Pair, period: float, orders: Sequence[int]) -> Floats:
+    """Cosines, sines, and the level of each way, of one pair."""
+    up, down = pair
+    rows = [
+        np.column_stack(
+            [basis(x, period, orders), np.full(len(x), float(rises)), np.full(len(x), float(not rises))]
+        )
+        for (x, _), rises in ((up, True), (down, False))
+    ]
+    found: Floats = np.linalg.lstsq(np.vstack(rows), np.concatenate([up[1], down[1]]), rcond=None)[0]
+    return found
+
+
+def _orders(pairs: Sequence[Pair], period: float, most: int) -> tuple[tuple[int, ...], float]:
+    """Harmonics that are there for certain, and the amplitude from which any would have been."""
+    every = range(1, most + 1)
+    each = np.array([fitted_pair(pair, period, every) for pair in pairs])[:, : 2 * most]
+    mean, spread = each.mean(axis=0), each.std(axis=0, ddof=1)
+    amplitude = np.hypot(mean[:most], mean[most:])
+    half = quantile(len(pairs) - 1) / math.sqrt(len(pairs)) * np.hypot(spread[:most], spread[most:])
+    needed = np.maximum(CERTAIN * half, SHARE * amplitude.max())
+    sure = amplitude >= needed
+    return tuple(int(n) for n in np.flatnonzero(sure) + 1), float(needed[~sure].max(initial=0.0))
+
+
+def _both_ways(pairs: Sequence[Pair], low: float, high: float, wave: float) -> tuple[Floats, Floats, Floats]:
+    """Means over bins of position, of all ways up and of all ways down."""
+    edges = np.linspace(low, high, max(2, round(8.0 * (high - low) / wave)) + 1)
+    means = []
+    for way in (0, 1):
+        x = np.concatenate([pair[way][0] for pair in pairs])
+        y = np.concatenate([pair[way][1] for pair in pairs])
+        held, total = np.histogram(x, edges)[0], np.histogram(x, edges, weights=y)[0]
+        means.append(np.where(held > 0, total / np.maximum(held, 1), np.nan))
+    at = np.array([0.5 * (a + b) for a, b in pairwise(edges)])
+    return at, means[0], means[1]

@@ -1,0 +1,135 @@
+"""Ripple of the motor's effort, from slow sweeps without and with a steady load.
+
+A motor makes 1 + r(x) times the effort u that it is asked for. While the handle slides slowly, half the sum of both
+ways is F(x)/(1 + r(x)), F being cogging, and half the difference friction/(1 + r(x)): the one sees ripple as a product
+of two small things, the other cannot tell it from friction that varies with place. A steady load W adds W/(1 + r(x))
+to half the sum and nothing else, whatever cogging and friction are, as long as they are the same without it. That
+difference, as a share of its own mean, is the ripple; neither the size of W nor the described torque constant is in it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.analysis.identification._cogging import CERTAIN, Pair, basis, common_range, fitted_pair, within
+from rig.analysis.identification._interval import Interval, from_scatter
+from rig.analysis.identification._quality import IdentificationError
+from rig.core.present import reported
+
+Floats = NDArray[np.float64]
+
+ROUNDS = 3  # of the fit; each leaves the ripple's share of what the one before has left
+
+
+@dataclass(frozen=True)
+class Ripple:
+    """Share by which the motor's effort varies over its position.
+
+    Attributes
+    ----------
+    period
+        Fundamental period of the harmonics (rad or m).
+    orders, cosine, sine
+        Orders of the identified harmonics, and their amplitudes as shares of the effort; see `rig.core.model.Cogging`.
+    unseen
+        Amplitude that a harmonic may have and not have been found.
+    load
+        The steady load, measured by the described torque constant (N·m or N).
+    """
+
+    period: float
+    orders: tuple[int, ...]
+    cosine: tuple[Interval, ...]
+    sine: tuple[Interval, ...]
+    unseen: float
+    load: Interval
+
+    @reported
+    def amplitude(self) -> tuple[Interval, ...]:
+        """Return the amplitude of each harmonic, a share of the effort."""
+        return tuple(
+            Interval(size, math.hypot(c.value * c.ci95, s.value * s.ci95) / size)
+            for c, s, size in self._harmonics
+        )
+
+    @reported
+    def phase(self) -> tuple[Interval, ...]:
+        """Return the phase of each harmonic (rad): by this part of a wave its crest lies behind position zero."""
+        return tuple(
+            Interval(math.atan2(s.value, c.value), math.hypot(s.value * c.ci95, c.value * s.ci95) / size**2)
+            for c, s, size in self._harmonics
+        )
+
+    @property
+    def _harmonics(self) -> list[tuple[Interval, Interval, float]]:
+        pairs = zip(self.cosine, self.sine, strict=True)
+        return [(c, s, math.hypot(c.value, s.value)) for c, s in pairs]
+
+
+def fit_ripple(free: Sequence[Pair], loaded: Sequence[Pair], *, period: float, most_order: int) -> Ripple:
+    """Fit the harmonics to pairs of sweeps without and with a load, each pair with one of its own.
+
+    Parameters
+    ----------
+    free, loaded
+        From `rig.analysis.identification._cogging.pairs_of`, as many of one as of the other.
+    period
+        Period of the harmonics (rad or m).
+    most_order
+        Highest harmonic that is looked for.
+
+    Raises
+    ------
+    IdentificationError
+        Sweeps of less than a period, or a load that is lost in what differs from sweep to sweep.
+    """
+    low, high = common_range([*free, *loaded], period)
+    every = range(1, most_order + 1)
+    each = np.array(
+        [
+            _shares(within(without, low, high), within(with_, low, high), period, every)
+            for without, with_ in zip(free, loaded, strict=True)
+        ]
+    )
+    load = from_scatter(float(each[:, -1].mean()), each[:, -1])
+    if not abs(load.value) > load.ci95:
+        raise IdentificationError(
+            f"the load was measured as {load.text()}: it is masked by the friction, and so is the ripple",
+            remedy="hang a larger mass, or use a longer arm",
+        )
+    intervals = [from_scatter(float(column.mean()), column) for column in each.T]
+    cosine, sine = intervals[:most_order], intervals[most_order:-1]
+    size = np.array([math.hypot(c.value, s.value) for c, s in zip(cosine, sine, strict=True)])
+    needed = CERTAIN * np.array([math.hypot(c.ci95, s.ci95) for c, s in zip(cosine, sine, strict=True)])
+    sure = np.flatnonzero(size >= needed)
+    return Ripple(
+        period=period,
+        orders=tuple(int(i) + 1 for i in sure),
+        cosine=tuple(cosine[i] for i in sure),
+        sine=tuple(sine[i] for i in sure),
+        unseen=float(needed[size < needed].max(initial=0.0)),
+        load=load,
+    )
+
+
+def _shares(free: Pair, loaded: Pair, period: float, orders: Sequence[int]) -> Floats:
+    """Cosines and sines of r, and the load, of one pair: what makes load·(1 + r̂)/(1 + r) the same everywhere."""
+    shares, load = np.zeros(2 * len(orders)), 0.0
+    for _ in range(ROUNDS):
+        with_, without = (
+            fitted_pair(_made_even(pair, shares, period, orders), period, orders) for pair in (loaded, free)
+        )
+        found = with_ - without
+        load = -0.5 * (found[-2] + found[-1])
+        shares = shares + found[:-2] / load
+    return np.array([*shares, load])
+
+
+def _made_even(pair: Pair, shares: Floats, period: float, orders: Sequence[int]) -> Pair:
+    up, down = ((x, y * (1.0 + basis(x, period, orders) @ shares)) for x, y in pair)
+    return up, down

@@ -1,0 +1,281 @@
+"""Verdict on a wall by its measured impedance: whether it is passive, and its deviation from the ideal wall.
+
+*Passive* is a port whose impedance has no negative real part; equivalently, whose phase stays within ±90°, which is
+how the second paper tests it. Measured lines have noise, and a stiff wall comes within a degree of −90° at low
+frequencies ((b + B − K·T/2)·ω/K rad), so each line gets a tolerance from its own uncertainty: it fails when Re Ẑ <
+−t, t being `z_score` standard deviations. That is the same as a phase beyond ±(90° + asin(t/|Ẑ|)). A line that passes
+was not shown to be active; with a z-score of 0 the test is the paper's.
+
+The linear test is blind to what a wall does beside the lines: a chattering estimator passes it with most of its
+motion out of step with the excitation. So the residual power is a second test.
+
+*Fidelity* is the second paper's: root mean square over the lines of |Ẑ| − |K/(jω) + B|. It is dominated by the rig's
+inertia (1.886·f N·s/m for 0.52 kg up to f Hz) and depends on band and lines, both of which belong beside it.
+
+Beside it stand *effective stiffness* −ω·Im Z and *effective damping* Re Z of what was added to the rig, in per cent of
+what was asked for. They are functions of frequency: what delays and filters a wall turns stiffness into negative
+damping, and damping into stiffness, as the frequency rises. So they are stated over a low band, where hands act:
+weighted means over its lines, which is what least squares of K/(jω) + B gives. And a relative error in the manner of
+Colonnese.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.analysis.impedance._estimate import Impedance
+from rig.analysis.impedance._fitting import Fit, RigidRig, fit
+from rig.analysis.impedance._signals import Complexes, Floats
+
+Z_SCORE = 2.0  # standard deviations by which a real part must be below zero to count
+RESIDUAL = 0.1  # share of the motion's power off the lines above which a wall does not count as passive
+EFFECTIVE_HZ = 20.0  # up to here effective stiffness and damping are averaged
+EFFECTIVE_LINES = 3  # fewer say nothing about a misfit
+COHERENCE = 0.5  # γ² of the motion below which a line says nothing
+
+
+@dataclass(frozen=True, slots=True)
+class Passivity:
+    """Outcome of the test of Re Z, and the line that came closest to failing, or failed most.
+
+    Attributes
+    ----------
+    passive
+        No line fails.
+    tested, failed_hz
+        Number of lines in the band, and which of them fail (Hz).
+    worst_hz
+        Line with the least Re Ẑ + tolerance.
+    worst_real, worst_tolerance, worst_phase_deg
+        Re Ẑ (damping units), its tolerance, and the phase there.
+    margin
+        Least Re Ẑ + tolerance over the lines (damping units); below zero when the test fails.
+    phase_margin_deg
+        Least 90° + asin(tolerance/|Ẑ|) − |phase|: the same sign as `margin`.
+    band_hz, z_score
+        As asked for.
+    """
+
+    passive: bool
+    tested: int
+    failed_hz: tuple[float, ...]
+    worst_hz: float
+    worst_real: float
+    worst_tolerance: float
+    worst_phase_deg: float
+    margin: float
+    phase_margin_deg: float
+    band_hz: tuple[float, float]
+    z_score: float
+
+
+@dataclass(frozen=True, slots=True)
+class PassivityJudgement:
+    """Judgement of a wall's passivity with its evidence; `reasons` is empty for a passive wall."""
+
+    passive: bool
+    reasons: tuple[str, ...]
+    passivity: Passivity
+    residual: float
+    residual_threshold: float
+    least_coherence: float
+
+
+@dataclass(frozen=True, slots=True)
+class Fidelity:
+    """How far a rendered wall is from the one that was asked for.
+
+    Attributes
+    ----------
+    rms
+        Root mean square over the lines of |Ẑ| − |K/(jω) + B| (damping units).
+    rms_deviation
+        Standard deviation of that, lines taken as independent.
+    noise_rms
+        Value that noise alone would give: compare with it before two walls are ranked.
+    stiffness, damping
+        Effective, over `effective_band_hz`, the device taken away if it was given (it should be: an inertia left in
+        makes the stiffness too small). NaN with fewer than `EFFECTIVE_LINES` lines there.
+    stiffness_deviation, damping_deviation
+        Their standard deviations, misfit included.
+    stiffness_percent, damping_percent
+        In per cent of what was asked for; NaN where that was zero.
+    effective_band_hz, effective_lines
+        The lines from where to where these are means over, and how many.
+    distortion
+        Mean over the lines of weight · |Ẑ − Z|/|Z|, Z = K/(jω) + B: the shape that the second paper gives for the
+        average distortion error of Colonnese and Okamura. Their own text was not to be had, so weights and spacing of
+        frequencies are not theirs and published values do not compare. NaN for no wall.
+    lines, band_hz
+        How many lines, and from where to where: the numbers depend on both.
+    """
+
+    rms: float
+    rms_deviation: float
+    noise_rms: float
+    stiffness: float
+    stiffness_deviation: float
+    stiffness_percent: float
+    damping: float
+    damping_deviation: float
+    damping_percent: float
+    effective_band_hz: tuple[float, float]
+    effective_lines: int
+    distortion: float
+    lines: int
+    band_hz: tuple[float, float]
+
+
+def passive(
+    impedance: Impedance, band: tuple[float, float] | None = None, z_score: float = Z_SCORE
+) -> Passivity:
+    """Test Re Z ≥ −tolerance at each line of a band.
+
+    Parameters
+    ----------
+    impedance
+        Measured or exact.
+    band
+        Lines that count (Hz, ends included); all if left out.
+    z_score
+        Tolerance in standard deviations of each real part (`Impedance.spread`). The tolerance is zero if this is 0 or
+        the variance is unknown. Of many lines exactly at the limit a share fails by chance: 2.3 % at 2.
+
+    Raises
+    ------
+    ConfigError
+        The band holds no line.
+    """
+    part = impedance.within(band)
+    tolerance = np.nan_to_num(part.spread(z_score)) if z_score > 0.0 else np.zeros(len(part.z))
+    room = part.z.real + tolerance
+    room = np.where(np.isfinite(part.z), room, -math.inf)
+    failed = room < 0.0
+    worst = int(np.argmin(room))
+    size = np.abs(part.z)
+    share = np.divide(tolerance, size, out=np.full(len(size), 2.0), where=size > tolerance)
+    wider = np.where(
+        share > 1.0, 180.0, np.degrees(np.arcsin(np.minimum(share, 1.0)))
+    )  # or any phase will do
+    turned = np.where(np.isfinite(part.z), 90.0 + wider - np.abs(part.phase_deg), -math.inf)
+    return Passivity(
+        passive=not failed.any(),
+        tested=len(part.z),
+        failed_hz=tuple(part.lines_hz[failed].tolist()),
+        worst_hz=float(part.lines_hz[worst]),
+        worst_real=float(part.z.real[worst]),
+        worst_tolerance=float(tolerance[worst]),
+        worst_phase_deg=float(part.phase_deg[worst]),
+        margin=float(room[worst]),
+        phase_margin_deg=float(turned.min()),
+        band_hz=band or (float(part.lines_hz[0]), float(part.lines_hz[-1])),
+        z_score=z_score,
+    )
+
+
+def judge(
+    impedance: Impedance,
+    band: tuple[float, float] | None = None,
+    *,
+    z_score: float = Z_SCORE,
+    residual_threshold: float = RESIDUAL,
+    least_coherence: float = COHERENCE,
+) -> PassivityJudgement:
+    """Judge passivity by all criteria that can refute it: real part, residual power, coherence.
+
+    A residual or coherence that cannot be computed from the record (NaN) is ignored.
+    """
+    found = passive(impedance, band, z_score)
+    part = impedance.within(band)
+    reasons = []
+    if not found.passive:
+        reasons.append(
+            f"Re Z is {found.worst_real:.4g} at {found.worst_hz:g} Hz (phase {found.worst_phase_deg:.2f}°, "
+            f"tolerance {found.worst_tolerance:.2g}); {len(found.failed_hz)} of {found.tested} lines fail"
+        )
+    if impedance.residual > residual_threshold:
+        reasons.append(
+            f"{impedance.residual:.0%} of the motion's power is off the excited lines, "
+            f"more than {residual_threshold:.0%}"
+        )
+    seen = part.coherence_motion[np.isfinite(part.coherence_motion)]
+    least = float(seen.min()) if len(seen) else math.nan
+    if least < least_coherence:
+        at = float(part.lines_hz[int(np.nanargmin(part.coherence_motion))])
+        reasons.append(f"the motion's coherence is {least:.2f} at {at:g} Hz, below {least_coherence:g}")
+    return PassivityJudgement(
+        not reasons, tuple(reasons), found, impedance.residual, residual_threshold, least
+    )
+
+
+def fidelity(
+    impedance: Impedance,
+    stiffness: float,
+    damping: float,
+    band: tuple[float, float] | None = None,
+    *,
+    device: RigidRig | Complexes | None = None,
+    effective_hz: float = EFFECTIVE_HZ,
+    weight: Callable[[Floats], Floats] | None = None,
+) -> Fidelity:
+    """Compare a rendered wall with the ideal K/(jω) + B.
+
+    Parameters
+    ----------
+    impedance
+        Measured or exact, rig and wall together.
+    stiffness, damping
+        Requested stiffness and damping (N/m or N·m/rad, N·s/m or N·m·s/rad).
+    band
+        Lines that count (Hz); all if left out.
+    device
+        The rig's own impedance, as a `RigidRig` or at all lines of `impedance`: taken away before K and B are
+        fitted. It stays in `rms` and `distortion`, as in the papers.
+    effective_hz
+        Up to which line of the band effective stiffness and damping are averaged (Hz).
+    weight
+        Weight of `distortion`, a function of frequency (Hz); 1 if left out.
+
+    Notes
+    -----
+    An ideal sampled wall does not read its own B: the hold takes K·T/2 off it.
+
+    Raises
+    ------
+    ConfigError
+        The band holds no line.
+    """
+    part = impedance.within(band)
+    s = 2j * np.pi * part.lines_hz
+    asked = stiffness / s + damping
+    error = part.magnitude - np.abs(asked)
+    variance = 0.5 * part.variance
+    rms = math.sqrt(float(np.mean(error**2)))
+    doubt = math.sqrt(float(np.mean(error**2 * variance)) / len(error)) / rms if rms > 0.0 else 0.0
+    low_hz, high_hz = float(part.lines_hz[0]), min(effective_hz, float(part.lines_hz[-1]))
+    low = int((part.lines_hz <= effective_hz * (1.0 + 1e-9)).sum())
+    added = Fit.unknown("stiffness", "damping")
+    if low >= EFFECTIVE_LINES:
+        added = fit(impedance, ("stiffness", "damping"), band=(low_hz, high_hz), subtract=device)
+    weights = np.ones(len(s)) if weight is None else weight(part.lines_hz)
+    size = np.abs(asked)
+    return Fidelity(
+        rms=rms,
+        rms_deviation=doubt,
+        noise_rms=math.sqrt(float(np.mean(variance))),
+        stiffness=added.values["stiffness"],
+        stiffness_deviation=added.deviations["stiffness"],
+        stiffness_percent=100.0 * added.values["stiffness"] / stiffness if stiffness else math.nan,
+        damping=added.values["damping"],
+        damping_deviation=added.deviations["damping"],
+        damping_percent=100.0 * added.values["damping"] / damping if damping else math.nan,
+        effective_band_hz=(low_hz, high_hz),
+        effective_lines=low,
+        distortion=float(np.mean(weights * np.abs(part.z - asked) / size)) if size.all() else math.nan,
+        lines=len(s),
+        band_hz=band or (float(part.lines_hz[0]), float(part.lines_hz[-1])),
+    )

@@ -1,0 +1,239 @@
+"""The limit cycle of the encoder's quantum, by describing functions: amplitude and frequency, without a simulation.
+
+A wall held at rest by a constant push needs a mean reading of push/K, which is no whole number of counts: the count
+toggles, and what toggles is an effort of K·Δ and more. Suppose that the encoder's side moves as x0 + A·cos ωt. Then the
+first harmonic
+
+    of the reading is  q = (2Δ/π)·Σ √(1 − ((e − x0)/A)²)   over the edges e that are crossed, in phase with x,
+    of a friction is   4·f/π, against the velocity of its mass,
+
+and both meet the linear rest of the loop at ω: the law C = K + B·H(e^{jωT2})·h, h the mean over its period of a
+velocity that is held (and extrapolated), the delay, and the plant at its ticks, hold included. Balance is
+
+    A = −G·C·q(A, x0) − friction,   its imaginary part 0,   mean reading = push/K,
+
+three equations for A, ω and x0. Without friction ω is where the phase of G·C crosses −180°, whatever A, and
+A = |G·C|·q: at most (2/π)·|G·C| counts while one edge is crossed, so a wall that is linearly stable (|G·C| < 1) buzzes
+by less than 0.64 counts. Of several balances the largest is taken, but each may be the one that is seen, and which of
+them is a matter of where the handle comes from: only the only one (`alone`) is a prediction. Friction does not decide
+between them: where a mass rests in part of its period, friction dissipates less than this model assumes, and a limit
+cycle that the model rules out may persist. `duty` is the fraction of a count that the mean reading lies above a whole
+one: ½ buzzes most, 0 not at all (until A is half a count).
+
+What it takes for granted: one sinusoid (the loop is a low pass: harmonics of the reading, its images in the velocity's
+sampling and toggling between two ticks are left out) and motion without rest. Friction that brings a mass to rest in
+each half period is beyond it. Where friction is stronger than what half a count or less makes of effort the handle may
+as well rest (`may_rest`): which of both it does is a matter of where it comes from. So it is beyond the linear limit,
+where a small cycle may balance and every larger motion grows.
+
+Source: own derivation; describing functions are textbook (Gelb and Vander Velde 1968, not opened).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.analysis.theory._loop import LinearLoop, RigLike, SchemeLike, linear_loop
+from rig.core.model import state_space
+
+Vector = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+LOWEST_HZ, POINTS = (
+    1.0,
+    6000,
+)  # of the frequencies that are looked at, in equal ratios up to half the position rate
+ITERATIONS, SETTLED = 300, 1e-6  # of the amplitude, and its relative change at the end
+TURNS = 12  # of the phase of the second mass's friction
+LARGEST = 1e3  # counts: beyond that it is no matter of the quantum
+BISECTIONS = 60
+EDGES = 2000  # crossed at most
+NOTHING = (0.0, 0.0)  # amplitude and frequency where nothing balances
+
+
+@dataclass(frozen=True, slots=True)
+class LimitCycle:
+    """A predicted limit cycle.
+
+    Attributes
+    ----------
+    amplitude
+        Amplitude at the encoder, half of the peak-to-peak motion (count); 0 where nothing balances, ∞ where it grows
+        beyond any number of counts.
+    frequency_hz
+        Its frequency; NaN without one.
+    may_rest
+        True if friction can hold the handle still instead.
+    alone
+        True if the loop, friction left out, balances at no other frequency: else another cycle may be there as well.
+    """
+
+    amplitude: float
+    frequency_hz: float
+    may_rest: bool
+    alone: bool
+
+    @property
+    def found(self) -> bool:
+        """Return True if a limit cycle exists."""
+        return 0.0 < self.amplitude < math.inf
+
+
+def limit_cycle(
+    rig: RigLike | LinearLoop,
+    scheme: SchemeLike | None,
+    stiffness: float,
+    damping: float,
+    *,
+    duty: float = 0.5,
+    friction: bool = True,
+    operator: str | None = None,
+) -> LimitCycle:
+    """Predict the limit cycle of a wall that is held at rest.
+
+    Parameters
+    ----------
+    rig, scheme, operator
+        See `rig.analysis.theory._loop.resolve` and `rig.analysis.theory._loop.linear_loop`.
+    stiffness, damping
+        K (N·m/rad or N/m) and B (N·m·s/rad or N·s/m).
+    duty
+        Fraction of a count of push/K, 0 to 1.
+    friction
+        True if Coulomb friction is included.
+
+    Raises
+    ------
+    ConfigError, NotLinearError
+        As `rig.analysis.theory._loop.linear_loop`.
+    """
+    loop = rig if isinstance(rig, LinearLoop) else linear_loop(rig, scheme, operator=operator)
+    model = loop.subject.model
+    held = sum(state_space(model.mechanics, model.amplifier).friction) if friction else 0.0
+    open_loop = _Open.of(loop, stiffness, damping, friction=friction)
+    balances = [open_loop.balance(at, duty) for at in open_loop.crossings(duty)]
+    amplitude, frequency = max(balances, default=NOTHING)
+    smooth = _Open.of(loop, stiffness, damping, friction=False) if friction else open_loop
+    return LimitCycle(
+        amplitude=amplitude,
+        frequency_hz=frequency if amplitude > 0.0 else math.nan,
+        may_rest=min(duty, 1.0 - duty) * stiffness * model.encoder.resolution <= held,
+        alone=len(smooth.crossings(duty)) <= 1,
+    )
+
+
+def reading(amplitude: float, duty: float) -> float:
+    """First harmonic of the reading of a motion of this amplitude whose mean reading is a whole number + duty (count).
+
+    The bias of the motion follows from the mean; at an amplitude of 0 it is that of a single edge, (2/π)·sin(π·duty).
+    """
+    if amplitude <= 0.0:
+        return 2.0 / math.pi * math.sin(math.pi * duty)
+    reach = min(math.ceil(amplitude) + 1, EDGES)
+    edges = np.arange(-reach, reach + 1) + 0.5
+
+    def crossed(bias: float) -> Vector:
+        return np.asarray(np.clip((edges - bias) / amplitude, -1.0, 1.0))
+
+    # The mean reading rises with the bias, from 0 about cell 0 to 1 about cell 1.
+    below = float(np.sum(edges < 0.0))
+    low, high = 0.0, 1.0
+    for _ in range(BISECTIONS):
+        bias = 0.5 * (low + high)
+        mean = float(np.sum(np.arccos(crossed(bias)) / math.pi)) - below
+        low, high = (bias, high) if mean < duty else (low, bias)
+    return float(2.0 / math.pi * np.sum(np.sqrt(1.0 - crossed(0.5 * (low + high)) ** 2)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Open:
+    """The opened loop over frequency, in counts: what a reading of 1 and the frictions make of both sides' motion."""
+
+    hz: Vector
+    loop: Complex  # encoder's side, from the reading
+    other: Complex  # the other mass
+    rubs: tuple[float, ...]  # 4·f/π of the encoder's mass, then of the other
+    rubbed: tuple[Complex, ...]  # encoder's side, from an effort on each mass
+    rubbed_other: tuple[Complex, ...]  # the other mass, likewise
+
+    @classmethod
+    def of(cls, loop: LinearLoop, stiffness: float, damping: float, *, friction: bool) -> _Open:
+        model = loop.subject.model
+        hz = np.geomspace(LOWEST_HZ, 0.5 / loop.tick_s, POINTS, endpoint=False)
+        space = state_space(model.mechanics, model.amplifier, loop.subject.operator)
+        z, s = np.exp(2j * np.pi * hz * loop.tick_s), np.asarray(2j * np.pi * hz, complex)
+        late = z**-loop.delay_ticks * _law(loop, stiffness, damping, hz, z)
+        driven = -_states(z, loop.phi, loop.gamma) * late[:, None]
+        own, other = space.sensed_position, space.handle_position
+        rubbed = [
+            _states(s, space.a, column) / model.encoder.resolution
+            for column in space.b[:, space.friction_inputs].T
+        ]
+        return cls(
+            hz=hz,
+            loop=driven[:, own],
+            other=driven[:, other],
+            rubs=tuple(4.0 / math.pi * level if friction else 0.0 for level in space.friction),
+            rubbed=tuple(states[:, own] for states in rubbed),
+            rubbed_other=tuple(states[:, other] for states in rubbed),
+        )
+
+    def motion(self, read: float) -> Complex:
+        """Motion of the encoder's side at every frequency, if it is in phase with this reading (count)."""
+        x = read * self.loop - 1j * self.rubs[0] * self.rubbed[0]
+        if not any(self.rubs[1:]):
+            return np.asarray(x)
+        driven = read * self.other - 1j * self.rubs[0] * self.rubbed_other[0]
+        y, rub = driven, np.zeros_like(driven)
+        for _ in range(TURNS):  # the other mass's friction turns with its motion
+            rub = -1j * self.rubs[1] * np.exp(1j * np.angle(y))
+            y = driven + rub * self.rubbed_other[1]
+        return np.asarray(x + rub * self.rubbed[1])
+
+    def crossings(self, duty: float) -> list[float]:
+        """Frequencies at which the motion is in phase with a reading across a single edge."""
+        return [frequency for frequency, _ in self._in_phase(reading(0.0, duty))]
+
+    def _in_phase(self, read: float) -> list[tuple[float, float]]:
+        """Frequency and amplitude wherever the motion is in phase with the reading."""
+        x = self.motion(read)
+        place = np.flatnonzero((x.imag[1:] > 0.0) != (x.imag[:-1] > 0.0))
+        share = x.imag[place] / (x.imag[place] - x.imag[place + 1])
+        amplitude = x.real[place] + share * (x.real[place + 1] - x.real[place])
+        frequency = self.hz[place] * (self.hz[place + 1] / self.hz[place]) ** share
+        return [(float(f), float(a)) for f, a in zip(frequency, amplitude, strict=True) if a > 0.0]
+
+    def balance(self, frequency: float, duty: float) -> tuple[float, float]:
+        """Follow one crossing until amplitude and reading belong to each other; returns amplitude and frequency."""
+        read, amplitude = reading(0.0, duty), 0.0
+        for _ in range(ITERATIONS):
+            there = self._in_phase(read)
+            if not there:
+                return NOTHING
+            frequency, found = min(there, key=lambda one: abs(math.log(one[0] / frequency)))
+            if found > LARGEST:
+                return math.inf, frequency
+            if abs(found - amplitude) <= SETTLED * found:
+                break
+            amplitude, read = found, reading(found, duty)
+        return amplitude, frequency
+
+
+def _law(loop: LinearLoop, stiffness: float, damping: float, hz: Vector, z: Complex) -> Complex:
+    """K + B·H·h: effort over the reading, both at the ticks."""
+    ticks = np.arange(loop.divider)
+    used = np.ones((len(hz), loop.divider), complex)
+    if loop.extrapolate:
+        used += (1.0 - np.exp(-2j * np.pi * hz * loop.period_s))[:, None] * ticks / loop.divider
+    held = np.mean(used * z[:, None] ** -ticks, axis=1)
+    return np.asarray(stiffness + damping * loop.estimator.response(hz) * held)
+
+
+def _states(at: Complex, a: Vector, b: Vector) -> Complex:
+    """(at·1 − A)⁻¹·b: all states over frequency."""
+    resolvent = at[:, None, None] * np.eye(len(b)) - a
+    return np.asarray(np.linalg.solve(resolvent, np.broadcast_to(b[:, None], (len(at), len(b), 1)))[..., 0])

@@ -1,0 +1,245 @@
+"""Exact stability of a dual-rate wall: the loop over one velocity period as one matrix, and its largest eigenvalue.
+
+The law samples position at T1 and velocity at T2 = N·T1, so the loop is periodic, not time-invariant; lifted to T2 it
+is. With z = [plant; estimator; velocity in use; its slope; commands on their way] one tick in the order of
+`rig.control.step` is
+
+    V   in the first tick of a period: the estimator sees this position, a new velocity begins
+    E   in the others: the velocity is held, or extrapolated by its slope
+    P(K, B)   the law's effort −(K·θ + B·v) is commanded; the one that is due acts over T1
+
+and the period is Φ = (P·E)^(N−1)·P·V. The wall is stable, as far as linear theory can say, iff all eigenvalues of
+Φ lie inside the unit circle: see `rig.analysis.theory._loop` for what that leaves out.
+
+Source: own derivation; the lifting is the standard one for periodic systems (Kranc 1957; Bittanti and Colaneri 2009).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.analysis.theory._loop import LinearLoop, RigLike, SchemeLike, linear_loop
+from rig.core.model import Matrix, Operator
+
+Vector = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+BLOCK = 1 << 16  # numbers in a stack of matrices: a processor's cache holds them, however many walls
+POWERS = 4  # of Φ that are looked at before its eigenvalues, each the 16th of the one before
+CLEAR = 2.0  # how far from 1 a power must be to tell
+HOPELESS = np.finfo(np.float64).max ** 0.25  # stands for what overflowed within a period
+
+
+@dataclass(frozen=True)
+class Lifted:
+    """The loop of a rig under a scheme, lifted to the velocity period: everything but stiffness and damping.
+
+    Attributes
+    ----------
+    tick
+        One tick without a wall, n × n.
+    into
+        Change of the state by a command of 1 in that tick, length n.
+    first, other
+        V and E: what happens to the velocity before the law, in the first and in the other ticks, n × n.
+    position, velocity
+        Rows that read what the law sees, length n.
+    softest
+        The same where cogging is softest, if the motor cogs: a wall is judged at the place that is worse for it. A wall
+        that is softer than the cogging there lets the handle slide to the next detent, which is no oscillation: it is
+        judged without that place.
+    """
+
+    loop: LinearLoop
+    tick: Matrix
+    into: Vector
+    first: Matrix
+    other: Matrix
+    position: Vector
+    velocity: Vector
+    softest: Lifted | None = None
+
+    @classmethod
+    def of(cls, loop: LinearLoop) -> Lifted:
+        """Lift a dual-rate loop to its slow period."""
+        plant, states = len(loop.gamma), loop.estimator.order
+        held, slope = plant + states, plant + states + 1
+        queue = slope + 1
+        size = queue + loop.delay_ticks
+        tick, into = np.eye(size), np.zeros(size)
+        tick[:plant, :plant] = loop.phi
+        if loop.delay_ticks == 0:
+            into[:plant] = loop.gamma
+        else:
+            tick[:plant, queue] = loop.gamma
+            tick[queue:, queue:] = np.eye(loop.delay_ticks, k=1)
+            into[-1] = 1.0
+        position, velocity = np.zeros(size), np.zeros(size)
+        position[loop.sensed], velocity[held] = 1.0, 1.0
+        return cls(
+            loop,
+            tick,
+            into,
+            _sampling(loop, position, plant),
+            _between(loop, size, plant),
+            position,
+            velocity,
+            None if loop.softest is None else cls.of(loop.softest),
+        )
+
+    @cached_property
+    def size(self) -> int:
+        """Return the number of states of the lifted loop."""
+        return len(self.into)
+
+    def ticks(self, stiffness: ArrayLike, damping: ArrayLike) -> tuple[Matrix, Matrix]:
+        """First tick and any other one, for walls of any broadcast shape: shape (…, n, n)."""
+        k, b = np.broadcast_arrays(np.asarray(stiffness, float), np.asarray(damping, float))
+        law = (k[..., None] - self.loop.compensated) * self.position + b[..., None] * self.velocity
+        closed = self.tick - self.into[:, None] * law[..., None, :]
+        return closed @ self.first, closed @ self.other
+
+    def period(self, stiffness: ArrayLike, damping: ArrayLike) -> Matrix:
+        """Φ over one velocity period, shape (…, n, n)."""
+        first, other = self.ticks(stiffness, damping)
+        return (
+            first if self.loop.divider == 1 else np.linalg.matrix_power(other, self.loop.divider - 1) @ first
+        )
+
+    def radius(self, stiffness: ArrayLike, damping: ArrayLike) -> Vector:
+        """Spectral radius of Φ for each wall: the loop grows by this factor in each velocity period, at last."""
+        return _at_the_worse_place(self, np.maximum, _radius, stiffness, damping)
+
+    def stable(self, stiffness: ArrayLike, damping: ArrayLike) -> Flags:
+        """Return whether each wall's `radius` is below 1; where powers of Φ decide, at a fifth of the cost."""
+        return _at_the_worse_place(self, np.logical_and, _decays, stiffness, damping)
+
+    def frequency(self, stiffness: float, damping: float) -> float:
+        """Frequency (Hz) of the mode that decides, not aliased to the velocity rate.
+
+        An eigenvalue of Φ gives a frequency only up to multiples of 1/T2. Between, the mode's position follows from its
+        eigenvector, tick by tick: (that part of the exponential) × (something of period T2). The strongest harmonic of
+        the latter says which multiple is meant. What remains is the alias of the position rate, which is the
+        plant's own.
+        """
+        if self.softest is not None and self.softest.radius(stiffness, damping) >= self.radius(
+            stiffness, damping
+        ):
+            return self.softest.frequency(stiffness, damping)
+        phi = self.period(stiffness, damping)
+        values, vectors = np.linalg.eig(phi)
+        i = int(np.argmax(np.abs(values)))
+        value, z = complex(values[i]), vectors[:, i].astype(complex)
+        n, period_s = self.loop.divider, self.loop.period_s
+        first, other = self.ticks(stiffness, damping)
+        factor = value ** (1.0 / n) if value != 0.0 else 1.0
+        wave = np.empty(n, complex)
+        for k in range(n):
+            wave[k] = self.position @ z / factor**k
+            z = (first if k == 0 else other) @ z
+        harmonic = int(np.argmax(np.abs(np.fft.fft(wave))))
+        turns = math.atan2(value.imag, value.real) / (2.0 * math.pi) + harmonic
+        return abs(turns - n * round(turns / n)) / period_s
+
+
+def _at_the_worse_place(
+    lifted: Lifted,
+    worse: np.ufunc,
+    told: Callable[[Matrix], NDArray[Any]],
+    stiffness: ArrayLike,
+    damping: ArrayLike,
+) -> NDArray[Any]:
+    """Evaluate a function of each wall's period matrix; with cogging, also where it is softest, and take the worse."""
+    k, b = np.broadcast_arrays(np.asarray(stiffness, float), np.asarray(damping, float))
+    block = max(1, BLOCK // lifted.size**2)
+    blocks = (slice(i, i + block) for i in range(0, max(k.size, 1), block))
+    own = np.concatenate([told(lifted.period(k.ravel()[i], b.ravel()[i])) for i in blocks]).reshape(k.shape)
+    softest = lifted.softest
+    if softest is None:
+        return own
+    rests = k + softest.loop.cogging - softest.loop.compensated > 0.0
+    return np.where(rests, worse(own, _at_the_worse_place(softest, worse, told, k, b)), own)
+
+
+def _radius(phi: Matrix) -> Vector:
+    phi = np.where(np.isfinite(phi), phi, HOPELESS)
+    return np.asarray(np.abs(np.linalg.eigvals(phi)).max(axis=-1))
+
+
+def _decays(phi: Matrix) -> Flags:
+    """Return whether the spectral radius ρ is below 1: ρ^m ≤ ‖Φ^m‖ and ρ^m ≥ |trace Φ^m|/n, for m = 16, 256 and so on.
+
+    Squaring rounds like eigenvalues do: relative to ρ, both are wrong by some 1e-16 times the eigenvalue's condition. A
+    power decides only where ρ is farther from 1 than CLEAR^(1/m), which is 1e-5 at the last one.
+    """
+    decays, left, power = np.zeros(len(phi), np.bool_), np.arange(len(phi)), phi
+    with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not clear
+        for _ in range(POWERS):
+            power = np.linalg.matrix_power(power, 16)
+            small = np.einsum("ijk,ijk->i", power, power) < CLEAR**-2
+            large = np.abs(np.einsum("ijj->i", power)) > CLEAR * phi.shape[-1]
+            decays[left[small]] = True
+            unclear = ~(small | large)
+            left, power = left[unclear], power[unclear]
+    decays[left] = _radius(phi[left]) < 1.0
+    return decays
+
+
+def spectral_radius(
+    rig: RigLike,
+    scheme: SchemeLike | None,
+    stiffness: ArrayLike,
+    damping: ArrayLike,
+    *,
+    operator: str | Operator | None = None,
+) -> Vector:
+    """Spectral radius over one velocity period, for a rig under a scheme: below 1 the wall is linearly stable.
+
+    Parameters
+    ----------
+    rig, scheme, operator
+        See `rig.analysis.theory._loop.resolve` and `rig.analysis.theory._loop.linear_loop`.
+    stiffness, damping
+        K (N·m/rad or N/m) and B (N·m·s/rad or N·s/m), of any shapes that broadcast.
+
+    Returns
+    -------
+    ndarray
+        Values of the broadcast shape. A stiffness of zero leaves the handle free: 1, as it stays where it is.
+    """
+    return Lifted.of(linear_loop(rig, scheme, operator=operator)).radius(stiffness, damping)
+
+
+def _sampling(loop: LinearLoop, position: Vector, plant: int) -> Matrix:
+    """V: the estimator runs; the slope is the difference of its last two velocities, per tick."""
+    e = loop.estimator
+    held, slope = plant + e.order, plant + e.order + 1
+    matrix = np.eye(len(position))
+    rows = slice(plant, held)
+    matrix[rows] = e.b[:, None] * position
+    matrix[rows, rows] = e.a
+    estimate = e.d * position
+    estimate[rows] = e.c
+    matrix[held], matrix[slope] = estimate, 0.0
+    if loop.extrapolate:
+        matrix[slope] = estimate / loop.divider
+        matrix[slope, held] -= (
+            1.0 / loop.divider
+        )  # the velocity in use less what was extrapolated on top of it
+        matrix[slope, slope] += (loop.divider - 1) / loop.divider
+    return matrix
+
+
+def _between(loop: LinearLoop, size: int, plant: int) -> Matrix:
+    """E: one more tick of extrapolation; without extrapolation the slope is zero for ever."""
+    matrix = np.eye(size)
+    held = plant + loop.estimator.order
+    matrix[held, held + 1] = 1.0
+    return matrix

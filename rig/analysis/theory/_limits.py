@@ -1,0 +1,249 @@
+"""Where a wall stops being stable: K_max over B with the islands beyond, B_max, and maps of the whole plane.
+
+Stability is not monotone in K. Near the end of the range of damping, low stiffnesses fail first and an island of
+stable ones remains; a scan upwards and a full grid then answer differently. So a limit is the end of the *connected*
+range, from the lowest stiffness up, and islands beyond it are listed. A scan sees islands wider than its step (8 % of
+K); their ends are then found by bisection, all of a curve at once.
+
+The lowest stiffness is that on which the rig's mass would oscillate at 1 Hz, the highest one that on which its motor
+alone would oscillate at half the position rate, or what damping could allow, if more: a limit there is a cap of the
+scan and flagged so, never a result.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.analysis.theory._lifted import Lifted
+from rig.analysis.theory._loop import RigLike, SchemeLike, linear_loop
+from rig.core.errors import ConfigError
+from rig.core.model import Operator
+
+Vector = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+POINTS = 200  # stiffnesses, or dampings, of a scan
+LOWEST_HZ = 1.0  # see the module's text
+BISECTIONS = 30  # of a step of the scan: far below rounding
+ISLAND_DAMPINGS, ISLAND_STIFFNESSES, ISLAND_BISECTIONS = 24, 120, 12  # of the search for islands beyond B_max
+ISLAND_REACH = 4.0  # times B_max
+DAMPING_REACH, DAMPING_DECADES = 8.0, 5.0  # of the scan for B_max, in J/T2
+
+
+@dataclass(frozen=True, slots=True)
+class Island:
+    """A range of stable stiffnesses above the connected one; `capped` if it reaches the end of the scan."""
+
+    low: float
+    high: float
+    capped: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """Largest stable stiffness at a damping.
+
+    Attributes
+    ----------
+    damping, stiffness
+        B, and the end of the stable range that begins at the lowest stiffness scanned; 0 where that is unstable.
+    frequency_hz
+        Frequency of the mode that becomes unstable there (Hz).
+    capped
+        The scan ended before the range did: `stiffness` is no limit but where the scan stopped.
+    islands
+        Stable ranges beyond.
+    """
+
+    damping: float
+    stiffness: float
+    frequency_hz: float
+    capped: bool
+    islands: tuple[Island, ...] = ()
+
+    @property
+    def highest(self) -> float:
+        """Largest stable stiffness at all, islands included."""
+        return self.islands[-1].high if self.islands else self.stiffness
+
+
+@dataclass(frozen=True, slots=True)
+class DampingLimit:
+    """Largest damping of a wall.
+
+    Attributes
+    ----------
+    damping
+        End of the range of B, from zero up, in which the lowest stiffness is stable.
+    frequency_hz
+        Frequency of the mode that becomes unstable there (Hz).
+    capped
+        The scan ended before the range did.
+    with_islands, island_stiffness
+        Largest damping at which any stiffness is stable, and such a stiffness; beyond `damping` only islands are.
+    """
+
+    damping: float
+    frequency_hz: float
+    capped: bool
+    with_islands: float
+    island_stiffness: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StabilityMap:
+    """Spectral radius over a grid: ``radius[i, j]`` at ``stiffnesses[i]`` and ``dampings[j]``."""
+
+    stiffnesses: Vector
+    dampings: Vector
+    radius: Vector
+
+    @property
+    def stable(self) -> Flags:
+        """Where the wall is linearly stable."""
+        return np.asarray(self.radius < 1.0)
+
+
+def k_max(
+    rig: RigLike | Lifted,
+    scheme: SchemeLike | None = None,
+    damping: float = 0.0,
+    *,
+    operator: str | Operator | None = None,
+) -> Limit:
+    """Largest stable stiffness at a damping; arguments as in `rig.analysis.theory._loop.resolve`."""
+    return k_max_curve(rig, scheme, [damping], operator=operator)[0]
+
+
+def k_max_curve(
+    rig: RigLike | Lifted,
+    scheme: SchemeLike | None,
+    dampings: Sequence[float] | Vector,
+    *,
+    operator: str | Operator | None = None,
+) -> tuple[Limit, ...]:
+    """Largest stable stiffness at each of many dampings, in one computation."""
+    lifted = as_lifted(rig, scheme, operator)
+    b = _dampings(dampings)
+    k = stiffnesses(lifted, float(b.max(initial=0.0)))
+    stable = lifted.stable(k, b[:, None])
+    row, column = np.nonzero(stable[:, :-1] != stable[:, 1:])
+    edges = _between(lifted, k[column], k[column + 1], b[row], stable[row, column])
+    return tuple(
+        _limit(lifted, float(b[i]), k, edges[row == i].tolist(), bool(stable[i, 0])) for i in range(len(b))
+    )
+
+
+def b_max(
+    rig: RigLike | Lifted, scheme: SchemeLike | None = None, *, operator: str | Operator | None = None
+) -> DampingLimit:
+    """Largest damping at the lowest stiffness, and beyond it as far as islands of stiffness go."""
+    lifted = as_lifted(rig, scheme, operator)
+    loop = lifted.loop
+    highest = DAMPING_REACH * loop.subject.inertia / loop.period_s + loop.subject.damping
+    b = highest * np.geomspace(10.0**-DAMPING_DECADES, 1.0, POINTS)
+    lowest = _lowest_stiffness(lifted)
+    unstable = np.flatnonzero(~lifted.stable(lowest, b))
+    if len(unstable) == 0:
+        return DampingLimit(highest, math.nan, True, highest, lowest)
+    first = int(unstable[0])
+    if first == 0:
+        damping = 0.0
+    else:
+        low, high = b[first - 1], b[first]
+        for _ in range(BISECTIONS):
+            middle = math.sqrt(low * high)
+            low, high = (middle, high) if lifted.radius(lowest, middle) < 1.0 else (low, middle)
+        damping = float(low)
+    islands, stiffness = _last_island(lifted, damping, highest)
+    frequency = lifted.frequency(lowest, damping * (1.0 + 1e-6) if damping else float(b[0]))
+    return DampingLimit(damping, frequency, False, islands, stiffness)
+
+
+def stability_map(
+    rig: RigLike | Lifted,
+    scheme: SchemeLike | None,
+    stiffnesses: ArrayLike,
+    dampings: ArrayLike,
+    *,
+    operator: str | Operator | None = None,
+) -> StabilityMap:
+    """Spectral radius at every pair of stiffness and damping."""
+    k, b = np.asarray(stiffnesses, float).ravel(), np.asarray(dampings, float).ravel()
+    return StabilityMap(k, b, as_lifted(rig, scheme, operator).radius(k[:, None], b))
+
+
+def as_lifted(
+    rig: RigLike | Lifted, scheme: SchemeLike | None, operator: str | Operator | None = None
+) -> Lifted:
+    """Lift a rig under a scheme, unless that has been done."""
+    if isinstance(rig, Lifted):
+        return rig
+    return Lifted.of(linear_loop(rig, scheme, operator=operator))
+
+
+def stiffnesses(lifted: Lifted, damping: float) -> Vector:
+    """Stiffnesses of a scan for dampings up to this one, from the lowest up in equal ratios."""
+    loop = lifted.loop
+    motor = loop.subject.model.mechanics.motor_inertia * (math.pi / loop.tick_s) ** 2
+    damped = 4.0 * (loop.subject.damping + abs(damping)) / loop.tick_s
+    lowest = _lowest_stiffness(lifted)
+    return np.geomspace(lowest, max(motor, damped, 10.0 * lowest), POINTS)
+
+
+def _lowest_stiffness(lifted: Lifted) -> float:
+    return lifted.loop.subject.inertia * (2.0 * math.pi * LOWEST_HZ) ** 2
+
+
+def _dampings(given: Sequence[float] | Vector) -> Vector:
+    b = np.asarray(given, float).ravel()
+    if not np.isfinite(b).all():
+        raise ConfigError("a damping is not a finite number", remedy="give finite dampings")
+    return b
+
+
+def _between(lifted: Lifted, low: Vector, high: Vector, damping: Vector, stable_below: Flags) -> Vector:
+    """Where stability changes within each step, by bisection of all steps together."""
+    for _ in range(BISECTIONS):
+        middle = np.sqrt(low * high)
+        below = (lifted.radius(middle, damping) < 1.0) == stable_below
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    return np.asarray(low)
+
+
+def _limit(lifted: Lifted, damping: float, k: Vector, edges: list[float], stable_below: bool) -> Limit:
+    """Make of the places where stability changes the connected range and the islands."""
+    end = float(k[-1])
+    if stable_below and not edges:
+        return Limit(damping, end, math.nan, True)
+    stiffness = edges[0] if stable_below else 0.0
+    rest = edges[1:] if stable_below else edges
+    islands = [
+        Island(low, *((rest[i + 1], False) if i + 1 < len(rest) else (end, True)))
+        for i, low in enumerate(rest)
+        if i % 2 == 0
+    ]
+    frequency = lifted.frequency(stiffness * (1.0 + 1e-6) if stable_below else float(k[0]), damping)
+    return Limit(damping, stiffness, frequency, False, tuple(islands))
+
+
+def _last_island(lifted: Lifted, damping: float, highest: float) -> tuple[float, float]:
+    """Largest damping at which some stiffness is stable, and the most stable one: from a grid, then by bisection."""
+    reach = min(highest, ISLAND_REACH * damping) if damping > 0.0 else highest
+    scanned = stiffnesses(lifted, reach)
+    k = np.geomspace(float(scanned[0]), float(scanned[-1]), ISLAND_STIFFNESSES)
+    tried = np.linspace(damping, reach, ISLAND_DAMPINGS)[1:]
+    some = np.flatnonzero(lifted.stable(k, tried[:, None]).any(axis=1))
+    last = int(some[-1]) if len(some) else -1
+    low = float(tried[last]) if len(some) else damping
+    high = float(tried[min(last + 1, len(tried) - 1)])
+    for _ in range(ISLAND_BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if lifted.stable(k, middle).any() else (low, middle)
+    best = int(np.argmin(lifted.radius(k, low))) if low > damping else 0
+    return low, float(k[best])

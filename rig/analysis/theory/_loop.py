@@ -1,0 +1,276 @@
+"""The linear loop of the theory: a plant, a held effort, an estimator and their rates, from a rig and a scheme.
+
+`resolve` takes a rig however it is given; `linear_loop` makes the matrices. Left out, because no matrix holds them:
+Coulomb friction, the encoder's quantum, saturation, and the release from the wall: the handle is pressed against a wall
+that may pull, τ = −(K·θ + B·v). Hits on koul-compliant, koul-rigid and chawda-linear (`rig zwidth -B 0`: 1, 5 and 20
+kHz, B = 0, a normal hand) are stable up to 1.1 to 2.5 times this K_max, and without friction up to 0.4 to 0.9 times.
+The quantum takes 30 to 50 % off the range of damping of a dual-rate wall and nearly all of a uniform 20 kHz one's.
+
+Cogging enters by its slope, a stiffness of the motor's side: the loop is asked at the place where it is stiffest and at
+the one where it is softest, of all from the wall to the end of the window. Ripple is no part of the loop here: it makes
+K and B 1 ± r times as large, which is to be compared with the margin to the limit (`rig experiment plan` says how
+much).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import config
+from rig.analysis.theory._linear import NotLinearError, Realisation, realise
+from rig.config import Controller, Experiment, presets
+from rig.config.schemes import Scheme, usual_settings
+from rig.core.errors import ConfigError
+from rig.core.exponential import expm
+from rig.core.model import Matrix, Operator, RigModel, StateSpace, state_space
+from rig.core.operators import GRIPS, NO_OPERATOR
+
+RigLike = str | Path | Experiment | RigModel
+SchemeLike = str | Scheme
+Vector = NDArray[np.float64]
+
+SLOPES = 64  # places in a wave of the highest harmonic of cogging at which its slope is looked at
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """A rig that theory is asked about: its physics, the hand on it, and the experiment it came from, if any."""
+
+    model: RigModel
+    experiment: Experiment | None
+    operator: Operator | None
+
+    @property
+    def damping(self) -> float:
+        """Damping of a slow rigid motion (N·m·s/rad or N·s/m): motor, link, and back-EMF under voltage drive.
+
+        The hand is left out: conditions of passivity ask for any hand, the lightest included.
+        """
+        return self.model.damping
+
+    @property
+    def port_damping(self) -> float:
+        """Damping that the motor side meets, whatever passive thing holds the link; its back-EMF behind the lag.
+
+        On a rigid rig all of it. On two masses the link's damper sits behind the capstan, and the least that the two
+        show together, over all frequencies and all passive hands, is that of both in series: b_m + c·b_l/(c + b_l).
+        """
+        mechanics = self.model.mechanics
+        link, across = mechanics.link_damping, mechanics.transmission_damping
+        if mechanics.structure == "rigid" or link == 0.0:
+            return self.damping
+        return self.damping - link + link * across / (link + across)
+
+    @property
+    def inertia(self) -> float:
+        """Inertia of a rigid motion, without the hand (kg·m² or kg)."""
+        return self.model.mechanics.motor_inertia + self.model.mechanics.loaded_link_inertia
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearLoop:
+    """Matrices that `rig.analysis.theory._lifted` multiplies: the plant over one tick, and the law's timing.
+
+    ``phi``, ``gamma`` step the plant over T1 with a held command; ``sensed`` is the index of the position that the
+    encoder sees. `subject` and `controller` say where all this comes from. `cogging` is the stiffness that cogging
+    gives the motor (N·m/rad or N/m) at the place that this is about, `compensated` how much of that the law takes away;
+    `softest` is the loop at the other place, if there is one.
+    """
+
+    subject: Subject
+    controller: Controller
+    estimator: Realisation
+    phi: Matrix
+    gamma: Vector
+    sensed: int
+    tick_s: float
+    divider: int
+    extrapolate: bool
+    delay_ticks: int
+    cogging: float = 0.0
+    compensated: float = 0.0
+    softest: LinearLoop | None = None
+
+    @property
+    def period_s(self) -> float:
+        """Return the velocity period T2 (s)."""
+        return self.tick_s * self.divider
+
+    @property
+    def late_s(self) -> float:
+        """Electrical lag and computation delay: how late an effort acts beside the hold (s)."""
+        return self.subject.model.amplifier.lag_s + self.delay_ticks * self.tick_s
+
+
+def resolve(rig: RigLike, operator: str | Operator | None = None) -> Subject:
+    """Take a rig as a preset's name, a TOML file, an experiment or a model.
+
+    Parameters
+    ----------
+    rig
+        Text without a suffix that names a preset is that preset, any other text a path.
+    operator
+        The hand on the handle: None for the rig's own (none unless its trial is a human one), ``"none"``, the name
+        of a grip, or an `rig.core.model.Operator`. With a hand the end mass is left off, as in trials by hand.
+
+    Raises
+    ------
+    ConfigError
+        No such preset, file or grip, or an experiment that is wrong.
+    """
+    if isinstance(rig, RigModel):
+        experiment, model = None, rig
+    else:
+        experiment = presets.load_named(rig)
+        model = config.rig_model(experiment if operator is None else experiment.rig)
+    hand = _hand(operator, model)
+    if hand is not None:
+        model = replace(model, mechanics=replace(model.mechanics, end_mass=0.0))
+    return Subject(model, experiment, hand)
+
+
+def linear_loop(
+    rig: RigLike | Subject,
+    scheme: SchemeLike | None = None,
+    *,
+    operator: str | Operator | None = None,
+    estimator: Realisation | None = None,
+) -> LinearLoop:
+    """Matrices of a rig under a scheme; None for the experiment's own scheme.
+
+    `estimator` is its realisation where that is known already, from another hand on the same rig under the same scheme:
+    finding it takes longer than everything else here.
+
+    Raises
+    ------
+    ConfigError
+        As `resolve`; a scheme that cannot be.
+    NotLinearError
+        An estimator that is not linear, or a velocity rate that adapts to speed.
+    """
+    subject = rig if isinstance(rig, Subject) else resolve(rig, operator)
+    controller = _controller(subject, Scheme.parse(scheme) if isinstance(scheme, str) else scheme)
+    _check_fixed_rates(controller)
+    model = subject.model
+    tick_s = 1.0 / controller.position_rate
+    resolution = model.encoder.sign * model.encoder.resolution
+    continuous = state_space(model.mechanics, model.amplifier, subject.operator)
+    least, most = cogging_stiffness(subject)
+    phi, gamma = _over_tick(_stiffer(continuous, most), tick_s)
+    loop = LinearLoop(
+        subject=subject,
+        controller=controller,
+        estimator=estimator
+        or realise(controller.estimator, controller.parameters, 1.0 / controller.velocity_rate, resolution),
+        phi=phi,
+        gamma=gamma,
+        sensed=continuous.sensed_position,
+        tick_s=tick_s,
+        divider=controller.position_rate // controller.velocity_rate,
+        extrapolate=controller.prediction == "extrapolate",
+        delay_ticks=model.delay_ticks(tick_s),
+        cogging=most,
+        compensated=most if controller.cogging_compensation else 0.0,
+    )
+    if least == most:
+        return loop
+    phi, gamma = _over_tick(_stiffer(continuous, least), tick_s)
+    taken = least if controller.cogging_compensation else 0.0
+    return replace(loop, softest=replace(loop, phi=phi, gamma=gamma, cogging=least, compensated=taken))
+
+
+def cogging_stiffness(subject: Subject) -> tuple[float, float]:
+    """Stiffness that cogging gives the motor (N·m/rad or N/m) where it is softest and stiffest; 0 counts, too.
+
+    Asked is from the experiment's wall to the end of the window; of a model alone, a whole period.
+    """
+    cogging, x = subject.model.cogging, subject.experiment
+    if cogging.period is None or not cogging.orders:
+        return 0.0, 0.0
+    low, high = 0.0, cogging.period
+    if x is not None:
+        limits = x.rig.limits
+        ends = (x.wall.position, limits.position_maximum if x.wall.side > 0 else limits.position_minimum)
+        low, high = min(ends), max(ends)
+    steps = math.ceil(SLOPES * max(cogging.orders) * (high - low) / cogging.period)
+    stiffness = -cogging.slope(np.linspace(low, high, steps + 1))
+    return min(0.0, float(stiffness.min())), max(0.0, float(stiffness.max()))
+
+
+def _stiffer(continuous: StateSpace, stiffness: float) -> StateSpace:
+    """The rig with a spring at its motor."""
+    if stiffness == 0.0:
+        return continuous
+    a, motor = continuous.a.copy(), continuous.sensed_position
+    a[:, motor] -= stiffness * continuous.b[:, continuous.friction_inputs.start]
+    return replace(continuous, a=a)
+
+
+def _hand(operator: str | Operator | None, model: RigModel) -> Operator | None:
+    if operator is None:
+        return model.operator
+    if not isinstance(operator, str):
+        return operator
+    if operator == NO_OPERATOR:
+        return None
+    if operator not in GRIPS:
+        raise ConfigError(
+            f"unknown grip {operator!r}", remedy=f"choose one of: {', '.join((NO_OPERATOR, *GRIPS))}"
+        )
+    return GRIPS[operator]
+
+
+def _controller(subject: Subject, scheme: Scheme | None) -> Controller:
+    if subject.experiment is not None:
+        experiment = subject.experiment
+        return (experiment if scheme is None else scheme.applied(experiment)).controller
+    if scheme is None:
+        raise ConfigError(
+            "a rig without an experiment has no scheme of its own, and none is given",
+            remedy="give a scheme, like dual:20k/2k",
+        )
+    if scheme.position_rate % scheme.velocity_rate:
+        raise ConfigError(
+            f"scheme {scheme.text}: {scheme.position_rate} Hz is not a multiple of {scheme.velocity_rate} Hz",
+            remedy="choose a position rate that is a multiple of the velocity rate",
+        )
+    estimator = scheme.estimator or "fdm-butterworth"
+    return Controller(
+        position_rate=scheme.position_rate,
+        velocity_rate=scheme.velocity_rate,
+        estimator=estimator,
+        parameters={**usual_settings(estimator, scheme.velocity_rate), **scheme.parameters},
+        prediction=scheme.prediction or "hold",
+        slow_velocity_rate=scheme.slow_velocity_rate,
+        slow_below=scheme.slow_below or 0.0,
+    )
+
+
+def _check_fixed_rates(controller: Controller) -> None:
+    slow = controller.slow_velocity_rate
+    if controller.slow_below > 0.0 and slow is not None and slow != controller.velocity_rate:
+        raise NotLinearError(
+            f"a velocity rate of {slow} Hz below {controller.slow_below:g} rad/s or m/s is not linear",
+            reason=f"its velocity rate is {slow} Hz below {controller.slow_below:g} rad/s or m/s",
+            remedy=f"analyse the two rates separately: {controller.velocity_rate} and {slow} Hz; or simulate",
+        )
+
+
+def _over_tick(continuous: StateSpace, tick_s: float) -> tuple[Matrix, Vector]:
+    """Zero-order hold of the command over a tick, exact."""
+    order = continuous.order
+    whole = np.zeros((order + 1, order + 1))
+    whole[:order, :order], whole[:order, order] = continuous.a, continuous.b[:, 0]
+    if not math.isfinite(np.abs(whole).max()):
+        raise ConfigError("the rig's matrices are not finite", remedy="check inertias, lag and stiffness")
+    exact = expm(whole * tick_s)
+    phi, gamma = exact[:order, :order], exact[:order, order]
+    e = continuous.effort
+    if not continuous.a[e].any():  # no lag: the effort state stands alone and nothing reads it
+        phi[e, e] = 0.0
+    return np.ascontiguousarray(phi), np.ascontiguousarray(gamma)

@@ -1,0 +1,288 @@
+"""Conditions from the literature, and the multi-rate one: up to which stiffness a wall is passive, or should be stable.
+
+With b the viscous damping of the rig, T1 and T2 the periods, β a property of the estimator:
+
+* *Multi-rate passivity*, b ≥ K·T1/2 + β·B. The wall is two samplers in parallel, a spring at T1 and a damper at T2;
+  lifted over T2 the spring asks for K·T1/2 of every motion alike, so what both ask for adds. Without lag and delay it
+  is exact on a rigid rig; on two masses sufficient, with b as the motor side meets it (`Subject.port_damping`). Own
+  derivation by lifting; for T1 = T2 it is Colgate and Schenkel's theorem.
+  *Passivity, lag and delay counted*: a late effort turns the damper's part with frequency, and the spring's worst
+  frequency is no longer the damper's. `rig.analysis.theory._dissipation` has the exact condition for a rigid rig; on
+  two masses it is sufficient. At B = 0, b ≥ K·(T1/2 + lag + delay) is necessary (slow motion) and within 1 % of exact
+  for lags above a tick. With β·B added it is an approximation that errs to either side, by up to several times.
+* *Colgate and Schenkel* (1994; read as quoted, Weir and Colgate's equation 8.2): a uniform wall H is passive iff
+  b > T/2 · Re{(1 − e^{−jωT})·H(e^{jωT})}/(1 − cos ωT) for all ω: b > K·T/2 + |B| for an unfiltered difference.
+* *Abbott and Okamura* (2005; abstract and lecture notes): with a quantum Δ and Coulomb friction f_c, without damping of
+  the wall, K ≤ min(2b/T, 2f_c/Δ).
+* *Diolaiti et al.* (2006; normalisation read, thresholds from memory): b/(K·T) > ½ and f_c/(K·Δ) > ½ leave no limit
+  cycle; a delay joins T/2. Without damping of the wall.
+* *Gil et al.* (from memory of the literature, checked against exact eigenvalues): K < (b + B)/(T/2 + delay), a linear
+  condition for stability that is good while the damping acts much faster than the mass moves: too high by 2 to 35 %
+  at B·τ/J = 0.01, τ the delay of the estimator, and by several times or more at 0.1. So it is given at B = 0 only,
+  where it is the rule for a rigid rig, K_max = b/(T1/2 + lag + delay).
+
+Under voltage drive back-EMF is damping too: without a lag at any speed, behind a lag in slow motion only. The exact
+condition counts it as it is. At B = 0 slow motion decides, and b has it in full: what is necessary stays so (koul-rigid
+within 3 % of exact, but twice too high where there is hardly any other damping and the lag is about a tick), and K_max
+of a rigid rig still follows Gil's rule. A damper is most critical in fast motion, and a closed form contains a single
+b: behind a lag no closed form holds for B > 0. With the b of slow motion it would be twice too high for koul-rigid at
+B = 0.02, uniform at 20 kHz, and the rule for B_max by up to 1.8 times; that rule uses the b of fast motion.
+
+All are about a bilateral wall. What they leave out is in `rig.analysis.theory._loop`; only Abbott and Okamura and
+Diolaiti know quantum and friction. None has its hand in it: they ask for any.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from rig.analysis.theory._dissipation import Damping, needed_per_damping, passive_stiffness
+from rig.analysis.theory._lifted import Lifted
+from rig.analysis.theory._limits import as_lifted
+from rig.analysis.theory._loop import LinearLoop, RigLike, SchemeLike, Subject
+from rig.core.model import Operator
+
+Meaning = Literal["exact", "sufficient", "necessary", "approximate"]
+
+SLOW = 1e-3  # of Nyquist: where the delay of an estimator is read off
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """One condition at one damping.
+
+    Attributes
+    ----------
+    name, formula, source
+        Which one it is; the source says how far it was read.
+    stiffness
+        Up to which K it holds; 0 if for none.
+    meaning
+        *exact*, *sufficient* and *necessary* are proven, for passivity of the linear loop; *approximate* is a rule.
+    """
+
+    name: str
+    formula: str
+    source: str
+    stiffness: float
+    meaning: Meaning
+
+
+@dataclass(frozen=True, slots=True)
+class PassivityBound:
+    """Multi-rate passivity of a rig under a scheme at a damping of the wall.
+
+    Attributes
+    ----------
+    beta
+        Share of B that the rig's damping must make up for, without lag and delay: b ≥ K·T1/2 + β·B.
+    rig_damping
+        b of a passive wall in slow motion, back-EMF included: all damping of a rigid rig, of two masses what the motor
+        side meets.
+    largest_damping
+        Largest B of a passive wall without stiffness, lag and delay counted (infinite where none is too large).
+    bounds
+        Every condition that applies at this damping, that for passivity first.
+    """
+
+    damping: float
+    beta: float
+    rig_damping: float
+    largest_damping: float
+    bounds: tuple[Bound, ...]
+
+    @property
+    def stiffness(self) -> float:
+        """Largest K of a passive wall, lag and delay counted; exact on a rigid rig, on two masses sufficient."""
+        return self.bounds[0].stiffness
+
+    @property
+    def binding(self) -> Bound:
+        """The condition with the smallest stiffness, approximate rules aside; of equals the first."""
+        proven = (bound for bound in self.bounds if bound.meaning != "approximate")
+        return min(proven, key=lambda bound: bound.stiffness)
+
+
+def passivity_bound(
+    rig: RigLike | Lifted,
+    scheme: SchemeLike | None = None,
+    damping: float = 0.0,
+    *,
+    operator: str | Operator | None = None,
+) -> PassivityBound:
+    """Multi-rate passivity and the conditions of the literature, at a damping of the wall (N·m·s/rad or N·s/m).
+
+    Raises `rig.core.errors.ConfigError` as `rig.analysis.theory._loop.linear_loop` does.
+    """
+    loop = as_lifted(rig, scheme, operator).loop
+    share = beta(loop, negative=damping < 0.0)
+    return PassivityBound(
+        damping=damping,
+        beta=share,
+        rig_damping=loop.subject.port_damping,
+        largest_damping=_largest_damping(loop),
+        bounds=tuple(_bounds(loop, damping, share)),
+    )
+
+
+def passive_curve(lifted: Lifted, dampings: Sequence[float]) -> list[float]:
+    """Largest K of a passive wall at each damping, as `PassivityBound.stiffness`."""
+    return passive_stiffness(lifted.loop, dampings, _port(lifted.loop))
+
+
+def _port(loop: LinearLoop) -> Damping:
+    back_emf = loop.subject.model.amplifier.back_emf
+    return Damping(loop.subject.port_damping - back_emf, back_emf)
+
+
+def _largest_damping(loop: LinearLoop) -> float:
+    port = _port(loop)
+    if not port.passive(loop):
+        return 0.0
+    worst = needed_per_damping(loop, port)
+    return 1.0 / worst if worst > 0.0 else math.inf
+
+
+def beta(loop: LinearLoop, *, negative: bool = False) -> float:
+    """Damping of the rig that each unit of the wall's asks for, because it acts through this estimator and its hold.
+
+    For velocities held over T2 this is Colgate and Schenkel's expression for H, the estimator, maximised over ω. In
+    general the effort of a period is the vector g·H·θ with g_i = 1, or 1 + i·(1 − z⁻¹)/N when extrapolated, and the rig
+    must make up for the largest eigenvalue of minus its Hermitian part, from increments of position to efforts.
+
+    Lag and delay are left out; `negative` asks for a wall of negative damping.
+    """
+    return needed_per_damping(loop, Damping(1.0), late=False, negative=negative)
+
+
+def diolaiti(rig: RigLike | Lifted, scheme: SchemeLike | None, stiffness: float) -> Diolaiti:
+    """Where an undamped wall of this stiffness lies in the plane of Diolaiti et al.; see `Diolaiti`."""
+    loop = as_lifted(rig, scheme).loop
+    mechanics, quantum = loop.subject.model.mechanics, loop.subject.model.encoder.resolution
+    coulomb = mechanics.motor_coulomb + mechanics.link_coulomb
+    period = 2.0 * (0.5 * loop.tick_s + loop.late_s)
+    return Diolaiti(loop.subject.damping / (stiffness * period), coulomb / (stiffness * quantum))
+
+
+@dataclass(frozen=True, slots=True)
+class Diolaiti:
+    """Normalised damping b/(K·T) and Coulomb friction f_c/(K·Δ) of an undamped wall; ½ is the threshold of both.
+
+    T/2 has lag and delay added to it. Source: Diolaiti, Niemeyer, Barbagli and Salisbury 2006; the regions from memory.
+    """
+
+    damping: float
+    friction: float
+
+    @property
+    def region(self) -> str:
+        """Return the behaviour of the wall in words, by Diolaiti's regions."""
+        damped, rubbed = self.damping > 0.5, self.friction > 0.5
+        if damped:
+            return "no limit cycle" if rubbed else "bounded limit cycle of the quantiser"
+        return "locally stable, unstable for large motion" if rubbed else "unstable"
+
+
+def _bounds(loop: LinearLoop, damping: float, share: float) -> list[Bound]:
+    subject, half, late = loop.subject, 0.5 * loop.tick_s, loop.late_s
+    port, needed = subject.port_damping, share * abs(damping)
+    proven: Meaning = "exact" if _rigid(subject) else "sufficient"
+    one_rate = loop.divider == 1
+    name = "Colgate and Schenkel" if one_rate else "multi-rate passivity"
+    source = "Colgate and Schenkel 1994, as quoted" if one_rate else "own derivation, by lifting"
+    formula = "b ≥ K·T1/2 + β·B"
+    if late == 0.0:
+        ideal = Bound(name, formula, source, _positive((port - needed) / half), proven)
+        return [ideal, *_rules(loop, damping)]
+    exact = Bound(
+        "passivity, lag and delay counted",
+        "no motion gets work out of rig and wall",
+        "own derivation, by lifting",
+        passive_stiffness(loop, [damping], _port(loop))[0],
+        proven,
+    )
+    if damping != 0.0 and _fast_damping(subject) < subject.damping:
+        return [exact]
+    # Slow motion is rigid and meets all damping; what is no such limit takes the damping of the motor side.
+    b = subject.damping if damping == 0.0 else port
+    meaning: Meaning = "necessary" if damping == 0.0 else "approximate"
+    return [
+        exact,
+        Bound(
+            f"{name}, lag and delay",
+            "b ≥ K·(T1/2 + lag + delay) + β·B",
+            "own derivation, by lifting",
+            _positive((b - needed) / (half + late)),
+            meaning,
+        ),
+        Bound(name, formula, source, _positive((b - needed) / half), meaning),
+        *_rules(loop, damping),
+    ]
+
+
+def _rules(loop: LinearLoop, damping: float) -> list[Bound]:
+    subject, half, late = loop.subject, 0.5 * loop.tick_s, loop.late_s
+    mechanics, quantum = subject.model.mechanics, subject.model.encoder.resolution
+    friction = 2.0 * (mechanics.motor_coulomb + mechanics.link_coulomb) / quantum
+    if damping != 0.0:
+        return []
+    return [
+        Bound(
+            "Gil",
+            "K < b/(T1/2 + lag + delay)",
+            "Gil et al., from memory; at B = 0 the rule for a rigid rig",
+            _positive(subject.damping / (half + late)),
+            "approximate",
+        ),
+        Bound(
+            "Abbott and Okamura",
+            "K ≤ min(2b/T1, 2·f_c/Δ)",
+            "Abbott and Okamura 2005, abstract and lecture notes",
+            min(subject.port_damping / half, friction),
+            "sufficient" if late == 0.0 and _rigid(subject) else "approximate",
+        ),
+        Bound(
+            "Diolaiti, no limit cycle",
+            "b/(2·K·(T1/2 + lag + delay)) > ½ and f_c/(K·Δ) > ½",
+            "Diolaiti et al. 2006, thresholds from memory",
+            min(subject.damping / (half + late), friction),
+            "approximate",
+        ),
+    ]
+
+
+def _fast_damping(subject: Subject) -> float:
+    """Return the damping of a rigid motion at any speed; back-EMF behind a lag does not count."""
+    amplifier = subject.model.amplifier
+    return subject.damping - (amplifier.back_emf if amplifier.lag_s > 0.0 else 0.0)
+
+
+def _rigid(subject: Subject) -> bool:
+    return subject.model.mechanics.structure == "rigid"
+
+
+def rigid_b_max(loop: LinearLoop) -> float:
+    """Rule for the largest damping of a rigid rig: b + (π/2)·J/τ, τ the delay of the velocity path.
+
+    The loop of a damper is an integrator 1/(J·s) behind a delay: that of the estimator at zero frequency, half the
+    hold, lag and computation. It takes them all for a pure delay without attenuation, so it is low: by 4 % where the
+    filter of a dual-rate wall dominates, by 20 % where the lag does, or a difference without a filter. b leaves out
+    back-EMF behind a lag.
+    """
+    hold = loop.tick_s if loop.extrapolate else loop.period_s
+    tau = estimator_delay_s(loop) + 0.5 * hold + loop.late_s
+    return _fast_damping(loop.subject) + 0.5 * math.pi * loop.subject.inertia / tau
+
+
+def estimator_delay_s(loop: LinearLoop) -> float:
+    """Delay of the estimator for slow motions (s): of the difference and of its filter."""
+    frequency = SLOW * 0.5 / loop.period_s
+    value = complex(loop.estimator.response(frequency)[0]) / (2j * math.pi * frequency)
+    return -math.atan2(value.imag, value.real) / (2.0 * math.pi * frequency)
+
+
+def _positive(stiffness: float) -> float:
+    return max(stiffness, 0.0)

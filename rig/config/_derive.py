@@ -1,0 +1,197 @@
+"""Values derived from an experiment: the physics of its rig, the verdict's thresholds, and that its plug-ins exist."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import replace
+from typing import TYPE_CHECKING, TypedDict
+
+from rig.config._problems import Problem, config_error, did_you_mean
+from rig.config._sections import Experiment, Rig
+from rig.config._table import shown
+from rig.control import estimators, laws
+from rig.control.verdict import Thresholds
+from rig.core.errors import ConfigError
+from rig.core.model import OperatorReach, RigModel
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+ABOVE_COULOMB = 10.0  # rms of an excitation over the Coulomb friction
+SHARE_OF_LIMIT = 0.02  # and at least this share of the effort limit
+
+
+def rig_model(described: Experiment | Rig) -> RigModel:
+    """Return the physics of a rig, for simulation and theory.
+
+    With a person it includes the hand and its reach, and leaves out the end mass.
+    """
+    rig = described.rig if isinstance(described, Experiment) else described
+    model = RigModel(
+        name=rig.name,
+        motion=rig.motion,
+        mechanics=rig.mechanics,
+        amplifier=rig.amplifier,
+        encoder=rig.encoder,
+        simulation=rig.simulation,
+        reference=rig.reference,
+        cogging=rig.cogging,
+        board=tuple(sorted(rig.board.items())),
+    )
+    if isinstance(described, Rig) or described.trial.kind != "human":
+        return model
+    return model.held_by(described.operator, _reach(described))
+
+
+def free_s(experiment: Experiment) -> float:
+    """Free space before the cue (s): the baseline, and a foreperiod that the trial's seed draws."""
+    trial = experiment.trial
+    return trial.baseline_s + random.Random(f"foreperiod {trial.seed}").uniform(0.0, trial.foreperiod_s)
+
+
+def _reach(x: Experiment) -> OperatorReach:
+    depth = x.operator.depth / x.rig.mechanics.handle_radius
+    return OperatorReach(
+        start=x.trial.start,
+        target=x.wall.position + x.wall.side * depth,
+        pace=x.homing.speed,
+        wait_s=x.homing.settle_s + free_s(x) + x.operator.begin_s,
+        free_s=free_s(x),
+        seed=x.trial.seed,
+    )
+
+
+def motor_push(experiment: Experiment) -> float:
+    """Constant effort of the motor in a trial (N·m or N): none when a person pushes, or an excitation drives it."""
+    return experiment.trial.effort if experiment.trial.kind == "constant-effort" else 0.0
+
+
+def push_s(experiment: Experiment) -> float:
+    """How long a trial pushes at most (s)."""
+    return experiment.trial.hold_s or experiment.trial.duration_s
+
+
+def push_at_rest(experiment: Experiment) -> float:
+    """Effort into the wall in the end (N·m or N, not negative): the motor's, or a person's press and spring."""
+    wall = experiment.wall
+    if experiment.trial.kind != "human":
+        return max(0.0, wall.side * motor_push(experiment))
+    operator, radius = experiment.operator, experiment.rig.mechanics.handle_radius
+    if wall.stiffness == 0.0 or operator.pads_stiffness == 0.0:
+        return 0.0
+    # The hand ends short of its intention by the depth of the handle in the wall and the give of the pads.
+    give = operator.hand_stiffness * (1.0 / operator.pads_stiffness + radius**2 / wall.stiffness)
+    return (operator.press + operator.hand_stiffness * operator.depth) / (1.0 + give) * radius
+
+
+def press_for(experiment: Experiment, push: float) -> float:
+    """Press of a hand (N, at the handle) that makes its effort into the wall in the end this one (N·m or N)."""
+    operator, given = experiment.operator, push_at_rest(experiment)
+    if given == 0.0:
+        return operator.press
+    spring = operator.hand_stiffness * operator.depth
+    return (operator.press + spring) * push / given - spring
+
+
+class Size(TypedDict, total=False):
+    """Size of an excitation (N·m or N), by one of both."""
+
+    rms: float
+    peak: float
+
+
+def excitation_size(experiment: Experiment) -> Size:
+    """Size of the excitation (N·m or N): its rms or its peak.
+
+    Ten times the Coulomb friction, so that friction hardly distorts the motion; two per cent of the effort limit where
+    there is hardly any friction.
+    """
+    given, mechanics = experiment.excitation, experiment.rig.mechanics
+    if given.peak is not None:
+        return {"peak": given.peak}
+    if given.rms is not None:
+        return {"rms": given.rms}
+    coulomb = mechanics.motor_coulomb + mechanics.link_coulomb
+    return {"rms": max(ABOVE_COULOMB * coulomb, SHARE_OF_LIMIT * experiment.rig.limits.effort)}
+
+
+def excitation_s(experiment: Experiment) -> tuple[float, float]:
+    """Length of an excited run, and of the part before the analysed periods (s)."""
+    given = experiment.excitation
+    return (given.settle_periods + given.periods) * given.period_s, given.settle_periods * given.period_s
+
+
+def excited(experiment: Experiment) -> Experiment:
+    """Return the experiment as an excited run: it begins at the wall, nothing pushes, it lasts as long as it must."""
+    trial = replace(
+        experiment.trial,
+        kind="excitation",
+        effort=0.0,
+        start=experiment.wall.position,
+        duration_s=excitation_s(experiment)[0],
+    )
+    return replace(experiment, trial=trial)
+
+
+def verdict_thresholds(experiment: Experiment) -> Thresholds:
+    """Return the thresholds of the verdict in the units of the rig: at the link, not at the handle.
+
+    A handle that moves by x has turned the link by x / radius; a force F there is a torque of F · radius.
+    """
+    given, radius = experiment.verdict, experiment.rig.mechanics.handle_radius
+    return Thresholds(
+        tail_s=given.tail_s,
+        highpass_hz=given.highpass_hz,
+        lowpass_hz=given.lowpass_hz,
+        felt_velocity=given.felt_velocity / radius,
+        heard_effort=given.heard_force * radius,
+        moved=given.moved / radius,
+        growth=given.growth_ratio,
+        late_fraction=given.late_fraction,
+        saturated_fraction=given.saturated_fraction,
+        longest_gap=given.longest_gap,
+        lost_fraction=given.lost_fraction,
+        may_leave=experiment.trial.kind == "human",
+    )
+
+
+def check_plugins(experiment: Experiment, source: str) -> None:
+    """Check estimator, law and the estimator's settings, which `load_experiment` does not check.
+
+    Imports the estimator, and numba with it; everything that plans or runs an experiment calls this first.
+
+    Raises
+    ------
+    ConfigError
+        An unknown name (with the closest known one), an unknown setting, or one out of range.
+    """
+    controller = experiment.controller
+    problems: list[Problem] = []
+    # Looking for plug-ins takes longer than everything else here.
+    if controller.estimator not in estimators.BUILT_IN:
+        problems += _unknown("controller.estimator", controller.estimator, estimators.names())
+    if experiment.wall.law not in laws.BUILT_IN:
+        problems += _unknown("wall.law", experiment.wall.law, laws.names())
+    if problems:
+        raise config_error(problems, source)
+    resolution = experiment.rig.encoder.sign * experiment.rig.encoder.resolution
+    try:
+        estimator = estimators.get(controller.estimator)
+        estimator.prepare(controller.parameters, resolution, 1.0 / controller.velocity_rate)
+    except ConfigError as error:
+        problem = Problem("controller.parameters", "", error.message, error.remedy)
+        raise config_error([problem], source) from None
+
+
+def _unknown(key: str, name: str, known: Sequence[str]) -> list[Problem]:
+    if name in known:
+        return []
+    return [
+        Problem(
+            key,
+            shown(name),
+            f"must be one of {', '.join(known)}",
+            did_you_mean(name, known, "choose one of these"),
+        )
+    ]

@@ -1,0 +1,137 @@
+"""Experiment files and presets as raw tables: reading TOML, and overlaying one table on another."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+import unicodedata
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from rig.config._problems import did_you_mean
+from rig.core.errors import ConfigError
+from rig.core.regular_file import read_regular
+
+Table = dict[str, Any]
+LEAVES = {type(None), bool, int, float, str}  # most of what stands in a table: known at a glance
+_QUOTED = re.compile(r"""\"[^"]*\"|'[^']*'|#.*""")  # where any character may stand
+DEPTH = 8  # no section lies deeper; what does is refused by name, not by a stack overflow
+
+
+def read_toml(path: Path, kind: str = "an experiment") -> Table:
+    """Read a TOML file of this kind; `ConfigError` when it is missing, unreadable or not TOML."""
+    try:
+        text = read_regular(path).decode("utf-8-sig")
+    except FileNotFoundError:
+        nearby = [p.name for p in path.parent.glob("*.toml")] if path.parent.is_dir() else []
+        remedy = did_you_mean(path.name, nearby, f"give the path of {kind} file")
+        raise ConfigError(f"{path}: no such file", remedy=remedy) from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: not UTF-8 text (byte {error.start})", remedy="save it as UTF-8") from None
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+        reason = getattr(error, "strerror", None) or error
+        raise ConfigError(
+            f"{path}: cannot be read: {reason}", remedy="give the path of a readable text file"
+        ) from None
+    return parse_toml(text, str(path))
+
+
+def parse_toml(text: str, source: str) -> Table:
+    """Parse TOML; raises `ConfigError` with the line of a syntax error."""
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        reason = str(error) if isinstance(error, ValueError) else "nested too deeply"
+        names = _misleading(text, reason)
+        raise ConfigError(
+            f"{source}: not valid TOML: {reason}{names and f'; that line contains {names}'}",
+            remedy="retype these characters, or put them in quotes" if names else "correct the file there",
+        ) from None
+
+
+def _misleading(text: str, reason: str) -> str:
+    """Name the characters of the line that a parser complains of which look like others, or like nothing."""
+    place = re.search(r"at line (\d+)", reason)
+    if place is None:
+        return ""
+    line = _QUOTED.sub("", text.split("\n")[int(place[1]) - 1].removesuffix("\r"))
+    found = dict.fromkeys(one for one in line if one != "\t" and not (one.isascii() and one.isprintable()))
+    return ", ".join(f"U+{ord(one):04X} {unicodedata.name(one, 'control character')}" for one in found)
+
+
+@cache
+def preset_names() -> tuple[str, ...]:
+    """Names of the presets that this package ships."""
+    found = (files("rig.config") / "presets").iterdir()
+    return tuple(sorted(entry.name.removesuffix(".toml") for entry in found if entry.name.endswith(".toml")))
+
+
+def preset_text(name: str) -> str:
+    """Text of a preset, comments and sources included; `ConfigError` when there is no such preset."""
+    if name not in preset_names():
+        choice = f"choose one of: {', '.join(preset_names())}"
+        raise ConfigError(f"unknown preset {name!r}", remedy=did_you_mean(name, preset_names(), choice))
+    return (files("rig.config") / "presets" / f"{name}.toml").read_text(encoding="utf-8")
+
+
+@cache
+def preset_table(name: str) -> Table:
+    """Parse a preset once. All callers share the table and must not change it."""
+    return parse_toml(preset_text(name), f"preset {name}")
+
+
+def tidy(value: Any, depth: int = 0) -> Any:
+    """Copy a table into plain dicts with text keys, cut off at `DEPTH`; other values pass as they are."""
+    if type(value) in LEAVES or not isinstance(value, Mapping | list | tuple):
+        return value
+    if depth == DEPTH:
+        return "a table nested too deeply"
+    if isinstance(value, list | tuple):
+        return [tidy(inner, depth + 1) for inner in value]
+    return {str(key): tidy(inner, depth + 1) for key, inner in value.items()}
+
+
+def overlay(base: Table, top: Table) -> Table:
+    """Overlay one table on another, key by key; neither is changed.
+
+    When `top` names another estimator, the settings of the one in `base` are dropped; so are the numbers of another
+    grip.
+    """
+    merged = dict(base)
+    for key, value in top.items():
+        below = merged.get(key)
+        merged[key] = overlay(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
+    if "estimator" in top and "estimator" in base and top["estimator"] != base["estimator"]:
+        merged["parameters"] = top.get("parameters", {})
+    if "grip" in top and "grip" in base and top["grip"] != base["grip"]:
+        return dict(top)
+    return merged
+
+
+def flatten(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the leaves of nested tables by dotted key; an empty table is a leaf."""
+    for key, value in table.items():
+        if isinstance(value, dict) and value:
+            yield from flatten(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def nest(flat: Mapping[str, Any]) -> Table:
+    """Turn dotted keys into nested tables: the opposite of `flatten`."""
+    root: Table = {}
+    for dotted, value in flat.items():
+        *path, leaf = dotted.split(".")
+        node = root
+        for part in path:
+            below = node.get(part)
+            node[part] = node = below if isinstance(below, dict) else {}
+        node[leaf] = (
+            overlay(node[leaf], value)
+            if isinstance(value, dict) and isinstance(node.get(leaf), dict)
+            else value
+        )
+    return root

@@ -1,0 +1,270 @@
+"""From a file, a mapping or the command line to a checked `Experiment`, or to one error that lists all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from rig.config import homing
+from rig.config._files import Table, flatten, nest, overlay, preset_names, preset_table, read_toml, tidy
+from rig.config._people import with_human_limits
+from rig.config._problems import Problem, config_error, did_you_mean
+from rig.config._rules import broken_rules
+from rig.config._sections import Experiment
+from rig.config._table import parameters, shown
+from rig.config.checked import FileKind, apply_changes, parse_table, plain, value_at
+from rig.core.errors import ConfigError
+from rig.core.operators import GRIPS
+from rig.core.sample import UNITS, Motion
+
+DEFAULT_PRESET = "koul-compliant"
+DEFAULT_GRIP = "normal"
+LOOP = "controller.loop"
+FREE = "controller.parameters"  # the one table whose keys the estimator defines
+
+EXPERIMENT = FileKind(
+    Experiment,
+    "the experiment",
+    also=("preset",),
+    otherwise=f"start from a preset with preset = {shown(DEFAULT_PRESET)}",
+)
+
+
+def load_experiment(path: str | Path) -> Experiment:
+    """Read and check an experiment file.
+
+    The file may begin with ``preset = "koul-compliant"`` and then needs only what differs.
+
+    Raises
+    ------
+    ConfigError
+        With every problem found, one per line: file, key, value, allowed range with its unit, and what to do.
+    """
+    mapping = read_toml(Path(path))
+    if not mapping:
+        raise ConfigError(
+            f"{path}: is empty",
+            remedy='begin with preset = "koul-compliant" (rig experiment preset lists others)',
+        )
+    return experiment_from_mapping(mapping, str(path))
+
+
+def experiment_from_mapping(mapping: Mapping[str, Any], source: str) -> Experiment:
+    """Check nested tables like those of an experiment file; `source` names them in errors.
+
+    Over a preset, a rig with a name of its own has a homing servo of its own: what the table does not give of it
+    follows from the described friction, inertia, resolution and delays (`rig.config.homing`).
+    """
+    table = tidy(mapping)
+    if not isinstance(table, dict):
+        raise ConfigError(
+            f"{source}: must be a table of sections", remedy="give tables like those of an experiment file"
+        )
+    preset, top = None, table
+    if "preset" in table:
+        name = table.pop("preset")
+        preset = _preset(name, source)
+        table = _stack(preset, top)
+        source = f"{source} (on preset {name})"
+    table = _with_defaults(table)
+    with _computable(source):
+        parsed = parse_table(EXPERIMENT, table, _motion(table))
+        experiment, problems = parsed  # mypy infers None for the kind when unpacked at once
+        problems += _wrong_realtime(table.get("realtime", {}))
+        if experiment is not None and not problems:
+            if preset is not None:
+                experiment = with_human_limits(
+                    _with_servo(experiment, _own_servo(preset, top)), _keys_of(top)
+                )
+            problems = broken_rules(experiment)
+    if problems or experiment is None:
+        raise config_error(problems, source)
+    return experiment
+
+
+def restore_experiment(mapping: Mapping[str, Any]) -> Experiment:
+    """Return the experiment of which `as_mapping` made these values: it was checked then, and no rule is again."""
+    parsed = parse_table(EXPERIMENT, dict(mapping), None)
+    if parsed[0] is None:
+        raise config_error(parsed[1], "a checked experiment")
+    return parsed[0]
+
+
+def override(
+    experiment: Experiment,
+    changes: Mapping[str, Any],
+    source: str = "command line",
+    *,
+    check_rules: bool = True,
+) -> Experiment:
+    """Return the experiment with some keys changed: each new value is checked, and then the rules between all keys.
+
+    The settings of a replaced estimator and the numbers of a replaced grip are dropped. A key that is set applies in
+    real time too: it is removed from ``[realtime]``. A trial that becomes a person's gets the limits for people.
+
+    Parameters
+    ----------
+    experiment
+        Experiment to start from.
+    changes
+        New values by dotted key, like ``{"wall.stiffness": 400.0}``.
+    source
+        Name of the changes in errors.
+    check_rules
+        False for changes that others follow, which may settle what is inconsistent until then.
+    """
+    wanted = nest(tidy(changes))
+    start, meant = _without_what_goes(experiment, wanted), _keys_of(wanted)
+    if isinstance(wanted.get("realtime", {}), dict):
+        kept = {key: value for key, value in start.realtime.items() if key not in meant}
+        start = replace(start, realtime=kept)
+        if "realtime" in wanted:
+            wanted["realtime"] = dict(flatten(wanted["realtime"]))
+    with _computable(source):
+        other, problems = apply_changes(EXPERIMENT, start, wanted, _motion(wanted, experiment.rig.motion))
+        problems += _wrong_realtime(wanted.get("realtime", {}))
+        if not problems:
+            other = with_human_limits(other, meant)
+            problems = broken_rules(other) if check_rules else []
+    if problems:
+        raise config_error(problems, source)
+    return other
+
+
+def _keys_of(table: Table) -> set[str]:
+    """Dotted keys that a table sets, but for those of ``[realtime]``."""
+    return {key for key, _ in flatten({name: part for name, part in table.items() if name != "realtime"})}
+
+
+def _without_what_goes(experiment: Experiment, wanted: Table) -> Experiment:
+    """The experiment without the settings of a replaced estimator or the numbers of a replaced grip."""
+    estimator, grip = value_at(wanted, ("controller", "estimator")), value_at(wanted, ("operator", "grip"))
+    if estimator is not None and estimator != experiment.controller.estimator:
+        experiment = replace(experiment, controller=replace(experiment.controller, parameters={}))
+    if isinstance(grip, str) and grip in GRIPS and grip != experiment.operator.grip:
+        experiment = replace(experiment, operator=GRIPS[grip])
+    return experiment
+
+
+def realtime_changes(experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what ``[realtime]`` changes, and over it what the user sets by hand, by dotted key.
+
+    Where the device runs the law, only the keys of ``[realtime]`` about this computer apply.
+    """
+    gentler: dict[str, Any] = dict(experiment.realtime)
+    if changes.get(LOOP, experiment.controller.loop) == "device":
+        gentler = {key: value for key, value in gentler.items() if key.startswith("host.")}
+    return {**gentler, **changes}
+
+
+def with_realtime(experiment: Experiment, changes: Mapping[str, Any] | None = None) -> Experiment:
+    """Return the experiment as it runs in real time, checked; see `realtime_changes`."""
+    wanted = realtime_changes(experiment, changes or {})
+    return override(experiment, wanted, f"[realtime] of {experiment.rig.name}")
+
+
+def as_mapping(experiment: Experiment) -> dict[str, Any]:
+    """Return plain nested dicts for JSON; `experiment_from_mapping` makes an equal experiment of them."""
+    return plain(experiment)  # type: ignore[no-any-return]
+
+
+def _preset(name: Any, source: str) -> Table:
+    if not isinstance(name, str) or name not in preset_names():
+        choice = f"choose one of: {', '.join(preset_names())}"
+        raise config_error(
+            [
+                Problem(
+                    "preset",
+                    shown(name),
+                    "unknown preset",
+                    did_you_mean(str(name), preset_names(), choice),
+                )
+            ],
+            source,
+        )
+    return preset_table(name)
+
+
+def _stack(base: Table, top: Table) -> Table:
+    """Lay one experiment over another; their ``[realtime]`` tables are flattened first, so that keys meet.
+
+    A key that the upper one sets applies in real time too: it replaces the lower one's ``[realtime]`` value.
+    """
+    merged = overlay(base, top)
+    layers = [layer["realtime"] for layer in (base, top) if "realtime" in layer]
+    if layers and all(isinstance(layer, dict) for layer in layers):
+        meant = _keys_of(top)
+        below = base.get("realtime", {})
+        kept = {key: value for key, value in flatten(below) if key not in meant}
+        merged["realtime"] = {**kept, **dict(flatten(top.get("realtime", {})))}
+    return merged
+
+
+def _own_servo(preset: Table, table: Table) -> frozenset[str]:
+    """Names of `[homing]` that follow from the rig: those not given, of a rig with another name than the preset's."""
+    name, given = value_at(table, ("rig", "name")), table.get("homing", {})
+    if name in (None, value_at(preset, ("rig", "name"))) or not isinstance(given, dict):
+        return frozenset()
+    return frozenset({"stiffness", "damping", "effort", "slew", "tolerance_counts"} - given.keys())
+
+
+def _with_servo(x: Experiment, names: frozenset[str]) -> Experiment:
+    """Return the experiment with a homing servo for its rig, at its rate and at that of `[realtime]`."""
+    if not names:
+        return x
+    servo = asdict(homing.stable_servo(x))
+    slower = {key: value for key, value in x.realtime.items() if key.startswith("controller.")}
+    real = asdict(homing.stable_servo(override(x, slower, "[realtime]", check_rules=False)))
+    gains = {f"homing.{name}": real[name] for name in ("stiffness", "damping") if name in names}
+    servo = {name: value for name, value in servo.items() if name in names}
+    realtime = {**gains, **x.realtime} if slower else x.realtime
+    return replace(x, homing=replace(x.homing, **servo), realtime=realtime)
+
+
+@contextmanager
+def _computable(source: str) -> Iterator[None]:
+    try:
+        yield
+    except ArithmeticError as error:
+        raise ConfigError(
+            f"{source}: some values are too large or too small to compute with ({error})",
+            remedy="check units and powers of ten",
+        ) from None
+
+
+def _with_defaults(table: Table) -> Table:
+    """Fill in what follows from other keys.
+
+    The effort limit is the nominal effort, safe for people; the numbers of an operator are those of its grip.
+    """
+    limits = value_at(table, ("rig", "limits"))
+    if isinstance(limits, dict) and "nominal_effort" in limits and "effort" not in limits:
+        table = overlay(table, nest({"rig.limits.effort": limits["nominal_effort"]}))
+    operator = table.get("operator")
+    if isinstance(operator, dict):
+        grip = operator.get("grip", DEFAULT_GRIP)
+        known = GRIPS.get(grip) if isinstance(grip, str) else None
+        table = {**table, "operator": {**plain(known or GRIPS[DEFAULT_GRIP]), **operator}}
+    if isinstance(table.get("realtime"), dict):
+        table = {**table, "realtime": dict(flatten(table["realtime"]))}
+    return table
+
+
+def _wrong_realtime(changes: Any) -> Iterator[Problem]:
+    """Find unknown keys of ``[realtime]``; values are checked when they are applied."""
+    for key, value in changes.items() if isinstance(changes, dict) else ():
+        section, _, leaf = key.rpartition(".")
+        if key not in parameters() and section != FREE:
+            yield Problem(
+                f"realtime.{key}", shown(value), "is not a known key", EXPERIMENT.known_instead(section, leaf)
+            )
+
+
+def _motion(table: Table, unless_named: Motion | None = None) -> Motion | None:
+    named = value_at(table, ("rig", "motion"))
+    if named is None:
+        return unless_named
+    return named if isinstance(named, str) and named in UNITS["position"] else None  # type: ignore[return-value]

@@ -1,0 +1,59 @@
+"""Limits for people: a trial whose ``trial.kind`` is ``human`` has them unless its file says otherwise.
+
+They are an effort of at most ``nominal_effort``, and the watch on violent oscillations (`rig.control._watch`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+
+from rig.config._derive import press_for, push_at_rest
+from rig.config._sections import OSCILLATIONS, Experiment
+
+PRESS_SHARE = (
+    0.6  # of the effort limit: a press swells by a fifth, and a count deeper must not reach the limit
+)
+HARD = 1e12  # N·m/rad or N/m: nothing gives but the hand, so the press holds for every wall
+
+
+def with_human_limits(experiment: Experiment, meant: Collection[str]) -> Experiment:
+    """Return the experiment with the limits for people, where the keys `meant` make its trial a person's.
+
+    A simulated hand presses less where the lower effort limit demands it. Keys that are `meant` themselves stay:
+    `rig.config._rules` and `human_limits_exceeded` judge those.
+    """
+    limits = experiment.rig.limits
+    if experiment.trial.kind != "human" or "rig.limits.human" in meant:
+        return experiment
+    if "trial.kind" in meant:
+        effort = limits.effort
+        stalls = (
+            limits.override_stall and "rig.limits.override_stall" not in meant
+        )  # its file has an effort for that
+        if not stalls and "rig.limits.effort" not in meant:
+            effort = min(effort, limits.nominal_effort)
+        limits = replace(limits, human=True, effort=effort)
+        experiment = replace(experiment, rig=replace(experiment.rig, limits=limits))
+    presses = {"trial.kind", "operator.grip"} & set(meant) and "operator.press" not in meant
+    if presses and limits.human and push_at_rest(experiment) > limits.effort:
+        hard = replace(experiment, wall=replace(experiment.wall, stiffness=HARD))
+        press = press_for(hard, PRESS_SHARE * limits.effort)
+        if press >= 0.0:
+            experiment = replace(experiment, operator=replace(experiment.operator, press=press))
+    return experiment
+
+
+def human_limits_exceeded(experiment: Experiment) -> list[str]:
+    """Return, as ``key = value``, what lets a person's trial exceed the limits for people; a real rig refuses it."""
+    limits = experiment.rig.limits
+    if experiment.trial.kind != "human":
+        return []
+    exceeded = [] if limits.human else ["rig.limits.human = false"]
+    if not limits.human and not limits.override_stall and limits.effort > limits.nominal_effort:
+        exceeded.append(
+            f"rig.limits.effort = {limits.effort:g} (at most {limits.nominal_effort:g} for people)"
+        )
+    if limits.oscillations is not None and not 0 < limits.oscillations <= OSCILLATIONS:
+        exceeded.append(f"rig.limits.oscillations = {limits.oscillations} (1 to {OSCILLATIONS} for people)")
+    return exceeded

@@ -1,0 +1,37 @@
+"""Everything that is wrong with an experiment at once, one line for each problem."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+
+from rig.core.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One thing that is wrong: ``key = value`` (or the key alone), what it must be, and what to do."""
+
+    key: str
+    value: str  # as `rig.config._table.shown` writes it; empty when the key has no value
+    must: str  # continues the sentence: "must be …", "is missing", "is not a known key"
+    remedy: str
+
+    def text(self, source: str) -> str:
+        """One line: where, what, and why it is refused."""
+        subject = f"{self.key} = {self.value}" if self.value else self.key
+        return f"{source}: {subject}: {self.must}"
+
+
+def config_error(problems: Sequence[Problem], source: str) -> ConfigError:
+    """Join problems into one `ConfigError`, one per line, each with file, key, value, range and remedy."""
+    if len(problems) == 1:
+        return ConfigError(problems[0].text(source), remedy=problems[0].remedy)
+    return ConfigError("\n".join(f"{p.text(source)}; {p.remedy}" for p in problems))
+
+
+def did_you_mean(name: str, known: Iterable[str], otherwise: str) -> str:
+    """Suggest the closest known name, or say `otherwise`."""
+    close = get_close_matches(name, list(known), n=1, cutoff=0.6)
+    return f"did you mean {close[0]}?" if close else otherwise

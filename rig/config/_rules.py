@@ -1,0 +1,573 @@
+"""Rules that tie keys together: each is a function that yields the problems it finds.
+
+They run on an experiment whose every value is already of the right type and in its own range.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from rig.config import amplifiers
+from rig.config._derive import motor_push, press_for, push_at_rest, push_s
+from rig.config._files import flatten
+from rig.config._problems import Problem, did_you_mean
+from rig.config._sections import Experiment
+from rig.config._table import parameters, shown
+from rig.core.present import plain
+from rig.core.sample import Motion, unit_of
+
+LARGEST_CURRENT = 32767  # quanta; a command carries the current as i16
+SHORTEST_HEARTBEAT_S = 0.1  # five times `rig.loop._run.POLL_S`
+LEAST_INDEX_COUNTS = (
+    16  # between two indices: fewer, and one count is too large a share to judge where one lies
+)
+# Magnitudes of any quantity in SI units; a place may be what rounding left, such as 0.1 + 0.2 - 0.3.
+LEAST, GREATEST = 1e-30, 1e15
+MOST_ORDER = 1000  # of cogging; no motor has as many slots
+LARGEST_DISC = 10_000_000  # lines of an encoder; no disc has more
+
+
+def broken_rules(experiment: Experiment) -> list[Problem]:
+    """Return the problems of all rules, empty for a consistent experiment."""
+    return [problem for rule in RULES for problem in rule(experiment)]
+
+
+def magnitudes(x: Experiment) -> Iterator[Problem]:
+    """Numbers whose squares and products a float can hold: beyond, theory has infinities and no reason.
+
+    Settings of laws and estimators have their own ranges.
+    """
+    for key, value in flatten(plain(x)):
+        if ".parameters." in key:
+            continue
+        if isinstance(value, float) and value and not LEAST <= abs(value) <= GREATEST:
+            must = f"must be 0, or between {LEAST:g} and {GREATEST:g} in magnitude"
+            yield Problem(key, shown(value), must, "check the unit: the value is beyond that of any rig")
+
+
+def rates(x: Experiment) -> Iterator[Problem]:
+    """Dual-rate: T2 = N·T1 with a whole N."""
+    fast, slow = x.controller.position_rate, x.controller.velocity_rate
+    if fast % slow == 0:
+        return
+    multiples = [n * slow for n in (fast // slow, fast // slow + 1) if n > 0]
+    below = next(v for v in range(min(slow, fast), 0, -1) if fast % v == 0)
+    above = next((v for v in range(slow + 1, fast + 1) if fast % v == 0), below)
+    yield _problem(
+        x,
+        "controller.position_rate",
+        f"must be an integer multiple of controller.velocity_rate = {slow} Hz",
+        f"nearest allowed: position_rate = {_either(multiples)} Hz, "
+        f"or velocity_rate = {_either([below, above])} Hz",
+    )
+
+
+def slow_rate(x: Experiment) -> Iterator[Problem]:
+    """An adaptive velocity rate samples every so many velocity periods."""
+    slow, rate = x.controller.slow_velocity_rate, x.controller.velocity_rate
+    if slow is not None and (slow > rate or rate % slow):
+        yield _problem(
+            x,
+            "controller.slow_velocity_rate",
+            f"must divide controller.velocity_rate = {rate} Hz",
+            f"for example {rate // 2 if rate % 2 == 0 else 1} Hz",
+        )
+
+
+def encoder(x: Experiment) -> Iterator[Problem]:
+    """A rotary encoder is given by its lines, a linear one by its quantum (`Encoder` sees to one of the two)."""
+    motion, lines = x.rig.motion, x.rig.encoder.counts_per_revolution
+    if motion == "rotary" and lines is None:
+        yield _wrong_encoder(x, "quantum", "counts_per_revolution", "linear")
+    elif motion == "linear" and lines is not None:
+        yield _wrong_encoder(x, "counts_per_revolution", "quantum", "rotary")
+    elif lines is not None and lines > LARGEST_DISC:
+        key = "rig.encoder.counts_per_revolution"
+        yield _problem(x, key, f"must be > 0 and ≤ {LARGEST_DISC}", "take it from the data sheet")
+
+
+def _wrong_encoder(x: Experiment, given: str, wanted: str, other: Motion) -> Problem:
+    parameter = parameters()[f"rig.encoder.{wanted}"]
+    return _problem(
+        x,
+        f"rig.encoder.{given}",
+        f'belongs to a rig with motion = "{other}"; rig.motion = "{x.rig.motion}" needs rig.encoder.{wanted}, '
+        f"{parameter.expected(x.rig.motion)} ({parameter.meaning})",
+        f'give {wanted} in its place, or set rig.motion = "{other}"',
+    )
+
+
+def reference(x: Experiment) -> Iterator[Problem]:
+    """An index names a place of the mechanism where the travel holds one of them, or behind a limit switch."""
+    given, key, unit = x.rig.reference, "rig.reference", _unit(x, "position")
+    if not given.index:
+        if given.limit_switch != "none":
+            yield _problem(
+                x,
+                f"{key}.limit_switch",
+                'must be "none" without an index',
+                f"set {key}.index = true, or remove it",
+            )
+        return
+    counts, window = (
+        given.index_counts(x.rig.encoder),
+        x.rig.limits.position_maximum - x.rig.limits.position_minimum,
+    )
+    distance = counts * x.rig.encoder.resolution
+    if counts < LEAST_INDEX_COUNTS:
+        yield _problem(
+            x,
+            f"{key}.index_distance",
+            f"must be at least {LEAST_INDEX_COUNTS} counts, {LEAST_INDEX_COUNTS * x.rig.encoder.resolution:.3g} {unit}",
+            "give it: the encoder's data sheet has it",
+        )
+    elif given.travel is None or given.travel < window:
+        yield _problem(
+            x,
+            f"{key}.travel",
+            f"must be given with an index, and be at least the position window, {window:.4g} {unit}",
+            "measure the travel of the handle from stop to stop",
+        )
+    elif given.limit_switch == "none" and given.travel >= distance:
+        yield _problem(
+            x,
+            f"{key}.limit_switch",
+            f"must name an end of the travel: a travel of {given.travel:.4g} {unit} may contain more "
+            f"than one index, one every {distance:.4g} {unit}, and only a limit switch identifies "
+            "which one was found",
+            "wire a limit switch at one end, or mount the encoder where it turns less than once",
+        )
+    elif given.travel <= 1.25 * distance and given.limit_switch != "none":
+        yield _problem(
+            x,
+            f"{key}.travel",
+            "must be long enough to contain an index beyond the switch: more than "
+            f"{1.25 * distance:.4g} {unit}",
+            'set limit_switch = "none", which is enough if the travel contains one index',
+        )
+
+
+def cogging(x: Experiment) -> Iterator[Problem]:
+    """Cogging has a cosine and a sine for each of its orders, which are harmonics of a period."""
+    given, key = x.rig.cogging, "rig.cogging"
+    if len(set(given.orders)) < len(given.orders) or not all(1 <= n <= MOST_ORDER for n in given.orders):
+        yield _problem(
+            x, f"{key}.orders", f"must be different numbers from 1 to {MOST_ORDER}", "name each harmonic once"
+        )
+    for name in ("cosine", "sine"):
+        if len(getattr(given, name)) != len(given.orders):
+            yield _problem(
+                x,
+                f"{key}.{name}",
+                f"must have one number for each of the {len(given.orders)} orders in {key}.orders",
+                "change both lists together; write 0.0 for an absent component",
+            )
+    yield from _ripple(x)
+    if given.orders and given.period is None:
+        yield _problem(
+            x,
+            f"{key}.period",
+            f"must be given with {key}.orders",
+            "give the travel at the link after which cogging repeats: one turn of the motor, or the "
+            "pitch of the magnets",
+        )
+    low, high = given.minimum, given.maximum
+    if (low is None) != (high is None) or (low is not None and high is not None and low >= high):
+        yield _problem(
+            x, f"{key}.minimum", f"must lie below {key}.maximum, and both be given", "give both, or neither"
+        )
+
+
+def _ripple(x: Experiment) -> Iterator[Problem]:
+    given, key = x.rig.cogging, "rig.cogging"
+    if not len(given.ripple_cosine) == len(given.ripple_sine) in (0, len(given.orders)):
+        yield _problem(
+            x,
+            f"{key}.ripple_cosine",
+            f"must have one number for each of the {len(given.orders)} orders in {key}.orders, as {key}.ripple_sine",
+            "change both lists together, with 0.0 for an absent component; or give neither",
+        )
+    elif given.ripple_crest >= 1.0:
+        yield _problem(
+            x,
+            f"{key}.ripple_cosine",
+            f"gives with {key}.ripple_sine up to {given.ripple_crest:.3g} of the effort: must stay below 1",
+            "give shares of the effort, such as 0.02",
+        )
+
+
+def cogging_compensation(x: Experiment) -> Iterator[Problem]:
+    """Yield what cogging compensation lacks: a map with its range, an index, or a law on the host."""
+    if not x.controller.cogging_compensation:
+        return
+    given, key = x.rig.cogging, "controller.cogging_compensation"
+    if not given.orders or given.minimum is None or given.maximum is None:
+        yield _problem(
+            x,
+            key,
+            "needs a map: rig.cogging.orders, minimum and maximum",
+            "`rig identify --cogging` measures it",
+        )
+    if not x.rig.reference.index:
+        yield _problem(
+            x,
+            key,
+            "needs a position zero from an index (rig.reference.index); otherwise the map may be shifted",
+            "wire the encoder's index and describe it in [rig.reference], or set it to false",
+        )
+    if x.controller.loop == "device":
+        yield _problem(
+            x,
+            key,
+            'must be false with controller.loop = "device": the firmware does not compensate cogging',
+            'set it to false, or let the host run the law (controller.loop = "host")',
+        )
+
+
+def handle(x: Experiment) -> Iterator[Problem]:
+    """On a linear rig the handle moves as far as the encoder."""
+    if x.rig.motion == "linear" and x.rig.mechanics.handle_radius != 1.0:
+        yield _problem(
+            x, "rig.mechanics.handle_radius", "must be 1 on a linear rig, which has no lever arm", "remove it"
+        )
+
+
+def current(x: Experiment) -> Iterator[Problem]:
+    """The largest current fits into the command's 16 bits."""
+    amplifier = x.rig.amplifier
+    largest = LARGEST_CURRENT * amplifier.effort_quantum
+    if amplifier.effort_limit > largest:
+        yield _problem(
+            x,
+            "rig.amplifier.effort_limit",
+            f"must be ≤ {largest:.4g} {_unit(x, 'effort')}, which is {LARGEST_CURRENT} current quanta",
+            "make rig.amplifier.current_quantum_a coarser",
+        )
+
+
+def profile(x: Experiment) -> Iterator[Problem]:
+    """Yield the values of the rig's amplifier that contradict the profile named."""
+    amplifier, key = x.rig.amplifier, "rig.amplifier.profile"
+    if (why := amplifiers.REFUSED.get(amplifier.profile)) is not None:
+        yield _problem(x, key, why, "take a bridge with phase and enable inputs: voltage-bridge")
+        return
+    if amplifier.profile not in amplifiers.names():
+        known = f"choose one of: {', '.join(amplifiers.names())}"
+        remedy = did_you_mean(amplifier.profile, amplifiers.names(), known)
+        yield _problem(x, key, "must be a known amplifier", remedy)
+        return
+    known_of = amplifiers.load(amplifier.profile)
+    if known_of.drive not in (None, amplifier.drive):
+        yield _problem(
+            x,
+            "rig.amplifier.drive",
+            f"must be {known_of.drive} with {key} = {shown(known_of.name)}",
+            f"set it to {known_of.drive}"
+            if known_of.drive == "current"
+            else "and set back_emf_damping: k_t²/R",
+        )
+    if amplifier.drive == "voltage" and known_of.drive == "voltage" and amplifier.back_emf_damping == 0.0:
+        yield _problem(
+            x, "rig.amplifier.back_emf_damping", "must be > 0 on a plain bridge", "k_t²/R at the link"
+        )
+    if amplifier.set_point_delay_s < known_of.set_point_delay_s * (1.0 - 1e-9):
+        yield _problem(
+            x,
+            "rig.amplifier.set_point_delay_s",
+            f"must be ≥ {known_of.set_point_delay_s:g} s with {key} = {shown(known_of.name)}",
+            "set at least the delay of the set-point to the amplifier: a PWM period, or until the "
+            "amplifier reads the voltage",
+        )
+
+
+def efforts(x: Experiment) -> Iterator[Problem]:
+    """The motor bounds the guard, the guard bounds what is asked for."""
+    limits, motor = x.rig.limits, x.rig.amplifier.effort_limit
+    for key, value, bound_key, bound in (
+        ("rig.limits.nominal_effort", limits.nominal_effort, "rig.amplifier.effort_limit", motor),
+        ("rig.limits.effort", limits.effort, "rig.amplifier.effort_limit", motor),
+        ("homing.effort", x.homing.effort, "rig.limits.effort", limits.effort),
+        ("trial.effort", abs(motor_push(x)), "rig.limits.effort", limits.effort),
+        ("excitation.peak", x.excitation.peak or 0.0, "rig.limits.effort", limits.effort),
+        ("excitation.rms", x.excitation.rms or 0.0, "rig.limits.effort", limits.effort),
+    ):
+        if value > bound:
+            yield _problem(
+                x,
+                key,
+                f"must be at most {bound_key}, {bound:g} {_unit(x, 'effort')}",
+                f"lower {key}, or raise {bound_key} if the motor allows it",
+            )
+    if limits.human and not limits.override_stall and limits.effort > limits.nominal_effort:
+        yield _problem(
+            x,
+            "rig.limits.effort",
+            f"must be at most rig.limits.nominal_effort, {limits.nominal_effort:g} {_unit(x, 'effort')}, "
+            "while a person holds the handle (rig.limits.human = true)",
+            "lower it; or set rig.limits.override_stall = true and take responsibility for it",
+        )
+
+
+def window(x: Experiment) -> Iterator[Problem]:
+    """The wall, the start and the rest position lie inside the window."""
+    low, high, unit = x.rig.limits.position_minimum, x.rig.limits.position_maximum, _unit(x, "position")
+    if low >= high:
+        yield _problem(
+            x,
+            "rig.limits.position_minimum",
+            f"must be below position_maximum, {high:g} {unit}",
+            "swap the two",
+        )
+        return
+    for key, value in (
+        ("wall.position", x.wall.position),
+        ("trial.start", x.trial.start),
+        ("rig.simulation.initial_position", x.rig.simulation.initial_position),
+    ):
+        if value is not None and not low < value < high:
+            yield _problem(
+                x,
+                key,
+                f"must lie inside the position window, {low:g} to {high:g} {unit}",
+                "move it, or widen rig.limits.position_minimum and position_maximum if the rig allows it",
+            )
+
+
+def approach(x: Experiment) -> Iterator[Problem]:
+    """A trial starts on the free side of the wall and pushes towards it."""
+    side, wall, unit = x.wall.side, x.wall.position, _unit(x, "position")
+    if x.trial.kind == "excitation":  # it begins inside a wall that has no free side
+        return
+    if side * (x.trial.start - wall) >= 0:
+        where = "below" if side > 0 else "above"
+        yield _problem(
+            x,
+            "trial.start",
+            f"must be {where} wall.position, {wall:g} {unit}: the free side for wall.side = {side}",
+            "start farther out, or change the sign of wall.side",
+        )
+    if x.trial.kind == "constant-effort" and side * x.trial.effort <= 0:
+        sign = ">" if side > 0 else "<"
+        yield _problem(
+            x,
+            "trial.effort",
+            f"must be {sign} 0 {_unit(x, 'effort')} to push into a wall with wall.side = {side}",
+            "change its sign, or the sign of wall.side",
+        )
+
+
+def choreography(x: Experiment) -> Iterator[Problem]:
+    """Only a person waits for a cue, comes into contact when it pleases, and holds."""
+    if x.trial.kind == "human":
+        return
+    for name in ("baseline_s", "foreperiod_s", "hold_s"):
+        if getattr(x.trial, name) > 0.0:
+            yield _problem(
+                x,
+                f"trial.{name}",
+                f'must be 0 with trial.kind = "{x.trial.kind}", which has no cue and starts at a fixed time',
+                'leave it out, or set trial.kind = "human"',
+            )
+
+
+def rest(x: Experiment) -> Iterator[Problem]:
+    """A push that rests less than a few counts deep tests the encoder, not the wall."""
+    if x.wall.stiffness == 0 or any(True for _ in encoder(x)):
+        return
+    resolution, least = x.rig.encoder.resolution, x.trial.minimum_rest_counts
+    push, needed = push_at_rest(x), least * resolution * x.wall.stiffness
+    if push >= needed or push == 0:
+        return
+    softest = push / (least * resolution)
+    key, asked = "trial.effort", f"{needed:.3g} {_unit(x, 'effort')}"
+    if x.trial.kind == "human":
+        key, asked = "operator.press", f"{press_for(x, needed):.3g} N"
+    yield _problem(
+        x,
+        key,
+        f"must be at least {asked}: against wall.stiffness = {x.wall.stiffness:g} {_unit(x, 'stiffness')} it rests "
+        f"{least * push / needed:.2g} counts deep, less than trial.minimum_rest_counts = {least:g}",
+        f"push harder, or choose a wall.stiffness of at most {softest:.3g} {_unit(x, 'stiffness')}",
+    )
+
+
+def press(x: Experiment) -> Iterator[Problem]:
+    """A person must not press harder than the wall may push back."""
+    push, limit = push_at_rest(x), x.rig.limits.effort
+    if x.trial.kind == "human" and push > limit:
+        effort = _unit(x, "effort")
+        yield _problem(
+            x,
+            "operator.press",
+            f"must leave the push, {push:.3g} {effort} at the link with the spring of the hand, at most "
+            f"rig.limits.effort, {limit:g} {effort}",
+            "press less, or raise rig.limits.effort if the motor allows it",
+        )
+
+
+def reach(x: Experiment) -> Iterator[Problem]:
+    """A person's reach is over before the judged tail of the trial begins; with a hold, before the wait is over."""
+    end = x.operator.begin_s + x.operator.reach_s
+    if x.trial.hold_s > 0.0:
+        if x.trial.kind == "human" and end > x.trial.duration_s:
+            yield _problem(
+                x,
+                "operator.reach_s",
+                f"must end before the wait for a contact: the reach ends {end:g} s after the cue (operator.begin_s + "
+                f"reach_s), trial.duration_s is {x.trial.duration_s:g} s",
+                "reach faster, or lengthen trial.duration_s",
+            )
+        return
+    tail = x.trial.duration_s - x.verdict.tail_s
+    if x.trial.kind == "human" and end > tail > 0:
+        yield _problem(
+            x,
+            "operator.reach_s",
+            f"must end before the judged tail: the reach begins {x.operator.begin_s:g} s into the trial "
+            f"(operator.begin_s) and ends at {end:g} s, the tail begins at {tail:g} s "
+            f"(trial.duration_s = {x.trial.duration_s:g} s less verdict.tail_s = {x.verdict.tail_s:g} s)",
+            "reach faster, or lengthen trial.duration_s",
+        )
+
+
+def speeds(x: Experiment) -> Iterator[Problem]:
+    """Homing stays below the speed that ends a run."""
+    if x.homing.speed >= x.rig.limits.speed:
+        yield _problem(
+            x,
+            "homing.speed",
+            f"must be below rig.limits.speed, {x.rig.limits.speed:g} {_unit(x, 'velocity')}",
+            "choose a lower homing speed",
+        )
+
+
+def times(x: Experiment) -> Iterator[Problem]:
+    """The judged tail is a part of the push, and its band has a width."""
+    if x.trial.kind != "excitation" and x.verdict.tail_s >= push_s(x):
+        of = "hold_s" if x.trial.hold_s else "duration_s"
+        yield _problem(
+            x,
+            "verdict.tail_s",
+            f"must be shorter than trial.{of}, {push_s(x):g} s",
+            "shorten the tail or lengthen the trial",
+        )
+    if x.verdict.highpass_hz >= x.verdict.lowpass_hz:
+        yield _problem(
+            x,
+            "verdict.highpass_hz",
+            f"must be below verdict.lowpass_hz, {x.verdict.lowpass_hz:g} Hz",
+            "swap the two",
+        )
+
+
+def excitation(x: Experiment) -> Iterator[Problem]:
+    """A multisine has lines, which the loop can play, and one size; Schroeder's phases are always the same."""
+    e, rate = x.excitation, x.controller.position_rate
+    if e.low_hz > e.high_hz:
+        yield _problem(
+            x, "excitation.low_hz", f"must be at most excitation.high_hz, {e.high_hz:g} Hz", "swap the two"
+        )
+    elif math.ceil(e.low_hz * e.period_s - 1e-6) > math.floor(e.high_hz * e.period_s + 1e-6):
+        yield _problem(
+            x,
+            "excitation.period_s",
+            f"must have a line between {e.low_hz:g} and {e.high_hz:g} Hz: the lines are "
+            f"{1.0 / e.period_s:g} Hz apart",
+            "lengthen the period or widen the band",
+        )
+    if e.rms is not None and e.peak is not None:
+        yield _problem(
+            x, "excitation.peak", "must be left out where excitation.rms is given", "drop one of the two"
+        )
+    if e.kind == "schroeder" and e.realisations > 1:
+        yield _problem(
+            x,
+            "excitation.realisations",
+            'must be 1 with excitation.kind = "schroeder", whose phases are always the same',
+            'set it to 1, or excitation.kind = "random"',
+        )
+    if x.trial.kind != "excitation":
+        return
+    if e.high_hz >= 0.5 * rate:
+        yield _problem(
+            x,
+            "excitation.high_hz",
+            f"must be below {0.5 * rate:g} Hz, half of controller.position_rate",
+            "end the band lower, or run the loop faster",
+        )
+    ticks = e.period_s * rate
+    if abs(ticks - round(ticks)) > 1e-6:
+        yield _problem(
+            x,
+            "excitation.period_s",
+            f"must be a whole number of ticks of 1/{rate} s",
+            f"nearest allowed: {max(1, round(ticks)) / rate:.9g} s",
+        )
+
+
+def heartbeat(x: Experiment) -> Iterator[Problem]:
+    """The supervising thread looks after the loop some fifty times a second, when it gets the interpreter."""
+    if 0.0 < x.host.heartbeat_s < SHORTEST_HEARTBEAT_S:
+        yield _problem(
+            x,
+            "host.heartbeat_s",
+            f"must be 0 or at least {SHORTEST_HEARTBEAT_S:g} s",
+            "give the supervising program more time, or set 0, which never ends a run",
+        )
+
+
+def device_loop(x: Experiment) -> Iterator[Problem]:
+    """A law on the device has the device's beat, and no late tick of this computer can hold it up."""
+    if x.controller.loop != "device":
+        return
+    why = 'where the device runs the law (controller.loop = "device")'
+    if x.host.pacing == "host":
+        yield _problem(x, "host.pacing", f'must be "device" {why}', "leave it out")
+    if x.host.overrun == "stop":
+        yield _problem(
+            x, "host.overrun", f'must be "skip" {why}', "leave it out: the device counts its own ticks"
+        )
+
+
+RULES: tuple[Callable[[Experiment], Iterator[Problem]], ...] = (
+    magnitudes,
+    rates,
+    slow_rate,
+    encoder,
+    reference,
+    cogging,
+    cogging_compensation,
+    handle,
+    current,
+    profile,
+    efforts,
+    window,
+    approach,
+    choreography,
+    rest,
+    press,
+    reach,
+    speeds,
+    times,
+    excitation,
+    heartbeat,
+    device_loop,
+)
+
+
+def _problem(x: Experiment, key: str, must: str, remedy: str) -> Problem:
+    value: Any = x
+    for part in key.split("."):
+        value = getattr(value, part)
+    unit = parameters()[key].unit_for(x.rig.motion)
+    return Problem(key, f"{shown(value)} {unit}".rstrip(), must, remedy)
+
+
+def _unit(x: Experiment, quantity: str) -> str:
+    return unit_of(quantity, x.rig.motion)
+
+
+def _either(values: list[int]) -> str:
+    return " or ".join(str(v) for v in dict.fromkeys(values))

@@ -1,0 +1,72 @@
+"""How a device that runs the law sends its samples: layout, samples per frame, bytes per second."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+from firmware_protocol import messages
+from firmware_protocol.framing import RAW_LIMIT
+from firmware_protocol.messages import BATCH_LAYOUTS
+from firmware_protocol.packing import encoded_bytes
+from rig.config._sections import Experiment
+from rig.control.on_device import refusal
+
+STATE_EVERY_S = 0.005  # between two STATEs of a device that is supervised
+LONGEST_FRAME_S = 0.005  # what a frame may hold back
+MARGIN = 2.0  # a handle may pass more counts in one tick than its mean speed limit says
+
+FULL, WITHOUT_MEASURED, WIDE = 0, 1, 2  # layouts: what each holds stands in BATCH_LAYOUTS
+_I8_GREATEST, _I16_GREATEST = 127, 32_767
+_FORMATS = {"i8": "b", "i16": "h"}
+
+
+def counts_in_a_tick(experiment: Experiment) -> float:
+    """Most counts that the handle passes in a tick at the speed that ends a run."""
+    return experiment.rig.limits.speed / (
+        experiment.rig.encoder.resolution * experiment.controller.position_rate
+    )
+
+
+def batch_layout(experiment: Experiment) -> int:
+    """Layout: differences in one byte where the fastest handle fits with a margin, else in two.
+
+    Raises `PlanError` where two do not hold them either.
+    """
+    counts = MARGIN * counts_in_a_tick(experiment) + 1.0
+    if counts > _I16_GREATEST:
+        raise refusal(
+            "rig.limits.speed",
+            experiment.rig.limits.speed,
+            f"the handle may move by {counts:.0f} counts in a tick, more than a BATCH can carry",
+            "lower it, or raise controller.position_rate",
+        )
+    if counts > _I8_GREATEST:
+        return WIDE
+    return FULL if experiment.controller.measured_current else WITHOUT_MEASURED
+
+
+def sample_bytes(layout: int) -> int:
+    """Bytes of one sample in a layout."""
+    return struct.calcsize("<" + "".join(_FORMATS[kind] for kind in BATCH_LAYOUTS[layout] if kind))
+
+
+def batch_samples(experiment: Experiment) -> int:
+    """Samples to a frame: as many as fit, but none waits longer than `LONGEST_FRAME_S` or a tick."""
+    room = RAW_LIMIT - _overhead()
+    fitting = room // sample_bytes(batch_layout(experiment))
+    in_time = math.floor(LONGEST_FRAME_S * experiment.controller.position_rate)
+    return max(1, min(fitting, in_time))
+
+
+def bytes_per_second(experiment: Experiment) -> float:
+    """Return the bytes per second that a device sends while it runs the law: every tick in a BATCH, and its STATEs."""
+    samples, rate = batch_samples(experiment), experiment.controller.position_rate
+    raw = _overhead() + samples * sample_bytes(batch_layout(experiment))
+    stuffed = raw + 2  # one byte of COBS for a frame below 254 bytes, and the delimiter
+    return rate / samples * stuffed + encoded_bytes(messages.State) / STATE_EVERY_S
+
+
+def _overhead() -> int:
+    """Bytes of a raw BATCH without samples."""
+    return encoded_bytes(messages.Batch) - 2

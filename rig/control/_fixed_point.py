@@ -1,0 +1,181 @@
+"""Fixed-point numbers as an FPGA or a microcontroller without FPU has them, to the bit, on int64.
+
+A number is an integer that stands for integer · 2^−f. Its format is written Q*m.f*: m bits before the binary point,
+the sign's among them, and f behind it, in a word of w = m + f bits, two's complement: −2^(w−1) … 2^(w−1) − 1.
+
+* What does not fit *saturates*: a velocity that wrapped would push the wrong way.
+* Sums of products are taken whole, in 64 bits, and *rounded once*, when they are shifted back to their format.
+  Designs (`design_biquad`, `rig.control._fixed_wall.design_wall`) prove that no sum overflows.
+* Rounding has a name: ``floor`` (an arithmetic shift, what ``>>`` does), ``zero`` (towards zero, what C's ``/``
+  does) or ``nearest`` (half a unit is added before the shift: halves go towards +∞, as in `rig.control._guard`).
+
+What rounding does to a low pass, in units of the last bit of its output (LSB), with S = 1 + a1 + a2. A steady output
+solves S·y = Σb·x + ε, where ε is what the rounding adds: within ±½ for nearest, −1 to 0 for floor, up to 1 towards
+zero for zero. So:
+
+* *Dead zone.* A steady input reads up to e/S LSB wrong, and when it is smaller than that, as zero from rest: e = ½ for
+  nearest, 1 for the others. S falls with the square of cut-off over rate: a filter that is harmless at 2 kHz may
+  swallow whole counts at 20 kHz.
+* *Bias.* Floor reads low: after a motion (either way, for a low pass overshoots) it rests below zero, for ever, by up
+  to 1/S LSB. Nearest rests up to ½/S LSB off on either side; rounding to zero comes back to zero.
+* *Gain at rest.* Σb/S in rounded coefficients, which a low cut-off can round to anything, zero included.
+* *Limit cycles.* Errors of changing sign can add up to e·Σ|g| LSB at most, g the impulse response of 1/A(z).
+
+Source: Koul et al., section III, whose FPGA filtered in fixed point of a word length that the paper does not give.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rig.core.errors import ConfigError
+from rig.realtime.kernel import kernel
+
+ROUNDINGS = ("floor", "zero", "nearest")
+FLOOR, ZERO, NEAREST = range(3)  # indices into ROUNDINGS, which is what kernels take
+WIDEST = 48  # bits of a word
+GREATEST = 2**63 - 1  # of a sum
+TOLERANCE = 0.1  # relative error of gain at rest, and of 1 + a1 + a2, that a design may have
+
+
+@kernel("i8(i8, i8, i8)", inline=True)
+def shift_right(value: int, bits: int, rounding: int) -> int:
+    """Return value / 2^bits, rounded; 0 ≤ bits ≤ 62, and value + 2^bits must fit 64 bits."""
+    if rounding == NEAREST:
+        value += (1 << bits) >> 1
+    elif rounding == ZERO and value < 0:
+        value += (1 << bits) - 1
+    return value >> bits
+
+
+@kernel("i8(i8, i8, i8)", inline=True)
+def divide(numerator: int, denominator: int, rounding: int) -> int:
+    """Return numerator / denominator, rounded; the denominator is above zero, and their sum must fit 64 bits."""
+    if rounding == NEAREST:
+        numerator += denominator >> 1
+    elif rounding == ZERO and numerator < 0:
+        numerator += denominator - 1
+    return numerator // denominator
+
+
+@kernel("i8(i8, i8)", inline=True)
+def saturate(value: int, word_bits: int) -> int:
+    """Return the nearest value that fits a two's complement word."""
+    limit = 1 << (word_bits - 1)
+    return min(max(value, -limit), limit - 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """The format Qm.f of a number: a word of `word_bits`, of which `fraction_bits` lie behind the binary point."""
+
+    word_bits: int
+    fraction_bits: int
+
+    def __str__(self) -> str:
+        return f"Q{self.word_bits - self.fraction_bits}.{self.fraction_bits}"
+
+    @property
+    def lsb(self) -> float:
+        """Return the value of the least significant bit."""
+        return 2.0**-self.fraction_bits
+
+    @property
+    def limits(self) -> tuple[int, int]:
+        """Least and greatest integer of the word."""
+        return -(1 << (self.word_bits - 1)), (1 << (self.word_bits - 1)) - 1
+
+    def quantised(self, value: float, what: str = "a value") -> int:
+        """Return the nearest integer of this format, halves towards +∞; `ConfigError` when it does not fit."""
+        numerator, denominator = value.as_integer_ratio()
+        integer = (2 * (numerator << self.fraction_bits) + denominator) // (2 * denominator)
+        least, greatest = self.limits
+        if not least <= integer <= greatest:
+            raise ConfigError(
+                f"{what} = {value:g} does not fit {self}, which ends at {greatest * self.lsb:g}",
+                remedy="choose a longer word or fewer fractional bits",
+            )
+        return integer
+
+
+@dataclass(frozen=True, slots=True)
+class Biquad:
+    """A second-order low pass in fixed point, and what rounding makes of it.
+
+    Run it in direct form I with one rounding,
+
+        y = saturate(shift_right(b0·x + b1·x1 + b2·x2 − a1·y1 − a2·y2, coefficient_bits, rounding), state.word_bits),
+
+    with x and y in the format `state`. `dead_zone` is in LSB of the state: see the module's text.
+    """
+
+    b0: int
+    b1: int
+    b2: int
+    a1: int
+    a2: int
+    coefficient_bits: int
+    state: Format
+    rounding: int
+    dc_gain: float
+    dead_zone: float
+
+
+def design_biquad(
+    b: Sequence[float],
+    a: Sequence[float],
+    *,
+    coefficient_bits: int,
+    state: Format,
+    rounding: str = "nearest",
+    unit_gain: bool = True,
+) -> Biquad:
+    """Round the coefficients of a low pass and measure the filter that results.
+
+    Parameters
+    ----------
+    b, a
+        Coefficients b0, b1, b2 and 1, a1, a2 of a stable low pass with gain 1 at rest.
+    coefficient_bits
+        Fractional bits of the coefficients, whose words have three bits more: the sign, and two for values up to 2.
+    state
+        Format of input and output.
+    rounding
+        One of `ROUNDINGS`, for the output; coefficients are rounded to the nearest.
+    unit_gain
+        Let b1 take the remainder that makes the gain at rest exactly 1; False leaves all as rounded.
+
+    Raises
+    ------
+    ConfigError
+        Too few bits: unstable, or gain at rest or 1 + a1 + a2 off by more than `TOLERANCE`; too many: a sum could
+        overflow 64 bits.
+    """
+    form = Format(coefficient_bits + 3, coefficient_bits)
+    one = 1 << coefficient_bits
+    a1, a2 = (form.quantised(float(value), "a coefficient") for value in a[1:])
+    b0, b1, b2 = (form.quantised(float(value), "a coefficient") for value in b)
+    at_rest = one + a1 + a2  # 1 + a1 + a2, which sets gain at rest, cut-off and dead zone
+    more_bits = f"choose more coefficient_bits than {coefficient_bits}, a higher cut-off or a lower rate"
+    wanted = float(sum(a)) * one
+    if not (at_rest > 0 and abs(a1) < one + a2 and abs(a2) < one) or abs(at_rest / wanted - 1.0) > TOLERANCE:
+        raise ConfigError(
+            f"in coefficients of {form}, 1 + a1 + a2 = {wanted:.4g} LSB is rounded to {at_rest}, "
+            "which changes the filter",
+            remedy=more_bits,
+        )
+    if unit_gain:
+        b1 += at_rest - (b0 + b1 + b2)
+    dc_gain = (b0 + b1 + b2) / at_rest
+    if abs(dc_gain - 1.0) > TOLERANCE:
+        raise ConfigError(f"in coefficients of {form} the gain at rest is {dc_gain:.3g}", remedy=more_bits)
+    largest = (abs(b0) + abs(b1) + abs(b2) + abs(a1) + abs(a2)) << (state.word_bits - 1)
+    if largest + one > GREATEST:
+        raise ConfigError(
+            f"products of {form} and {state} overflow 64 bits",
+            remedy="choose shorter words: 60 bits together",
+        )
+    index = ROUNDINGS.index(rounding)
+    error = 0.5 if index == NEAREST else 1.0
+    return Biquad(b0, b1, b2, a1, a2, coefficient_bits, state, index, dc_gain, error * one / at_rest)

@@ -1,0 +1,218 @@
+"""The wall and its guard in fixed point: counts in, current quanta out, the oracle of a firmware.
+
+What `rig.control._wall` and `rig.control._guard` do in SI and floating point, in integers that the host scales and the
+device only multiplies. Formats (`rig.control._fixed_point` says what they mean):
+
+    depth      Q24.8, counts            direction · (count − reference) · 2^8 − surface
+    velocity   as the estimator has it, counts per velocity period; positive with rising counts
+    gains      31 bits and a sign       stiffness in quanta per LSB of depth, damping in quanta per LSB of velocity
+    sums       64 bits, `shift` fractional bits, in current quanta
+
+One number, `shift`, is the binary point of gains, sums and constant effort alike: the design picks the greatest with
+which both gains fit their word and no sum, whatever the count and the velocity, leaves 64 bits. So the whole wall is
+two products, one sum and one rounding, to the nearest quantum as `rig.control._guard` does it.
+
+The slew limit is left out: it belongs to homing and ramps, and in a trial it may not bind (`rig.control.step`).
+
+Source: Koul et al., equation (1), rendered there by an FPGA in fixed point.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from numba import types
+
+from rig.control._fixed_point import GREATEST, NEAREST, Format, saturate, shift_right
+from rig.control.estimators._fdm import count_difference
+from rig.core.errors import ConfigError
+from rig.realtime.kernel import kernel
+
+DEPTH_WORD, DEPTH_BITS = 32, 8
+DEPTH = Format(DEPTH_WORD, DEPTH_BITS)  # the kernel takes its two numbers
+GAIN_GREATEST = 2**31 - 1
+CURRENT_GREATEST = 2**15 - 1  # of the wire, symmetric
+MOST_SHIFT = 40  # beyond which a gain of one quantum would not gain precision
+PRECISION = 1e-3  # relative, of a gain that is not zero
+
+
+class FixedWall(NamedTuple):
+    """A wall, its constant effort and its guard in integers, ready for `current_quanta` or for a device."""
+
+    reference: int  # count at position zero
+    direction: int  # ±1: the wall is entered with rising or falling counts
+    side: int  # ±1: the wall is entered with rising or falling position; current is positive with position
+    surface: int  # of the wall, from the reference along `direction`: counts · 2^8
+    stiffness: int  # quanta per LSB of depth · 2^shift
+    damping: int  # quanta per LSB of velocity · 2^shift
+    may_pull: int  # 1: the wall may pull a handle that leaves it
+    entry_only: int  # 1: damping acts on the way in only
+    constant: int  # current of the constant effort: quanta · 2^shift
+    limit: int  # quanta
+    shift: int
+
+
+WALL = types.NamedUniTuple(types.int64, len(FixedWall._fields), FixedWall)
+
+
+@kernel(types.int64(types.int64, WALL), inline=True)
+def depth(count: int, wall: FixedWall) -> int:
+    """Penetration in counts · 2^8, saturated; the wall exists for values above zero only."""
+    travel = wall.direction * count_difference(count, wall.reference)
+    return saturate((travel << DEPTH_BITS) - wall.surface, DEPTH_WORD)
+
+
+@kernel(types.int64(types.int64, types.int64, WALL), inline=True)
+def reaction(penetration: int, velocity: int, wall: FixedWall) -> int:
+    """Reaction of the wall in quanta · 2^shift, positive towards free space.
+
+    `penetration` comes from `depth`; `velocity` is the estimator's, in its LSB, positive with rising counts.
+    """
+    if penetration <= 0:
+        return 0
+    inwards = wall.direction * velocity
+    if wall.entry_only != 0 and inwards < 0:
+        inwards = 0
+    total = wall.stiffness * penetration + wall.damping * inwards
+    if total < 0 and wall.may_pull == 0:
+        return 0
+    return total
+
+
+@kernel(types.int64(types.int64, WALL), inline=True)
+def guarded(total: int, wall: FixedWall) -> int:
+    """Current of an effort in quanta · 2^shift: nearest quantum, halves towards +∞, within ±limit."""
+    quanta = shift_right(total, wall.shift, NEAREST)
+    return min(max(quanta, -wall.limit), wall.limit)
+
+
+@kernel(types.int64(types.int64, types.int64, WALL))
+def current_quanta(count: int, velocity: int, wall: FixedWall) -> int:
+    """Current to command for a count and the held velocity.
+
+    Parameters
+    ----------
+    count
+        Encoder count, of a 32-bit counter that may have wrapped.
+    velocity
+        Counts per velocity period in LSB of the estimator's format, positive with rising counts.
+    wall
+        From `design_wall`.
+
+    Returns
+    -------
+    int
+        Current in quanta of the wire.
+    """
+    return guarded(wall.constant - wall.side * reaction(depth(count, wall), velocity, wall), wall)
+
+
+def design_wall(
+    *,
+    stiffness: float,
+    damping: float,
+    resolution: float,
+    period_s: float,
+    velocity: Format,
+    effort_quantum: float,
+    effort_limit: float,
+    wall_position: float = 0.0,
+    side: int = 1,
+    constant_effort: float = 0.0,
+    added_effort: float = 0.0,
+    reference_count: int = 0,
+    may_pull: bool = False,
+    entry_only: bool = False,
+) -> FixedWall:
+    """Scale a wall to integers.
+
+    Parameters
+    ----------
+    stiffness, damping
+        K and B (N·m/rad and N·m·s/rad, or N/m and N·s/m).
+    resolution
+        Travel for one count (rad or m), negative when counts fall while the position rises.
+    period_s
+        Velocity period T2 (s), to which `velocity` counts.
+    velocity
+        Format of the velocity that the wall will be given (counts per period).
+    effort_quantum
+        Effort of one current quantum (N·m or N).
+    effort_limit
+        Largest effort of wall and constant effort together (N·m or N); rounded down to whole quanta.
+    wall_position, side
+        Surface of the wall from the reference (rad or m), and +1 when it is entered with rising position.
+    constant_effort
+        Added inside and outside the wall (N·m or N), positive with position.
+    added_effort
+        Largest size of an effort that the device will add besides, for which the sums keep room (N·m or N).
+    reference_count
+        Count at position zero.
+    may_pull, entry_only
+        Options of `rig.control._wall`.
+
+    Raises
+    ------
+    ConfigError
+        A value that its word cannot hold, or a gain that it can hold to less than `PRECISION`.
+    """
+    delta = abs(resolution)
+    gains = {  # quanta per LSB
+        "stiffness": stiffness * delta / effort_quantum * DEPTH.lsb,
+        "damping": damping * delta / (effort_quantum * period_s) * velocity.lsb,
+    }
+    constant = constant_effort / effort_quantum
+    limit = math.floor(effort_limit / effort_quantum * (1.0 + 1e-12))
+    if not 0 <= limit <= CURRENT_GREATEST:
+        raise ConfigError(
+            f"effort limit {effort_limit:g} is {limit} current quanta, beyond 0 to {CURRENT_GREATEST}",
+            remedy="lower the limit or take a larger current quantum",
+        )
+    for name, value in (*gains.items(), ("constant effort", abs(constant))):
+        if not 0.0 <= value <= GAIN_GREATEST:
+            raise ConfigError(
+                f"{name} is {value:g} quanta, beyond 0 to {GAIN_GREATEST}", remedy="choose a softer wall"
+            )
+    shift = _greatest_shift(tuple(gains.values()), abs(constant) + added_effort / effort_quantum, velocity)
+    whole = {name: _nearest(value, shift) for name, value in gains.items()}
+    for name, value in gains.items():
+        if abs(math.ldexp(whole[name], -shift) - value) > PRECISION * value:
+            raise ConfigError(
+                f"{name} is {value:.3g} quanta per LSB, which {shift} fractional bits can represent "
+                f"only as {whole[name]}",
+                remedy="raise it, or take a velocity with fewer fractional bits",
+            )
+    return FixedWall(
+        reference=reference_count,
+        direction=side if resolution > 0.0 else -side,
+        side=side,
+        surface=DEPTH.quantised(side * wall_position / delta, "wall position in counts"),
+        stiffness=whole["stiffness"],
+        damping=whole["damping"],
+        may_pull=int(may_pull),
+        entry_only=int(entry_only),
+        constant=_nearest(constant, shift),
+        limit=limit,
+        shift=shift,
+    )
+
+
+def _greatest_shift(gains: tuple[float, ...], added: float, velocity: Format) -> int:
+    """Fractional bits with which the gains fit their word and no sum leaves 64 bits; at least one such exists.
+
+    Without any fractional bit the gains are below 2^31 and so are depth, velocity and constant.
+    """
+    extremes = (DEPTH.limits[1], -velocity.limits[0])
+    for shift in range(MOST_SHIFT, 0, -1):
+        whole = [_nearest(gain, shift) for gain in gains]
+        largest = sum(gain * extreme for gain, extreme in zip(whole, extremes, strict=True))
+        if max(whole) <= GAIN_GREATEST and largest + _nearest(added, shift) + 2**shift <= GREATEST:
+            return shift
+    raise ConfigError(
+        "the wall's sums exceed 64 bits", remedy="choose a softer wall or a velocity of a shorter word"
+    )
+
+
+def _nearest(value: float, bits: int) -> int:
+    return math.floor(math.ldexp(value, bits) + 0.5)

@@ -1,0 +1,48 @@
+"""Every velocity estimator by name, each imported when it is asked for."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import cast
+
+from rig.control.estimators.estimator import Estimator
+from rig.core import plugins
+from rig.core.errors import ConfigError
+
+BUILT_IN = {
+    "fdm": "rig.control.estimators._fdm",
+    "fdm-butterworth": "rig.control.estimators._fdm_butterworth",
+    "fdm-butterworth-fixed": "rig.control.estimators._fdm_butterworth_fixed",
+    "period": "rig.control.estimators._period",
+    "period-frequency": "rig.control.estimators._period_frequency",
+    "foaw-end": "rig.control.estimators._foaw_end",
+    "foaw-best": "rig.control.estimators._foaw_best",
+    "kalman": "rig.control.estimators._kalman",
+    "levant": "rig.control.estimators._levant",
+    "foaw-levant": "rig.control.estimators._hybrid",
+    "optimal": "rig.control.estimators._optimal",
+}
+
+
+def names() -> list[str]:
+    """Names of all estimators, built-in ones first."""
+    return [*BUILT_IN, *plugins.names("rig.estimators", BUILT_IN)]
+
+
+def broken(name: str) -> str:
+    """Why a third party's estimator cannot be used, "" where it can."""
+    try:
+        get(name)
+    except ConfigError as error:
+        return str(error)
+    return ""
+
+
+def get(name: str) -> Estimator:
+    """Return the estimator of that name; `ConfigError` for an unknown one or a broken plug-in."""
+    if name in BUILT_IN:
+        return cast("Estimator", import_module(BUILT_IN[name]).ESTIMATOR)
+    found = plugins.load("rig.estimators", "estimator", name, lambda part: isinstance(part, Estimator))
+    if found is not None:
+        return cast("Estimator", found)
+    raise ConfigError(f"unknown estimator {name!r}", remedy=f"choose one of: {', '.join(names())}")

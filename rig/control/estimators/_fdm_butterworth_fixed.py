@@ -1,0 +1,142 @@
+"""Finite difference and Butterworth low pass in fixed point: what an FPGA or a microcontroller computes, to the bit.
+
+The filter of `rig.control.estimators._fdm_butterworth`, of order 2, on integers: counts per velocity period in the
+format Q(w−f).f, with w = `word_bits` and f = `state_bits`; coefficients with `coefficient_bits` behind the point;
+products summed whole in 64 bits and rounded once per period. `rig.control._fixed_point` has the rules, and says what
+rounding does to a low pass. Direct form I: the state is input and output themselves, so that no hidden sum can
+overflow. Everything is int64 up to the output, which becomes SI at the very end.
+
+With 16 fractional bits, rounding costs less than 1e-4 counts a period at f_c = fs/10; the remaining error is that of
+the coefficients. With 2 to 4, the reading of the FPGA of Koul et al. that explains its figure 7, the dead zone decides:
+rounding to zero at f_c = fs/20 with 4 bits, all motion below 0.78 counts a period reads as rest. That is 2.4 rad/s at
+20 kHz, and a tenth of it at 2 kHz.
+
+Velocities beyond ±2^(w−1−f) counts a period saturate: 32768 with the defaults, 65 million counts a second at 2 kHz.
+
+Source: Koul et al., section III ("second-order fixed-point Butterworth"); its word length and rounding are not given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rig.control._fixed_point import (
+    ROUNDINGS,
+    WIDEST,
+    Biquad,
+    Format,
+    design_biquad,
+    divide,
+    saturate,
+    shift_right,
+)
+from rig.control.estimators import _fdm as fdm
+from rig.control.estimators._fdm_butterworth import LONGEST_GAP, low_pass
+from rig.control.estimators.estimator import (
+    COMMON,
+    RESOLUTION,
+    WINDOW,
+    Choice,
+    Estimator,
+    Floats,
+    Ints,
+    Setting,
+)
+from rig.core.errors import ConfigError
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import ESTIMATOR_SIGNATURE
+
+# parameters: integers but for the last, which is the velocity of one LSB of the output in counts per second
+B0, B1, B2, A1, A2, COEFFICIENT_BITS, STATE_BITS, WORD_BITS, ROUNDING, SCALE = range(COMMON, COMMON + 10)
+X1, X2, Y1, Y2 = range(fdm.INTS, fdm.INTS + 4)  # state_i: inputs and outputs of the last two periods
+NUMERATORS = ("unit-gain", "nearest")
+
+
+@kernel(ESTIMATOR_SIGNATURE, no_refcount=True)
+def update(
+    count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
+) -> float:
+    """Filtered velocity; over a gap the filter runs once for each lost period on the mean slope."""
+    if state_i[fdm.STARTED] == 0:
+        state_i[fdm.STARTED] = 1
+        state_i[fdm.PREVIOUS] = count
+    else:
+        state_i[WINDOW] = elapsed_ticks
+    moved = fdm.count_difference(count, state_i[fdm.PREVIOUS])
+    state_i[fdm.PREVIOUS] = count
+
+    word_bits, rounding = int(parameters[WORD_BITS]), int(parameters[ROUNDING])
+    x = moved << int(parameters[STATE_BITS])
+    if elapsed_ticks > 1:
+        x = divide(x, elapsed_ticks, rounding)
+    x = saturate(x, word_bits)
+
+    b0, b1, b2 = int(parameters[B0]), int(parameters[B1]), int(parameters[B2])
+    a1, a2, bits = int(parameters[A1]), int(parameters[A2]), int(parameters[COEFFICIENT_BITS])
+    x1, x2, y1, y2 = state_i[X1], state_i[X2], state_i[Y1], state_i[Y2]
+    for _ in range(min(elapsed_ticks, LONGEST_GAP)):
+        total = b0 * x + b1 * x1 + b2 * x2 - a1 * y1 - a2 * y2
+        x1, x2 = x, x1
+        y1, y2 = saturate(shift_right(total, bits, rounding), word_bits), y1
+    state_i[X1], state_i[X2], state_i[Y1], state_i[Y2] = x1, x2, y1, y2
+    return float(y1 * parameters[SCALE] * parameters[RESOLUTION])
+
+
+def biquad(settings: Mapping[str, Any], period_s: float) -> Biquad:
+    """Return the integers that `update` runs, with their measured gain at rest and dead zone.
+
+    Raises `ConfigError` for bits that are no whole number, a cut-off at or above Nyquist, and words that are too
+    short for the filter or too long for 64 bits (`rig.control._fixed_point.design_biquad`).
+    """
+    for name in ("coefficient_bits", "state_bits", "word_bits"):
+        if settings[name] != int(settings[name]):
+            raise ConfigError(
+                f"estimator fdm-butterworth-fixed: {name} = {settings[name]:g} must be a whole number",
+                remedy="give a whole number of bits",
+            )
+    state = Format(int(settings["word_bits"]), int(settings["state_bits"]))
+    if state.word_bits - state.fraction_bits < 2:
+        raise ConfigError(
+            f"estimator fdm-butterworth-fixed: {state} cannot represent one count per period",
+            remedy="choose word_bits at least two above state_bits",
+        )
+    section = low_pass("fdm-butterworth-fixed", 2, settings["cutoff_hz"], period_s)[0]
+    return design_biquad(
+        section[:3],
+        section[3:],
+        coefficient_bits=int(settings["coefficient_bits"]),
+        state=state,
+        rounding=settings["rounding"],
+        unit_gain=settings["numerator"] == "unit-gain",
+    )
+
+
+def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
+    """Integers of the filter, in the order of the indices above."""
+    f = biquad(settings, period_s)
+    form = [f.coefficient_bits, f.state.fraction_bits, f.state.word_bits, f.rounding]
+    return [float(n) for n in (f.b0, f.b1, f.b2, f.a1, f.a2, *form)] + [f.state.lsb / period_s]
+
+
+ESTIMATOR = Estimator(
+    name="fdm-butterworth-fixed",
+    summary="finite difference and a second-order Butterworth low pass, in fixed point",
+    source="Koul et al., section III",
+    update=update,
+    floats=0,
+    ints=fdm.INTS + 4,
+    settings=(
+        Setting("cutoff_hz", 200.0, 0.1, 1e6, "Hz", "-3 dB frequency of the low pass"),
+        Setting("coefficient_bits", 14, 2, 30, "bit", "fractional bits of the coefficients"),
+        Setting("state_bits", 16, 0, 30, "bit", "fractional bits of input and output (counts per period)"),
+        Setting(
+            "word_bits", 32, 4, WIDEST, "bit", "length of their saturating words, sign and fraction included"
+        ),
+        Choice("rounding", "nearest", ROUNDINGS, "how each output is rounded to its word"),
+        Choice(
+            "numerator", "unit-gain", NUMERATORS, "exact gain at rest, or each coefficient rounded by itself"
+        ),
+    ),
+    design=design,
+)

@@ -1,0 +1,82 @@
+"""First-order adaptive windowing: the slope of the longest straight line that the last samples allow.
+
+A line over the last n periods is accepted when it passes every sample in between within the noise band d. A fast
+handle bends the line early: short window, short delay. A slow one leaves it straight: long window, little
+noise. The delay is about half the window, so the window is reported with each estimate (`WINDOW`).
+
+Two ways to draw the line are two estimators, because the choice of an anchor has a meaning for one only:
+
+- `foaw-end` (`rig.control.estimators._foaw_end`): the chord through the newest and the oldest sample;
+- `foaw-best` (`rig.control.estimators._foaw_best`): the least-squares line.
+
+This file is what they share: the memory of samples, the settings, and three decisions.
+
+Band. d = 1 count by default: the chord through two rounded samples can miss a true ramp by up to one count,
+so half a count, the rounding error itself, would cut ramps. It is widened by 1e-9 because with whole counts a
+residual of exactly d is frequent, and rounding must not decide it.
+
+Time. Samples keep the period in which they were taken, so that lost ones bend nothing. The limit of the window
+counts periods, not samples: it bounds the delay whatever was lost, and a gap longer than it is a restart from
+the mean slope over the gap.
+
+Stop. The paper's "n = max{1, 2, 3, …} such that" can mean the longest window up to the first that fails
+(`first`, what every public code does) or the longest that passes at all (`global`).
+
+Source: Janabi-Sharifi, Hayward and Chen, IEEE TCST 8(6), 2000, as given by Chawda et al., section II.C.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rig.control.estimators._fdm import count_difference
+from rig.control.estimators.estimator import COMMON, OWN_INTS, Choice, Ints, Setting
+from rig.core.errors import ConfigError
+from rig.realtime.kernel import kernel
+
+LONGEST = 64  # periods; the delay of a longer line is too large for rendering
+SLOTS, MASK = 128, 127  # ring of samples: a power of two above LONGEST
+
+BAND, LIMIT, STOP = COMMON, COMMON + 1, COMMON + 2  # parameters
+OWN_PARAMETERS = COMMON + 3  # from here on those of the fit
+SAMPLES, PREVIOUS, COUNTS = OWN_INTS, OWN_INTS + 1, OWN_INTS + 2  # state_i
+PERIODS = COUNTS + SLOTS  # period of each sample, from the first one
+INTS = PERIODS + SLOTS
+
+STOPS = ("first", "global")
+STOP_FIRST = STOPS.index("first")
+ROUNDING_MARGIN = 1e-9
+
+SETTINGS: tuple[Setting | Choice, ...] = (
+    Setting("band", 1.0, 0.1, 1e6, "counts", "largest distance of a sample from the line"),
+    Setting("window_limit", 16.0, 1.0, LONGEST, "velocity periods", "longest window"),
+    Choice(
+        "stop", "first", STOPS, "window: the last before the first that fails, or the longest that passes"
+    ),
+)
+
+
+@kernel("i8(i8, i8, i8[::1])", inline=True, no_refcount=True)
+def remember(count: int, elapsed_ticks: int, state_i: Ints) -> int:
+    """Store a sample, with its count unwrapped, and return its slot in the ring."""
+    slot = state_i[SAMPLES] & MASK
+    if state_i[SAMPLES] > 0:
+        last = (slot - 1) & MASK
+        moved = count_difference(count, state_i[PREVIOUS])
+        state_i[COUNTS + slot] = state_i[COUNTS + last] + moved
+        state_i[PERIODS + slot] = state_i[PERIODS + last] + elapsed_ticks
+    state_i[PREVIOUS] = count
+    state_i[SAMPLES] += 1
+    return int(slot)
+
+
+def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
+    """Band in counts with its margin, limit in periods, index of the stop rule; `ConfigError` for half periods."""
+    limit = settings["window_limit"]
+    if limit != round(limit):
+        raise ConfigError(
+            f"foaw: window_limit = {limit:g} is not a whole number of velocity periods",
+            remedy=f"choose {int(limit)} or {int(limit) + 1}",
+        )
+    return [settings["band"] * (1.0 + ROUNDING_MARGIN), limit, float(STOPS.index(settings["stop"]))]

@@ -1,0 +1,101 @@
+"""First-order adaptive windowing, best-fit: the slope of the longest acceptable least-squares line.
+
+With rise_i and span_i the counts and periods between the newest sample and the i-th before it, the line is
+rise = intercept + slope · span. The slope comes from sums that grow by one sample per window (for samples without
+gaps it is equation (6)). Where the line stands decides which samples it passes, and `anchor` chooses that:
+
+- `lsq`: the least-squares intercept (default);
+- `last`: through the newest sample, as some public codes do. A least-squares slope through one rounded sample
+  can miss a true ramp by more than one count, so that about one ramp window in fifty is cut at d = 1; take d ≥ 1.5;
+- `literal`: the a_n of equation (6) as printed, which is where the chord of the two ends crosses t = 0, the start
+  of the run. Turned about a point k periods in the past, the line misses the newest samples by
+  k · |slope − chord|. Within some tens of samples only those windows remain in which the two slopes agree, which
+  over two periods they always do: a steady ramp then has 3 to 25 times the noise. Kept because it is what the
+  paper says.
+
+See `rig.control.estimators._foaw` for band, time and stop rule.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rig.control.estimators import _foaw as foaw
+from rig.control.estimators._foaw import BAND, COUNTS, LIMIT, MASK, PERIODS, SAMPLES, STOP, STOP_FIRST
+from rig.control.estimators.estimator import PERIOD, RESOLUTION, WINDOW, Choice, Estimator, Floats, Ints
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import ESTIMATOR_SIGNATURE
+
+ANCHOR = foaw.OWN_PARAMETERS  # parameters
+RISE, SPAN = 0, foaw.LONGEST + 1  # state_f: the window laid out flat, so that the band test is one loop
+
+ANCHORS = ("lsq", "last", "literal")
+LSQ, LITERAL = ANCHORS.index("lsq"), ANCHORS.index("literal")
+
+
+@kernel(ESTIMATOR_SIGNATURE, no_refcount=True)
+def update(
+    count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
+) -> float:
+    """Slope of the longest accepted line; zero for the first sample. The line of two samples always passes."""
+    newest = foaw.remember(count, elapsed_ticks, state_i)
+    position, period = state_i[COUNTS + newest], state_i[PERIODS + newest]
+    band, limit, anchor = parameters[BAND], int(parameters[LIMIT]), int(parameters[ANCHOR])
+    stop_first = parameters[STOP] == STOP_FIRST
+    first = 0 if anchor == LSQ else 1  # equation (5) tests i = 1…n: the newest sample only where it can fail
+    state_f[RISE], state_f[SPAN] = 0.0, 0.0
+    sum_rise, sum_span, sum_product, sum_square = 0.0, 0.0, 0.0, 0.0
+    best, window = 0.0, 0
+    for n in range(1, min(state_i[SAMPLES] - 1, limit) + 1):
+        oldest = (newest - n) & MASK
+        periods = period - state_i[PERIODS + oldest]
+        if periods > limit and n > 1:
+            break
+        rise, span = float(position - state_i[COUNTS + oldest]), float(periods)
+        state_f[RISE + n], state_f[SPAN + n] = rise, span
+        sum_rise += rise
+        sum_span += span
+        sum_product += rise * span
+        sum_square += span * span
+        points = n + 1
+        slope = (points * sum_product - sum_span * sum_rise) / (points * sum_square - sum_span * sum_span)
+        intercept = 0.0
+        if anchor == LSQ:
+            intercept = (sum_rise - slope * sum_span) / points
+        elif anchor == LITERAL:
+            intercept = period * (rise / span - slope)
+        outside = 0  # counted to the end, not stopped at the first: so the compiler makes vectors of the loop
+        for i in range(first, n + 1):
+            outside += abs(state_f[RISE + i] - slope * state_f[SPAN + i] - intercept) > band
+        if n == 1 or outside == 0:
+            best, window = slope, periods
+        elif stop_first:
+            break
+    state_i[WINDOW] = window
+    return float(best * parameters[RESOLUTION] / parameters[PERIOD])
+
+
+def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
+    """Numbers of `foaw.design` and the index of the anchor."""
+    return [*foaw.design(settings, resolution, period_s), float(ANCHORS.index(settings["anchor"]))]
+
+
+ESTIMATOR = Estimator(
+    name="foaw-best",
+    summary="adaptive window, least-squares line",
+    source="Janabi-Sharifi et al. (2000), best-fit; Chawda et al., equations (5) and (6)",
+    update=update,
+    floats=2 * (foaw.LONGEST + 1),
+    ints=foaw.INTS,
+    settings=(
+        *foaw.SETTINGS,
+        Choice(
+            "anchor",
+            "lsq",
+            ANCHORS,
+            "intercept of the line: least squares, through the newest sample, or as printed in the paper",
+        ),
+    ),
+    design=design,
+)

@@ -1,0 +1,57 @@
+"""First-order adaptive windowing, end-fit: the slope of the longest chord that ends at the newest sample.
+
+Sample i lies within the band of a line through the newest one iff the slope is in the cone
+[(rise_i − d)/span_i, (rise_i + d)/span_i]. So a chord passes iff its slope lies in the intersection of the cones
+of all samples in between, which grows by one cone a sample: O(W) instead of the O(W²) of testing every sample
+again, with the same windows. See `rig.control.estimators._foaw` for band, time and stop rule.
+"""
+
+from __future__ import annotations
+
+import math
+
+from rig.control.estimators import _foaw as foaw
+from rig.control.estimators._foaw import BAND, COUNTS, LIMIT, MASK, PERIODS, SAMPLES, STOP, STOP_FIRST
+from rig.control.estimators.estimator import PERIOD, RESOLUTION, WINDOW, Estimator, Floats, Ints
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import ESTIMATOR_SIGNATURE
+
+
+@kernel(ESTIMATOR_SIGNATURE, no_refcount=True)
+def update(
+    count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
+) -> float:
+    """Slope of the longest accepted chord; zero for the first sample. The chord of two samples always passes."""
+    newest = foaw.remember(count, elapsed_ticks, state_i)
+    position, period = state_i[COUNTS + newest], state_i[PERIODS + newest]
+    band, limit = parameters[BAND], int(parameters[LIMIT])
+    stop_first = parameters[STOP] == STOP_FIRST
+    slope, window = 0.0, 0
+    lowest, highest = -math.inf, math.inf
+    for n in range(1, min(state_i[SAMPLES] - 1, limit) + 1):
+        oldest = (newest - n) & MASK
+        span = period - state_i[PERIODS + oldest]
+        if span > limit and n > 1:
+            break
+        per_period = 1.0 / span
+        chord = (position - state_i[COUNTS + oldest]) * per_period
+        if lowest <= chord <= highest:
+            slope, window = chord, span
+        elif stop_first or lowest > highest:
+            break
+        lowest = max(lowest, chord - band * per_period)
+        highest = min(highest, chord + band * per_period)
+    state_i[WINDOW] = window
+    return float(slope * parameters[RESOLUTION] / parameters[PERIOD])
+
+
+ESTIMATOR = Estimator(
+    name="foaw-end",
+    summary="adaptive window, chord through its two ends",
+    source="Janabi-Sharifi et al. (2000), end-fit; Chawda et al., equation (5)",
+    update=update,
+    floats=0,
+    ints=foaw.INTS,
+    settings=foaw.SETTINGS,
+    design=foaw.design,
+)

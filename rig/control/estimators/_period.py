@@ -1,0 +1,151 @@
+"""Velocity from the times of encoder edges: counts between two edges over the time between them.
+
+A count gives the position to within Δ; an edge gives it exactly, at its own time. STATE carries, beside the
+count, the time of the last edge (`edge_age_s`, in steps of 1/16 µs), so that every sample which brought an edge gives
+one exact point (E, b): boundary b between two counts, crossed at time E. The estimate is the slope between the newest
+two of these points,
+
+    v = Δ·(b − b')/(E − E'),
+
+the mean velocity from edge to edge. It has no rounding noise but that of the clock, |δv|/v ≤ 64 ns/(E − E'): a steady
+motion reads exactly at any speed. Below one edge a period this is period counting; above, it is the M/T method over
+one period.
+
+* *Between edges.* In the time a since the last edge the handle cannot have gone further than one count: |v| ≤ Δ/a. The
+  estimate of a handle that stops therefore decays as Δ/a, and never reaches zero by that alone. The lines of a real
+  encoder are not evenly spaced: `unevenness` says by how much (counts) a gap may exceed one count, and |v| ≤ (1 +
+  unevenness)·Δ/a, lest a wide gap at speed look like a stop.
+* *Reversal.* Going back over the boundary that was crossed last is a distance of zero: the estimate is zero at that
+  edge, as the mean velocity since the edge before is, and has its new sign from the next one on. A handle that
+  toggles one count reads zero.
+* *Unknown boundaries.* A fresh edge time with an unchanged count means an even number of edges, and it is unknown over
+  which boundary: the estimate is zero and restarts. So does it with the edge before the first sample.
+* *Limits.* The last edge is taken to have had the direction of the net motion since the sample before. Of a handle
+  that turned after several edges within one period the distance is one count off, once; |v| ≤ Δ/a holds all the same.
+  Uneven lines are not averaged over more than one period: see `rig.control.estimators._period_frequency`. Where edge
+  times are not known and edges count as happening at their samples, this is the finite difference, held between counts.
+
+Source: Ohmae et al. 1982, for the M/T method; edges instead of clock ticks at both ends, reversal and decay follow
+from the geometry above.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rig.control.estimators._fdm import count_difference
+from rig.control.estimators.estimator import (
+    COMMON,
+    OWN_INTS,
+    PERIOD,
+    RESOLUTION,
+    WINDOW,
+    Estimator,
+    Floats,
+    Ints,
+    Setting,
+)
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import ESTIMATOR_SIGNATURE
+
+EDGE_TIME_S = 62.5e-9  # step of the edge time on the wire: an age may look too long by so much
+OLDEST_EDGE_S = 134.0  # what the wire's 32-bit time can say; also stands for an age that is no number
+GRACE = 0.01  # periods: an edge so shortly after the previous sample is the one that that sample saw
+
+GAP = COMMON  # parameters: widest gap between two lines (counts)
+PREVIOUS, STARTED, KNOWN, UPWARDS = range(
+    OWN_INTS, OWN_INTS + 4
+)  # state_i: the last edge's boundary and direction
+INTS = OWN_INTS + 4
+AGE, SPAN, SPEED = range(
+    3
+)  # state_f: age of the last edge at the last sample; the slope's time (s) and value (counts/s)
+FLOATS = 3
+
+
+@kernel("f8(f8)", inline=True)
+def plausible_age(edge_age_s: float) -> float:
+    """Age of the last edge from 0 to `OLDEST_EDGE_S`; what is no number is as old as can be."""
+    if not edge_age_s <= OLDEST_EDGE_S:
+        return OLDEST_EDGE_S
+    return max(edge_age_s, 0.0)
+
+
+@kernel("b1(i8, f8, f8, f8, f8)", inline=True)
+def has_fresh_edge(moved: int, age: float, age_before: float, elapsed_s: float, period_s: float) -> bool:
+    """Return True if an edge came since the previous sample: by the count, or by the time alone."""
+    within = elapsed_s - GRACE * period_s
+    return moved != 0 or (age < within and age < age_before + within)
+
+
+@kernel("i8(i8, i8, i8)", inline=True)
+def boundary_distance(moved: int, upwards: int, upwards_before: int) -> int:
+    """Counts from the boundary of the previous edge to that of the last one; each went up (1) or down (0).
+
+    Boundary c lies below count c: an edge up into c is one at c, an edge down into c is one at c + 1.
+    """
+    return moved - upwards + upwards_before
+
+
+@kernel("f8(f8, f8, f8)", inline=True)
+def still_possible(speed: float, age: float, gap: float) -> float:
+    """Velocity (counts/s) no faster than one gap between lines (counts) since the last edge."""
+    silence = age - EDGE_TIME_S
+    if abs(speed) * silence <= gap:
+        return speed
+    return gap / silence if speed > 0.0 else -gap / silence
+
+
+@kernel("i8(f8, f8, f8)", inline=True)
+def window(span: float, age: float, period_s: float) -> int:
+    """Velocity periods over which the estimate looks: from edge to edge, or since the last edge if that is longer."""
+    return max(int(max(span, age) / period_s + 0.5), 1)
+
+
+@kernel(ESTIMATOR_SIGNATURE, no_refcount=True)
+def update(
+    count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
+) -> float:
+    """Slope between the last two edges, but no faster than the silence since the last one allows."""
+    period_s, age = parameters[PERIOD], plausible_age(edge_age_s)
+    elapsed_s = elapsed_ticks * period_s
+    if state_i[STARTED] == 0:
+        state_i[STARTED] = 1
+    else:
+        moved = count_difference(count, state_i[PREVIOUS])
+        if has_fresh_edge(moved, age, state_f[AGE], elapsed_s, period_s):
+            age = min(age, elapsed_s)
+            upwards = 1 if moved > 0 else 0
+            state_f[SPAN], state_f[SPEED] = 0.0, 0.0
+            if moved != 0 and state_i[KNOWN] != 0:
+                span = max(state_f[AGE] + elapsed_s - age, EDGE_TIME_S)
+                state_f[SPAN] = span
+                state_f[SPEED] = boundary_distance(moved, upwards, state_i[UPWARDS]) / span
+            state_i[KNOWN] = 1 if moved != 0 else 0
+            state_i[UPWARDS] = upwards
+        state_i[WINDOW] = window(state_f[SPAN], age, period_s)
+    state_i[PREVIOUS] = count
+    state_f[AGE] = age
+    return float(still_possible(state_f[SPEED], age, parameters[GAP]) * parameters[RESOLUTION])
+
+
+def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
+    """Widest gap between two lines in counts."""
+    return [1.0 + settings["unevenness"]]
+
+
+UNEVENNESS = Setting(
+    "unevenness", 0.0, 0.0, 2.0, "count", "share by which a gap between edges may exceed one count"
+)
+
+ESTIMATOR = Estimator(
+    name="period",
+    summary="one count over the time between the last two edges, decaying while no edge comes",
+    source="M/T method (Ohmae et al. 1982, cited second-hand) over one period",
+    update=update,
+    floats=FLOATS,
+    ints=INTS,
+    settings=(UNEVENNESS,),
+    design=design,
+)

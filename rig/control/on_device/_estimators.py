@@ -1,0 +1,158 @@
+"""The numbers of an estimator on a device: those of the host's kernel, in the device's own form.
+
+A device has the finite difference, its Butterworth low pass (float32, or order 2 in integers), both windowings,
+Levant's differentiator and the Kalman filter with its steady gain. The rest is refused: `period` and its variants
+need edge times, a recursive gain costs more than a tick allows, and `optimal` and `foaw-levant` are not ported.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from firmware_protocol.parameter import Value
+from rig.control._fixed_point import Format
+from rig.control.estimators import _fdm_butterworth as fdm_butterworth
+from rig.control.estimators import _fdm_butterworth_fixed as fixed
+from rig.control.estimators import _foaw as foaw
+from rig.control.estimators import _foaw_best as foaw_best
+from rig.control.estimators import _kalman as kalman
+from rig.control.estimators import _levant as levant
+from rig.control.estimators.estimator import Floats, Prepared
+from rig.control.on_device._errors import refusal
+
+ESTIMATORS = (  # in the order of the parameter `estimator`
+    "fdm-butterworth-fixed",
+    "fdm",
+    "fdm-butterworth",
+    "foaw-end",
+    "foaw-best",
+    "levant",
+    "kalman",
+)
+_EDGES = ": this one needs the time of each encoder edge"
+_ABSENT = {  # why a built-in one is not there
+    "period": _EDGES,
+    "period-frequency": _EDGES,
+    "foaw-levant": ": this one exists on the host only",
+    "optimal": ": this one exists on the host only",
+}
+BAND_BITS = 8  # of a noise band in counts
+WORD_BITS = 32
+
+Values = dict[str, Value]
+
+
+def estimator_parameters(prepared: Prepared) -> Values:
+    """Choice and numbers of an estimator.
+
+    Raises
+    ------
+    PlanError
+        An estimator, or a variant of it, that the device does not have.
+    """
+    name = prepared.estimator.name
+    if name not in ESTIMATORS:
+        raise refusal(
+            "controller.estimator",
+            name,
+            f"a device does not have this estimator{_ABSENT.get(name, '')}",
+            f"choose one of: {', '.join(ESTIMATORS)}",
+        )
+    numbers = _NUMBERS.get(name)
+    own = numbers(prepared.parameters) if numbers is not None else {}
+    return {"estimator": ESTIMATORS.index(name), **own}
+
+
+def velocity_format(prepared: Prepared) -> Format:
+    """Format of the velocity in integers, in the word of 32 bits that its sums are checked for."""
+    return Format(WORD_BITS, int(prepared.parameters[fixed.STATE_BITS]))
+
+
+def _biquad(own: Floats) -> Values:
+    names = ("b0", "b1", "b2", "a1", "a2", "coefficient_bits", "state_bits", "word_bits", "rounding")
+    values: Values = {
+        f"biquad_{name}": int(value)
+        for name, value in zip(names, own[fixed.B0 : fixed.ROUNDING + 1], strict=True)
+    }
+    if values["biquad_word_bits"] > WORD_BITS:
+        raise refusal(
+            "controller.parameters.word_bits",
+            values["biquad_word_bits"],
+            f"the words of a device have {WORD_BITS} bits",
+            f"choose {WORD_BITS} or less",
+        )
+    return values
+
+
+def _low_pass(own: Floats) -> Values:
+    """Trapezoidal integrators in place of coefficients; firmware/law/law.h derives them."""
+    sections = own[fdm_butterworth.B0 :].reshape(-1, fdm_butterworth.SECTION).tolist()
+    # All zeros are at -1, so it does not matter which section scipy gave them to, nor where the odd one stands.
+    sections.sort(key=lambda section: section[-1] == 0.0)
+    values: Values = {"low_pass_order": sum(1 if a2 == 0.0 else 2 for *_, a2 in sections)}
+    for n, (*_, a1, a2) in enumerate(sections, start=1):
+        if a2 == 0.0:
+            g = (1.0 + a1) / (1.0 - a1)
+            values[f"low_pass_low_{n}"] = g / (1.0 + g)
+            continue
+        bottom = 1.0 - a1 + a2
+        g, kg = math.sqrt((1.0 + a1 + a2) / bottom), 2.0 * (1.0 - a2) / bottom
+        inner = 1.0 / (1.0 + kg + g * g)
+        values |= {
+            f"low_pass_inner_{n}": inner,
+            f"low_pass_band_{n}": g * inner,
+            f"low_pass_low_{n}": g * g * inner,
+        }
+    return values
+
+
+def _foaw(own: Floats) -> Values:
+    return {
+        "foaw_band": math.floor(own[foaw.BAND] * 2**BAND_BITS),  # its margin keeps a whole band whole
+        "foaw_limit": int(own[foaw.LIMIT]),
+        "foaw_stop_first": int(own[foaw.STOP] == foaw.STOP_FIRST),
+    }
+
+
+def _foaw_best(own: Floats) -> Values:
+    anchor = foaw_best.ANCHORS[int(own[foaw_best.ANCHOR])]
+    if anchor == "literal":
+        raise refusal(
+            "controller.parameters.anchor",
+            anchor,
+            "a device does not have this anchor",
+            'choose anchor = "lsq" or "last"',
+        )
+    return {**_foaw(own), "foaw_least_squares": int(anchor == "lsq")}
+
+
+def _levant(own: Floats) -> Values:
+    return {
+        "levant_alpha": float(own[levant.ALPHA]),
+        "levant_lambda": float(own[levant.LAMBDA]),
+        "levant_discretisation": int(own[levant.SCHEME]),
+        "levant_integrator": int(own[levant.OUTPUT]),
+    }
+
+
+def _kalman(own: Floats) -> Values:
+    if own[kalman.STEADY] == 0.0:
+        raise refusal(
+            "controller.parameters.gain",
+            "recursive",
+            "a device has only the steady gain, to which the recursive gain converges within a few periods",
+            'choose gain = "steady" (and no fading)',
+        )
+    position, velocity, acceleration = own[kalman.GAIN1 : kalman.GAIN3 + 1].tolist()
+    return {"kalman_position": position, "kalman_velocity": velocity, "kalman_acceleration": acceleration}
+
+
+_NUMBERS: dict[str, Callable[[Floats], Values]] = {
+    "fdm-butterworth-fixed": _biquad,
+    "fdm-butterworth": _low_pass,
+    "foaw-end": _foaw,
+    "foaw-best": _foaw_best,
+    "levant": _levant,
+    "kalman": _kalman,
+}

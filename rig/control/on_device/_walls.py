@@ -1,0 +1,206 @@
+"""The wall on a device, its guard and its homing servo: in integers, and in float32."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from firmware_protocol.parameter import Value
+from rig.control._fixed_point import Format
+from rig.control._fixed_wall import DEPTH, GAIN_GREATEST, MOST_SHIFT, FixedWall, design_wall
+from rig.control._wall import DAMPING, ENTRY_ONLY, MAY_PULL, PARAMETERS, STIFFNESS
+from rig.control.estimators.estimator import Floats
+from rig.control.on_device._errors import refusal
+from rig.core.errors import ConfigError, PlanError
+
+LAWS = ("spring-damper", "bilateral", "excited")
+BILATERAL = LAWS[1:]  # spring and damper on both sides, without options
+SLEW_BITS = 15  # of the slew limits in integers
+I32_GREATEST = 2**31 - 1
+MOST_SLEW = 2.0**30  # quanta a tick: beyond any current, so no limit
+
+Values = dict[str, Value]
+Control = Mapping[str, Any]  # `rig.control.step.CONTROL` as plain numbers
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceWall:
+    """The wall that a device renders.
+
+    Attributes
+    ----------
+    stiffness, damping
+        K and B (N·m/rad and N·m·s/rad, or N/m and N·s/m).
+    position
+        Position of its surface, from the reference (rad or m).
+    """
+
+    stiffness: float
+    damping: float
+    position: float
+
+
+def common_parameters(name: str, law: Floats) -> Values:
+    """Return the parameters of a wall that do not depend on the arithmetic.
+
+    Raises `PlanError` for a law that the device does not have.
+    """
+    if name not in LAWS:
+        if name.endswith("+friction"):
+            raise PlanError(
+                'controller.friction_compensation with controller.loop = "device": the firmware does '
+                "not compensate friction",
+                remedy='set it to 0, or let the host run the law (controller.loop = "host")',
+            )
+        raise refusal(
+            "wall.law", name, "a device does not have this law", f"choose one of: {', '.join(LAWS)}"
+        )
+    may_pull, entry_only = options(name, law)
+    return {
+        "bilateral": int(name in BILATERAL),
+        "wall_pull": int(may_pull),
+        "damping_on_entry": int(entry_only),
+    }
+
+
+def options(name: str, law: Floats) -> tuple[bool, bool]:
+    """Return whether the wall may pull, and whether damping acts on entry only; False for both if bilateral."""
+    if name in BILATERAL or len(law) < PARAMETERS:
+        return False, False
+    return bool(law[MAY_PULL]), bool(law[ENTRY_ONLY])
+
+
+def float_wall(c: Control, law: Floats) -> Values:
+    """The wall in float32: its surface as a whole count and a fraction, so that depth is exact near it."""
+    delta, quantum, period_s = _scales(c)
+    surface = c["wall_position"] / delta
+    return {
+        "float_surface": math.floor(surface),
+        "float_surface_fraction": surface - math.floor(surface),
+        "float_stiffness": float(law[STIFFNESS]) * delta / quantum,
+        "float_damping": float(law[DAMPING]) * delta / (period_s * quantum),
+    }
+
+
+def float_wall_in_si(values: Mapping[str, Value], c: Control) -> DeviceWall:
+    """Inverse of `float_wall`, to float32: 2⁻²⁴ of stiffness and damping, 2⁻²⁵ counts of the position."""
+    delta, quantum, period_s = _scales(c)
+    surface = values["float_surface"] + values["float_surface_fraction"]
+    return DeviceWall(
+        stiffness=values["float_stiffness"] * quantum / delta,
+        damping=values["float_damping"] * quantum * period_s / delta,
+        position=surface * delta,
+    )
+
+
+def float_guard(c: Control) -> Values:
+    """Constant effort, limits and servo in float32."""
+    delta, quantum, period_s = _scales(c)
+    return {
+        "float_constant": c["constant_effort"] / quantum,
+        "float_trial_slew": min(c["trial_slew"] / quantum, MOST_SLEW),
+        "float_homing_slew": min(c["homing_slew"] / quantum, MOST_SLEW),
+        "float_speed_limit": min(c["speed_limit"] * period_s / delta, MOST_SLEW),
+        "float_slow_speed": min(c["slow_speed"] * period_s / delta, MOST_SLEW),
+        "float_home_stiffness": c["home_stiffness"] * delta / quantum,
+        "float_home_damping": c["home_damping"] * delta / (period_s * quantum),
+        "float_home_effort": c["home_effort"] / quantum,
+    }
+
+
+def designed_wall(
+    c: Control, name: str, law: Floats, velocity: Format, added_quanta: float = 0.0
+) -> FixedWall:
+    """The wall in integers, with room in its sums for an effort of so many quanta besides.
+
+    Raises `PlanError` for a wall that the words of the device cannot hold.
+    """
+    may_pull, entry_only = options(name, law)
+    try:
+        return design_wall(
+            stiffness=float(law[STIFFNESS]),
+            damping=float(law[DAMPING]),
+            resolution=c["resolution"],
+            period_s=c["tick_s"] * c["velocity_divider"],
+            velocity=velocity,
+            effort_quantum=c["effort_quantum"],
+            effort_limit=c["effort_limit"],
+            wall_position=c["wall_position"],
+            side=int(c["wall_side"]),
+            constant_effort=c["constant_effort"],
+            added_effort=added_quanta * c["effort_quantum"],
+            reference_count=c["reference_count"],
+            may_pull=may_pull,
+            entry_only=entry_only,
+        )
+    except ConfigError as error:
+        raise PlanError(
+            f"[wall] with stiffness {law[STIFFNESS]:g} and damping {law[DAMPING]:g} in integers: {error.message}",
+            remedy=f'{error.remedy}, or choose controller.arithmetic = "float32"',
+        ) from None
+
+
+def fixed_wall(wall: FixedWall) -> Values:
+    """The wall in integers, as parameters; 64 bits travel as two halves."""
+    return {
+        "fixed_surface": wall.surface,
+        "fixed_stiffness": wall.stiffness,
+        "fixed_damping": wall.damping,
+        "fixed_shift": wall.shift,
+        **_halves("fixed_constant", wall.constant),
+    }
+
+
+def fixed_wall_in_si(values: Mapping[str, Value], c: Control) -> DeviceWall:
+    """Inverse of `fixed_wall`, to the rounding of `rig.control._fixed_wall.design_wall`.
+
+    That is half a 2⁻ˢ of a quantum for an LSB of depth or velocity (s = fixed_shift), and 2⁻⁹ counts of the position.
+    """
+    delta, quantum, period_s = _scales(c)
+    lsb = math.ldexp(1.0, -int(values["fixed_shift"]))
+    velocity_lsb = math.ldexp(1.0, -int(values["biquad_state_bits"]))
+    return DeviceWall(
+        stiffness=values["fixed_stiffness"] * lsb / DEPTH.lsb * quantum / delta,
+        damping=values["fixed_damping"] * lsb / velocity_lsb * quantum * period_s / delta,
+        position=values["wall_side"] * values["fixed_surface"] * DEPTH.lsb * delta,
+    )
+
+
+def fixed_guard(c: Control, velocity: Format) -> Values:
+    """Limits and servo in integers.
+
+    Raises `PlanError` for a servo that the words of the device cannot hold.
+    """
+    delta, quantum, period_s = _scales(c)
+    lsb = delta * velocity.lsb / period_s  # of the velocity, in SI
+    gains = {  # quanta per LSB
+        "stiffness": c["home_stiffness"] * delta / quantum * DEPTH.lsb,
+        "damping": c["home_damping"] * lsb / quantum,
+    }
+    shifts = [s for s in range(1, MOST_SHIFT + 1) if round(max(gains.values()) * 2**s) <= GAIN_GREATEST]
+    if not shifts:
+        name, gain = max(gains.items(), key=lambda item: item[1])
+        key = f"homing.{name}"
+        raise refusal(key, c[f"home_{name}"], f"it is {gain:.3g} quanta per LSB, beyond 2^30", "lower it")
+    shift = shifts[-1]
+    return {
+        "fixed_trial_slew": min(round(c["trial_slew"] / quantum * 2**SLEW_BITS), I32_GREATEST),
+        "fixed_homing_slew": min(round(c["homing_slew"] / quantum * 2**SLEW_BITS), I32_GREATEST),
+        "fixed_speed_limit": min(math.floor(c["speed_limit"] / lsb), I32_GREATEST),
+        "fixed_slow_speed": min(math.ceil(c["slow_speed"] / lsb), I32_GREATEST),
+        "fixed_home_stiffness": round(gains["stiffness"] * 2**shift),
+        "fixed_home_damping": round(gains["damping"] * 2**shift),
+        "fixed_home_shift": shift,
+        **_halves("fixed_home_effort", round(c["home_effort"] / quantum * 2**shift)),
+    }
+
+
+def _halves(name: str, value: int) -> Values:
+    return {f"{name}_high": value >> 32, f"{name}_low": value & 0xFFFFFFFF}
+
+
+def _scales(c: Control) -> tuple[float, float, float]:
+    """Travel for a count, effort of a quantum, velocity period."""
+    return abs(c["resolution"]), c["effort_quantum"], c["tick_s"] * c["velocity_divider"]

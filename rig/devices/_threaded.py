@@ -1,0 +1,111 @@
+"""A line that a thread of Python reads, and whose plugs are callbacks: for what compiled code cannot reach by itself.
+
+The contracts are those of `rig.realtime.system.descriptor_read`, `descriptor_write` and `descriptor_wait`. The price is
+another: thread and plugs need the GIL, so a busy interpreter delays a loop by milliseconds, which the ledger shows.
+"""
+
+from __future__ import annotations
+
+import errno
+import threading
+import time
+
+from rig.realtime.callbacks import CallbackPlugs, callback_plugs
+
+WAIT_S = 0.05  # of one call of the reader: how soon it sees that it shall end
+CLOSE_S = 2.0
+PENDING_BYTES = 65536
+
+
+class ThreadedLine:
+    """What moves the bytes is a subclass's: `receive` and `send`. It calls `start` when it is made.
+
+    Errors are bare `OSError` with the numbers of `rig.devices._failures`.
+    """
+
+    def __init__(self) -> None:
+        self._pending = bytearray()
+        self._error = 0
+        self._closing = False
+        self._changed = threading.Condition()
+        self._plugs: CallbackPlugs | None = None
+        self._reader = threading.Thread(target=self._fetch, name="rig-reader", daemon=True)
+
+    def start(self) -> None:
+        """Begin to read."""
+        self._reader.start()
+
+    def receive(self) -> bytes:
+        """Return what has arrived, after `WAIT_S` at most; raises `OSError`."""
+        raise NotImplementedError
+
+    def send(self, data: bytes) -> int:
+        """Write once, and return how many bytes were taken; raises `OSError` where none are for long."""
+        raise NotImplementedError
+
+    def _fetch(self) -> None:
+        """Read until closed or broken."""
+        while not self._closing:
+            data, error = b"", 0
+            try:
+                data = self.receive()
+            except OSError as failed:
+                error = failed.errno or errno.EIO
+            if not (data or error):
+                continue
+            with self._changed:
+                while len(self._pending) > PENDING_BYTES and not self._closing:
+                    self._changed.wait(WAIT_S)
+                self._pending += data
+                self._error = error
+                self._changed.notify_all()
+            if error:
+                return
+
+    def _ready(self, timeout_s: float) -> bool:
+        """Wait for bytes; whether there are any. Raises the reader's `OSError` where there are no more to come."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._pending or self._error, max(0.0, timeout_s))
+            if self._error and not self._pending:
+                raise OSError(self._error, "read")
+            return bool(self._pending)
+
+    def _take(self, size: int) -> bytes:
+        with self._changed:
+            data = bytes(self._pending[:size])
+            del self._pending[:size]
+            self._changed.notify_all()
+        return data
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what has arrived, waiting at most `timeout_s` for the first byte."""
+        self._ready(timeout_s)
+        return self._take(PENDING_BYTES)
+
+    def write(self, data: bytes) -> None:
+        """Give all of `data` to the device."""
+        while data:
+            data = data[self.send(data) :]
+
+    def plugs(self) -> CallbackPlugs:
+        """Return read, write, wait and their handle (`rig.devices.port.LoopPort`)."""
+        if self._plugs is None:
+            self._plugs = callback_plugs(read=self._read_now, write=self.send, wait=self._wait)
+        return self._plugs
+
+    def _read_now(self, size: int) -> bytes:
+        return self._take(size) if self._ready(0.0) else b""
+
+    def _wait(self, deadline_ns: int) -> bool:
+        while True:
+            remaining_ns = deadline_ns - time.perf_counter_ns()
+            ready = self._ready(remaining_ns * 1e-9)
+            if ready or remaining_ns <= 0:
+                return ready
+
+    def close(self) -> None:
+        """End the reader; may be called twice."""
+        self._closing = True
+        with self._changed:
+            self._changed.notify_all()
+        self._reader.join(CLOSE_S)

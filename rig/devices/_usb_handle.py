@@ -1,0 +1,216 @@
+"""What pyusb does not show: the library, context and handle behind an open device, as addresses.
+
+This is the only file that touches pyusb's private names. `unsuitable` compares what is found with what was tested and
+says why the addresses cannot be had; then the device is used through pyusb's own calls (`rig.devices._usb_plain`).
+
+Each link has a libusb context of its own, with the thread that watches for devices: the devices of a new context are
+those that are there now, not those that pyusb remembers, and closing it leaves nothing behind.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+import usb
+import usb.core
+import usb.util
+from numpy.typing import NDArray
+from usb.backend import libusb1
+
+from rig.core.errors import DeviceNotFoundError
+
+TESTED = ((1, 2), (1, 3))  # of pyusb
+_FUNCTIONS = (
+    "libusb_submit_transfer",
+    "libusb_cancel_transfer",
+    "libusb_handle_events_timeout_completed",
+    "libusb_alloc_transfer",
+    "libusb_free_transfer",
+    "libusb_get_pollfds",
+    "libusb_free_pollfds",
+)
+
+
+class Transfer(ctypes.Structure):
+    """``struct libusb_transfer``, as libusb.h declares it."""
+
+    _fields_ = (
+        ("dev_handle", ctypes.c_void_p),
+        ("flags", ctypes.c_uint8),
+        ("endpoint", ctypes.c_uint8),
+        ("type", ctypes.c_uint8),
+        ("timeout", ctypes.c_uint),
+        ("status", ctypes.c_int),
+        ("length", ctypes.c_int),
+        ("actual_length", ctypes.c_int),
+        ("callback", ctypes.c_void_p),
+        ("user_data", ctypes.c_void_p),
+        ("buffer", ctypes.c_void_p),
+        ("num_iso_packets", ctypes.c_int),
+    )
+
+
+class _PollFd(ctypes.Structure):
+    _fields_ = (("fd", ctypes.c_int), ("events", ctypes.c_short))
+
+
+@dataclass(frozen=True, slots=True)
+class Handle:
+    """Addresses of an open device: of libusb's functions, the context, the handle."""
+
+    submit: int
+    cancel: int
+    handle_events: int
+    context: int
+    device: int
+    polled: NDArray[np.int64]  # struct pollfd, one a word
+    _library: Any
+
+    def make_transfer(self) -> int:
+        """Allocate a transfer and return its address; raises `MemoryError`."""
+        allocate = _function(self._library, "libusb_alloc_transfer", ctypes.c_void_p, ctypes.c_int)
+        address = allocate(0)
+        if not address:
+            raise MemoryError("libusb_alloc_transfer")
+        return int(address)
+
+    def free_transfer(self, address: int) -> None:
+        """Free a transfer that is no longer used."""
+        _function(self._library, "libusb_free_transfer", None, ctypes.c_void_p)(address)
+
+
+class UsbBus:
+    """The USB devices that are there now, in a libusb context of their own. Close it when the device is closed.
+
+    Raises
+    ------
+    DeviceNotFoundError
+        There is no libusb.
+    """
+
+    def __init__(self) -> None:
+        self._backend = _own_backend()
+        try:
+            self.devices: list[usb.core.Device] = list(
+                usb.core.find(find_all=True, backend=self._backend)
+                if self._backend is not None
+                else usb.core.find(find_all=True)
+            )
+        except usb.core.NoBackendError:
+            raise DeviceNotFoundError(
+                "there is no libusb on this machine", remedy="install it: sudo apt install libusb-1.0-0"
+            ) from None
+
+    def close(self) -> None:
+        """Close all devices, then the context; may be called twice."""
+        devices, self.devices = self.devices, []
+        for device in devices:
+            with suppress(usb.core.USBError):
+                usb.util.dispose_resources(device)
+        if self._backend is None:
+            return
+        for device in devices:  # libusb must not outlive its devices, nor they it
+            with suppress(AttributeError):
+                device._ctx.dev.finalize()  # noqa: SLF001
+        backend, self._backend = self._backend, None
+        backend.finalize()
+
+
+def _own_backend() -> Any:
+    """Make a backend of pyusb with a new context, as its `get_backend` makes the shared one; None when it differs."""
+    if _version() not in TESTED:
+        return None
+    try:
+        if libusb1._lib is None:  # noqa: SLF001
+            libusb1._lib = libusb1._load_library()  # noqa: SLF001
+            libusb1._setup_prototypes(libusb1._lib)  # noqa: SLF001
+        return libusb1._LibUSB(libusb1._lib)  # noqa: SLF001
+    except Exception:  # whatever is missing, pyusb's own search gives a better error
+        return None
+
+
+def _version() -> tuple[int, int]:
+    return tuple(usb.version_info[:2])
+
+
+def unsuitable(device: usb.core.Device) -> str:
+    """Say why the addresses behind an open device cannot be used, or return an empty string."""
+    if not _is_known():
+        return "the layout of a transfer is known for 64-bit Linux alone"
+    if _version() not in TESTED:
+        tested = ", ".join(f"{major}.{minor}" for major, minor in TESTED)
+        return f"pyusb {usb.__version__} is not among the tested ones ({tested})"
+    if numba.config.DISABLE_JIT:
+        return "numba does not compile"
+    return _strange(device)
+
+
+def _is_known() -> bool:
+    if sys.platform == "linux":
+        return sys.maxsize > 2**32 and sys.byteorder == "little"
+    else:
+        return False
+
+
+def _strange(device: usb.core.Device) -> str:
+    """Compare the private names; return what is not as tested."""
+    try:
+        backend = device.backend
+        if not isinstance(backend, libusb1._LibUSB):  # noqa: SLF001
+            return f"the backend is not libusb 1.0 but {type(backend).__module__}"
+        missing = [name for name in _FUNCTIONS if not hasattr(backend.lib, name)]
+        if missing:
+            return f"libusb has no {missing[0]}"
+        if not (backend.ctx.value and device._ctx.handle.handle.value):  # noqa: SLF001
+            return "pyusb has no open handle"
+        theirs = libusb1._libusb_transfer  # noqa: SLF001
+    except AttributeError as error:
+        return f"pyusb {usb.__version__} is built differently: {error}"
+    for name in ("status", "length", "actual_length", "user_data", "buffer"):
+        if getattr(theirs, name).offset != getattr(Transfer, name).offset:
+            return f"pyusb lays out {name} of a transfer differently"
+    return ""
+
+
+def handle_of(device: usb.core.Device) -> Handle:
+    """Return the addresses behind an open device that is not `unsuitable`."""
+    library, context = device.backend.lib, device.backend.ctx.value
+    return Handle(
+        submit=_address(library, "libusb_submit_transfer"),
+        cancel=_address(library, "libusb_cancel_transfer"),
+        handle_events=_address(library, "libusb_handle_events_timeout_completed"),
+        context=context,
+        device=device._ctx.handle.handle.value,  # noqa: SLF001
+        polled=np.array(list(_polled(library, context)), np.int64),
+        _library=library,
+    )
+
+
+def _polled(library: Any, context: int) -> Iterable[int]:
+    """Descriptors that libusb wants to be watched, each as the word of its ``struct pollfd``."""
+    entries = ctypes.POINTER(ctypes.POINTER(_PollFd))
+    listed = _function(library, "libusb_get_pollfds", entries, ctypes.c_void_p)(context)
+    index = 0
+    while listed and listed[index]:
+        found = listed[index].contents
+        yield found.fd | (found.events & 0xFFFF) << 32
+        index += 1
+    _function(library, "libusb_free_pollfds", None, entries)(listed)
+
+
+def _address(library: Any, name: str) -> int:
+    address = ctypes.cast(getattr(library, name), ctypes.c_void_p).value
+    assert address is not None
+    return address
+
+
+def _function(library: Any, name: str, answer: Any, *arguments: Any) -> Any:
+    """Return a function of libusb with its prototype; pyusb's own prototypes stay as they are."""
+    return ctypes.CFUNCTYPE(answer, *arguments)(_address(library, name))

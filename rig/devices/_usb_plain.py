@@ -1,0 +1,53 @@
+"""The bulk pipes of a USB device through pyusb's own calls: for backends whose handles cannot be reached.
+
+As `rig.devices._threaded` says, a busy interpreter delays the loop then; the link says so in `note`.
+"""
+
+from __future__ import annotations
+
+import errno
+import time
+
+import usb.core
+
+from rig.devices._failures import EREMOTEIO
+from rig.devices._threaded import WAIT_S, ThreadedLine
+
+WRITE_TIMEOUT_MS = 5  # of one write of the loop
+OUT_LIMIT_S = 0.5
+
+
+class PlainTransfers(ThreadedLine):
+    """The pipes of one interface."""
+
+    def __init__(
+        self, device: usb.core.Device, endpoint_in: int, endpoint_out: int, packet: int, why: str
+    ) -> None:
+        super().__init__()
+        self.note = f"USB through Python calls, which share the interpreter with everything else: {why}"
+        self._device = device
+        self._in, self._out, self._packet = endpoint_in, endpoint_out, packet
+        self._blocked_since: float | None = None
+        self.start()
+
+    def receive(self) -> bytes:
+        """Read one packet."""
+        try:
+            return bytes(self._device.read(self._in, self._packet, round(WAIT_S * 1e3)))
+        except usb.core.USBTimeoutError:
+            return b""
+
+    def send(self, data: bytes) -> int:
+        """Write once, for a few milliseconds: bytes taken; a device that takes none for long raises ETIMEDOUT."""
+        try:
+            sent = int(self._device.write(self._out, data, WRITE_TIMEOUT_MS))
+        except usb.core.USBTimeoutError:
+            now = time.monotonic()
+            self._blocked_since = self._blocked_since or now
+            if now - self._blocked_since > OUT_LIMIT_S:
+                raise OSError(errno.ETIMEDOUT, "bulk write") from None
+            return 0
+        self._blocked_since = None
+        if sent < len(data) and sent % self._packet:  # a time-out falls between packets
+            raise OSError(EREMOTEIO, "bulk write")
+        return sent

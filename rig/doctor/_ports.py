@@ -1,0 +1,50 @@
+"""The ports and USB devices that are connected, and what costs time or safety on them. Nothing is opened."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rig.core.answers import question, warning
+from rig.core.check import Check
+from rig.devices.device import DeviceUrl
+from rig.devices.port_facts import PortFacts, available_ports, port_facts
+from rig.devices.usb import UsbDevice, available_devices
+from rig.doctor._udev import RIGS, udev_rules
+
+NO_PORTS = "ports"  # name of the check that warns where nothing is connected
+
+
+@dataclass(frozen=True, slots=True)
+class Port:
+    """A way to a device: the URL that opens it, its description, and all that is known of it."""
+
+    url: str
+    description: str
+    facts: PortFacts | UsbDevice
+
+
+def ports_here() -> tuple[list[Port], list[Check]]:
+    """List serial ports and USB rigs, with a check for each thing that is wrong with one."""
+    ports = [serial_port(name, description) for name, description in available_ports()]
+    checks = [problem for _, facts in ports for problem in facts.problems()]
+    rigs = [Port(device.url, device.product, device) for device in available_devices() if device.is_rig]
+    if not ports and not rigs:
+        checks.append(_nothing_here())
+    return [*(port for port, _ in ports), *rigs], checks
+
+
+def serial_port(name: str, description: str = "") -> tuple[Port, PortFacts]:
+    """Return the facts about one serial port."""
+    facts = port_facts(name)
+    return Port(DeviceUrl.of("serial", name).text, description or facts.product or "", facts), facts
+
+
+@question(NO_PORTS, "without a rig only simulations can run")
+def _nothing_here() -> Check:
+    return warning("no serial port and no USB rig is connected", "connect the rig, then run: rig device list")
+
+
+def rules_for_rigs() -> str:
+    """Return the udev rules for the rigs that this package knows, and for those that are connected."""
+    connected = ((device.vid, device.pid) for device in available_devices() if device.is_rig)
+    return udev_rules((*RIGS, *connected))

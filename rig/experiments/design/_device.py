@@ -1,0 +1,39 @@
+"""Limits that a device and its link set for a design: rates, and the delay of a law on this computer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from rig import devices
+from rig.config import Experiment, rig_model
+from rig.devices.local import opened
+from rig.doctor.gate import measured_once
+from rig.experiments.design._listing import LawPlace
+from rig.firmware.tick_budget import BOARD, named_budget
+
+
+def places_of(url: str, experiment: Experiment, board: str = BOARD) -> tuple[LawPlace, ...]:
+    """Where the law may run with a device: on this computer, at the link's measured delay, and on the device.
+
+    Nothing moves. Raises what opening a device does, and `LinkLostError` for one that does not answer.
+    """
+    named_budget(board)
+    where = devices.url_for(url, experiment.controller.loop)
+    with opened(
+        where,
+        rig_model(experiment),
+        in_real_time=False,
+        seed=experiment.trial.seed,
+        realtime=experiment.host.realtime,
+    ) as device:
+        fastest, carried = device.dictionary.position_rate_maximum, device.link.bytes_per_second
+        round_trip_s = None
+        if not device.link.clock.virtual:
+            measured = measured_once(device, experiment.host, experiment.controller.position_rate)
+            round_trip_s = measured.late_s
+        own_board = LawPlace(loop="device", rate_maximum=fastest, bytes_per_second=carried, board=board)
+        host = replace(own_board, loop="host", round_trip_s=round_trip_s)
+        own = device.dictionary.parameter("law")
+        if own is None or own.maximum < 1:
+            return (host,)
+        return host, own_board

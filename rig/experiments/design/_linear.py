@@ -1,0 +1,173 @@
+"""The listed set by linear theory: some dampings, some stiffnesses, and whether a toggling count would be heard.
+
+For each damping the largest K that is stable together with all softer ones of the grid, with delay and lag, in the hand
+that the experiment has. An estimator that is not linear has none of its own: the usual filter (a tenth of the velocity
+rate) stands in for it, as for a rig that is armed (`rig.doctor.late_loops`); noise and fidelity are its own.
+
+Theory knows no quantum, which takes nearly all of the damping of a fast uniform wall. So a second boundary counts only
+walls whose effort would not be heard if the count toggled at random at rest: √((K·Δ/2)² + (B·noise)²) at most. The one
+is too wide and the other too narrow. Schemes are kept that are good by either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import config
+from rig.analysis.theory import Lifted, LinearLoop, NotLinearError, linear_loop, resolve
+from rig.config import Experiment
+from rig.config.schemes import Scheme, usual_settings
+from rig.experiments.design import _paths as paths
+from rig.experiments.design._listing import Candidate
+from rig.experiments.design._rules import BoundaryMeasures, Measures
+from rig.experiments.mapping._rendering import RENDERED, rendered_share
+from rig.experiments.sweep import Task
+
+STAGE = "linear theory"
+STAND_IN = "fdm-butterworth"
+STIFFNESSES, CHUNK = 40, 4
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Linear:
+    """Results of linear theory for a candidate: its boundaries over the dampings, and its velocity path.
+
+    Attributes
+    ----------
+    stable, quiet
+        Largest K at each damping, without and with a toggling count that may not be heard.
+    stands_in
+        True if the usual filter stands in for the estimator.
+    """
+
+    stable: tuple[float, ...]
+    quiet: tuple[float, ...]
+    noise: float
+    fidelity_hz: float
+    cost: float | None
+    stands_in: bool
+
+    def measures(self, dampings: Sequence[float], *, quiet: bool) -> Measures:
+        """As if hits had found this boundary."""
+        found = BoundaryMeasures.of(dampings, self.quiet if quiet else self.stable)
+        return Measures(**asdict(found), noise=self.noise, fidelity_hz=self.fidelity_hz, cost=self.cost)
+
+
+def tasks(
+    experiment: Experiment, candidates: Sequence[Candidate], dampings: Sequence[float], k: Sequence[float]
+) -> tuple[list[Task], list[int]]:
+    """One task for each estimator at each velocity rate, whose realisation all its candidates share.
+
+    Returns also the place of each result in the order of the tasks' rows: candidates are sorted by estimator there.
+    """
+    order = sorted(range(len(candidates)), key=lambda i: (_estimator(candidates[i]), i))
+    mapping = config.as_mapping(experiment)
+    found = [
+        Task(
+            key,
+            of_estimator,
+            {
+                "experiment": mapping,
+                "candidates": [
+                    {name: getattr(candidates[i], name) for name in ("loop", "delay_ticks", "board")}
+                    | {"scheme": candidates[i].scheme.text}
+                    for i in some
+                ],
+                "dampings": list(dampings),
+                "stiffnesses": list(k),
+            },
+            weight=float(len(some)),
+        )
+        for key, some in (
+            (key, list(group)) for key, group in groupby(order, lambda i: _estimator(candidates[i]))
+        )
+    ]
+    return found, order
+
+
+def results(done: Sequence[Sequence[Mapping[str, Any]]], order: Sequence[int]) -> list[Linear]:
+    """The results of the tasks in the order of the candidates."""
+    rows = [
+        Linear(**{**row, "stable": tuple(row["stable"]), "quiet": tuple(row["quiet"])})
+        for one in done
+        for row in one
+    ]
+    return [row for _, row in sorted(zip(order, rows, strict=True), key=lambda pair: pair[0])]
+
+
+def of_estimator(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Theory of some candidates that share estimator, settings and velocity rate; plain data in and out."""
+    experiment = config.restore_experiment(payload["experiment"])
+    k, b = np.array(payload["stiffnesses"]), np.array(payload["dampings"])
+    first: LinearLoop | None = None
+    stands_in, noise, rows = False, None, []
+    for given in payload["candidates"]:
+        candidate = Candidate(**{**given, "scheme": Scheme.parse(given["scheme"])})
+        applied = candidate.applied(experiment)
+        resolution = applied.rig.encoder.resolution
+        if noise is None:
+            noise = paths.noise(applied.controller, resolution)
+        scheme = _usual(candidate.scheme) if stands_in else candidate.scheme
+        subject = resolve(candidate.condition(experiment))
+        realised = None if first is None else first.estimator
+        try:
+            loop = linear_loop(subject, scheme, estimator=realised)
+        except NotLinearError:
+            stands_in = True
+            loop = linear_loop(subject, _usual(candidate.scheme))
+        first = first or loop
+        rendered = np.array([rendered_share(applied, float(damping)) for damping in b]) >= RENDERED
+        stable = _stable(Lifted.of(loop), k, b) & rendered
+        ripple = np.hypot(0.5 * resolution * k[:, None], noise * b)
+        heard = config.verdict_thresholds(applied).heard_effort
+        rows.append(
+            {
+                "stable": _limits(stable, k),
+                "quiet": _limits(stable & (ripple <= heard), k),
+                "noise": noise,
+                "fidelity_hz": paths.fidelity_hz(
+                    applied.controller, resolution, applied.rig.amplifier.lag_s, loop.delay_ticks
+                ),
+                "cost": paths.cost(applied.controller, candidate.board),
+                "stands_in": stands_in,
+            }
+        )
+    return rows
+
+
+def _stable(lifted: Lifted, k: Floats, b: Floats) -> NDArray[np.bool_]:
+    """Return which walls of shape (K, B) are stable; False beyond the chunk of K where a damping is first unstable."""
+    stable = np.zeros((len(k), len(b)), np.bool_)
+    left = np.arange(len(b))
+    for some in np.array_split(np.arange(len(k)), max(1, len(k) // CHUNK)):
+        found = lifted.stable(k[some, None], b[left])
+        stable[np.ix_(some, left)] = found
+        left = left[found.all(axis=0)]
+        if not len(left):
+            break
+    return stable
+
+
+def _limits(stable: NDArray[np.bool_], k: Floats) -> list[float]:
+    """Largest K at each damping that is stable with all softer ones; 0 where the softest is not."""
+    count = np.logical_and.accumulate(stable, axis=0).sum(axis=0)
+    return np.where(count > 0, k[np.maximum(count - 1, 0)], 0.0).tolist()  # type: ignore[no-any-return]
+
+
+def _usual(scheme: Scheme) -> Scheme:
+    rate = scheme.velocity_rate
+    usual = usual_settings(STAND_IN, rate)
+    return replace(scheme, estimator=STAND_IN, parameters=usual, slow_velocity_rate=None, slow_below=0.0)
+
+
+def _estimator(candidate: Candidate) -> str:
+    scheme = candidate.scheme
+    return f"{scheme.velocity_rate} Hz {replace(scheme, position_rate=scheme.velocity_rate, prediction=None).text}"

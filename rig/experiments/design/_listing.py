@@ -1,0 +1,245 @@
+"""The listed set: every scheme that a design looks at, and what link and board allow of it.
+
+Position rates are `POSITION_RATES` and the experiment's own, as far as the place where the law runs allows; velocity
+rates are whole parts of them (`DIVIDERS`), `SLOWEST` at least; velocity is held, or extrapolated where it has a rate of
+its own. The estimators:
+
+* the raw difference, and one through a Butterworth low pass of order 1 or 2, with cut-offs from `CUTOFFS_HZ` that lie
+  between a two-hundredth and two fifths of the velocity rate;
+* the Kalman filter with its steady gain, its bandwidth from the same cut-offs;
+* both adaptive windowings, of at most 8 or 16 periods; Levant's differentiator, implicit, and the bounded-error chord
+  (*optimal*), for a tenth and for all of the acceleration that the motor can give the handle.
+
+Not in it: estimators that need the time of an edge, the hybrid, fixed-point words, and a velocity rate that adapts to
+speed, which narrows a Z-width. A scheme that the experiment's own rules, the device or its link refuse is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal
+
+from rig.config import Experiment, controller
+from rig.config.schemes import Scheme
+from rig.control import estimators
+from rig.core.check import refused
+from rig.core.errors import ConfigError
+from rig.doctor.gate_result import ticks_late
+from rig.experiments.design import _paths as paths
+from rig.experiments.trials.plan import link_checks
+from rig.experiments.trials.planned import check_positive
+from rig.firmware.tick_budget import BOARD, named_budget
+
+Loop = Literal["host", "device"]
+Settings = dict[str, float | str]
+
+POSITION_RATES = (1000, 2000, 5000, 10_000, 20_000, 50_000)  # Hz
+DIVIDERS = (1, 2, 5, 10, 20)
+SLOWEST = 500  # Hz, of the velocity
+CUTOFFS_HZ = tuple(float(f"{50.0 * 2 ** (n / 2):.3g}") for n in range(14))
+LOWEST_SHARE, HIGHEST_SHARE = 1 / 200, 2 / 5  # of the velocity rate
+WINDOWS = (8.0, 16.0)
+ACCELERATIONS = (0.1, 1.0)  # of the motor's largest
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LawPlace:
+    """Where the law runs, and what that allows.
+
+    Attributes
+    ----------
+    loop
+        On this computer or on the device.
+    rate_maximum
+        Most ticks a second (Hz).
+    bytes_per_second
+        Capacity of the link; None: unlimited.
+    round_trip_s
+        From a sample to the effort that answers it, on the host; the delay is as many whole ticks, one at least. None:
+        the delay that the experiment describes.
+    board
+        Whose processor's cycles count, with the law on the device.
+    """
+
+    loop: Loop
+    rate_maximum: int
+    bytes_per_second: float | None = None
+    round_trip_s: float | None = None
+    board: str = BOARD
+
+    def delay_ticks(self, experiment: Experiment, rate: int) -> int:
+        """Whole ticks from a sample to its effort at a position rate."""
+        if self.loop == "host" and self.round_trip_s is not None:
+            return ticks_late(self.round_trip_s, rate, experiment.host.pacing)
+        return experiment.rig.simulation.computation_delay_ticks
+
+    def allows(self, applied: Experiment) -> bool:
+        """Return True if device and link can run an experiment; a law on the device must exist and fit its tick."""
+        try:
+            if self.loop == "device":
+                controller.prepared(applied)
+                if not paths.fits_a_tick(applied.controller, self.board):
+                    return False
+            return not refused(link_checks(applied, self.rate_maximum, self.bytes_per_second))
+        except ConfigError:
+            return False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """A scheme where it runs.
+
+    Attributes
+    ----------
+    scheme
+        Rates, estimator with its settings, prediction.
+    loop, delay_ticks
+        Where its law runs, and how late it acts beside the amplifier.
+    board
+        As `LawPlace` has it.
+    """
+
+    scheme: Scheme
+    loop: Loop
+    delay_ticks: int
+    board: str = BOARD
+
+    @cached_property
+    def key(self) -> str:
+        """Return the name of the candidate in a journal."""
+        return f"{self.loop} {self.delay_ticks} {self.scheme.text}"
+
+    def condition(self, experiment: Experiment) -> Experiment:
+        """The experiment with its law where this one runs, so late; its scheme is still its own."""
+        rig = experiment.rig
+        late = replace(rig.simulation, computation_delay_ticks=self.delay_ticks)
+        return replace(
+            experiment,
+            rig=replace(rig, simulation=late),
+            controller=replace(experiment.controller, loop=self.loop),
+        )
+
+    def applied(self, experiment: Experiment) -> Experiment:
+        """The experiment under this candidate; `ConfigError` for one that cannot be."""
+        return self.scheme.applied(self.condition(experiment))
+
+    def same_law(self, other: Candidate, experiment: Experiment) -> bool:
+        """Return True if both run the same law, however their schemes are written."""
+        return (self.loop, self._rates) == (other.loop, other._rates) and self.law(experiment) == other.law(
+            experiment
+        )
+
+    @property
+    def _rates(self) -> tuple[int, int]:
+        return self.scheme.position_rate, self.scheme.velocity_rate
+
+    def law(self, experiment: Experiment) -> tuple[Any, ...]:
+        """Return all that decides the law: loop, delay (ticks), rates (Hz), estimator, prediction, parameters."""
+        own = self.applied(experiment).controller
+        estimator, resolution = estimators.get(own.estimator), experiment.rig.encoder.resolution
+        numbers = estimator.prepare(own.parameters, resolution, 1.0 / own.velocity_rate).parameters.tolist()
+        adaptive = (own.slow_below, own.slow_velocity_rate) if own.slow_below > 0.0 else None
+        rates = own.position_rate, own.velocity_rate
+        return (self.loop, self.delay_ticks, *rates, own.estimator, own.prediction, adaptive, *numbers)
+
+    @classmethod
+    def own(cls, experiment: Experiment, places: Sequence[LawPlace] = ()) -> Candidate:
+        """The experiment's own scheme, where it runs, as late as that place makes it."""
+        own = experiment.controller
+        there = next((place for place in places if place.loop == own.loop), places_for(experiment)[0])
+        delay = there.delay_ticks(experiment, own.position_rate)
+        return cls(scheme=Scheme.of(experiment), loop=own.loop, delay_ticks=delay, board=there.board)
+
+
+def places_for(
+    experiment: Experiment,
+    where: Literal["host", "device", "both"] | None = None,
+    *,
+    rate_maximum: int | None = None,
+    bytes_per_second: float | None = None,
+    round_trip_s: float | None = None,
+    board: str = BOARD,
+) -> tuple[LawPlace, ...]:
+    """Where the law may run, without a device to ask: where the experiment's own runs, at most at its rate.
+
+    Raises `ConfigError` for a board whose cycles are not known.
+    """
+    named_budget(board)
+    check_positive({"most_rate": rate_maximum, "link": bytes_per_second, "round_trip": round_trip_s})
+    loops: tuple[Loop, ...] = (
+        ("host", "device") if where == "both" else (where or experiment.controller.loop,)
+    )
+    return tuple(
+        LawPlace(
+            loop=loop,
+            rate_maximum=rate_maximum or experiment.controller.position_rate,
+            bytes_per_second=bytes_per_second,
+            round_trip_s=round_trip_s if loop == "host" else None,
+            board=board,
+        )
+        for loop in loops
+    )
+
+
+def listed(
+    experiment: Experiment, places: Sequence[LawPlace], schemes: Sequence[Scheme] = ()
+) -> tuple[Candidate, ...]:
+    """The listed set on an experiment; with `schemes` these are the set.
+
+    Raises
+    ------
+    ConfigError
+        One of the `schemes` cannot be, wherever the law runs.
+    """
+    found: dict[str, Candidate] = {}
+    for place in places:
+        for scheme in schemes or _schemes(experiment, place.rate_maximum):
+            delay = place.delay_ticks(experiment, scheme.position_rate)
+            candidate = Candidate(scheme=scheme, loop=place.loop, delay_ticks=delay, board=place.board)
+            try:
+                applied = candidate.applied(experiment)
+            except ConfigError:
+                if schemes:
+                    raise
+                continue
+            if place.allows(applied):
+                found.setdefault(candidate.key, candidate)
+    return tuple(found.values())
+
+
+def _schemes(experiment: Experiment, rate_maximum: int) -> Iterator[Scheme]:
+    own = experiment.controller.position_rate
+    for fast in sorted({*POSITION_RATES, own}):
+        if fast > rate_maximum:
+            return
+        for slow in [fast // n for n in DIVIDERS if fast % n == 0 and fast // n >= SLOWEST]:
+            for name, settings in _estimators(experiment, slow):
+                for prediction in ("hold",) if slow == fast else ("hold", "extrapolate"):
+                    yield Scheme(
+                        position_rate=fast,
+                        velocity_rate=slow,
+                        estimator=name,
+                        parameters=settings,
+                        prediction=prediction,  # type: ignore[arg-type]  # one of the two
+                        slow_below=0.0,
+                    )
+
+
+def _estimators(experiment: Experiment, rate: int) -> Iterator[tuple[str, Settings]]:
+    cutoffs = [hz for hz in CUTOFFS_HZ if LOWEST_SHARE * rate <= hz <= HIGHEST_SHARE * rate]
+    yield "fdm", {}
+    for hz in cutoffs:
+        yield "fdm-butterworth", {"cutoff_hz": hz, "order": 1.0}
+        yield "fdm-butterworth", {"cutoff_hz": hz, "order": 2.0}
+        yield "kalman", {"bandwidth_hz": hz, "gain": "steady"}
+    for window in WINDOWS:
+        yield "foaw-end", {"window_limit": window}
+        yield "foaw-best", {"window_limit": window}
+    mechanics = experiment.rig.mechanics
+    largest = experiment.rig.limits.effort / (mechanics.motor_inertia + mechanics.loaded_link_inertia)
+    for share in ACCELERATIONS:
+        lipschitz = float(f"{share * largest:.2g}")
+        yield "levant", {"lipschitz": lipschitz}
+        yield "optimal", {"lipschitz": lipschitz}

@@ -1,0 +1,211 @@
+"""How much of the recommended scheme's stiffness is left on other rigs than the described one, and in other hands.
+
+At one damping, the limit of K by simulated hits: on the described rig; with each identified parameter 20 % higher or
+lower alone; in each hand alone; and on `SAMPLES` rigs whose identified parameters are all drawn from ±20 %, in each
+hand. An identified parameter is one that `rig identify` measures and that is not zero. Delay is identified, too, but in
+whole ticks: one tick more stands for it. The search goes upwards from the softest wall (*ladder*): near the end of the
+range of damping a soft wall may fail first, and that spoils a scheme, too. Where the push ends before a wall fails, the
+share is a lower bound (`Left.capped`), and linear theory, which has no such end, says what share it expects
+(`Left.theory`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rig import config
+from rig.analysis import theory
+from rig.config import Experiment
+from rig.core.errors import ConfigError
+from rig.core.operators import GRIPS
+from rig.core.present import reported
+from rig.experiments.design._listing import Candidate
+from rig.experiments.design._rounds import Sweeper, WallGrid
+from rig.experiments.mapping._ranges import search_for
+from rig.experiments.mapping.zwidth import ZWidth
+
+SHARE = 0.2
+SAMPLES = 16
+SEED = 20_260  # of the samples
+RATIO = 1.1  # between rungs
+BEYOND = 1.2  # highest over the limit on the described rig
+OFFSETS = (0.1, 0.6)
+DELAY = "rig.simulation.computation_delay_ticks"
+IDENTIFIED = (
+    *(
+        f"rig.mechanics.{name}"
+        for name in (
+            "motor_inertia",
+            "link_inertia",
+            "motor_damping",
+            "link_damping",
+            "motor_coulomb",
+            "link_coulomb",
+            "transmission_stiffness",
+            "transmission_damping_ratio",
+        )
+    ),
+    "rig.amplifier.lag_s",
+)  # what `rig.experiments.identification._identified_values` puts
+
+
+@dataclass(frozen=True, slots=True)
+class Left:
+    """Share of the limit that remains under one change.
+
+    Attributes
+    ----------
+    share
+        Limit over that on the described rig; a lower bound if `capped`.
+    capped
+        True if the search ended before a wall failed, or did so on the described rig.
+    theory
+        The same share in linear theory; None for an estimator that is not linear, or a limit of zero.
+    """
+
+    change: str
+    share: float
+    capped: bool
+    theory: float | None
+
+    @property
+    def expected(self) -> float:
+        """Share to rank by: what hits show, or what theory expects where they end early."""
+        return self.share if not self.capped or self.theory is None else self.theory
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Margin:
+    """See the module's text.
+
+    Attributes
+    ----------
+    damping, stiffness
+        B at which it is taken, and the limit of K on the described rig.
+    capped
+        True if that limit is only a lower bound: the push ended before a wall failed.
+    worst
+        Lowest share over all samples and hands, with the hand.
+    alone
+        Remaining share under each single change, the lowest first.
+    samples
+        How many rigs, each in every hand.
+    """
+
+    damping: float
+    stiffness: float
+    capped: bool
+    worst: Left
+    alone: tuple[Left, ...]
+    samples: int
+
+    @reported
+    def spoils_first(self) -> Left:
+        """The single change that leaves least."""
+        return self.alone[0]
+
+    @reported
+    def secured(self) -> float:
+        """Stiffness that the worst of them leaves (N·m/rad or N/m); a lower bound where its share is one."""
+        return self.worst.share * self.stiffness
+
+
+def identified(experiment: Experiment) -> dict[str, float]:
+    """Identified parameters of a rig that are not zero, by dotted key."""
+    values = {}
+    for key in IDENTIFIED:
+        _, section, name = key.split(".")
+        value = float(getattr(getattr(experiment.rig, section), name))
+        if value > 0.0:
+            values[key] = value
+    return values
+
+
+def margin_of(
+    candidate: Candidate, experiment: Experiment, damping: float, limit: float, run: Sweeper
+) -> Margin:
+    """Take the margin of a candidate at a damping; `limit` is about its limit of K there."""
+    described = candidate.condition(experiment)
+    single, joint = dict(_single(described)), dict(_joint(described))
+    variants = {"": described, **single, **joint}
+    work = [(x, candidate.scheme, _grid(x, candidate, damping, limit)) for x in variants.values()]
+    maps = dict(zip(variants, run.map_each("margin", work), strict=True))
+    nominal, capped = _limit(maps[""])
+    left = {}
+    for name, found in maps.items():
+        there, ends_early = _limit(found)
+        share = there / nominal if nominal > 0.0 else 0.0
+        by_theory = (
+            _share_by_theory(candidate, variants[name], described, damping) if capped or ends_early else None
+        )
+        left[name] = Left(name, share, capped=capped or ends_early, theory=by_theory)
+    return Margin(
+        damping=damping,
+        stiffness=nominal,
+        capped=capped,
+        worst=min((left[name] for name in joint), key=lambda one: one.expected),
+        alone=tuple(sorted((left[name] for name in single), key=lambda one: one.expected)),
+        samples=SAMPLES,
+    )
+
+
+def _single(described: Experiment) -> Iterator[tuple[str, Experiment]]:
+    for key, value in identified(described).items():
+        for sign in (1.0, -1.0):
+            name = f"{key.removeprefix('rig.')} {sign * SHARE:+.0%}"
+            yield name, config.override(described, {key: value * (1.0 + sign * SHARE)}, "the margin")
+    delay = described.rig.simulation.computation_delay_ticks + 1
+    yield "a tick more of delay", config.override(described, {DELAY: delay}, "the margin")
+    for hand, changes in _hands(described).items():
+        yield hand, config.override(described, changes, "the margin")
+
+
+def _joint(described: Experiment) -> Iterator[tuple[str, Experiment]]:
+    """Samples of all parameters together, in each hand and in the experiment's own."""
+    random, values = np.random.default_rng(SEED), identified(described)
+    for number in range(1, SAMPLES + 1):
+        factors = random.uniform(1.0 - SHARE, 1.0 + SHARE, len(values)).tolist()
+        drawn = {key: value * factor for (key, value), factor in zip(values.items(), factors, strict=True)}
+        for hand, changes in {"": {}, **_hands(described)}.items():
+            name = f"sample {number}{f' in a {hand}' if hand else ''}"
+            yield name, config.override(described, {**drawn, **changes}, "the margin")
+
+
+def _hands(described: Experiment) -> dict[str, dict[str, str]]:
+    """Every other hand, as changes, whose trial the experiment's own rules allow."""
+    own = described.operator.grip if described.trial.kind == "human" else ""
+
+    def may_hold(changes: dict[str, str]) -> bool:
+        try:
+            config.override(described, changes, "the margin")
+        except ConfigError:
+            return False
+        return True
+
+    others = {f"{grip} hand": {"trial.kind": "human", "operator.grip": grip} for grip in GRIPS if grip != own}
+    return {hand: changes for hand, changes in others.items() if may_hold(changes)}
+
+
+def _grid(experiment: Experiment, candidate: Candidate, damping: float, limit: float) -> WallGrid:
+    search = search_for(experiment, "ladder", ratio=RATIO, schemes=[candidate.scheme])
+    if 0.0 < BEYOND * limit < search.highest:
+        search = replace(search, highest=BEYOND * limit, lowest=min(search.lowest, limit / RATIO))
+    return WallGrid(dampings=(damping,), search=search, offsets=OFFSETS)
+
+
+def _limit(found: ZWidth) -> tuple[float, bool]:
+    (boundary,) = found.curve(0, "any")
+    return boundary.lowest, boundary.capped == len(boundary.limits)
+
+
+def _share_by_theory(
+    candidate: Candidate, changed: Experiment, described: Experiment, damping: float
+) -> float | None:
+    try:
+        limits = [theory.k_max(x, candidate.scheme, damping).stiffness for x in (changed, described)]
+    except ConfigError:  # an estimator that is not linear
+        return None
+    return limits[0] / limits[1] if limits[1] > 0.0 else None

@@ -1,0 +1,315 @@
+"""Result of a design: the front, the recommended scheme with its margin, and a ``[controller]`` section to paste."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from rig.config import Experiment
+from rig.core.present import Item, Row, Table, plain, written
+from rig.core.sample import unit_of
+from rig.core.shown import Drawn, Shown
+from rig.experiments.design import _rules as rules
+from rig.experiments.design._listing import Candidate, LawPlace
+from rig.experiments.design._margin import Margin
+from rig.experiments.design._rules import Comparison, Measures, Wishes
+from rig.experiments.design._whole import Against
+from rig.experiments.mapping.zwidth import Boundary
+
+FITTED = "FITTED"  # how a rig's source says that its numbers were fitted on a paper's limits
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Standing:
+    """A scheme and what a round measured of it.
+
+    Attributes
+    ----------
+    label
+        Text for legends.
+    measures, shares
+        See `rig.experiments.design._rules`.
+    boundary
+        Limits of K over the dampings of the round, under *any*.
+    stands_in
+        True if theory had to take the usual filter for its estimator.
+    """
+
+    candidate: Candidate
+    label: str
+    measures: Measures
+    shares: Mapping[str, float]
+    boundary: tuple[Boundary, ...] = field(repr=False)
+    stands_in: bool = False
+
+    @property
+    def capped(self) -> bool:
+        """Return True if some limit is only a lower bound, since no wall failed."""
+        return any(one.capped for one in self.boundary)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class Design(Shown, Drawn):
+    """A finished design.
+
+    Attributes
+    ----------
+    experiment, wishes, places
+        Request of the design.
+    listed, kept
+        How many schemes theory and the first round of hits have seen.
+    standings
+        Schemes of the second round, from which front and comparisons are taken: all by the same walls.
+    finalists
+        Schemes of the last round, the best first.
+    recommended, own
+        Schemes of the last round.
+    held_out
+        Both again, on offsets and seeds that the search did not see; None where they are the same.
+    step
+        Ratio between two stiffnesses of the second round: what limits are known to there.
+    hits
+        Number of hits of each stage.
+    against
+        Each scheme of the rig's paper against all of the listed set, where that was asked for.
+    """
+
+    experiment: Experiment
+    wishes: Wishes
+    places: tuple[LawPlace, ...]
+    listed: int
+    kept: int
+    standings: tuple[Standing, ...]
+    finalists: tuple[Standing, ...]
+    recommended: Standing
+    own: Standing
+    held_out: Comparison | None
+    margin: Margin
+    step: float
+    hits: Mapping[str, int]
+    against: tuple[Against, ...] = ()
+
+    @property
+    def front(self) -> list[Standing]:
+        """Schemes that no other of the second round dominates, the stiffest first."""
+        chosen = [self.standings[i] for i in rules.front([one.measures for one in self.standings])]
+        return sorted(chosen, key=lambda one: -one.measures.stiffness)
+
+    @property
+    def as_good(self) -> list[Standing]:
+        """Schemes of the second round that reach the experiment's own one in every measure of a paper."""
+        own = self._own_before.measures
+        return [
+            one
+            for one in self.standings
+            if one is not self._own_before and rules.as_good(one.measures, own, self.step)
+        ]
+
+    @property
+    def _own_before(self) -> Standing:
+        return next(one for one in self.standings if one.candidate.key == self.own.candidate.key)
+
+    @property
+    def fitted(self) -> bool:
+        """Return True if the rig's numbers were fitted to limits that a paper reports."""
+        return FITTED in self.experiment.rig.source
+
+    def toml(self) -> str:
+        """The recommended ``[controller]`` section, with what it was found for."""
+        applied = self.recommended.candidate.applied(self.experiment).controller
+        lines = [
+            "# Found by rig design on simulated hits: " + self._goal_text(),
+            f"# {self._margin_text()}",
+            "[controller]",
+            f"position_rate = {applied.position_rate}",
+            f"velocity_rate = {applied.velocity_rate}",
+            f'estimator = "{applied.estimator}"',
+            f'prediction = "{applied.prediction}"',
+            f'loop = "{applied.loop}"',
+            "",
+            "[controller.parameters]",
+        ]
+        for name, value in applied.parameters.items():
+            lines.append(f"{name} = " + (f'"{value}"' if isinstance(value, str) else f"{float(value)!r}"))
+        return "\n".join(lines) + "\n"
+
+    def brief(self) -> list[Item]:
+        """The recommended scheme, against the experiment's own, and its margin."""
+        return [
+            f"design of {self.experiment.rig.name}: {self.recommended.label}",
+            Row("goal", self._goal_text()),
+            Row("on new seeds", self._held_out_text()),
+            *([Row("as good", self._as_good_text())] if not self.against else []),
+            *(Row("the paper's", one.text) for one in self.against),
+            Row("margin", self._margin_text()),
+            *([Row("fitted", self.experiment.rig.source)] if self.fitted else []),
+            Row(
+                "looked at",
+                f"{self.listed} schemes by theory, {self.kept} by hits ({sum(self.hits.values())})",
+            ),
+        ]
+
+    def detailed(self) -> list[Item]:
+        """The short form, and the front."""
+        return [
+            *self.brief(),
+            *self.against_tables(),
+            self.table("front", self.front),
+            self.table("last round", self.finalists),
+        ]
+
+    def against_tables(self) -> list[Table]:
+        """Measure by measure: each scheme of the paper against all of the listed set."""
+        return [one.table(self.experiment.rig.motion) for one in self.against]
+
+    def table(self, caption: str, standings: Sequence[Standing]) -> Table:
+        """Return a table of the measures of some schemes, one row each."""
+        unit = self._unit
+        head = (
+            "scheme",
+            f"K at B = 0 ({unit('stiffness')})",
+            "K peak",
+            f"B range ({unit('damping')})",
+            "area",
+            f"noise ({unit('velocity')})",
+            "faithful to (Hz)",
+            "cost",
+        )
+        rows = [
+            (
+                one.label + (", on the device" if one.candidate.loop == "device" else ""),
+                *(
+                    written(value, 3) if value is not None else "–"
+                    for value in (
+                        one.measures.undamped,
+                        one.measures.stiffness,
+                        one.measures.damping,
+                        one.measures.area,
+                        one.measures.noise,
+                        one.measures.fidelity_hz,
+                        one.measures.cost,
+                    )
+                ),
+            )
+            for one in standings
+        ]
+        return Table(head, rows, caption)
+
+    def margin_table(self, most: int | None = None) -> Table:
+        """Return a table of the remaining margin under each change of the rig: the `most` worst, worst first."""
+        margin = self.margin
+        rows = [
+            (
+                left.change,
+                f"{'≥ ' if left.capped else ''}{left.share:.0%}",
+                "–" if left.theory is None else f"{left.theory:.0%}",
+            )
+            for left in (margin.worst, *margin.alone[:most])
+        ]
+        wall = f"K {'≥' if margin.capped else '='} {margin.stiffness:.4g} at B = {margin.damping:.3g}"
+        caption = f"remaining margin of {wall}: in the worst sample, then with one change at a time"
+        return Table(("change", "left", "by linear theory"), rows, caption)
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return all results as plain values, for JSON."""
+
+        def told(one: Standing) -> dict[str, Any]:
+            return {
+                "scheme": one.candidate.scheme.text,
+                "loop": one.candidate.loop,
+                "delay_ticks": one.candidate.delay_ticks,
+                "label": one.label,
+                "measures": plain(one.measures),
+                "shares": plain(one.shares),
+                "capped": one.capped,
+                "curve": [[b.damping, b.stiffness, b.lowest, b.highest] for b in one.boundary],
+            }
+
+        held_out = None
+        if self.held_out is not None:
+            mean, low, high = self.held_out.interval
+            held_out = plain(self.held_out) | {
+                "mean": mean,
+                "low": low,
+                "high": high,
+                "no_worse": self.held_out.no_worse,
+                "better": self.held_out.better,
+            }
+        return {
+            "rig": self.experiment.rig.name,
+            "fitted": self.fitted,
+            "wishes": plain(self.wishes),
+            "places": plain(self.places),
+            "listed": self.listed,
+            "kept": self.kept,
+            "recommended": told(self.recommended),
+            "own": told(self.own),
+            "held_out": held_out,
+            "margin": plain(self.margin),
+            "front": [told(one) for one in self.front],
+            "as_good": [one.candidate.scheme.text for one in self.as_good],
+            "standings": [told(one) for one in self.standings],
+            "finalists": [told(one) for one in self.finalists],
+            "hits": dict(self.hits),
+            "against": [one.as_mapping() for one in self.against],
+            "toml": self.toml(),
+        }
+
+    def _unit(self, quantity: str) -> str:
+        return unit_of(quantity, self.experiment.rig.motion)
+
+    def _goal_text(self) -> str:
+        goal = self.wishes.goal
+        if goal == "quiet":
+            values, unit = (
+                [one.measures.noise for one in (self.recommended, self.own)],
+                self._unit("velocity"),
+            )
+            name = "noise at rest"
+        else:
+            values = [getattr(one.measures, goal) for one in (self.recommended, self.own)]
+            unit = {"stiffness": self._unit("stiffness"), "damping": self._unit("damping")}.get(goal, "")
+            name = {
+                "stiffness": "stiffest wall",
+                "damping": "range of damping",
+                "area": "area of the K–B plane",
+            }[goal]
+        found, own = (f"{written(value)} {unit}".rstrip() for value in values)
+        return f"{name} {found}, the experiment's own scheme {own}"
+
+    def _held_out_text(self) -> str:
+        if self.held_out is None:
+            return "the experiment's own scheme is the recommended one"
+        mean, low, high = self.held_out.interval
+        shown = (
+            "better"
+            if self.held_out.better
+            else "no worse"
+            if self.held_out.no_worse
+            else "not shown to be no worse"
+        )
+        return f"{rules.measure_of(self.wishes.goal)} {mean:+.1%} ({low:+.1%} to {high:+.1%}): {shown}"
+
+    def _as_good_text(self) -> str:
+        others = f"{len(self.standings) - 1} others of the second round"
+        measures = "the experiment's own scheme in K at B = 0, peak and range of B, each"
+        if not self.as_good:
+            return f"none of the {others} reaches {measures}, to a rung of {self.step - 1.0:.0%}"
+        keys = {one.candidate.key for one in self.as_good}
+        among = "" if self.recommended.candidate.key not in keys else ", the recommended one among them"
+        return f"{len(keys)} of the {others} reach {measures}{among}"
+
+    def _margin_text(self) -> str:
+        margin = self.margin
+        first = margin.spoils_first
+        alone = f"{'≥ ' if first.capped else ''}{first.share:.0%}"
+        if first.capped and first.theory is not None:
+            alone += f" ({first.theory:.0%} by linear theory: the push is too weak to make a wall fail)"
+        return (
+            f"at B = {margin.damping:.3g} "
+            f"{'≥ ' if margin.worst.capped else ''}{written(margin.secured, 3)} of "
+            f"{'≥ ' if margin.capped else ''}{written(margin.stiffness, 3)} {self._unit('stiffness')} "
+            f"remain on the worst of {margin.samples} rigs within 20 %, {margin.worst.change}; most "
+            f"sensitive to {first.change}, which alone leaves {alone}"
+        )

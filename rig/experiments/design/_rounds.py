@@ -1,0 +1,113 @@
+"""Maps of a few walls of many schemes as one sweep: the map's own series, tasks, hits and limits (`MapPlan`).
+
+Only *any* is searched for, which all measures of a design are of: the limits of felt and heard alone, which a map has
+too, would take most of its hits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from rig.config import Experiment
+from rig.config.schemes import Scheme
+from rig.experiments import sweep
+from rig.experiments.mapping._maps import Map, Plan
+from rig.experiments.mapping._searches import StiffnessSearch
+from rig.experiments.mapping.zwidth import MapPlan, ZWidth
+from rig.experiments.trials.results import make_directory
+
+M = TypeVar("M", bound=Map)
+Watch = Callable[[str, sweep.Progress], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WallGrid:
+    """Walls of a map, and where zero lies in its encoder cell: `rig.experiments.mapping.zwidth.MapPlan`."""
+
+    dampings: tuple[float, ...]
+    search: StiffnessSearch
+    offsets: tuple[float, ...]
+    repeats: int = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sweeper:
+    """Runs the stages of a design as sweeps, each with a journal of its own: a stopped design resumes in its stage.
+
+    Attributes
+    ----------
+    directory
+        Directory of the journals; None stores nothing.
+    scheduler, workers
+        As in `rig.experiments.sweep.run`.
+    watch
+        Called with the name of the stage and its progress.
+    hits
+        How many each stage has run.
+    """
+
+    directory: Path | None = None
+    scheduler: str | None = None
+    workers: int | None = None
+    watch: Watch | None = None
+    hits: dict[str, int] = field(default_factory=dict)
+
+    def run(self, stage: str, tasks: Sequence[sweep.Task], unit: str | None = None) -> sweep.Results:
+        """Run one stage; errors as `rig.experiments.sweep.run`."""
+        journal = None
+        if self.directory is not None:
+            make_directory(self.directory)
+            journal = self.directory / f"{stage.replace(' ', '-')}.journal"
+        watch = self.watch
+        return sweep.run(
+            tasks,
+            journal=journal,
+            scheduler=self.scheduler,
+            workers=self.workers,
+            unit=unit,
+            watch=None if watch is None else lambda progress: watch(stage, progress),
+        )
+
+    def map_each(self, stage: str, work: Sequence[tuple[Experiment, Scheme, WallGrid]]) -> list[ZWidth]:
+        """Map each scheme on its experiment over its grid."""
+        plans = [
+            MapPlan(
+                experiment=experiment,
+                schemes=(scheme,),
+                dampings=grid.dampings,
+                search=grid.search,
+                offsets=grid.offsets,
+                repeats=grid.repeats,
+                criteria=("any",),
+            )
+            for experiment, scheme, grid in work
+        ]
+        maps = self.each(stage, plans)
+        self.hits[stage] = sum(found.hits for found in maps)
+        return maps
+
+    def each(self, stage: str, plans: Sequence[Plan[M]]) -> list[M]:
+        """Run the tasks of several plans as one sweep, and return the result of each plan."""
+        of_plan = [
+            [replace(task, key=f"{number}/{task.key}") for task in plan.tasks]
+            for number, plan in enumerate(plans)
+        ]
+        if not plans:
+            return []
+        tasks = [task for some in of_plan for task in some]
+        done: Sequence[Any] = self.run(stage, tasks, plans[0].unit)
+        found, first = [], 0
+        for plan, some in zip(plans, of_plan, strict=True):
+            found.append(plan.found(done[first : first + len(some)]))
+            first += len(some)
+        return found
+
+
+def columns_to(reach: float, columns: int) -> tuple[float, ...]:
+    """Dampings from 0 to a reach that lie closer near zero, where a boundary bends most."""
+    return tuple((reach * np.linspace(0.0, 1.0, columns) ** 2).tolist())

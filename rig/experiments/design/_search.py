@@ -1,0 +1,372 @@
+"""Search for a design: theory over the listed set, three rounds of hits, validation on held-out offsets and seeds.
+
+What a stage does follows from the results of those before, which are kept: a design that was stopped resumes in its
+stage, and its result is the same to the last bit.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig import config
+from rig.config import Experiment
+from rig.config.schemes import Scheme
+from rig.core.errors import NoStableWallError
+from rig.core.present import plain
+from rig.experiments import sweep
+from rig.experiments.design import _linear as linear
+from rig.experiments.design import _rules as rules
+from rig.experiments.design._linear import Linear
+from rig.experiments.design._listing import Candidate, LawPlace, listed, places_for
+from rig.experiments.design._margin import margin_of
+from rig.experiments.design._result import Design, Standing
+from rig.experiments.design._rounds import Sweeper, WallGrid, Watch, columns_to
+from rig.experiments.design._rules import BoundaryMeasures, Comparison, Measures, Wishes
+from rig.experiments.design._whole import Against, PaperSchemes, against_paper
+from rig.experiments.mapping._ranges import dampings_for, search_for
+from rig.experiments.mapping._rendering import RENDERED
+from rig.experiments.mapping._searches import StiffnessSearch, Way
+from rig.experiments.mapping.zwidth import ZWidth
+
+OCTAVES = (
+    -5,
+    3,
+)  # dampings of the linear stage, and of the first hits: the own scheme's range times powers of 2
+FRICTION = 2.0  # most by which Coulomb friction raises a limit of theory (`rig.analysis.theory._loop`)
+HELD_OUT_OFFSETS = (0.225, 0.475, 0.725, 0.975)
+HELD_OUT_SEED, HELD_OUT_REPEATS = 1_000, 2  # added to the seed of the trial; series of each offset
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Round:
+    """One round of hits: how many schemes enter it, and how fine their maps are.
+
+    Bisection takes a wall stiffer than a failing one to fail, too, which does not hold near the largest damping. So the
+    round that decides goes upwards from the softest wall.
+    """
+
+    name: str
+    enter: int
+    way: Way = "bisection"
+    ratio: float
+    columns: int
+    offsets: tuple[float, ...]
+
+
+ROUNDS = (
+    Round(name="first hits", enter=160, ratio=1.5, columns=6, offsets=(0.1,)),
+    Round(name="second hits", enter=16, ratio=1.15, columns=8, offsets=(0.1, 0.6)),
+    Round(name="last hits", enter=4, way="ladder", ratio=1.05, columns=9, offsets=(0.1, 0.35, 0.6, 0.85)),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DesignRequest:
+    """Request of a design.
+
+    Attributes
+    ----------
+    experiment
+        Rig, push and thresholds; its own scheme is what every other one is compared with.
+    wishes
+        See `rig.experiments.design._rules`.
+    places
+        Where the law may run; where the experiment's own runs, at most at its rate, if empty.
+    schemes
+        The listed set, if not `rig.experiments.design._listing`.
+    rounds
+        Rounds of hits.
+    paper
+        True if the schemes of the rig's own paper are compared with all of the listed set, too
+        (`rig.experiments.design._whole`).
+    """
+
+    experiment: Experiment
+    wishes: Wishes = field(default_factory=Wishes)
+    places: tuple[LawPlace, ...] = ()
+    schemes: tuple[Scheme, ...] = ()
+    rounds: tuple[Round, ...] = field(default_factory=lambda: ROUNDS)
+    paper: bool = False
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values: all that decides the search; a paper has stages of its own, which change no other."""
+        return {
+            "experiment": config.as_mapping(self.experiment),
+            "wishes": plain(self.wishes),
+            "places": plain(self.places),
+            "schemes": [scheme.text for scheme in self.schemes],
+            "rounds": plain(self.rounds),
+        }
+
+
+def directory_for(request: DesignRequest, where: Path) -> Path:
+    """Directory of a design; its name carries a digest of everything that decides the result."""
+    described = json.dumps([sweep.code_version(), request.as_mapping()], sort_keys=True)
+    digest = sha256(described.encode()).hexdigest()[:8]
+    return where / f"design-{request.experiment.rig.name}-{digest}"
+
+
+def design(
+    request: DesignRequest,
+    directory: Path | None = None,
+    *,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    watch: Watch | None = None,
+) -> Design:
+    """Find the scheme that suits a rig and wishes best.
+
+    Parameters
+    ----------
+    request
+        Request of the design.
+    directory
+        Where finished tasks are kept, and found again; None: nowhere.
+    scheduler, workers, watch
+        As in `rig.experiments.sweep.run`; `watch` is also called with the name of the stage.
+
+    Raises
+    ------
+    NoStableWallError
+        No scheme has a stable wall whose damping is rendered.
+    UnmetError
+        No scheme of the listed set fulfils the wishes; it says which one binds.
+    ConfigError
+        A scheme of `request.schemes` that cannot be, a rig of no paper, or a scheduler that is not there.
+    StoppedError
+        Ctrl-C; what is done stays in the directory.
+    """
+    run = Sweeper(directory=directory, scheduler=scheduler, workers=workers, watch=watch)
+    return _Search(request, run).design()
+
+
+@dataclass(slots=True)
+class _Search:
+    request: DesignRequest
+    run: Sweeper
+
+    def design(self) -> Design:
+        x, wishes = self.request.experiment, self.request.wishes
+        if self.request.paper:
+            PaperSchemes.of(x.rig.name)  # refused before the search, not after it
+        places = self.request.places or places_for(x)
+        own = Candidate.own(x, places)
+        others = listed(x, places, self.request.schemes)
+        candidates = [own, *(one for one in others if not one.same_law(own, x))]
+        reach = dampings_for(x, (own.scheme,), columns=2)[-1]
+        dampings = (0.0, *(reach * 2.0**octave for octave in range(OCTAVES[0], OCTAVES[1] + 1)))
+        known = dict(zip([one.key for one in candidates], self._linear(candidates, dampings), strict=True))
+        shares = [wishes.of_path(one.noise, one.fidelity_hz, one.cost) for one in known.values()]
+        rules.refuse_unmet(wishes, shares)
+        entering = [one for one, share in zip(candidates, shares, strict=True) if rules.fulfilled(share)]
+        along = dampings
+        entering = self._promising(entering, known, along, known[own.key])
+        kept = entering[: self.request.rounds[0].enter]
+
+        rounds: list[list[Standing]] = []
+        entrants = kept
+        for number, stage in enumerate(self.request.rounds):
+            if number:
+                entrants = [one.candidate for one in rounds[-1]][: stage.enter]
+                dampings = columns_to(_reach(rounds[-1]), stage.columns)
+            else:
+                top = max(known[one.key].measures(dampings, quiet=False).damping for one in entrants)
+                dampings = _octaves(min(2.0 * top, dampings[-1]) or dampings[-1], stage.columns)
+            if own.key not in {one.key for one in entrants}:
+                entrants = [*entrants, own]
+            rounds.append(self._hit(stage, entrants, dampings, known, own))
+        finalists = self._with_wall(rounds[-1])
+        rules.refuse_unmet(wishes, [one.shares for one in finalists])
+
+        best, of_own = finalists[0], _of(finalists, own)
+        if best.measures.stiffness <= 0.0:
+            lowest = search_for(x, schemes=[one.candidate.scheme for one in finalists]).lowest
+            raise NoStableWallError(
+                f"none of {len(candidates)} schemes has a stable wall at K = {lowest:.4g} or above "
+                "that is neither felt, heard nor moved and whose damping is rendered",
+                remedy="push harder (`effort`, `operator`), allow more (`felt`, `heard`, `moved`), or use a finer "
+                "encoder",
+            )
+        held_out = None if best is of_own else self._held_out(best, of_own, dampings)
+        if held_out is not None and not held_out.no_worse and self._may_be_own(of_own, places):
+            best = of_own
+        against: tuple[Against, ...] = ()
+        if self.request.paper:
+            against = against_paper(x, self._promising(candidates, known, along, known[own.key]), self.run)
+        damping, limit = _where(best, wishes)
+        return Design(
+            experiment=x,
+            wishes=wishes,
+            places=places,
+            listed=len(candidates),
+            kept=len(kept),
+            standings=tuple(rounds[-2] if len(rounds) > 1 else rounds[-1]),
+            finalists=tuple(finalists),
+            recommended=best,
+            own=of_own,
+            held_out=held_out,
+            margin=margin_of(best.candidate, x, damping, limit, self.run),
+            step=self.request.rounds[max(0, len(rounds) - 2)].ratio,
+            hits=self.run.hits,
+            against=against,
+        )
+
+    def _may_be_own(self, own: Standing, places: Sequence[LawPlace]) -> bool:
+        """Return True if the experiment's own scheme fulfils the wishes and runs at one of the places of the law."""
+        applied = own.candidate.applied(self.request.experiment)
+        return rules.fulfilled(own.shares) and any(
+            place.loop == own.candidate.loop and place.allows(applied) for place in places
+        )
+
+    def _linear(self, candidates: Sequence[Candidate], dampings: Sequence[float]) -> list[Linear]:
+        search = search_for(self.request.experiment, schemes=[one.scheme for one in candidates])
+        k = np.geomspace(search.lowest, search.highest, linear.STIFFNESSES).tolist()
+        tasks, order = linear.tasks(self.request.experiment, candidates, dampings, k)
+        return linear.results(self.run.run(linear.STAGE, tasks), order)
+
+    def _promising(
+        self,
+        candidates: Sequence[Candidate],
+        known: Mapping[str, Linear],
+        dampings: Sequence[float],
+        own: Linear,
+    ) -> list[Candidate]:
+        """The best first: in turn by the boundary with a toggling count and by that without."""
+        wishes = self.request.wishes
+
+        def value(one: Candidate, quiet: bool) -> tuple[float, ...]:
+            path, shares = known[one.key], {}
+            if wishes.wall is not None:
+                limit = float(np.interp(wishes.wall[1], dampings, path.stable))
+                shares["wall"] = FRICTION * limit / wishes.wall[0]
+            measures = path.measures(dampings, quiet=quiet)
+            return rules.key(wishes, measures, shares, own.measures(dampings, quiet=quiet).area)
+
+        rankings = [
+            sorted(candidates, key=lambda one: value(one, quiet=True), reverse=True),
+            sorted(candidates, key=lambda one: value(one, quiet=False), reverse=True),
+        ]
+        return list({one.key: one for pair in zip(*rankings, strict=True) for one in pair}.values())
+
+    def _hit(
+        self,
+        stage: Round,
+        entrants: Sequence[Candidate],
+        dampings: Sequence[float],
+        known: Mapping[str, Linear],
+        own: Candidate,
+    ) -> list[Standing]:
+        """Map the entrants; the best first."""
+        x, wishes = self.request.experiment, self.request.wishes
+        b = sorted({*dampings, wishes.wall[1]} if wishes.wall else set(dampings))
+        search = search_for(x, stage.way, ratio=stage.ratio, schemes=[one.scheme for one in entrants])
+        grid = WallGrid(dampings=tuple(b), search=search, offsets=stage.offsets)
+        maps = self.run.map_each(stage.name, [(one.condition(x), one.scheme, grid) for one in entrants])
+        found = [
+            self._standing(one, known[one.key], of_one, stage.ratio)
+            for one, of_one in zip(entrants, maps, strict=True)
+        ]
+        own_area = _of(found, own).measures.area
+        return sorted(
+            found, key=lambda one: rules.key(wishes, one.measures, one.shares, own_area), reverse=True
+        )
+
+    def _standing(self, candidate: Candidate, path: Linear, found: ZWidth, step: float) -> Standing:
+        wishes, x = self.request.wishes, self.request.experiment
+        boundary = tuple(found.curve(0, "any"))
+        measures = Measures(
+            **asdict(BoundaryMeasures.of([b.damping for b in boundary], [b.counted for b in boundary])),
+            noise=path.noise,
+            fidelity_hz=path.fidelity_hz,
+            cost=path.cost,
+        )
+        shares = wishes.of_path(path.noise, path.fidelity_hz, path.cost)
+        if wishes.wall is not None:
+            stiffness, damping = wishes.wall
+            (there,) = (b for b in boundary if b.damping == damping)
+            shares["wall"] = min(1.0, there.lowest * step / stiffness, there.rendered / RENDERED)
+        return Standing(
+            candidate=candidate,
+            label=candidate.scheme.label(candidate.condition(x)),
+            measures=measures,
+            shares=shares,
+            boundary=boundary,
+            stands_in=path.stands_in,
+        )
+
+    def _with_wall(self, finalists: list[Standing]) -> list[Standing]:
+        """The finalists with the wished wall itself hit, at all offsets: the map has only its neighbours."""
+        wall = self.request.wishes.wall
+        if wall is None:
+            return finalists
+        x, (stiffness, damping) = self.request.experiment, wall
+        one_rung = StiffnessSearch(way="grid", lowest=stiffness, highest=1.5 * stiffness, ratio=2.0)
+        offsets = (*self.request.rounds[-1].offsets, *HELD_OUT_OFFSETS)
+        grid = WallGrid(dampings=(damping,), search=one_rung, offsets=offsets)
+        work = [(one.candidate.condition(x), one.candidate.scheme, grid) for one in finalists]
+        found = []
+        for one, of_one in zip(finalists, self.run.map_each("wished wall", work), strict=True):
+            (boundary,) = of_one.curve(0, "any")
+            holds = boundary.lowest > 0.0 and boundary.rendered >= RENDERED
+            share = 1.0 if holds else min(one.shares["wall"], 0.99)
+            found.append(replace(one, shares={**one.shares, "wall": share}))
+        return sorted(found, key=lambda one: rules.fulfilled(one.shares), reverse=True)
+
+    def _held_out(self, best: Standing, own: Standing, dampings: Sequence[float]) -> Comparison:
+        """Both schemes on offsets and seeds of their own."""
+        x = self.request.experiment
+        x = config.override(x, {"trial.seed": x.trial.seed + HELD_OUT_SEED}, "the comparison")
+        last = self.request.rounds[-1]
+        grid = WallGrid(
+            dampings=tuple(dampings),
+            search=search_for(
+                x, last.way, ratio=last.ratio, schemes=[best.candidate.scheme, own.candidate.scheme]
+            ),
+            offsets=HELD_OUT_OFFSETS,
+            repeats=HELD_OUT_REPEATS,
+        )
+        maps = self.run.map_each(
+            "held out", [(one.candidate.condition(x), one.candidate.scheme, grid) for one in (best, own)]
+        )
+        name = rules.measure_of(self.request.wishes.goal)
+        return Comparison(*(tuple(getattr(one, name) for one in _pairs(found)) for found in maps))
+
+
+def _pairs(found: ZWidth) -> list[BoundaryMeasures]:
+    """A boundary of each offset and repeat by itself."""
+    curve = found.curve(0, "any")
+    dampings = [b.damping for b in curve]
+    return [
+        BoundaryMeasures.of(dampings, [b.limits[pair].stiffness * (b.rendered >= RENDERED) for b in curve])
+        for pair in range(len(curve[0].limits))
+    ]
+
+
+def _of(standings: Sequence[Standing], candidate: Candidate) -> Standing:
+    return next(one for one in standings if one.candidate.key == candidate.key)
+
+
+def _octaves(top: float, columns: int) -> tuple[float, ...]:
+    return (0.0, *(top * 2.0**-n for n in reversed(range(columns - 1))))
+
+
+def _reach(standings: Sequence[Standing]) -> float:
+    """The column after the last one in which any wall passed."""
+    dampings = [b.damping for b in standings[0].boundary]
+    last = max(one.measures.damping for one in standings)
+    return next((b for b in dampings if b > last), dampings[-1])
+
+
+def _where(best: Standing, wishes: Wishes) -> tuple[float, float]:
+    """Damping at which a margin is taken, and the limit of K there."""
+    if wishes.wall is not None:
+        return wishes.wall[1], max(b.lowest for b in best.boundary if b.damping == wishes.wall[1])
+    peak = max(best.boundary, key=lambda boundary: boundary.counted)
+    return peak.damping, peak.stiffness

@@ -1,0 +1,368 @@
+"""Comparison of the whole listed set with a paper's own scheme, in every measure of that paper.
+
+A limit is the stiffest wall below which everything holds, so that a scheme whose wall fails at the rung that a measure
+asks for has not that measure, whatever its other walls do: **one hit rules it out**. Hits are asked for in the order in
+which they rule out most: at B = 0, where the estimator has no part in the law, one for all schemes of a position rate
+(and place); the softest wall at every damping from the one that the range has to reach on; the wall of the wished peak
+at every damping, also beyond the range. A scheme is ruled out when its walls fail at all encoder offsets; an
+invalid hit rules out nothing. Numbers to tune are counted without a hit.
+
+The remaining schemes are mapped as the paper's scheme was, rung by rung, and on a rig whose paper measures impedances
+also excited: `BATCH` at a time, in the order of theory's ranking, until one is as good. If none is, every scheme of the
+set has been either ruled out or measured.
+
+All schemes meet the same walls: the dampings of `COLUMNS`, closer near zero, up to a little beyond the linear range of
+the paper's schemes, and `BEYOND` times that for the peak alone; rungs of `RATIO`; impedances over `STIFFNESSES` rungs
+and `DAMPINGS` dampings, up to all that linear theory calls stable of an unfiltered difference. A value that reaches the
+last wall is marked ≥; as good as that is what reaches it, too, so that such a verdict is good up to that wall.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from rig.config import Experiment, presets
+from rig.config.schemes import Scheme
+from rig.control import estimators
+from rig.core.errors import ConfigError
+from rig.core.present import Table, plain, written
+from rig.core.sample import unit_of
+from rig.experiments.design import _rules as rules
+from rig.experiments.design._listing import Candidate
+from rig.experiments.design._rounds import Sweeper, WallGrid, columns_to
+from rig.experiments.design._rules import OF_A_PAPER, OF_TABLE_ONE, BoundaryMeasures
+from rig.experiments.mapping._ranges import (
+    PAPERS_SCHEMES,
+    SHARE,
+    dampings_for,
+    default_grid,
+    frequency_plan,
+    search_for,
+)
+from rig.experiments.mapping._rendering import RENDERED
+from rig.experiments.mapping._searches import StiffnessSearch
+from rig.experiments.mapping.table_one import PAPERS_RIG, SchemeWidths, tuned_numbers
+from rig.experiments.mapping.zwidth import ZWidth
+
+KOUL = ("koul-rigid", "koul-compliant")
+COLUMNS, BEYOND = 12, (2.0, 4.0, 8.0)
+RATIO, OFFSETS = 1.15, (0.1, 0.6)
+BATCH = 8
+STATED = ("order", "window_limit")
+# Of the impedances: rungs and columns; highest over lowest stiffness.
+STIFFNESSES, DAMPINGS, SPAN = 26, 8, 40.0
+
+NAMES = {
+    "undamped": "K at B = 0",
+    "stiffness": "K peak",
+    "damping": "B range",
+    "k_width": "K-width, frequency domain",
+    "b_width": "B-width, frequency domain",
+    "worst_fidelity": "largest fidelity error",
+    "tuned": "numbers to tune",
+}
+UNITS = {
+    "undamped": "stiffness",
+    "stiffness": "stiffness",
+    "damping": "damping",
+    "k_width": "stiffness",
+    "b_width": "damping",
+    "worst_fidelity": "damping",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PaperSchemes:
+    """Schemes of a paper on its rig, and the measures by which the paper judges them."""
+
+    schemes: tuple[Scheme, ...]
+    measures: tuple[str, ...]
+
+    @classmethod
+    def of(cls, rig: str) -> PaperSchemes:
+        """The paper that a rig is of; `ConfigError` for one of no paper."""
+        if rig in KOUL:
+            return cls(schemes=(Scheme.of(presets.load(rig)),), measures=OF_A_PAPER)
+        if rig == PAPERS_RIG:
+            schemes = tuple(map(Scheme.parse, PAPERS_SCHEMES))
+            return cls(schemes=schemes, measures=(*OF_A_PAPER, *OF_TABLE_ONE))
+        raise ConfigError(
+            f"{rig} is not the rig of a paper, so `paper` cannot be used",
+            remedy=f"choose one of {', '.join((*KOUL, PAPERS_RIG))}, or leave it out",
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MappedScheme:
+    """A scheme that was mapped whole, its value of each measure, and which of them are only lower bounds."""
+
+    candidate: Candidate
+    label: str
+    values: Mapping[str, float]
+    capped: tuple[str, ...]
+
+    def shown(self, name: str) -> str:
+        """Return the value of a measure as text."""
+        return ("≥ " if name in self.capped else "") + written(self.values[name], 3)
+
+    def misses(self, other: MappedScheme) -> list[str]:
+        """Measures in which it is not as good as another."""
+        return [
+            name
+            for name, value in self.values.items()
+            if not rules.reaches(name, value, other.values[name], RATIO)
+        ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Against:
+    """One scheme of a paper against all of the listed set.
+
+    Attributes
+    ----------
+    paper
+        The scheme.
+    listed
+        How many schemes the set has beside it.
+    ruled_out
+        Number of schemes, by measure, that a single hit (or a count of numbers) rules out, in the order of the checks.
+    measured
+        Schemes that nothing rules out and that were mapped, the best first: those that miss fewest measures.
+    open
+        How many are neither ruled out nor measured, as one is found that is as good.
+    """
+
+    paper: MappedScheme
+    listed: int
+    ruled_out: Mapping[str, int]
+    measured: tuple[MappedScheme, ...]
+    open: int
+
+    @property
+    def best(self) -> MappedScheme | None:
+        """The scheme that misses fewest measures, of those the one with the largest range and peak."""
+        return self.measured[0] if self.measured else None
+
+    @property
+    def as_good(self) -> bool:
+        """Return True if some listed scheme is as good as the paper's in every measure."""
+        return self.best is not None and not self.best.misses(self.paper)
+
+    @property
+    def text(self) -> str:
+        """Return the verdict of the comparison as one sentence."""
+        if self.best is not None and self.as_good:
+            return f"{self.best.label} is as good as {self.paper.label} in every measure"
+        return (
+            f"none of the {self.listed} other schemes is as good as {self.paper.label} in every measure: single hits "
+            f"rule out {sum(self.ruled_out.values())}, {len(self.measured)} were mapped"
+        )
+
+    def table(self, motion: str) -> Table:
+        """Each measure: the paper's scheme, the best found, and how many were ruled out by it."""
+        best, missed = self.best, [] if self.best is None else self.best.misses(self.paper)
+        rows = []
+        for name in self.paper.values:
+            unit = f" ({unit_of(UNITS[name], motion)})" if name in UNITS else ""  # type: ignore[arg-type]
+            found = "–" if best is None else best.shown(name)
+            verdict = "–" if best is None else "misses" if name in missed else "as good"
+            out = f"{self.ruled_out.get(name, 0)}"
+            rows.append((NAMES[name] + unit, self.paper.shown(name), found, verdict, out))
+        head = ("measure", self.paper.label, best.label if best else "none left", "verdict", "ruled out")
+        return Table(head, rows, self.text)
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return the comparison as plain values, for JSON."""
+
+        def told(one: MappedScheme) -> dict[str, Any]:
+            return {
+                "scheme": one.candidate.scheme.text,
+                "label": one.label,
+                "values": plain(one.values),
+                "capped": list(one.capped),
+            }
+
+        return {
+            "paper": told(self.paper),
+            "listed": self.listed,
+            "ruled_out": dict(self.ruled_out),
+            "measured": [told(one) | {"misses": one.misses(self.paper)} for one in self.measured],
+            "open": self.open,
+            "as_good": self.as_good,
+            "text": self.text,
+        }
+
+
+def against_paper(
+    experiment: Experiment, candidates: Sequence[Candidate], run: Sweeper
+) -> tuple[Against, ...]:
+    """Hold each scheme of a rig's paper against candidates, which are the listed set, the most promising first."""
+    return _Whole(experiment, PaperSchemes.of(experiment.rig.name), run).compare(candidates)
+
+
+class _Whole:
+    def __init__(self, experiment: Experiment, paper: PaperSchemes, run: Sweeper) -> None:
+        self._x, self._paper, self._run = experiment, paper, run
+        self._search = search_for(experiment, "ladder", ratio=RATIO, schemes=paper.schemes)
+        reach = dampings_for(experiment, paper.schemes, columns=2)[-1]
+        self._dampings = (*columns_to(reach, COLUMNS), *(reach * times for times in BEYOND))
+        self._impedances = bool(set(OF_TABLE_ONE) & set(paper.measures))
+        self._walls: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
+        if self._impedances:
+            k, b = default_grid(experiment, paper.schemes)
+            self._walls = (
+                tuple(np.geomspace(k[-1] / SHARE / SPAN, k[-1] / SHARE, STIFFNESSES).tolist()),
+                tuple(np.linspace(0.0, b[-1] / SHARE, DAMPINGS).tolist()),
+            )
+
+    def compare(self, candidates: Sequence[Candidate]) -> tuple[Against, ...]:
+        x = self._x
+        own = [
+            Candidate(
+                scheme=scheme,
+                loop=x.controller.loop,
+                delay_ticks=x.rig.simulation.computation_delay_ticks,
+            )
+            for scheme in self._paper.schemes
+        ]
+        measured = self._measured("paper", own)
+        return tuple(self._against(n, paper, candidates) for n, paper in enumerate(measured))
+
+    def _against(self, number: int, paper: MappedScheme, candidates: Sequence[Candidate]) -> Against:
+        name = f"whole set {number + 1}"
+        left = [one for one in candidates if not one.same_law(paper.candidate, self._x)]
+        listed, ruled_out = len(left), dict[str, int]()
+        for measure, keep in self._sieves(name, paper.values):
+            kept = keep(left)
+            ruled_out[measure] = ruled_out.get(measure, 0) + len(left) - len(kept)
+            left = kept
+        found: list[MappedScheme] = []
+        while len(found) < len(left) and all(one.misses(paper) for one in found):
+            batch = left[len(found) : len(found) + BATCH]
+            found += self._measured(f"{name} from {len(found)}", batch)
+        found.sort(key=lambda one: (len(one.misses(paper)), -one.values["damping"] * one.values["stiffness"]))
+        return Against(
+            paper=paper,
+            listed=listed,
+            ruled_out=ruled_out,
+            measured=tuple(found),
+            open=len(left) - len(found),
+        )
+
+    def _sieves(
+        self, name: str, asked: Mapping[str, float]
+    ) -> Iterator[tuple[str, Callable[[Sequence[Candidate]], list[Candidate]]]]:
+        """Yield each measure with a filter, which returns the schemes that may still reach that measure."""
+        softest = self._search.lowest
+        reach = next(b for b in self._dampings if rules.reaches("damping", b, asked["damping"], RATIO))
+        beyond = [b for b in self._dampings if b >= reach]
+        if "tuned" in asked:
+            yield "tuned", lambda left: [one for one in left if self._tuned(one) <= asked["tuned"]]
+        if asked["undamped"] > 0.0:  # else every scheme reaches it
+            yield "undamped", lambda left: self._undamped(name, left, asked["undamped"])
+        if asked["damping"] > 0.0:
+            yield "damping", lambda left: self._hold(f"{name} range", left, beyond, softest)
+        if asked["stiffness"] > 0.0:
+            rung = self._rung("stiffness", asked["stiffness"])
+            yield (
+                "stiffness",
+                lambda left: self._hold(f"{name} peak", left, self._dampings, rung),
+            )
+
+    def _undamped(self, name: str, left: Sequence[Candidate], asked: float) -> list[Candidate]:
+        """At B = 0 a law is K times the position, so that one estimator stands for all."""
+
+        def law(one: Candidate) -> tuple[Any, ...]:
+            return one.loop, one.delay_ticks, one.scheme.position_rate
+
+        first = {law(one): one for one in left}
+        held = self._hold(f"{name} undamped", list(first.values()), [0.0], self._rung("undamped", asked))
+        laws = {law(one) for one in held}
+        return [one for one in left if law(one) in laws]
+
+    def _rung(self, name: str, asked: float) -> float:
+        """Softest rung that is as good as what is asked for."""
+        return next(k for k in self._search.rungs if rules.reaches(name, k, asked, RATIO))
+
+    def _hold(
+        self, stage: str, left: Sequence[Candidate], dampings: Sequence[float], stiffness: float
+    ) -> list[Candidate]:
+        """Candidates one of whose walls, at any of the dampings, does not fail at some offset."""
+        if not left:
+            return []
+        one_rung = StiffnessSearch(way="grid", lowest=stiffness, highest=1.5 * stiffness, ratio=2.0)
+        grid = WallGrid(dampings=tuple(dampings), search=one_rung, offsets=OFFSETS)
+        maps = self._run.map_each(stage, [(one.condition(self._x), one.scheme, grid) for one in left])
+        return [
+            one
+            for one, found in zip(left, maps, strict=True)
+            if any(
+                boundary.rendered >= RENDERED and any(limit.failed_at is None for limit in boundary.limits)
+                for boundary in found.curve(0, "any")
+            )
+        ]
+
+    def _measured(self, stage: str, some: Sequence[Candidate]) -> list[MappedScheme]:
+        """Map candidates whole, and excite their rigs where the paper does."""
+        x = self._x
+        grid = WallGrid(dampings=self._dampings, search=self._search, offsets=OFFSETS)
+        maps = self._run.map_each(f"{stage} hits", [(one.condition(x), one.scheme, grid) for one in some])
+        widths: Sequence[SchemeWidths | None] = [None] * len(some)
+        if self._impedances:
+            plans = [
+                frequency_plan(
+                    one.condition(x), (one.scheme,), stiffnesses=self._walls[0], dampings=self._walls[1]
+                )
+                for one in some
+            ]
+            widths = [SchemeWidths.of(found, 0) for found in self._run.each(f"{stage} impedances", plans)]
+        return [
+            MappedScheme(
+                candidate=one,
+                label=one.scheme.label(one.condition(x)),
+                values=self._values(one, found, width),
+                capped=self._capped(found, width),
+            )
+            for one, found, width in zip(some, maps, widths, strict=True)
+        ]
+
+    def _values(self, one: Candidate, found: ZWidth, width: SchemeWidths | None) -> dict[str, float]:
+        curve = found.curve(0, "any")
+        values = asdict(BoundaryMeasures.of([b.damping for b in curve], [b.counted for b in curve]))
+        if width is not None:
+            together = width.together
+            values |= {
+                "k_width": together.stiffness,
+                "b_width": together.damping,
+                "worst_fidelity": together.worst_fidelity,
+                "tuned": float(self._tuned(one)),
+            }
+        return {name: values[name] for name in self._paper.measures}
+
+    def _capped(self, found: ZWidth, width: SchemeWidths | None) -> tuple[str, ...]:
+        hit = found.width(0, "any")
+        reached = {
+            "undamped": hit.undamped_capped,
+            "stiffness": hit.capped,
+            "damping": hit.range_capped,
+            "k_width": width is not None and width.together.stiffness_capped,
+            "b_width": width is not None and width.together.damping_capped,
+        }
+        return tuple(name for name in self._paper.measures if reached.get(name, False))
+
+    def _tuned(self, one: Candidate) -> int:
+        """Numbers to tune; the listed set states order and longest window where they keep their default, too."""
+        controller = one.applied(self._x).controller
+        defaults = {
+            setting.name: setting.default for setting in estimators.get(controller.estimator).settings
+        }
+        stated = {
+            name: value
+            for name, value in controller.parameters.items()
+            if not (name in STATED and value == defaults[name])
+        }
+        return len(tuned_numbers(controller.estimator, stated))

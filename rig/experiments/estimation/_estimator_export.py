@@ -1,0 +1,412 @@
+"""A tuned estimator as one C99 file, and beside it a test against the motion that it was tuned on.
+
+The test holds counts and the velocities that the host's estimator gives for them in float64.
+
+How far float32 may be off. With e = 2^-24 (half a unit in the last place) and v the largest velocity of the motion:
+
+* a difference, and a slope over a window, are one division of whole numbers and one product with a constant, three
+  roundings: 4 e v;
+* a filter adds up what it rounded over its memory, which is longer the lower its cut-off is; 64 e v is twice the most
+  that ``tests/firmware/law/test_law_estimators.py`` allows from 20 Hz at 2 kHz on;
+* the sign in Levant's differentiator may turn at another sample for a rounding, and what follows is another path of
+  the same differentiator. How much that is depends on the motion, so it is tried: the rms difference that it makes to
+  the host's estimator when its memory is rounded to float32 after each sample, eight times that, and 64 e v;
+* integers are equal.
+"""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from rig.config import Experiment
+from rig.config.controller import resolution as signed
+from rig.control import estimators
+from rig.control.estimators import Floats, Ints, Prepared, run
+from rig.core.errors import ConfigError, ToolchainError
+from rig.core.present import Row, Table, reported
+from rig.core.sample import unit_of
+from rig.experiments.estimation._signals import SIGNALS
+from rig.experiments.estimation.cases import Case, signal_case
+from rig.experiments.estimation.estimators import Variant
+from rig.firmware.cycles import FIXED, Cost, EstimatorC, c_float, cost_of, estimator_c
+from rig.recording.files import refuse_existing, whole_file
+
+HALF_ULP = 2.0**-24  # of float32, relative
+ROUNDINGS = {
+    "fdm": 4.0,
+    "foaw-end": 4.0,
+    "foaw-best": 4.0,
+    "fdm-butterworth": 64.0,
+    "kalman": 64.0,
+    "levant": 64.0,
+}
+TRIED = 8.0  # times what a rounded memory does
+MOST_SAMPLES = 20_000  # of a test: some 600 kB of C
+COSTED_SAMPLES = 400  # around the fastest: what is counted in the simulator
+DEFAULT_SIGNAL = "wall-bounce"
+_WIDTH = 100
+_IN_A_LINE = 4  # samples
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """How far the velocities of a test may be off: each of them, or their rms."""
+
+    limit: float
+    unit: str
+    rms: bool = False
+
+    @property
+    def text(self) -> str:
+        """Return the tolerance in words, with its unit."""
+        if self.limit == 0.0:
+            return "equal"
+        return f"within {self.limit:.2g} {self.unit}" + (" rms" if self.rms else "")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EstimatorExport:
+    """An estimator as C, and its test.
+
+    Attributes
+    ----------
+    estimator, settings
+        Its name, and those of its settings that were chosen.
+    rig, velocity_rate_hz, resolution
+        Rig, rate and resolution for which its numbers are computed.
+    unit
+        Unit of the result of ``…_velocity``: rad/s or m/s, or for integers LSBs with their size.
+    motion, samples, tolerance
+        Motion, number of samples and tolerance of the test.
+    costs
+        Cost of one call on each processor; empty where `cost_unknown` says why.
+    header, test
+        The files: `text` and `test_text`.
+    """
+
+    estimator: str
+    settings: dict[str, float | str]
+    rig: str
+    velocity_rate_hz: float
+    resolution: float
+    unit: str
+    motion: str
+    samples: int
+    tolerance: Tolerance
+    costs: tuple[Cost, ...]
+    cost_unknown: str
+    header: Path
+    test: Path
+    text: str = field(repr=False)
+    test_text: str = field(repr=False)
+
+    @reported
+    def arithmetic(self) -> str:
+        """Return ``float32`` or ``integers``, the arithmetic of the C code."""
+        return "integers" if self.estimator == FIXED else "float32"
+
+    def items(self) -> list[Row | Table]:
+        """Return description and cost of the export, for people."""
+        rate = f"{self.velocity_rate_hz:g} Hz, {self.resolution:.4g} a count"
+        rows: list[Row | Table] = [
+            Row("estimator", self.estimator, note=f"in {self.arithmetic}, for {self.rig}: {rate}"),
+            Row("velocity in", self.unit),
+            Row("test", f"{self.samples} samples of {self.motion}", note=self.tolerance.text),
+            Row("written", f"{self.header} and {self.test}"),
+        ]
+        if self.costs:
+            return [*rows, _cost_table(self.costs)]
+        return [*rows, Row("cost", f"unknown: {self.cost_unknown}")]
+
+
+def export_estimator(
+    variant: Variant,
+    experiment: Experiment,
+    header: Path | None = None,
+    *,
+    case: Case | None = None,
+    signal: str = DEFAULT_SIGNAL,
+    costs: bool = True,
+    overwrite: bool = False,
+    on_progress: Callable[[str, float], None] = lambda what, share: None,
+) -> EstimatorExport:
+    """Write an estimator with the numbers that suit a rig as one C99 header, and a program that tests it.
+
+    Parameters
+    ----------
+    variant
+        Name, and settings on top of the experiment's, which count where that uses this estimator.
+    experiment
+        Has encoder and velocity rate.
+    header
+        File to write: ``kalman.h`` unless given; the test becomes ``kalman_test.c`` beside it.
+    case
+        Case on which it was tuned; without one, `signal` as the rig's encoder sees it.
+    signal
+        One of `rig.experiments.estimation._signals.SIGNALS`.
+    costs
+        Count what a call costs, where a cross compiler and the simulator are installed.
+    overwrite
+        Replace files of those names.
+    on_progress
+        Called with each step and its share.
+
+    Raises
+    ------
+    ConfigError
+        An estimator that cannot be exported, and why; settings that do not fit; a case of another resolution or rate.
+    RecordingError
+        A file is in the way, or the disk refuses.
+    """
+    rate_hz, resolution = float(experiment.controller.velocity_rate), signed(experiment)
+    settings = _settings(variant, experiment)
+    prepared = estimators.get(variant.estimator).prepare(settings, resolution, 1.0 / rate_hz)
+    made = estimator_c(prepared)
+    header = Path(f"{made.prefix}.h") if header is None else header
+    if header.suffix != ".h":
+        raise ConfigError(
+            f"{header} is not a valid name for a header: it must end in .h", remedy="give one that ends in .h"
+        )
+    test = header.with_name(f"{header.stem}_test.c")
+    if not overwrite:
+        refuse_existing(header)
+        refuse_existing(test)
+    case = _case(signal, rate_hz, resolution) if case is None else _fitting(case, rate_hz, resolution)
+    counts, elapsed = case.counts[:MOST_SAMPLES], case.elapsed[:MOST_SAMPLES]
+    velocity = run(prepared, counts, case.arrays[1][:MOST_SAMPLES], elapsed)[0]
+    computed: tuple[Cost, ...] = ()
+    unknown = "not requested"
+    if costs:
+        computed, unknown = _costs(made, _fastest(velocity, counts, elapsed), on_progress)
+    si = unit_of("velocity", experiment.rig.motion)
+    export = EstimatorExport(
+        estimator=variant.estimator,
+        settings=settings,
+        rig=experiment.rig.name,
+        velocity_rate_hz=rate_hz,
+        resolution=resolution,
+        unit=si if made.returns == "float" else f"LSBs of {made.scale:.9g} {si}",
+        motion=case.name if case.reference == "closed form" else f"{case.name} ({case.reference})",
+        samples=len(counts),
+        tolerance=_tolerance(prepared, counts, elapsed, velocity, si),
+        costs=computed,
+        cost_unknown=unknown,
+        header=header,
+        test=test,
+        text="",
+        test_text="",
+    )
+    export = replace(
+        export,
+        text=f"{_about(export)}{_guarded(header, made.code)}",
+        test_text=_test_text(export, made, counts, elapsed, velocity),
+    )
+    for path, content in ((header, export.text), (test, export.test_text)):
+        with whole_file(path, overwrite=overwrite) as file:
+            file.write(content.encode())
+    return export
+
+
+def _settings(variant: Variant, experiment: Experiment) -> dict[str, float | str]:
+    """Return the settings of the experiment's own estimator, overridden by those of the variant."""
+    own = experiment.controller
+    tuned = own.parameters if own.estimator == variant.estimator else {}
+    return {
+        **{name: value for name, value in tuned.items() if isinstance(value, int | float | str)},
+        **variant.settings,
+    }
+
+
+def _case(name: str, rate_hz: float, resolution: float) -> Case:
+    if name not in SIGNALS:
+        raise ConfigError(f"unknown signal {name!r}", remedy=f"choose one of: {', '.join(SIGNALS)}")
+    return signal_case(SIGNALS[name], rate_hz, resolution)
+
+
+def _fitting(case: Case, rate_hz: float, resolution: float) -> Case:
+    if math.isclose(case.rate_hz, rate_hz, rel_tol=1e-9) and math.isclose(
+        case.resolution, resolution, rel_tol=1e-9
+    ):
+        return case
+    wanted = f"{resolution:.6g} at {rate_hz:g} Hz"
+    raise ConfigError(
+        f"{case.name} has {case.resolution:.6g} per count at {case.rate_hz:g} Hz, but the rig has {wanted}",
+        remedy="export for the rig of the recording, or test with a signal",
+    )
+
+
+def _tolerance(prepared: Prepared, counts: Ints, elapsed: Ints, velocity: Floats, unit: str) -> Tolerance:
+    name = prepared.estimator.name
+    if name == FIXED:
+        return Tolerance(0.0, "LSB")
+    allowed = ROUNDINGS[name] * HALF_ULP * float(np.abs(velocity).max(initial=0.0))
+    if name != "levant":
+        return Tolerance(allowed, unit)
+    off = _with_rounded_memory(prepared, counts, elapsed) - velocity
+    return Tolerance(allowed + TRIED * float(np.sqrt(np.mean(np.square(off)))), unit, rms=True)
+
+
+def _with_rounded_memory(prepared: Prepared, counts: Ints, elapsed: Ints) -> Floats:
+    """Velocities of an estimator that needs no edge times and keeps its memory in float32."""
+    update, state_f, state_i = (
+        prepared.estimator.update,
+        np.zeros_like(prepared.state_f),
+        np.zeros_like(prepared.state_i),
+    )
+    velocities = np.empty(len(counts))
+    for k, (count, periods) in enumerate(zip(counts.tolist(), elapsed.tolist(), strict=True)):
+        velocities[k] = update(count, 0.0, periods, state_f, state_i, prepared.parameters)
+        state_f[:] = state_f.astype(np.float32)
+    return velocities
+
+
+def _fastest(velocity: Floats, counts: Ints, elapsed: Ints) -> tuple[Ints, Ints]:
+    """Return counts and elapsed periods of `COSTED_SAMPLES` samples around the fastest."""
+    first = max(0, int(np.abs(velocity).argmax()) - COSTED_SAMPLES // 2) if len(velocity) else 0
+    return counts[first : first + COSTED_SAMPLES], elapsed[first : first + COSTED_SAMPLES]
+
+
+def _costs(
+    made: EstimatorC, samples: tuple[Ints, Ints], on_progress: Callable[[str, float], None]
+) -> tuple[tuple[Cost, ...], str]:
+    try:
+        return cost_of(made, *samples, on_progress), ""
+    except ToolchainError as error:
+        return (), error.message
+
+
+def _cost_table(costs: Sequence[Cost]) -> Table:
+    head = ("a call on", "instructions", "most", "cycles", "most", "code (bytes)", "memory (bytes)")
+    return Table(
+        head,
+        [
+            (
+                c.core,
+                c.instructions,
+                c.most_instructions,
+                c.cycles,
+                c.most_cycles,
+                c.code_bytes,
+                c.memory_bytes,
+            )
+            for c in costs
+        ],
+    )
+
+
+# ------------------------------------------------------------------ what stands in the files
+
+
+def _about(export: EstimatorExport) -> str:
+    """The comment at the top of the header."""
+    prefix = _prefix(export)
+    chosen = (
+        ", ".join(f"{name} = {value}" for name, value in export.settings.items()) or "all at their default"
+    )
+    paragraphs = [
+        f"Velocity by the estimator {export.estimator}, in {export.arithmetic}, for {export.rig}: "
+        f"{export.velocity_rate_hz:g} samples a second, {export.resolution:.9g} a count. Settings: {chosen}.",
+        f"Generated by haptic-rig from its firmware (Apache-2.0). Include it, call {prefix}_begin "
+        f"once and {prefix}_velocity in each velocity period: with the count of the encoder, which "
+        "may wrap at 32 bits, and the periods since the last call, 1 where none was missed. No "
+        f"memory is allocated and nothing is global; an estimator is one {prefix}_estimator.",
+        f"It returns {export.unit}. Compile as C99, with -ffp-contract=off where results must equal another machine's.",
+        f"Tested by {export.test.name} on {export.samples} samples of {export.motion}: {export.tolerance.text}.",
+        _costs_in_words(export),
+    ]
+    lines = [line for text in paragraphs for line in (*textwrap.wrap(text, _WIDTH - 3), "")][:-1]
+    return "/* " + "\n".join(f" * {line}".rstrip() for line in lines)[3:] + "\n */\n"
+
+
+def _costs_in_words(export: EstimatorExport) -> str:
+    if not export.costs:
+        return f"Cost on a microcontroller: not computed, {export.cost_unknown}."
+    each = [
+        f"{c.core} {c.instructions} instructions (at most {c.most_instructions})"
+        + ("" if c.cycles is None else f", {c.cycles} cycles (at most {c.most_cycles})")
+        for c in export.costs
+    ]
+    return (
+        f"A call on the fastest {COSTED_SAMPLES} samples, gcc -O2, memory without wait states, instructions "
+        f"counted and cycles estimated: {'; '.join(each)}. Memory: {export.costs[0].memory_bytes} bytes."
+    )
+
+
+def _prefix(export: EstimatorExport) -> str:
+    return export.estimator.replace("-", "_")
+
+
+def _guarded(header: Path, code: str) -> str:
+    guard = "".join(c if c.isascii() and c.isalnum() else "_" for c in header.name.upper())
+    return f"#ifndef RIG_{guard}\n#define RIG_{guard}\n\n{code}\n#endif\n"
+
+
+def _test_text(
+    export: EstimatorExport, made: EstimatorC, counts: Ints, elapsed: Ints, velocity: Floats
+) -> str:
+    """A program that ends with 0 where the header gives the host's velocities, and prints by how much it is off."""
+    whole = made.returns != "float"
+    wanted = (
+        [str(round(v / made.scale)) for v in velocity.tolist()]
+        if whole
+        else [c_float(v) for v in velocity.tolist()]
+    )
+    rows = [
+        f"{{{_c_int(count)}, {periods}, {value}}},"
+        for count, periods, value in zip(
+            counts.astype(np.int32).tolist(), elapsed.tolist(), wanted, strict=True
+        )
+    ]
+    table = "\n".join(" ".join(rows[at : at + _IN_A_LINE]) for at in range(0, len(rows), _IN_A_LINE))
+    measure = "sqrt(sum / SAMPLES)" if export.tolerance.rms else "worst"
+    summary = f"{export.estimator}: off by %.3g{' rms' if export.tolerance.rms else ''}"
+    return f"""/* Test of {export.header.name}: {export.motion},
+ * and what the host's estimator {export.estimator} makes of it in float64.
+ *
+ *     cc -std=c99 -ffp-contract=off {export.test.name} -lm && ./a.out
+ */
+#include <math.h>
+#include <stdio.h>
+
+#include "{export.header.name}"
+
+enum {{ SAMPLES = {len(counts)} }};
+
+static const struct {{
+    int32_t count;
+    uint32_t elapsed;
+    {made.returns} velocity;
+}} samples[SAMPLES] = {{
+{table}
+}};
+
+int main(void)
+{{
+    const double tolerance = {export.tolerance.limit!r};
+    {made.prefix}_estimator e;
+    double worst = 0.0, sum = 0.0, found, off;
+    int i;
+
+    {made.prefix}_begin(&e);
+    for (i = 0; i < SAMPLES; i++) {{
+        found = (double){made.prefix}_velocity(&e, samples[i].count, samples[i].elapsed);
+        off = fabs(found - (double)samples[i].velocity);
+        if (off > worst || off != off) /* what is not a number stays */
+            worst = off;
+        sum += off * off;
+    }}
+    off = {measure};
+    printf("{summary}, {export.tolerance.limit:.3g} allowed\\n", off);
+    return off <= tolerance ? 0 : 1;
+}}
+"""
+
+
+def _c_int(value: int) -> str:
+    return "-2147483647 - 1" if value == -(2**31) else str(value)

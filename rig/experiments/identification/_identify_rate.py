@@ -1,0 +1,120 @@
+"""The rate of an identification in real time, by the measured link: what carries every command in time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rig import config
+from rig.config import Experiment
+from rig.config.controller import command_lifetime_s
+from rig.core.errors import PlanError
+from rig.devices.device import LINK_SHARE, STATE_BYTES
+from rig.devices.framed import FramedDevice
+from rig.devices.local import host_beside
+from rig.doctor.gate import LIFETIME_SHARE
+from rig.doctor.pace import SECONDS, LinkMeasurement, measure_link, pace_of
+from rig.experiments.motion._motion_run import MOST_LOST_SHARE, SLOWEST_HZ, bearing_rate
+from rig.experiments.trials._identify_motions import RATE_STEP, still
+from rig.realtime.scheduling import obtained
+
+LEAST_RATE_HZ = 10  # of any loop, by the rules of `controller.position_rate`
+LOST_MARGIN = (
+    0.5  # of the share that may be filled in: what the next minute loses is not what the last seconds lost
+)
+RATES = ("controller.position_rate", "controller.velocity_rate")
+
+
+def at_rate(x: Experiment, rate_hz: int, origin: str) -> Experiment:
+    """The rig with a loop of this rate, its wall gone."""
+    return config.override(still(x), dict.fromkeys(RATES, rate_hz), origin)
+
+
+@dataclass(frozen=True, slots=True)
+class RateChoice:
+    """A rate, and what the measured link says of it; `reason` is empty where it works."""
+
+    rate_hz: int
+    reason: str
+    silence_s: float
+
+
+def measure_for(device: FramedDevice, x: Experiment, rate_hz: int) -> LinkMeasurement:
+    """Exchange clock stamps at a rate, in a thread scheduled like the loop; nothing moves."""
+    with obtained(host_beside(x.host, device.link)) as realtime:
+        return measure_link(device, SECONDS, rate_hz, realtime=realtime)
+
+
+def choose_rate(
+    x: Experiment, measurement: LinkMeasurement, *, most_hz: int, stated_hz: int | None = None
+) -> RateChoice:
+    """Return the stated rate, or the highest of `most_hz` and its halves, at which an identification will work.
+
+    Raises
+    ------
+    PlanError
+        None does; with the numbers, and the rate that would work where there is one.
+    """
+    rates = [most_hz, *halves(most_hz)]
+    judged = [judge_rate(x, measurement, rate) for rate in rates]
+    last = bearing_rate(judged[-1].silence_s)
+    if SLOWEST_HZ <= last < judged[-1].rate_hz:
+        judged.append(judge_rate(x, measurement, last))
+    works = next((choice for choice in judged if not choice.reason), None)
+    if stated_hz is not None:
+        stated = judge_rate(x, measurement, stated_hz)
+        if not stated.reason:
+            return stated
+        slower = works if works is not None and works.rate_hz < stated_hz else None
+        raise _refused(x, measurement, stated, slower)
+    if works is None:
+        raise _refused(x, measurement, judged[-1], None)
+    return works
+
+
+def halves(rate_hz: int) -> list[int]:
+    """Half of a rate, a quarter and so on, in whole steps, down to the slowest (Hz)."""
+    slower = (rate_hz >> number for number in range(1, rate_hz.bit_length()))
+    return [rate - rate % RATE_STEP for rate in slower if rate - rate % RATE_STEP >= SLOWEST_HZ]
+
+
+def judge_rate(x: Experiment, measurement: LinkMeasurement, rate_hz: int) -> RateChoice:
+    """Compare the measured link with the lifetime of a command, the lost samples and the bytes of a rate."""
+    slowed = at_rate(x, rate_hz, "the link")
+    lifetime_s = command_lifetime_s(slowed)
+    pace = pace_of(measurement, rate_hz, x.verdict)
+    late_s, silence_s = measurement.late_s, max(measurement.late_s, pace.longest_gap_s)
+    capacity = measurement.capacity_bytes_per_s
+    reasons = []
+    if silence_s > LIFETIME_SHARE * lifetime_s:
+        reasons.append(
+            f"the loop sent nothing for {1e3 * silence_s:.3g} ms (round trip {1e3 * late_s:.3g} ms in 99.9 % of all "
+            f"cases); allowed are {1e3 * LIFETIME_SHARE * lifetime_s:.3g} ms, half of a command's lifetime"
+        )
+    if pace.lost_share > LOST_MARGIN * MOST_LOST_SHARE:
+        reasons.append(
+            f"{100 * pace.lost_share:.2g} % of the samples are lost or late, allowed "
+            f"{100 * LOST_MARGIN * MOST_LOST_SHARE:.2g} %"
+        )
+    if capacity is not None and rate_hz * STATE_BYTES > LINK_SHARE * capacity:
+        reasons.append(
+            f"the capacity of the link is {int(LINK_SHARE * capacity // STATE_BYTES)} samples per second"
+        )
+    return RateChoice(rate_hz, "; ".join(reasons), silence_s)
+
+
+def _refused(
+    x: Experiment, measurement: LinkMeasurement, choice: RateChoice, works: RateChoice | None
+) -> PlanError:
+    if works is not None:
+        remedy = f"choose `rate` {works.rate_hz}, or leave it out"
+    else:
+        slower = (choice.rate_hz >> number for number in range(1, choice.rate_hz.bit_length()))
+        slower = (rate for rate in slower if rate >= LEAST_RATE_HZ)
+        carried = next((rate for rate in slower if not judge_rate(x, measurement, rate).reason), None)
+        carry = f"{carried} Hz" if carried else f"less than {LEAST_RATE_HZ} Hz"
+        remedy = (
+            "end other programs on the computer, or grant real-time scheduling (`rig doctor` shows "
+            f"how): computer and link now support {carry}, and an identification needs {SLOWEST_HZ} "
+            "Hz or more"
+        )
+    return PlanError(f"an identification at {choice.rate_hz} Hz would fail: {choice.reason}", remedy=remedy)

@@ -1,0 +1,86 @@
+"""The stiffest undamped wall against the sampling rate: Koul et al. 2013, Fig. 5.
+
+The same series as in a Z-width map, with a uniform scheme for each rate and B = 0, where no estimator matters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rig.config import Experiment
+from rig.config.schemes import Scheme
+from rig.control.verdict import CRITERIA
+from rig.core.shown import Drawn
+from rig.experiments.mapping._searches import StiffnessSearch
+from rig.experiments.mapping.zwidth import Boundary, MapPlan, ZWidth
+
+RATES = (100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000)  # Hz, the paper's range
+
+
+@dataclass(frozen=True, slots=True)
+class KMax(Drawn):
+    """The limits at B = 0, one for each rate (Hz)."""
+
+    rates: tuple[int, ...]
+    map: ZWidth
+
+    @staticmethod
+    def is_of(plan: MapPlan) -> bool:
+        """Return True for a plan whose map is one of limits over the rate: B = 0, and uniform rates in rising order."""
+        rates = [scheme.position_rate for scheme in plan.schemes]
+        uniform = all(scheme.position_rate == scheme.velocity_rate for scheme in plan.schemes)
+        return plan.dampings == (0.0,) and uniform and rates == sorted(set(rates))
+
+    @classmethod
+    def of(cls, found: ZWidth) -> KMax:
+        """Take a map of a plan that `is_of` accepts."""
+        return cls(tuple(scheme.position_rate for scheme in found.plan.schemes), found)
+
+    def curve(self, criterion: str) -> list[Boundary]:
+        """Boundaries in the order of the rates."""
+        return [self.map.curve(number, criterion)[0] for number in range(len(self.rates))]
+
+    def saturation(self, criterion: str) -> float | None:
+        """K_max at the highest rate over K_max at 20 kHz; None without both, or when one is a cap or zero."""
+        if 20_000 not in self.rates or self.rates[-1] <= 20_000:
+            return None
+        curve = self.curve(criterion)
+        reference, last = curve[self.rates.index(20_000)], curve[-1]
+        if reference.stiffness <= 0.0 or reference.capped or last.capped:
+            return None
+        return last.stiffness / reference.stiffness
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return the limits as plain values, for JSON."""
+        mapping = self.map.as_mapping()
+        for rate, scheme in zip(self.rates, mapping["schemes"], strict=True):
+            scheme["rate_hz"] = rate
+        return {**mapping, "saturation": {name: self.saturation(name) for name in CRITERIA}}
+
+
+def undamped_schemes(rates: Sequence[int] = RATES) -> tuple[Scheme, ...]:
+    """Return a uniform scheme for each rate (Hz), in rising order."""
+    return tuple(
+        Scheme(position_rate=rate, velocity_rate=rate, estimator="fdm") for rate in sorted(set(rates))
+    )
+
+
+def kmax_plan(
+    experiment: Experiment,
+    search: StiffnessSearch,
+    *,
+    rates: Sequence[int] = RATES,
+    offsets: Sequence[float] = (0.1, 0.6),
+    repeats: int = 1,
+) -> MapPlan:
+    """Plan the ascending series; run them with `rig.experiments.mapping.zwidth.zwidth` and wrap the map in `KMax`."""
+    return MapPlan(
+        experiment=experiment,
+        schemes=undamped_schemes(rates),
+        dampings=(0.0,),
+        search=search,
+        offsets=tuple(offsets),
+        repeats=repeats,
+    )

@@ -1,0 +1,414 @@
+"""Default ranges of a map, and what linear theory expects of each of its schemes.
+
+A map of hits goes up to the stiffness that the push can show, and a little beyond the largest damping of the theory;
+one of impedances to a share of what the theory calls stable.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from rig import config
+from rig.analysis import theory
+from rig.analysis.impedance import Floats, walls
+from rig.analysis.theory import LinearLoop, linear_loop
+from rig.config import Experiment, push_at_rest
+from rig.config.schemes import Scheme
+from rig.core.errors import ConfigError, PlanError
+from rig.experiments.mapping._kmax import KMax, undamped_schemes
+from rig.experiments.mapping._searches import StiffnessSearch, Way
+from rig.experiments.mapping.impedance import Judging
+from rig.experiments.mapping.zwidth import OFFSETS, Judged, MapPlan
+from rig.experiments.mapping.zwidth_frequency import FrequencyPlan
+from rig.experiments.trials.excitation_run import Signal
+from rig.experiments.trials.plan import make_plan, predict_impact
+
+T = TypeVar("T")
+
+SPAN = 100.0  # highest stiffness over the lowest, at least
+BELOW = (
+    4.0  # the linear limit without damping over the lowest: friction raises a limit, the quantum lowers it
+)
+COLUMNS = 17  # dampings
+BEYOND = 1.1  # of the largest damping that the linear theory allows any of the schemes
+CURVE_POINTS = 60  # of a theoretical curve
+_LINEAR = "fdm-butterworth"  # stands in for an estimator that the theory cannot take
+_BISECTIONS = 50
+_COARSE_BISECTIONS = 12  # to 0.1 % of a hundredfold range
+
+SHARE = 0.4  # of what the linear theory calls stable: beyond that a measured map of impedances is speckle
+STIFFNESSES, DAMPINGS = 60, 16
+FREQUENCY_POINTS = 24  # dampings of its theoretical curve
+SCAN = 24  # stiffnesses of a scan for the passive ones
+REFINEMENTS = 12  # of a step of the scan: to 0.001 % of the range
+_REFERENCE = "fdm"  # an unfiltered difference: linear, and the same for all schemes of the same rates
+
+PAPERS_ESTIMATORS = ("fdm-butterworth", "foaw-best", "kalman", "levant")
+PAPERS_RATE = 1000
+# The estimators of Chawda et al. with their settings, section V: α = μ1·C = 6.6 and λ = μ2·√C = 2.45 with C = 6 m/s².
+PAPERS_SCHEMES = (
+    "uniform:1k,estimator=fdm-butterworth,cutoff_hz=499",
+    "uniform:1k,estimator=foaw-best",
+    "uniform:1k,estimator=kalman,q=25000,variance=paper,noise=printed",
+    "uniform:1k,estimator=levant,discretisation=explicit,"
+    f"gains=custom,lipschitz=6,mu1=1.1,mu2={2.45 / math.sqrt(6.0)!r}",
+)
+
+
+def bisect(holds: Callable[[float], bool], low: float, high: float, steps: int) -> tuple[float, float]:
+    """Halve the range between a value that holds and one that does not."""
+    for _ in range(steps):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low, high
+
+
+# Hits -----------------------------------------------------------------------------------------------
+
+
+def highest_stiffness(experiment: Experiment) -> float:
+    """Stiffest wall in which the push rests as deep as ``trial.minimum_rest_counts`` (N·m/rad or N/m).
+
+    Beyond it the handle leaves the wall for want of push, not of stability. With `minimum_rest_counts` = 0 one count
+    is asked for.
+    """
+    least = max(1.0, experiment.trial.minimum_rest_counts) * experiment.rig.encoder.resolution
+
+    def rests(stiffness: float) -> bool:
+        wall = replace(experiment.wall, stiffness=stiffness)
+        return push_at_rest(replace(experiment, wall=wall)) / stiffness > least
+
+    low = high = 1e-9
+    while rests(high):
+        low, high = high, 2.0 * high
+    return bisect(rests, low, high, _BISECTIONS)[0]
+
+
+def search_for(
+    experiment: Experiment,
+    way: Way = "ladder",
+    *,
+    ratio: float = 1.06,
+    lowest: float | None = None,
+    highest: float | None = None,
+    span: float = SPAN,
+    schemes: Sequence[Scheme] = (),
+    on_device: bool = False,
+) -> StiffnessSearch:
+    """Return rungs up to what the push can show and down to well below the linear limits, unless bounds are given.
+
+    The lowest stiffness is the highest over `span`, or less: a fourth of the lowest linear limit at B = 0 among the
+    schemes (those of `theory.default_schemes` if empty), as far as the window holds the push. On a device it is at
+    least the softest wall it may hit.
+
+    Raises
+    ------
+    PlanError
+        A highest stiffness beyond what the push can show, or a lowest one above the highest.
+    """
+    possible = highest_stiffness(experiment)
+    if highest is not None and highest > possible * (1.0 + 1e-9):
+        raise PlanError(
+            f"a stiffness of {highest:g} (`stiffness`) is too high: in walls above {possible:.4g} the "
+            f"push comes to rest less than {max(1.0, experiment.trial.minimum_rest_counts):g} counts "
+            "deep",
+            remedy=f"choose at most {possible:.4g}; or push harder (`effort`, `operator` firm), or lower "
+            "trial.minimum_rest_counts: the handle may then leave the wall",
+        )
+    top = possible if highest is None else highest
+    if lowest is None:
+        lowest = top / span
+        below = _lowest_undamped_limit(experiment, schemes) / BELOW
+        if 0.0 < below < lowest and ratio > 1.0:  # else refused below
+            # In a softer wall the handle may run against the window: a ladder would end there, at a false limit.
+            while lowest > below and _stays_in_window(experiment, lowest / ratio):
+                lowest /= ratio
+        if on_device:
+            lowest = max(lowest, _softest(experiment, lowest, top))
+        else:  # of a coarse encoder even the stiffest wall is soft
+            while ratio > 1.0 and 0.0 < lowest * ratio <= top and not _stays_in_window(experiment, lowest):
+                lowest *= ratio
+    try:
+        return StiffnessSearch(way=way, lowest=lowest, highest=top, ratio=ratio)
+    except ValueError as error:
+        raise PlanError(
+            f"{error} (`stiffness`, `ratio`)",
+            remedy="choose bounds and a ratio that give at least two stiffnesses",
+        ) from None
+
+
+def _lowest_undamped_limit(experiment: Experiment, schemes: Sequence[Scheme]) -> float:
+    """Return the lowest limit of K at B = 0 in linear theory, where the estimator does not matter."""
+    if experiment.controller.wall_is_elsewhere:
+        return math.inf
+    one_of_each_rate = {
+        scheme.position_rate: scheme for scheme in schemes or theory.default_schemes(experiment)
+    }
+    return min(
+        theory.k_max(experiment, replace(_with_estimator(scheme, _REFERENCE), prediction=None)).stiffness
+        for scheme in one_of_each_rate.values()
+    )
+
+
+def _stays_in_window(experiment: Experiment, stiffness: float) -> bool:
+    wall, limits = replace(experiment.wall, stiffness=stiffness), experiment.rig.limits
+    deepest = predict_impact(replace(experiment, wall=wall)).peak_penetration
+    return limits.position_minimum <= wall.position + wall.side * deepest <= limits.position_maximum
+
+
+def _softest(experiment: Experiment, lowest: float, highest: float) -> float:
+    """Softest wall that a trial may hit: in a softer one the handle would go beyond its window."""
+
+    def refused(logarithm: float) -> bool:
+        walled = replace(experiment, wall=replace(experiment.wall, stiffness=math.exp(logarithm)))
+        return not make_plan(walled).ok
+
+    low, high = math.log(lowest), math.log(highest)
+    if not refused(low) or refused(high):
+        return lowest
+    return math.exp(bisect(refused, low, high, _COARSE_BISECTIONS)[1])
+
+
+def schemes_for(
+    experiment: Experiment,
+    schemes: Sequence[Scheme] = (),
+    dampings: Sequence[float] | None = None,
+    *,
+    on_device: bool = False,
+) -> tuple[Scheme, ...]:
+    """Return the schemes of a map of hits: those given, else the experiment's and the uniform ones of its rates.
+
+    In simulation, with B = 0 alone: uniform ones from 100 Hz to 50 kHz, since without damping there is no second rate.
+    """
+    if schemes:
+        return tuple(schemes)
+    if not on_device and dampings is not None and tuple(dampings) == (0.0,):
+        return undamped_schemes()
+    return tuple(theory.default_schemes(experiment))
+
+
+def dampings_for(
+    experiment: Experiment, schemes: Sequence[Scheme], columns: int = COLUMNS
+) -> tuple[float, ...]:
+    """Dampings from 0 to a little beyond the linear limit of the scheme that allows most."""
+    widest = max(_range(experiment, scheme) for scheme in schemes)
+    return tuple(np.linspace(0.0, BEYOND * widest, columns).tolist())
+
+
+def _range(experiment: Experiment, scheme: Scheme) -> float:
+    try:
+        return theory.b_max(experiment, scheme).damping
+    except ConfigError:
+        return theory.b_max(experiment, _with_estimator(scheme, _LINEAR)).damping
+
+
+def _with_estimator(scheme: Scheme, estimator: str) -> Scheme:
+    return replace(scheme, estimator=estimator, parameters={}, slow_velocity_rate=None, slow_below=None)
+
+
+def hit_plan(
+    experiment: Experiment,
+    schemes: Sequence[Scheme] = (),
+    *,
+    dampings: Sequence[float] | None = None,
+    search: StiffnessSearch | None = None,
+    offsets: Sequence[float] | None = None,
+    repeats: int = 1,
+    judged: Judged | None = None,
+    on_device: bool = False,
+) -> MapPlan:
+    """Return a plan with every setting stated.
+
+    Parameters
+    ----------
+    experiment
+        Rig, trial and thresholds.
+    schemes
+        `schemes_for` if empty.
+    dampings, search
+        `dampings_for` and `search_for` if None.
+    offsets
+        `rig.experiments.mapping.zwidth.OFFSETS` if None; a device has one.
+    repeats
+        As in `MapPlan`.
+    judged
+        Whose signals decide; what a rig records if None.
+    on_device
+        True if a device will be hit.
+
+    Raises
+    ------
+    ConfigError, PlanError
+        A scheme or a range that cannot be.
+    """
+    chosen = schemes_for(experiment, schemes, dampings, on_device=on_device)
+    if offsets is None:
+        offsets = (experiment.rig.encoder.offset,) if on_device else OFFSETS
+    return MapPlan(
+        experiment=experiment,
+        schemes=chosen,
+        dampings=dampings_for(experiment, chosen) if dampings is None else tuple(dampings),
+        search=search or search_for(experiment, schemes=chosen, on_device=on_device),
+        offsets=tuple(offsets),
+        repeats=repeats,
+        judged=judged or "recorded",
+    )
+
+
+def theory_curves(plan: MapPlan) -> dict[int, tuple[list[float], list[float]]]:
+    """Dampings and linear limits of every scheme that the theory can take, by index of scheme."""
+    if plan.experiment.controller.wall_is_elsewhere:
+        return {}
+    dampings = np.linspace(min(plan.dampings), max(plan.dampings), CURVE_POINTS)
+    return _linear_only(
+        plan.schemes,
+        lambda scheme: (
+            dampings.tolist(),
+            [limit.stiffness for limit in theory.k_max_curve(plan.experiment, scheme, dampings)],
+        ),
+    )
+
+
+def _linear_only(schemes: Iterable[Scheme], curves_of: Callable[[Scheme], T]) -> dict[int, T]:
+    curves = {}
+    for number, scheme in enumerate(schemes):
+        with suppress(ConfigError):  # not linear
+            curves[number] = curves_of(scheme)
+    return curves
+
+
+def kmax_theory(found: KMax) -> tuple[list[float], list[float]]:
+    """Rates and linear limits at B = 0."""
+    schemes = found.map.plan.schemes
+    limits = [theory.k_max(found.map.plan.experiment, scheme, 0.0) for scheme in schemes]
+    return [float(rate) for rate in found.rates], [limit.stiffness for limit in limits]
+
+
+# Impedances -----------------------------------------------------------------------------------------
+
+
+def frequency_plan(
+    experiment: Experiment,
+    schemes: Sequence[Scheme] = (),
+    *,
+    stiffnesses: Sequence[float] | None = None,
+    dampings: Sequence[float] | None = None,
+    judging: Judging | None = None,
+    signal: Signal | None = None,
+) -> FrequencyPlan:
+    """Return a plan with every setting stated.
+
+    Parameters
+    ----------
+    experiment
+        Rig and excitation.
+    schemes
+        `default_schemes` if empty.
+    stiffnesses, dampings
+        Values of the grid; `default_grid` if None.
+    judging, signal
+        As in `FrequencyPlan`. If None a rigid rig is measured by its encoder's counts and one of two masses by the true
+        position of its handle, because an encoder on the other mass shows no driving-point impedance.
+
+    Raises
+    ------
+    ConfigError, PlanError
+        A scheme or a grid that cannot be.
+    """
+    chosen = tuple(schemes) or default_schemes(experiment)
+    if stiffnesses is None or dampings is None:
+        k, b = default_grid(experiment, chosen)
+        stiffnesses = k if stiffnesses is None else stiffnesses
+        dampings = b if dampings is None else dampings
+    if signal is None:
+        signal = "count" if experiment.rig.mechanics.structure == "rigid" else "truth"
+    return FrequencyPlan(
+        experiment=experiment,
+        schemes=chosen,
+        stiffnesses=tuple(float(value) for value in stiffnesses),
+        dampings=tuple(float(value) for value in dampings),
+        judging=judging or Judging(),
+        signal=signal,
+    )
+
+
+def default_schemes(experiment: Experiment) -> tuple[Scheme, ...]:
+    """The paper's four estimators: at 1 kHz with its settings, else with their defaults at the active rates."""
+    rates = experiment.controller.position_rate, experiment.controller.velocity_rate
+    if set(rates) == {PAPERS_RATE}:
+        return tuple(Scheme.parse(text) for text in PAPERS_SCHEMES)
+    return tuple(
+        Scheme(position_rate=rates[0], velocity_rate=rates[1], estimator=name) for name in PAPERS_ESTIMATORS
+    )
+
+
+def default_grid(
+    experiment: Experiment, schemes: Sequence[Scheme]
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Evenly spaced stiffnesses and dampings: `SHARE` of what is stable with an unfiltered difference in linear theory.
+
+    Stiffness of its largest stable stiffness over all dampings, damping of the largest at the lowest stiffness, both of
+    the rates that allow most, and rounded to two digits. The lowest stiffness is a step, not zero.
+    """
+    excited = config.excited(experiment)
+    stiffness = damping = 0.0
+    for scheme in {(s.position_rate, s.velocity_rate): s for s in schemes}.values():
+        reference = _with_estimator(scheme, _REFERENCE)
+        widest = theory.b_max(excited, reference).damping
+        limits = theory.k_max_curve(excited, reference, np.linspace(0.0, widest, FREQUENCY_POINTS))
+        damping = max(damping, widest)
+        stiffness = max(stiffness, *(limit.stiffness for limit in limits))
+    top, last = (float(f"{SHARE * value:.2g}") for value in (stiffness, damping))
+    return (
+        tuple(np.linspace(0.0, top, STIFFNESSES + 1)[1:].tolist()),
+        tuple(np.linspace(0.0, last, DAMPINGS).tolist()),
+    )
+
+
+def linear_curves(
+    plan: FrequencyPlan, points: int = FREQUENCY_POINTS
+) -> dict[int, tuple[list[float], list[float], list[float]]]:
+    """Dampings, stable stiffness and passive stiffness of every scheme that the linear theory can take, by index.
+
+    Passive is meant over the plan's band only, which lets through much that Colgate and Schenkel's condition (all
+    frequencies) does not. Friction and quantum are left out.
+    """
+    dampings, lines = np.linspace(plan.dampings[0], plan.dampings[-1], points), _lines(plan)
+    excited = config.excited(plan.experiment)
+
+    def curves(scheme: Scheme) -> tuple[list[float], list[float], list[float]]:
+        loop = linear_loop(excited, scheme)
+        stable = [limit.stiffness for limit in theory.k_max_curve(excited, scheme, dampings)]
+        passive = [passive_limit(loop, float(b), k, lines) for b, k in zip(dampings, stable, strict=True)]
+        return dampings.tolist(), stable, passive
+
+    return _linear_only(plan.schemes, curves)
+
+
+def passive_limit(loop: LinearLoop, damping: float, highest: float, lines_hz: Floats) -> float:
+    """Largest stiffness up to which the closed form has no negative real part at these lines; `highest` at most."""
+    wall = walls(loop, lines_hz)
+
+    def passive(stiffness: float) -> bool:
+        return bool((wall(stiffness, damping).real >= 0.0).all())
+
+    low = 0.0
+    for stiffness in np.linspace(0.0, highest, SCAN + 1)[1:].tolist():
+        if not passive(stiffness):
+            return bisect(passive, low, stiffness, REFINEMENTS)[0]
+        low = stiffness
+    return highest
+
+
+def _lines(plan: FrequencyPlan) -> Floats:
+    low, high = plan.band_hz
+    period_s = plan.experiment.excitation.period_s
+    lines = np.arange(math.ceil(low * period_s - 1e-6), math.floor(high * period_s + 1e-6) + 1) / period_s
+    below = lines[lines < 0.5 * min(scheme.velocity_rate for scheme in plan.schemes) * (1.0 - 1e-9)]
+    return np.asarray(below, dtype=np.float64)

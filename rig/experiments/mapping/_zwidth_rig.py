@@ -1,0 +1,235 @@
+"""A map of hits on a device: hit after hit, with homing, a person who agrees, and a motor that may cool in between.
+
+A map is what the recordings of its hits say. An invalid hit is repeated, and so is one that a moment without processor
+or link ended; when it stays invalid, or when the rig itself gives up, the session ends. Series that were finished stay
+in the journal, and the same command resumes after them.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig import config
+from rig.config import Experiment
+from rig.control.verdict import CRITERIA, Kind, Measured, decide
+from rig.core.check import Check, refuse, refused
+from rig.core.errors import PlanError, RigError, StoppedError
+from rig.core.sample import Phase
+from rig.devices.framed import FramedDevice
+from rig.experiments import sweep
+from rig.experiments.hits._on_device import Ended, OnDevice, Trials, examined
+from rig.experiments.hits.admission import admission_checks
+from rig.experiments.hits.hit import Recorded
+from rig.experiments.mapping._searches import Outcomes, StiffnessSearch, drive
+from rig.experiments.mapping.zwidth import TRUE, MapPlan, ZWidth, outcomes_of, row_of
+from rig.experiments.trials.judgement import out_of_time, thrown_out
+from rig.experiments.trials.preparation import prepared_on
+from rig.recording.data import Recording
+
+ATTEMPTS = 3  # at an invalid hit
+RECORDING = "recording"  # column of a device's map: the file of the hit
+CALM_S = 0.5  # pause between hits, whatever the motor's heat
+
+
+@dataclass(frozen=True, slots=True)
+class Next:
+    """The hit that a person is asked to agree to."""
+
+    scheme: str
+    stiffness: float
+    damping: float
+    number: int  # of this series' hits, from 1
+    series: int  # from 1
+    total: int  # series
+    attempt: int = 1  # more when the last one was invalid
+    thrown_out: bool = False  # whether the last hit left the handle out of its window
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeviceMap:
+    """Dialogue and device of a map on a rig, beside its plan.
+
+    Attributes
+    ----------
+    where
+        The device. Each wall is armed whatever its link: a map looks for the walls that fail, and a person agrees.
+    agrees
+        Asked before every hit; False ends the session.
+    report
+        Called after every hit with its measurement, and whether that is a valid one.
+    pause
+        Waits between two hits for a number of seconds, longer when the motor has to cool.
+    """
+
+    where: OnDevice
+    agrees: Callable[[Next], bool]
+    report: Callable[[Next, Measured, bool], None] = field(default=lambda asked, done, valid: None)
+    pause: Callable[[float], None] = field(default=time.sleep)
+
+
+def zwidth_on_rig(plan: MapPlan, session: DeviceMap, *, journal: Path | None = None) -> ZWidth:
+    """Map a device.
+
+    Raises
+    ------
+    PlanError
+        A plan for a simulation: judged by truth, or with several encoder offsets, which a device does not have; or a
+        scheme or a wall that this device or its link must not or cannot run. Nothing has moved then.
+    StoppedError
+        The person did not agree, or Ctrl-C; finished series stay in the journal.
+    RigError
+        Whatever ended a hit early, but for a wall that throws the handle out; or a hit that is invalid every time.
+    """
+    _check(plan)
+    series, tasks = plan.series(), plan.tasks
+    numbers = {task.key: number for number, task in enumerate(tasks)}
+    where = replace(session.where, arm_anyway=True)
+
+    with examined(where, plan.experiment) as (device, trials):
+        _check_hits(plan, device)
+        hits = _Hits(session, trials)
+
+        def perform(task: sweep.Task) -> list[dict[str, Any]]:
+            one = series[numbers[task.key]]
+            first = Next(
+                scheme=plan.schemes[one.scheme].label(plan.experiment),
+                stiffness=plan.search.lowest,
+                damping=one.damping,
+                number=1,
+                series=numbers[task.key] + 1,
+                total=len(tasks),
+            )
+            try:
+                return hits.series(plan.experiment_of(one), StiffnessSearch(**task.payload["search"]), first)
+            except (KeyboardInterrupt, StoppedError) as stop:
+                raise _stopped(stop, first, journal) from stop
+
+        done = sweep.run_here(work_of(where.url, where.realtime), perform, tasks, journal=journal)
+        return ZWidth.of(plan, done, on_device=True)
+
+
+def work_of(url: str, realtime: bool) -> str:
+    """Return the name of the work on a device for a journal, which must not mix hits of two devices."""
+    return f"{url} in real time" if realtime else url
+
+
+def cooling_s(rms_effort: float, nominal_effort: float, duration_s: float) -> float:
+    """How long a motor must rest after a push so that its mean heat over both is that of its nominal effort (s)."""
+    return max(0.0, duration_s * ((rms_effort / nominal_effort) ** 2 - 1.0))
+
+
+def _stopped(stop: BaseException, where: Next, journal: Path | None) -> StoppedError:
+    """Say how far a session came; series are done in their order."""
+    reason = stop.message if isinstance(stop, StoppedError) else "stopped; the effort is zero"
+    kept = f"{where.series - 1} of {where.total} series are done" + (
+        f" and stored in {journal}" if journal else ""
+    )
+    error = StoppedError(f"{reason}; {kept}", remedy="the same command resumes from there" if journal else "")
+    error.recording = getattr(stop, "recording", None)
+    return error
+
+
+def _check(plan: MapPlan) -> None:
+    if plan.judged != "recorded":
+        raise PlanError(
+            "`judge` = true needs the true signals of a simulation; a device records only measured ones",
+            remedy="give `judge` recorded",
+        )
+    if len(plan.offsets) != 1:
+        raise PlanError(
+            f"{len(plan.offsets)} encoder offsets are given: on a device the offset cannot be chosen",
+            remedy="give one offset, and use repeats instead",
+        )
+
+
+def _check_hits(plan: MapPlan, device: FramedDevice) -> None:
+    """Refuse walls that cannot be hit before hours of measurement begin: the ends of the search under every scheme."""
+    rungs = plan.search.rungs
+    for number, scheme in enumerate(plan.schemes):
+        under = plan.experiment_of(next(one for one in plan.series() if one.scheme == number))
+        checks: list[Check] = []
+        for stiffness in (rungs[0], rungs[-1]):
+            run = prepared_on(device, config.override(under, {"wall.stiffness": stiffness}, "the map"))
+            checks += admission_checks(run, device)
+        try:
+            refuse({check.name: check for check in refused(checks)}.values())
+        except PlanError as error:
+            where = f"scheme {scheme.text}, K from {rungs[0]:.4g} to {rungs[-1]:.4g}"
+            raise PlanError(f"{where}: {error.message}", remedy=error.remedy) from None
+
+
+@dataclass(slots=True)
+class _Hits:
+    """Hits on an open device, and whether its handle is where the last one should have left it."""
+
+    session: DeviceMap
+    trials: Trials
+    thrown_out: bool = False
+
+    def series(self, experiment: Experiment, search: StiffnessSearch, first: Next) -> list[dict[str, Any]]:
+        rows: list[dict[str, Any]] = []
+
+        def one(stiffness: float) -> Outcomes:
+            rows.append(self._row(experiment, replace(first, stiffness=stiffness, number=len(rows) + 1)))
+            return outcomes_of(rows[-1], "recorded")
+
+        drive(search.walk(CRITERIA), one)
+        return rows
+
+    def _row(self, experiment: Experiment, asked: Next) -> dict[str, Any]:
+        """Hit one wall until a hit is valid, and return its row."""
+        for attempt in range(1, ATTEMPTS + 1):
+            moved = self.thrown_out and self.trials.device is not None
+            asked = replace(asked, attempt=attempt, thrown_out=moved)
+            if not self.session.agrees(asked):
+                raise StoppedError("ended between two hits; the effort is zero")
+            left = self._hit(experiment, asked.stiffness)
+            recorded, true = left.judgement.measured, left.judgement.measured_true
+            early = left.judgement.early
+            valid = recorded.passes("any") is not None and (early is None or early[0] is Kind.UNSTABLE)
+            self.session.report(asked, recorded, valid)
+            self.session.pause(CALM_S + _cooling_of(left.recording, experiment))
+            if valid:
+                row = {"stiffness": asked.stiffness, RECORDING: left.path.name} | row_of(recorded, "")
+                return row if true is None else row | row_of(true, TRUE)
+        _, reasons = decide(recorded.numbers, recorded.thresholds)
+        reasons = reasons if early is None else (*reasons, early[1])
+        error = RigError(
+            f"{ATTEMPTS} hits at K = {asked.stiffness:.4g}, B = {asked.damping:.4g} were invalid: "
+            f"{'; '.join(reasons) or recorded.kind}; the effort is zero",
+            remedy="remove this cause; the same command resumes after the last complete series",
+        )
+        error.recording = left.path
+        raise error
+
+    def _hit(self, experiment: Experiment, stiffness: float) -> Recorded:
+        """Run one hit. One that the wall ended, or a moment without time, is a hit like others; other ends raise."""
+        self.thrown_out = False
+        done = self.trials.run(experiment, {"wall.stiffness": stiffness})
+        if isinstance(done, Recorded):
+            return done
+        self.thrown_out = _by_the_wall(done)
+        if not self.thrown_out and not out_of_time(done.recorded.recording):
+            raise done.error
+        return done.recorded
+
+
+def _by_the_wall(ended: Ended) -> bool:
+    """Return True if the wall threw the handle out in the push, or in the release, which leaves the push's verdict."""
+    early = ended.recorded.judgement.early
+    return early[0] is Kind.UNSTABLE if early is not None else thrown_out(ended.recorded.recording) != ""
+
+
+def _cooling_of(recording: Recording, experiment: Experiment) -> float:
+    pushing = recording.rows[recording.rows["phase"] == Phase.TRIAL]
+    if not len(pushing):
+        return 0.0
+    rms = float(np.sqrt(np.mean(np.square(pushing["effort_sent"]))))
+    duration_s = len(pushing) / experiment.controller.position_rate
+    return cooling_s(rms, experiment.rig.limits.nominal_effort, duration_s)

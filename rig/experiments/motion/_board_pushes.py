@@ -1,0 +1,156 @@
+"""Small pushes that a board makes by itself: each is a trial of the law that every board has.
+
+    made = board_pushes(device, x, 4, Path("pulse.rigcap"), verified=True, reference_count=0, extra={})
+    made.rows, made.recording
+
+Where the board runs the law (`controller.loop = "device"`) no law of this computer moves anything, and none is needed.
+A push is a constant effort without a wall (`identify_motions.single_push`): the slew limit lets it grow, and the window
+of the law on the board is the way of a push. So the board bounds it alone, in whichever direction the handle goes: in
+way, with zero effort in the very tick; in effort by the constant; in time by the length of the trial, after which this
+computer ends it: left to itself it falls as it has grown. If this computer falls silent, its effort is zero after
+`controller.supervise_lifetime_s` and the ramp, as that of any law there.
+
+The device around the law keeps the limits of all pushes: a handle that leaves its window is a fault, and under the slew
+limit of a push an end would take as long as the growth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.analysis.identification import IdentificationError
+from rig.config import Experiment
+from rig.config.prepared_run import PreparedRun
+from rig.control.motions import ALIKE, NOTHING
+from rig.core.check import refuse
+from rig.core.errors import DeviceFaultError, GuardError
+from rig.core.sample import Phase
+from rig.devices.framed import FramedDevice
+from rig.experiments.motion._motion_run import Pushes, position_now, stalled, whole
+from rig.experiments.trials._identify_motions import REST_S, push_way, pushes_motion, single_push
+from rig.experiments.trials._trial import TrialRequest, end_of, run_trial
+from rig.experiments.trials.plan import device_checks
+from rig.experiments.trials.preparation import prepared_on
+from rig.loop.layout import EndReason
+from rig.recording.data import Recording
+from rig.recording.files import free_name
+
+AROUND = ("slew_limit", "window_minimum", "window_maximum")  # of the device, not of the law that it runs
+PUSH_ENDS = (EndReason.OUT_OF_WINDOW, EndReason.DEVICE_ENDED)  # at its window: by both laws, or the board's
+LOOKS = 25  # of `REST_S` each, in which the handle has to come to rest
+
+
+def board_pushes(
+    device: FramedDevice,
+    x: Experiment,
+    pushes: int,
+    recording: Path,
+    *,
+    verified: bool,
+    reference_count: int,
+    extra: Mapping[str, Any],
+) -> Pushes:
+    """Let the board push, as `rig.control.motions.nudges` does: two one way, two the other, and so on.
+
+    Parameters
+    ----------
+    device
+        Open, at rest.
+    x
+        Whose rig it is, with its limits; its law runs on the board.
+    pushes
+        How many.
+    recording
+        The capture of the first; those of the others are beside it, with numbers.
+    verified, reference_count
+        As in `rig.experiments.hits.hit.HitRequest`.
+    extra
+        For the recordings' headers.
+
+    Raises
+    ------
+    PlanError
+        A board that runs no law: nothing has moved.
+    IdentificationError
+        The handle does not rest, or samples were lost.
+    RigError
+        Whatever else ended a push early; the effort is zero.
+    """
+    recorded: list[Recording] = []
+    rows: list[NDArray[np.void]] = []
+    ended: DeviceFaultError | None = None
+    for number in range(pushes):
+        at = _at_rest(device, x, reference_count)
+        way: Literal[-1, 1] = 1 if number % (2 * ALIKE) < ALIKE else -1
+        run = _prepared(device, x, at, way, verified=verified, zero=reference_count)
+        refuse(device_checks(run, device.dictionary))
+        request = TrialRequest(
+            run=run,
+            recording=free_name(recording.parent, recording.stem),
+            seed=x.trial.seed,
+            extra={**extra, "push": number + 1},
+            leaves_switch=True,
+        )
+        try:
+            recorded.append(_pushed(device, request))
+        except DeviceFaultError as error:
+            ended = error
+            recorded.append(stalled(error))
+        rows.append(whole(recorded[-1], recorded[-1].rows))
+        if ended is not None:
+            break
+        pushed = rows[-1]["position"][rows[-1]["phase"] == Phase.TRIAL]
+        if not len(pushed):
+            raise _restless()
+        if np.ptp(pushed) < NOTHING * push_way(x):
+            break  # as in `nudges`
+    path = recorded[0].path
+    assert path is not None
+    return Pushes(np.concatenate(rows), path, ended)
+
+
+def _at_rest(device: FramedDevice, x: Experiment, reference_count: int) -> float:
+    """Where the handle is (rad or m), once it rests; a channel that is dead may toggle."""
+    for _ in range(LOOKS):
+        counts = [state.count for state in device.states(REST_S)]
+        if len(counts) > 1 and max(counts) - min(counts) <= 1:
+            return position_now(device, x, reference_count)
+    raise _restless()
+
+
+def _restless() -> IdentificationError:
+    return IdentificationError(
+        "the handle does not rest, so the result of a push would be meaningless",
+        remedy="take all hands off the handle and remove what pulls it, then check again",
+    )
+
+
+def _prepared(
+    device: FramedDevice, x: Experiment, at: float, way: Literal[-1, 1], *, verified: bool, zero: int
+) -> PreparedRun:
+    given: dict[str, Any] = {
+        "verified": verified or device.dictionary.simulated,
+        "reference_count": zero,
+    }
+    around = prepared_on(device, pushes_motion(x, at).experiment, **given)
+    run = prepared_on(device, single_push(x, at, way), **given)
+    return replace(run, parameters={**run.parameters, **{name: around.parameters[name] for name in AROUND}})
+
+
+def _pushed(device: FramedDevice, request: TrialRequest) -> Recording:
+    """Run one push; the window that it leaves is no error."""
+    try:
+        end = run_trial(device, request)
+    except GuardError as error:
+        found = end_of(error)
+        if found is None or found.reason not in PUSH_ENDS or found.sealed is None:
+            raise
+        end = found
+    assert end.sealed is not None
+    return end.sealed

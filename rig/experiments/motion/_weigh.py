@@ -1,0 +1,280 @@
+"""Calibrate the effort by a known mass: slow strokes without it and with it, and the weight is the difference.
+
+    found = weigh(WeighRequest(experiment=x, url="usb://…", verified=True, mass_kg=0.1, arm_m=0.05), ask=input)
+    found.effort_per_ampere
+
+`rig.amplifier.effort_per_ampere` is a data sheet's torque constant times a ratio; what is wrong with it is wrong with
+every stiffness that is reported. While the handle slides slowly the motor gives weight plus friction on the way up and
+weight less friction on the way down: their mean is the weight, whatever the friction is, as far as it is the same both
+ways, and what is not, or a bent cable, is in the strokes without the mass too. Friction's scatter is the uncertainty
+(`rig.analysis.identification._sliding`).
+
+The mass hangs on a string from a drum of radius `arm_m`, so that its arm does not change. On the handle itself, level
+in the middle of the window, the arm loses up to 2 % on a way of 0.2 rad (its cosine), 0.7 % on average.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from rig import config, devices
+from rig.analysis.identification import IdentificationError, Interval, Sliding, fit_sliding
+from rig.config import Experiment
+from rig.core.check import refuse
+from rig.core.errors import ConfigError, PlanError
+from rig.core.present import Row, reported
+from rig.core.same_rig import check_rig
+from rig.core.sample import Motion, unit_of
+from rig.devices.framed import FramedDevice
+from rig.experiments.motion._motion_run import FreeRigRequest, position_now, refuse_unverified, run_motion
+from rig.experiments.motion.pulse import at_own_rate
+from rig.experiments.trials._identify_motions import coulomb_of, still, weighing_motion, weighing_strokes
+from rig.experiments.trials.plan import link_checks
+from rig.experiments.trials.preparation import position_zero
+from rig.realtime import stop_requests
+from rig.recording.files import free_name, plain_errors
+
+STANDARD_GRAVITY = 9.80665  # m/s², by definition; places differ by 0.3 % each way
+STILL_SHARE = (
+    0.2  # of rig.limits.effort: above it a device takes a handle that stands still for a dead encoder
+)
+
+Ask = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WeighRequest(FreeRigRequest):
+    """Which rig, and what hangs on it.
+
+    Attributes
+    ----------
+    mass_kg
+        Hung on it in the second half (kg).
+    arm_m
+        Lever arm (m); None: the radius of the handle. A linear rig has none.
+    gravity
+        Gravity at the place (m/s²).
+    """
+
+    mass_kg: float
+    arm_m: float | None = None
+    gravity: float = STANDARD_GRAVITY
+
+    def __post_init__(self) -> None:
+        for name, value in (("mass", self.mass_kg), ("arm", self.arm_m), ("gravity", self.gravity)):
+            if value is not None and not (0.0 < value < math.inf):
+                raise ConfigError(
+                    f"the {name} is {value:g}, which must be above zero",
+                    remedy="give it in kg, m or m/s², above zero",
+                )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Weighing:
+    """Calibration of the motor's effort by a mass.
+
+    Attributes
+    ----------
+    rig, motion, device
+        Names of the rig and of the device; the kind of motion, which decides the units.
+    mass_kg, arm_m, weight
+        Mass and lever arm of the load (kg, m), and its effort (N·m or N).
+    measured
+        The same as the described rig would have it, from the currents (N·m or N).
+    bare, loaded
+        Sliding without the mass and with it.
+    described
+        `rig.amplifier.effort_per_ampere` of the experiment (N·m/A or N/A).
+    recordings
+        Recordings of both runs.
+    """
+
+    rig: str
+    motion: Motion
+    device: str
+    mass_kg: float
+    arm_m: float
+    weight: float
+    measured: Interval
+    bare: Sliding
+    loaded: Sliding
+    described: float
+    recordings: tuple[Path, ...]
+
+    @reported
+    def effort_per_ampere(self) -> Interval:
+        """Return the effort per ampere by the weight (N·m/A or N/A), with its interval."""
+        share = self.measured.ci95 / self.measured.value
+        value = self.described * self.weight / self.measured.value
+        return Interval(value, value * share)
+
+    @reported
+    def agrees(self) -> bool:
+        """Return True if the described effort per ampere lies within the interval."""
+        return self.effort_per_ampere.holds(self.described)
+
+    def rows(self) -> list[Row]:
+        """Return what was weighed and calibrated, for people."""
+        effort, unit = unit_of("effort", self.motion), unit_of("effort/A", self.motion)
+        off = self.effort_per_ampere.value / self.described - 1.0
+        said = "as described, within the interval" if self.agrees else f"{100 * off:+.2g} % of that described"
+        return [
+            Row("weight", self.weight, effort, f"{self.mass_kg:g} kg at {self.arm_m:g} m"),
+            Row("measured", self.measured.text(effort)),
+            Row("friction", f"{self.bare.coulomb.text()}, with the mass {self.loaded.coulomb.text(effort)}"),
+            Row("rig.amplifier.effort_per_ampere", self.effort_per_ampere.text(unit)),
+            Row("  described", self.described, unit, said),
+            *(Row("recording", str(path)) for path in self.recordings),
+        ]
+
+
+@stop_requests.together()
+def weigh(request: WeighRequest, ask: Ask) -> Weighing:
+    """Measure, have a mass hung on the rig, measure again.
+
+    Parameters
+    ----------
+    request
+        Request. A simulated rig is created again with the mass on it.
+    ask
+        Called with what a person is to do; returns when it is done.
+
+    Raises
+    ------
+    PlanError
+        More weight than the motor holds for hours, or than a device lets a still handle bear; nothing has moved.
+    ConfigError
+        A real rig whose polarity is not verified.
+    IdentificationError
+        The weight is lost in the friction, or the strokes say nothing.
+    RigError
+        Whatever ended a run early; the effort is zero.
+    """
+    described = config.override(request.experiment, request.changes)
+    x = config.override(described, {"controller.loop": "host", "rig.mechanics.end_mass": 0.0}, "weighing")
+    arm = x.rig.mechanics.handle_radius if request.arm_m is None else request.arm_m
+    weight = request.mass_kg * request.gravity * arm
+    refuse_load(x, weight)
+    loaded = with_mass(x, request.mass_kg, arm)
+    url, output = request.url or "sim://", Path(request.output)
+    with ExitStack() as stack:
+        device = stack.enter_context(devices.open_device(url, config.rig_model(still(x))))
+        refuse([check_rig(config.rig_model(still(x)), device.dictionary)])
+        refuse_unverified(device, verified=request.verified)
+        with plain_errors("make", output):
+            output.mkdir(parents=True, exist_ok=True)
+        zero = position_zero(device, x)
+        bare, first = _slide(device, x, request, zero, "bare")
+        device = hung(
+            stack, device, loaded, url, ask, mass_kg=request.mass_kg, arm=arm, gravity=request.gravity
+        )
+        pulled, second = _slide(device, loaded, request, zero, "loaded")
+        name = device.dictionary.device
+    difference = pulled.bias.value - bare.bias.value
+    measured = Interval(abs(difference), math.hypot(pulled.bias.ci95, bare.bias.ci95))
+    if measured.low <= 0.0:
+        effort = unit_of("effort", x.rig.motion)
+        raise IdentificationError(
+            f"the weight of {weight:.3g} {effort} was measured as {measured.text(effort)}: it is "
+            "masked by the friction",
+            remedy="hang a larger mass, or slide more slowly (homing.speed)",
+        )
+    return Weighing(
+        rig=x.rig.name,
+        motion=x.rig.motion,
+        device=name,
+        mass_kg=request.mass_kg,
+        arm_m=arm,
+        weight=weight,
+        measured=measured,
+        bare=bare,
+        loaded=pulled,
+        described=x.rig.amplifier.effort_per_ampere,
+        recordings=(first, second),
+    )
+
+
+def refuse_load(x: Experiment, weight: float) -> None:
+    """Raise `PlanError` for a weight (N·m or N) that the motor does not bear, or a device that stands still."""
+    limits, needed, effort = x.rig.limits, weight + coulomb_of(x), unit_of("effort", x.rig.motion)
+    for bound, what, remedy in (
+        (
+            limits.nominal_effort,
+            "the motor can hold continuously (rig.limits.nominal_effort)",
+            "hang a smaller mass, or use a shorter arm",
+        ),
+        (
+            STILL_SHARE * limits.effort,
+            "a device allows while the handle does not move (a fifth of rig.limits.effort)",
+            "hang a smaller mass, or raise rig.limits.effort while no hand holds the handle",
+        ),
+    ):
+        if needed > bound:
+            raise PlanError(
+                f"the mass weighs {weight:.3g} {effort}, with the described friction {needed:.3g}: more than the "
+                f"{bound:.3g} {effort} that {what}",
+                remedy=remedy,
+            )
+
+
+def hung(
+    stack: ExitStack,
+    device: FramedDevice,
+    loaded: Experiment,
+    url: str,
+    ask: Ask,
+    *,
+    mass_kg: float,
+    arm: float,
+    gravity: float = STANDARD_GRAVITY,
+) -> FramedDevice:
+    """Have the mass hung on the rig (`with_mass`); return its device, in simulation a new one, closed by the stack."""
+    if url.startswith("sim:"):
+        # Inertia goes with the square of the arm, weight with the arm.
+        pull = -gravity * loaded.rig.mechanics.handle_radius / arm
+        mechanics = replace(loaded.rig.mechanics, gravity=pull)
+        model = replace(config.rig_model(still(loaded)), mechanics=mechanics)
+        return stack.enter_context(devices.open_device(url, model))
+    ask(
+        f"hang {mass_kg:g} kg on it at {arm:g} m, and hold it near the middle of the travel; let go "
+        "when the motor holds it, and hold it again at the end, before the motor releases it"
+    )
+    return device
+
+
+def with_mass(x: Experiment, mass_kg: float, arm: float) -> Experiment:
+    """Return the rig with the mass on it: its servo carries more."""
+    at_the_handle = mass_kg * (arm / x.rig.mechanics.handle_radius) ** 2
+    return config.override(x, {"rig.mechanics.end_mass": at_the_handle}, "weighing")
+
+
+def _slide(
+    device: FramedDevice, x: Experiment, request: WeighRequest, zero: int, name: str
+) -> tuple[Sliding, Path]:
+    x = config.override(x, at_own_rate(x, device), "weighing")
+    refuse(link_checks(still(x), device.dictionary.position_rate_maximum, device.link.bytes_per_second))
+    position_now(device, x, zero)
+    motion = weighing_motion(x)
+    rows, recording = run_motion(
+        device,
+        motion,
+        free_name(Path(request.output), f"{x.rig.name}-weigh-{name}"),
+        verified=request.verified,
+        reference_count=zero,
+        extra={"weighing": name, "mass_kg": request.mass_kg if name == "loaded" else 0.0},
+    )
+    fit = fit_sliding(
+        np.arange(len(rows)) / motion.experiment.controller.position_rate,
+        rows["effort_sent"],
+        rows["position"],
+        weighing_strokes(x)[1],
+        resolution=x.rig.encoder.resolution,
+        back_emf=x.rig.amplifier.back_emf,
+    )
+    return fit, recording

@@ -1,0 +1,385 @@
+"""Build the firmware of a board for one rig: sources and a generated constant in, files that can be flashed out.
+
+The same inputs give the same bytes: no time, no path and no name of a computer gets into them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import shutil
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from firmware_protocol.dictionary import SettingValue
+from rig.config import Controller, amplifiers
+from rig.core.errors import ConfigError, RecordingError, ToolchainError
+from rig.core.model import RigModel
+from rig.core.present import Row, plain
+from rig.core.scratch import scratch
+from rig.firmware._board_config import BoardConfig, configure
+from rig.firmware._boards import FIRMWARE, Board, load, settings_of
+from rig.firmware._elf import Segment, flat, read_segments, sealed
+from rig.firmware._scales import check_scales
+from rig.firmware._toolchain import Compiler, find_compiler
+from rig.firmware._uf2 import write_uf2
+from rig.firmware.tick_budget import INTEGERS, TickBudget, tick_budget
+
+WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Wdate-time", "-Werror")
+# Floats must round as on the host: no contraction, no reassociation.
+CODE = (
+    "-mthumb",
+    "-g",
+    "-gno-record-gcc-switches",
+    "-ffp-contract=off",
+    "-ffunction-sections",
+    "-fdata-sections",
+    "-fno-math-errno",
+    "-fno-common",
+)
+LINK = (
+    "-nostartfiles",
+    "--specs=nosys.specs",
+    "-Wl,--gc-sections",
+    "-Wl,--fatal-warnings",
+    "-Wl,-u,image_record",
+)
+SHARED = ("core", "law")  # directories whose C files belong to every image
+DEVICE = "device"  # the program that is the firmware
+PORT_CHECK = (
+    "port_check"  # the one that tries the device's port out, in place of the core: every board has it
+)
+COARSE_STEP = 2.0  # quanta of the rig's commands in one step of the output, from which on a build warns
+PORT_CHECK_SOURCES = ("port_check/port_check.c", "core/frame.c", "core/protocol.c")
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BuildRequest:
+    """What to build.
+
+    Attributes
+    ----------
+    model
+        The rig: an image belongs to one.
+    board
+        Name of the board (`rig.firmware._boards.names`).
+    output
+        Directory for the files.
+    settings
+        Pins and scales that are neither the rig's (`RigModel.board`) nor the board's defaults.
+    application
+        Which of the board's programs, or `PORT_CHECK`.
+    controller
+        Rates and estimator of the rig's experiment: with a law on the device, whether its tick fits is checked.
+    """
+
+    model: RigModel
+    board: str
+    output: Path
+    controller: Controller | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    application: str = DEVICE
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BuildResult:
+    """What was built.
+
+    Attributes
+    ----------
+    elf, bin, uf2, facts
+        The files: for a debugger, as plain bytes, for the boot ROM's drive (None: the board takes none), and all of
+        this as JSON.
+    firmware
+        Version, as the device will report it.
+    dictionary_hash
+        As in IDENTITY and ARM.
+    quantum_a, set_point_step_a
+        Of the rig's commands; of the output, as the amplifier sees it (A); None: the board has no output of its own.
+    flash_bytes, ram_bytes
+        What the program takes of the board's memory, its stack's reserve as the linker script has it.
+    flash_room, ram_room
+        Total size of the board's memory (bytes).
+    ticks
+        Which rates the processor has time for, with a law on the device in integers and in float32.
+    warnings
+        What will not run as the rig's experiment says, each with its remedy.
+    """
+
+    board: str
+    rig: str
+    application: str
+    firmware: str
+    protocol: str
+    dictionary_hash: str
+    compiler: str
+    settings: dict[str, int | float | str]
+    quantum_a: float
+    set_point_step_a: float | None
+    elf: Path
+    bin: Path
+    uf2: Path | None
+    facts: Path
+    flash_bytes: int
+    flash_room: int
+    ram_bytes: int
+    ram_room: int
+    sha256: str
+    ticks: Mapping[str, str] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    def rows(self) -> list[Row]:
+        """Return the result of the build as rows to print."""
+        return [
+            Row("firmware", self.firmware),
+            Row("rig", self.rig),
+            Row("protocol", self.protocol, note=f"dictionary {self.dictionary_hash}"),
+            Row("flash", self.flash_bytes, "bytes", _share(self.flash_bytes, self.flash_room)),
+            Row("memory", self.ram_bytes, "bytes", _share(self.ram_bytes, self.ram_room)),
+            Row("compiler", self.compiler),
+            *self._set_point_rows(),
+            *(Row(f"law, {name}", text) for name, text in self.ticks.items()),
+            *(Row(name, value) for name, value in self.settings.items()),
+        ]
+
+    def _set_point_rows(self) -> list[Row]:
+        if self.set_point_step_a is None:
+            return []
+        quantum = f"the rig's simulation has rig.amplifier.current_quantum_a = {self.quantum_a:g} A"
+        note = quantum if self.set_point_step_a > self.quantum_a else ""
+        return [Row("set-point step", f"{self.set_point_step_a:.3g}", "A", note)]
+
+
+def _share(taken: int, room: int) -> str:
+    return f"{100 * taken / room:.3g} % of {room // 1024} KiB"
+
+
+def _warnings(request: BuildRequest, budget: TickBudget | None, step_a: float | None) -> tuple[str, ...]:
+    """Return warnings about what the rig's experiment needs and this image does not provide."""
+    found, own, quantum = [], request.controller, request.model.amplifier.current_quantum_a
+    if budget is not None and own is not None and own.loop == "device":
+        most = budget.rate_maximum(own.estimator)
+        if own.position_rate > most:
+            found.append(
+                f"the law of {request.model.name} is too slow for {own.position_rate} Hz: "
+                f"{budget.text(own.estimator)}; choose a rate of at most {math.floor(most)} Hz, or the estimator "
+                f"{INTEGERS} (at most {math.floor(budget.rate_maximum(INTEGERS))} Hz)"
+            )
+    if step_a is not None and step_a > COARSE_STEP * quantum:
+        found.append(
+            f"one step of the set-point is {step_a:.3g} A, {step_a / quantum:.3g} times the rig's "
+            f"current_quantum_a = {quantum:g} A: simulation, theory and maps would assume a finer resolution; set "
+            f"rig.amplifier.current_quantum_a = {step_a:.3g}, or lower full_scale there and in the amplifier"
+        )
+    return tuple(found)
+
+
+def build(request: BuildRequest, on_progress: Progress = lambda _what, _share: None) -> BuildResult:
+    """Build an image.
+
+    Parameters
+    ----------
+    request
+        What to build.
+    on_progress
+        Called with what is being done and the share of the work that is done.
+
+    Raises
+    ------
+    ConfigError
+        No such board, a setting that it does not have, or scales that do not fit the rig.
+    ToolchainError
+        No compiler, or it refuses the sources, or the image is too large.
+    RecordingError
+        The files cannot be written.
+    """
+    board = load(request.board)
+    ports = DEVICE if request.application == PORT_CHECK else request.application  # whose files of the port
+    if ports not in board.applications:
+        raise ConfigError(
+            f"board {board.name} has no program {request.application!r}",
+            remedy=f"choose one of its programs: {', '.join(board.applications)}",
+        )
+    _make_directory(request.output)
+    compiler = find_compiler()
+    profile = amplifiers.load(request.model.amplifier.profile)
+    usual = {name: value for name, value in profile.settings.items() if name in board.settings}
+    settings = settings_of(board, {**usual, **dict(request.model.board), **request.settings})
+    step_a = check_scales(board, request.model, settings)
+    sources = (*shared_sources(request.application), *board.sources(ports))
+    config = configure(board, request.model, settings, package=package_version(), sources=sources_hash(board))
+    with scratch("firmware") as place:
+        content = _compile(compiler, board, sources, config, place, on_progress)
+    segments = read_segments(content, "the new program")
+    return _write(request, board, compiler, config, content, segments, settings, step_a)
+
+
+def shared_sources(application: str = DEVICE) -> tuple[Path, ...]:
+    """C files that every image of a program has, whatever the board."""
+    if application == PORT_CHECK:
+        return tuple(FIRMWARE / name for name in PORT_CHECK_SOURCES)
+    return tuple(path for part in SHARED for path in sorted((FIRMWARE / part).glob("*.c")))
+
+
+def sources_hash(board: Board) -> str:
+    """Fingerprint of everything that is compiled for a board, but for the rig: 12 hexadecimal digits."""
+    digest = hashlib.sha256()
+    directories = [*(FIRMWARE / part for part in SHARED), board.directory]
+    files = (path for directory in directories for path in directory.iterdir() if path.is_file())
+    for name, path in sorted((_path_in_tree(path, board).as_posix(), path) for path in files):
+        digest.update(name.encode() + b"\0" + hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()[:12]
+
+
+def _path_in_tree(path: Path, board: Board) -> Path:
+    """Where the compiler finds a source: its board may lie anywhere."""
+    if path.is_relative_to(board.directory):
+        return Path("board") / path.relative_to(board.directory)
+    return Path("firmware") / path.relative_to(FIRMWARE)
+
+
+def package_version() -> str:
+    """Return the version of the installed haptic-rig."""
+    try:
+        return version("haptic-rig")
+    except PackageNotFoundError:
+        return "0"  # a tree that was never installed
+
+
+def _compile(
+    compiler: Compiler,
+    board: Board,
+    sources: tuple[Path, ...],
+    config: BoardConfig,
+    scratch: Path,
+    on_progress: Progress,
+) -> bytes:
+    """Return the program. Everything is named relative to the scratch directory, so that no path gets into it."""
+    for name, directory in (("firmware", FIRMWARE), ("board", board.directory)):
+        if os.name == "posix":
+            (scratch / name).symlink_to(directory, target_is_directory=True)
+        else:
+            shutil.copytree(directory, scratch / name)
+    (scratch / "board_config.h").write_text(config.header, encoding="utf-8")
+    (scratch / "board_config.c").write_text(config.source, encoding="utf-8")
+    names = [_path_in_tree(path, board).as_posix() for path in sources] + ["board_config.c"]
+    include = ["-I.", *(f"-Ifirmware/{part}" for part in SHARED), "-Iboard"]
+    nowhere = f"-ffile-prefix-map={os.path.realpath(scratch)}=."  # the debugger's own notes have paths, too
+    common = [*WARNINGS, *CODE, nowhere, *board.processor, *board.compile, *include]
+    objects = [f"{number}.o" for number in range(len(names))]
+
+    def compile_one(number: int) -> None:
+        compiler.run([*common, "-c", names[number], "-o", objects[number]], scratch)
+        done.append(number)
+        on_progress("compiling", len(done) / (len(names) + 1))
+
+    done: list[int] = []
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for _ in pool.map(compile_one, range(len(names))):
+            pass
+    on_progress("linking", len(names) / (len(names) + 1))
+    script = ["-T", f"board/{board.linker_script}"]
+    flags = [*board.processor, "-mthumb", *board.compile, *LINK, "-Lboard", *board.link]
+    compiler.run([*flags, *script, "-o", "program.elf", *objects, "-lm"], scratch)
+    on_progress("linking", 1.0)
+    content = (scratch / "program.elf").read_bytes()
+    return content if board.sealed_behind is None else sealed(content, board.sealed_behind)
+
+
+def _write(
+    request: BuildRequest,
+    board: Board,
+    compiler: Compiler,
+    config: BoardConfig,
+    content: bytes,
+    segments: tuple[Segment, ...],
+    settings: Mapping[str, SettingValue],
+    step_a: float | None,
+) -> BuildResult:
+    flash_bytes, ram_bytes = _sizes(board, segments)
+    pieces = tuple(segment.load for segment in segments if segment.load.data)
+    image = flat(pieces)
+    suffix = "" if request.application == DEVICE else f"-{request.application}"
+    stem = request.output / f"haptic-rig-{board.name}-{_file_name(request.model.name)}{suffix}"
+    paths = {kind: stem.with_name(f"{stem.name}.{kind}") for kind in ("elf", "bin", "uf2", "json")}
+    dictionary = config.record.dictionary
+    budget = tick_budget(board, settings) if request.application == DEVICE else None
+    result = BuildResult(
+        board=board.name,
+        rig=request.model.name,
+        application=request.application,
+        firmware=dictionary.firmware,
+        protocol=f"{dictionary.major}.{dictionary.minor}",
+        dictionary_hash=f"{config.record.dictionary_hash:016x}",
+        compiler=compiler.version,
+        settings=config.record.facts.settings,
+        quantum_a=request.model.amplifier.current_quantum_a,
+        set_point_step_a=step_a,
+        elf=paths["elf"],
+        bin=paths["bin"],
+        uf2=None if board.uf2_family is None else paths["uf2"],
+        facts=paths["json"],
+        flash_bytes=flash_bytes,
+        flash_room=board.flash.bytes,
+        ram_bytes=ram_bytes,
+        ram_room=board.ram.bytes,
+        sha256=hashlib.sha256(image).hexdigest(),
+        ticks={} if budget is None else {name: budget.text(name) for name in (INTEGERS, "fdm-butterworth")},
+        warnings=_warnings(request, budget, step_a),
+    )
+    facts = {
+        name: value for name, value in plain(result).items() if name not in ("elf", "bin", "uf2", "facts")
+    }
+    try:
+        paths["elf"].write_bytes(content)
+        paths["bin"].write_bytes(image)
+        if board.uf2_family is not None:
+            paths["uf2"].write_bytes(write_uf2(pieces, board.uf2_family))
+        paths["json"].write_text(json.dumps(facts, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise _write_error(request.output, error) from None
+    return result
+
+
+def _make_directory(directory: Path) -> None:
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _write_error(directory, error) from None
+
+
+def _write_error(directory: Path, error: OSError) -> RecordingError:
+    return RecordingError(
+        f"the image cannot be written to {directory}: {error.strerror or error}",
+        remedy="give another directory with `output`",
+    )
+
+
+def _sizes(board: Board, segments: tuple[Segment, ...]) -> tuple[int, int]:
+    """Bytes of flash and of RAM that a program takes; raises `ToolchainError` when it leaves them."""
+    flash, ram = board.flash, board.ram
+    for segment in segments:
+        begin = segment.load.address
+        inside = flash.origin <= begin and begin + len(segment.load.data) <= flash.origin + flash.bytes
+        if segment.load.data and not inside:
+            raise ToolchainError(
+                f"the program has initialised data at {begin:#x}, where board {board.name} has no flash",
+                remedy="place it in flash (`AT >` in the linker script), and copy it in the start-up code",
+            )
+    stored = [s for s in segments if flash.origin <= s.load.address < flash.origin + flash.bytes]
+    flash_bytes = max((s.load.address + len(s.load.data) - flash.origin for s in stored), default=0)
+    held = [s for s in segments if ram.origin <= s.address < ram.origin + ram.bytes]
+    ram_bytes = sum(s.memory_bytes for s in held)
+    return flash_bytes, ram_bytes
+
+
+def _file_name(rig: str) -> str:
+    return "".join(character if character.isalnum() or character in "-_" else "-" for character in rig)

@@ -1,0 +1,251 @@
+"""Code built for a Cortex-M and run in an instruction-set simulator: answers, instructions, estimated cycles.
+
+Nothing of a board is there but memory. Instructions are counted by basic blocks: exact, and quick enough. Cycles are
+an estimate from them, for code in memory without wait states. M0+ (Armv6-M, two stages; data: Cortex-M0+ Technical
+Reference Manual, table 3-1): a load or store 2, one of n words 1 + n, a branch taken 2, a call 3, a return from the
+stack 3 + n, everything else 1, a product too (RP2040's multiplier). M4F and M7: a load or store 2, a branch taken 3, a
+division of integers 8, of floats and a root 14, everything else 1; the M7 issues two instructions in many a cycle, so
+that its figure is an upper bound. Of the M33 instructions are counted, and no cycles: what each costs was not read.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.core.deferred import unicorn
+from rig.core.errors import ToolchainError
+from rig.firmware._toolchain import find_compiler
+
+FLASH, RAM, SIZE = 0x0800_0000, 0x2000_0000, 0x8_0000
+STACK_TOP, STACK_LEAST = RAM + SIZE, RAM + SIZE - 0x4000  # memory below is free for the caller
+RETURN = FLASH + SIZE - 0x100  # where a function returns to: nothing is there
+PAINT = b"\xa5"
+STRICT = (
+    "-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Wdouble-promotion",
+    "-Wstrict-prototypes", "-Wmissing-prototypes", "-Werror", "-ffp-contract=off",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class CortexCore:
+    """A processor: what gcc calls it, what unicorn calls it, the clock of the board that has it (Hz)."""
+
+    name: str
+    flags: tuple[str, ...]
+    model: str
+    clock_hz: float = math.nan
+
+    @property
+    def cycles_known(self) -> bool:
+        """Return True if the cycles that are estimated say something of this processor."""
+        return self.name != "M33F"
+
+
+CORES = {
+    core.name: core
+    for core in (
+        CortexCore("M0+", ("-mcpu=cortex-m0plus", "-mfloat-abi=soft"), "UC_CPU_ARM_CORTEX_M0", 125e6),
+        CortexCore(
+            "M4F", ("-mcpu=cortex-m4", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"), "UC_CPU_ARM_CORTEX_M4", 168e6
+        ),
+        CortexCore(
+            "M33F",
+            ("-mcpu=cortex-m33", "-mfloat-abi=hard", "-mfpu=fpv5-sp-d16"),
+            "UC_CPU_ARM_CORTEX_M33",
+        ),
+        CortexCore(
+            "M7", ("-mcpu=cortex-m7", "-mfloat-abi=hard", "-mfpu=fpv5-sp-d16"), "UC_CPU_ARM_CORTEX_M7", 600e6
+        ),
+    )
+}
+
+
+@dataclass(frozen=True)
+class Image:
+    """Bytes for the flash, where its functions and its variables are."""
+
+    core: CortexCore
+    code: bytes
+    symbols: dict[str, int]
+    sizes: dict[str, int]  # bytes of each function
+
+
+def build(
+    core: CortexCore, directory: Path, sources: Sequence[Path], entries: Iterable[str], *more: str
+) -> Image:
+    """Compile and link sources for a core.
+
+    Parameters
+    ----------
+    core
+        For which.
+    directory
+        Where the files of the compiler go.
+    sources, entries
+        What is compiled, and the functions that must be kept because they are called from outside.
+    *more
+        Options of the compiler: include paths, another optimisation.
+
+    Raises
+    ------
+    ToolchainError
+        There is no compiler, or it rejects the sources.
+    """
+    compiler = find_compiler()
+    elf, raw = directory / "image.elf", directory / "image.bin"
+    names = list(entries)
+    keep = [f"-Wl,-u,{name}" for name in names]
+    link = [
+        "-nostartfiles",
+        "--specs=nosys.specs",
+        f"-Wl,-Ttext={FLASH:#x},-Tbss={RAM:#x},-e,{names[0]}",
+        "-Wl,--gc-sections",
+    ]
+    options = ["-O2", "-mthumb", "-ffunction-sections", "-fdata-sections", "-fno-math-errno", *more]
+    listed = [str(path) for path in sources]
+    compiler.run([*STRICT, *core.flags, *options, *link, *keep, "-o", str(elf), *listed, "-lm"], directory)
+    compiler.tool(
+        "objcopy", ["-O", "binary", "-j", ".text*", "-j", ".rodata*", str(elf), str(raw)], directory
+    )
+    rows = [line.split() for line in compiler.tool("nm", ["-S", str(elf)], directory).splitlines()]
+    symbols = {row[-1]: int(row[0], 16) for row in rows if len(row) >= 3}
+    sizes = {row[-1]: int(row[1], 16) for row in rows if len(row) == 4}
+    return Image(core, raw.read_bytes(), symbols, sizes)
+
+
+@dataclass
+class BasicBlock:
+    """A basic block: its end, instructions, cycles when not left by a jump, cycles more when a condition jumps."""
+
+    end: int
+    instructions: int
+    cycles: int
+    jump: int
+
+
+@dataclass
+class Simulator:
+    """One core with an image in its flash."""
+
+    image: Image
+    counts: bool = True  # what a call costs; without, it is quicker
+    instructions: int = 0  # of the last call
+    cycles: int = 0
+    profile: Counter[int] | None = None  # cycles of each block, if wanted
+    uc: Any = field(init=False)
+    arm: Any = field(init=False)
+
+    def __post_init__(self) -> None:
+        try:
+            self.arm = arm = unicorn.arm_const
+        except ImportError as error:
+            raise ToolchainError(
+                "the instruction-set simulator unicorn is not installed",
+                remedy="pip install haptic-rig[cycles]",
+            ) from error
+        self.uc = uc = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
+        uc.ctl_set_cpu_model(getattr(arm, self.image.core.model))
+        uc.mem_map(FLASH, SIZE)
+        uc.mem_map(RAM, SIZE)
+        uc.mem_write(FLASH, self.image.code)
+        uc.mem_write(STACK_LEAST, PAINT * (STACK_TOP - STACK_LEAST))
+        self._blocks: dict[tuple[int, int], BasicBlock] = {}
+        self._last = BasicBlock(0, 0, 0, 0)
+        if self.counts:
+            uc.hook_add(unicorn.UC_HOOK_BLOCK, self._count)
+
+    def _count(self, uc: Any, address: int, size: int, user: object) -> None:
+        block = self._blocks.get((address, size))
+        if block is None:
+            words = np.frombuffer(bytes(uc.mem_read(address, size)), "<u2").tolist()
+            block = self._blocks[address, size] = _block(address, words, self.image.core.name == "M0+")
+        last, self._last = self._last, block
+        cycles = block.cycles + (last.jump if address != last.end else 0)
+        self.instructions += block.instructions
+        self.cycles += cycles
+        if self.profile is not None:
+            self.profile[address] += cycles
+
+    def call(self, name: str, *arguments: int, stack: bytes = b"") -> int:
+        """Call a function with up to four words, and more on the stack; its answer, with what it cost."""
+        uc, arm = self.uc, self.arm
+        for register, value in zip(("R0", "R1", "R2", "R3"), arguments, strict=False):
+            uc.reg_write(getattr(arm, f"UC_ARM_REG_{register}"), value & 0xFFFF_FFFF)
+        top = STACK_TOP - len(stack)
+        uc.mem_write(top, stack)
+        uc.reg_write(arm.UC_ARM_REG_SP, top)
+        uc.reg_write(arm.UC_ARM_REG_LR, RETURN | 1)
+        self.instructions = self.cycles = 0
+        self._last = BasicBlock(self.image.symbols[name] & ~1, 0, 0, 0)
+        uc.emu_start(self.image.symbols[name] | 1, RETURN)
+        return int(uc.reg_read(arm.UC_ARM_REG_R0))
+
+    @property
+    def stack(self) -> int:
+        """Bytes of stack that were ever used."""
+        painted = bytes(self.uc.mem_read(STACK_LEAST, STACK_TOP - STACK_LEAST))
+        return len(painted) - (len(painted) - len(painted.lstrip(PAINT)))
+
+
+def _block(address: int, words: list[int], small: bool) -> BasicBlock:
+    """Cost of the instructions in a block; `small` for the M0+."""
+    taken = 1 if small else 2  # more for a branch that is taken
+    instructions = cycles = at = jump = 0
+    while at < len(words):
+        word, jump = words[at], 0
+        if word >> 11 in (0b11101, 0b11110, 0b11111):
+            cycles += 1 + _extra_wide(word, words[at + 1], taken)
+            if word >> 11 == 0b11110 and words[at + 1] & 0xD000 == 0x8000:
+                jump = taken  # a conditional branch
+            at += 2
+        else:
+            cycles += 1 + _extra(word, taken)
+            if (word >> 12 == 0b1101 and word >> 8 & 0xF < 0xE) or word & 0xF500 == 0xB100:
+                jump = taken
+            at += 1
+        instructions += 1
+    return BasicBlock(address + 2 * len(words), instructions, cycles, jump)
+
+
+def _extra(word: int, taken: int) -> int:
+    """Cycles beyond one of a short instruction, a jump by condition left out."""
+    if word >> 11 == 0b01001 or word >> 12 in (0b0101, 0b0110, 0b0111, 0b1000, 0b1001):
+        return 1
+    if word & 0xF600 == 0xB400:  # push and pop
+        return (word & 0xFF).bit_count() + (word >> 8 & 1) + (2 if word & 0xFF00 == 0xBD00 else 0)
+    if word >> 12 == 0b1100:  # several words
+        return (word & 0xFF).bit_count()
+    if word >> 11 == 0b11100 or word & 0xFF00 == 0x4700 or word & 0xFF87 == 0x4687:
+        return taken
+    return 0
+
+
+# Long instructions: masks and values of both halves, cycles beyond one, and whether a jump comes on top.
+_WIDE = (
+    (0xF800, 0xF000, 0xD000, 0xD000, 2, False),  # call
+    (0xF800, 0xF000, 0xD000, 0x9000, 0, True),  # jump
+    (0xFFF0, 0xE8D0, 0xFFE0, 0xF000, 2, True),  # jump by table
+    (0xFE40, 0xE840, 0x0000, 0x0000, 2, False),  # two words
+    (0xFE00, 0xF800, 0x0000, 0x0000, 1, False),  # load and store
+    (0xFFD0, 0xFB90, 0x0000, 0x0000, 7, False),  # division
+    (0xFF20, 0xED00, 0x0000, 0x0000, 1, False),  # load and store of a float
+    (0xFFB0, 0xEE80, 0x0000, 0x0000, 13, False),  # its division
+    (0xFFBF, 0xEEB1, 0x00C0, 0x00C0, 13, False),  # its root
+)
+
+
+def _extra_wide(first: int, second: int, taken: int) -> int:
+    """The same of a long instruction."""
+    if first & 0xFE40 == 0xE800:
+        return second.bit_count()  # several words
+    for mask, value, mask_2, value_2, cycles, jumps in _WIDE:
+        if first & mask == value and second & mask_2 == value_2:
+            return cycles + (taken if jumps else 0)
+    return second & 0xFF if first & 0xFE00 == 0xEC00 else 0  # several floats

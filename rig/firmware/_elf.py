@@ -1,0 +1,67 @@
+"""As much of ELF as it takes to flash a program: which bytes go where, and how much memory it takes.
+
+32-bit little-endian files of a linker, by their program headers (System V ABI, chapters 4 and 5).
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from zlib import crc32
+
+from rig.core.errors import ConfigError
+from rig.firmware._uf2 import Piece
+
+MAGIC = b"\x7fELF\x01\x01"  # 32 bits, little-endian
+_LOAD = 1  # type of a segment that is put into memory
+_HEADER = struct.Struct("<16sHHIIIIIHHHHHH")
+_SEGMENT = struct.Struct("<8I")
+_WORD = struct.Struct("<I")
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """Bytes of the file from `offset` on, at their load address, and where and how long they stand in memory."""
+
+    offset: int
+    load: Piece
+    address: int
+    memory_bytes: int
+
+
+def sealed(content: bytes, behind: int) -> bytes:
+    """Return a program whose last loaded word is the CRC-32 of its image, from so many bytes on up to that word."""
+    segments = read_segments(content, "the new program")
+    image = flat(tuple(segment.load for segment in segments if segment.load.data))
+    last = max((segment for segment in segments if segment.load.data), key=lambda one: one.load.address)
+    at = last.offset + len(last.load.data) - _WORD.size
+    return content[:at] + _WORD.pack(crc32(image[behind : -_WORD.size])) + content[at + _WORD.size :]
+
+
+def read_segments(content: bytes, name: str) -> tuple[Segment, ...]:
+    """Return what the program in a file of that name consists of, by load address; `ConfigError` when it is damaged."""
+    try:
+        header = _HEADER.unpack_from(content)
+        at, size, count = header[5], header[9], header[10]
+        segments = [_SEGMENT.unpack_from(content, at + number * size) for number in range(count)]
+    except struct.error as error:
+        raise ConfigError(f"{name} is a damaged program: {error}", remedy="build it again") from None
+    found = []
+    for kind, offset, address, load, file_bytes, memory_bytes, *_ in segments:
+        data = content[offset : offset + file_bytes]
+        if len(data) != file_bytes:
+            raise ConfigError(f"{name} is a damaged program: it is truncated", remedy="build it again")
+        if kind == _LOAD and memory_bytes:
+            found.append(Segment(offset, Piece(load, data), address, memory_bytes))
+    return tuple(sorted(found, key=lambda segment: segment.load.address))
+
+
+def flat(pieces: tuple[Piece, ...]) -> bytes:
+    """Return the bytes from the first address to the last; what lies between pieces is 0xFF, as erased flash is."""
+    if not pieces:
+        return b""
+    first = min(piece.address for piece in pieces)
+    image = bytearray(b"\xff" * (max(piece.address + len(piece.data) for piece in pieces) - first))
+    for piece in pieces:
+        image[piece.address - first : piece.address - first + len(piece.data)] = piece.data
+    return bytes(image)

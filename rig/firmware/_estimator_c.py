@@ -1,0 +1,213 @@
+"""A designed estimator as C99: the firmware's own code with these numbers, cut out of its sources.
+
+The numbers are those of a law on the device (`rig.config.device_law`), so that what a controller board of this package
+runs and what is taken elsewhere is the same estimator.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from firmware_protocol.excerpt import excerpt, renamed
+from firmware_protocol.parameter import Value
+from rig.config.device_law import check_values
+from rig.control.estimators import PERIOD, RESOLUTION, Prepared
+from rig.control.on_device import NotOnDeviceError, estimator_parameters, velocity_format
+from rig.core.errors import ConfigError
+from rig.firmware._boards import FIRMWARE
+
+LAW = FIRMWARE / "law"
+HEADERS = ("law.h", "estimators.h", "numbers.h")
+ALWAYS = "law_count_difference"
+FIXED = "fdm-butterworth-fixed"
+
+
+@dataclass(frozen=True, slots=True)
+class _Form:
+    """How an estimator is called: its source, types of its numbers and its memory, the functions, the call itself."""
+
+    source: str
+    numbers: str
+    memory: str
+    call: str
+    wanted: tuple[str, ...]
+
+
+_FORMS = {
+    FIXED: _Form(
+        "filters.c", "law_biquad", "law_biquad_state", "law_biquad_run(&e->memory, &NUMBERS, moved, elapsed)",
+        ("law_biquad_run", "law_biquad_reset", "law_shifts_must_be_arithmetic"),
+    ),
+    "fdm": _Form("filters.c", "", "", "slope", ()),
+    "fdm-butterworth": _Form(
+        "filters.c", "law_low_pass", "law_low_pass_state",
+        "law_low_pass_run(&e->memory, &NUMBERS, slope, elapsed)", ("law_low_pass_run",),
+    ),
+    "foaw-end": _Form(
+        "foaw.c", "law_foaw", "law_foaw_state",
+        "law_foaw_end(&e->memory, &NUMBERS, count, elapsed, &e->window)", ("law_foaw_end",),
+    ),
+    "foaw-best": _Form(
+        "foaw.c", "law_foaw", "law_foaw_state",
+        "law_foaw_best(&e->memory, &NUMBERS, count, elapsed, &e->window)", ("law_foaw_best",),
+    ),
+    "levant": _Form(
+        "observers.c", "law_levant", "law_levant_state",
+        "e->started ? law_levant_run(&e->memory, &NUMBERS, slope, elapsed) : 0.0f", ("law_levant_run",),
+    ),
+    "kalman": _Form(
+        "observers.c", "law_kalman", "law_kalman_state",
+        "e->started ? law_kalman_run(&e->memory, &NUMBERS, (float)moved, slope, elapsed) : 0.0f",
+        ("law_kalman_run",),
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorC:
+    """An estimator as C.
+
+    Attributes
+    ----------
+    prefix
+        Of all its names: ``kalman`` of ``kalman_begin``, ``kalman_velocity`` and the type ``kalman_estimator``.
+    returns
+        Type of the velocity.
+    scale
+        Velocity (rad/s or m/s) of 1.0 that it returns, or of one LSB.
+    code
+        Includes, declarations and functions; what an includer may use stands at the end.
+    """
+
+    prefix: str
+    returns: str
+    scale: float
+    code: str
+
+
+def estimator_c(prepared: Prepared) -> EstimatorC:
+    """Return an estimator as C.
+
+    Raises
+    ------
+    ConfigError
+        One that the firmware does not have, or not with these settings, and why.
+    """
+    name = prepared.estimator.name
+    try:
+        values = estimator_parameters(prepared)
+        check_values(values)
+    except NotOnDeviceError as error:
+        raise ConfigError(
+            f"the estimator {name} cannot be exported as C: {error.why}", remedy=error.instead
+        ) from None
+    form, prefix = _FORMS[name], re.sub(r"\W", "_", name)
+    per_count = float(prepared.parameters[RESOLUTION] / prepared.parameters[PERIOD])
+    whole = name == FIXED
+    sources = [LAW / file for file in (*HEADERS, form.source)]
+    parts = excerpt(sources, (ALWAYS, *form.wanted), prefix)
+    blocks = (parts, _numbers(form, values), _functions(form, prefix, whole=whole, per_count=per_count))
+    text = "\n".join(block for block in blocks if block)
+    includes = ["stdint.h", *(["math.h"] if re.search(r"\b(sqrtf|fabsf)\b", parts) else [])]
+    code = "\n".join(f"#include <{each}>" for each in sorted(includes)) + "\n\n" + _prefixed(text, prefix)
+    scale = per_count * velocity_format(prepared).lsb if whole else 1.0
+    return EstimatorC(prefix, "int32_t" if whole else "float", scale, code)
+
+
+def _prefixed(text: str, prefix: str) -> str:
+    """The names of the firmware that this file itself uses, as the excerpt has them."""
+    return re.sub(r"\blaw_\w+", lambda found: renamed(found[0], prefix), text).replace(
+        "NUMBERS", f"{prefix}_numbers"
+    )
+
+
+def _numbers(form: _Form, values: dict[str, Value]) -> str:
+    """The object that holds what was designed."""
+    if not form.numbers:
+        return ""
+    if form.numbers == "law_low_pass":
+        return _low_pass(values)
+    own = {_field(name): value for name, value in values.items() if name != "estimator"}
+    if form.numbers == "law_foaw":
+        own.setdefault("least_squares", 0)
+    return _object(form.numbers, [f".{name} = {_literal(value)}," for name, value in own.items()])
+
+
+def _field(parameter: str) -> str:
+    """Member of a struct in law.h that a parameter becomes."""
+    kind, _, name = parameter.partition("_")
+    return f"gain_{name}" if kind == "kalman" else name
+
+
+def _low_pass(values: dict[str, Value]) -> str:
+    order = int(values["low_pass_order"])
+    sections = (order + 1) // 2
+    lines = [f".sections = {sections},", ".section = {"]
+    for n in range(1, sections + 1):
+        numbers = [_literal(values.get(f"low_pass_{part}_{n}", 0.0)) for part in ("inner", "band", "low")]
+        lines.append(f"    {{{', '.join(numbers)}, {1 if 2 * n > order else 2}}},")
+    return _object("law_low_pass", [*lines, "},"])
+
+
+def _object(kind: str, lines: list[str]) -> str:
+    body = "\n".join(f"    {line}" for line in lines)
+    return f"/* As designed. */\nstatic const {kind} NUMBERS = {{\n{body}\n}};\n"
+
+
+def _literal(value: Value) -> str:
+    return c_float(value) if isinstance(value, float) else str(value)
+
+
+def c_float(value: float) -> str:
+    """A float32 constant of C with the shortest digits that read back equal."""
+    return f"{np.float32(value)!s}f"
+
+
+def _functions(form: _Form, prefix: str, *, whole: bool, per_count: float) -> str:
+    returns = "int32_t" if whole else "float"
+    members = [f"{form.memory} memory;"] if form.memory else []
+    members += (
+        ["uint32_t window; /* velocity periods that the last estimate spans */"]
+        if "window" in form.call
+        else []
+    )
+    members += ["int32_t previous; /* count of the last call */", "int started;"]
+    body = ["const int32_t moved = e->started ? law_count_difference(count, e->previous) : 0;"]
+    if "slope" in form.call:
+        body.append("const float slope = elapsed <= 1 ? (float)moved : (float)moved / (float)elapsed;")
+    body += [f"{returns} velocity;", "", "if (elapsed < 1)", "    elapsed = 1;", f"velocity = {form.call};"]
+    if not re.search(r"\b(moved|slope)\b", form.call):  # a window keeps the counts themselves
+        body = [line for line in body if "moved =" not in line]
+        members.remove("int32_t previous; /* count of the last call */")
+    else:
+        body.append("e->previous = count;")
+    if not re.search(r"e->started", "".join(body)):
+        members.remove("int started;")
+    else:
+        body.append("e->started = 1;")
+    body.append("return velocity;" if whole else f"return {c_float(per_count)} * velocity;")
+    begin = [f"*e = ({prefix}_estimator){{0}};"]
+    begin += ["law_biquad_reset(&e->memory, &NUMBERS);"] if whole else []
+    return f"""typedef struct {{
+{_indented(members)}
+}} {prefix}_estimator;
+
+/* Initialise: no count has been seen. */
+static inline void {prefix}_begin({prefix}_estimator *e)
+{{
+{_indented(begin)}
+}}
+
+/* Call once per velocity period. */
+static inline {returns} {prefix}_velocity({prefix}_estimator *e, int32_t count, uint32_t elapsed)
+{{
+{_indented(body)}
+}}
+"""
+
+
+def _indented(lines: list[str]) -> str:
+    return "\n".join(f"    {line}" if line else "" for line in lines)

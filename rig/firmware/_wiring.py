@@ -1,0 +1,152 @@
+"""The wiring of a board's reference rig: a netlist beside its ``board.toml``, drawn and listed with the pins as set."""
+
+from __future__ import annotations
+
+import textwrap
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from html import escape
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from firmware_protocol.dictionary import SettingValue
+from rig.core.errors import ConfigError
+from rig.firmware._boards import Board
+from rig.recording.files import whole_file
+
+WIRING_FILE = "wiring.toml"
+_COLUMN, _BOX, _PITCH, _MARGIN, _STUB = 440, 235, 18, 40, 22  # px
+_LINE = 36  # characters of a box
+
+
+@dataclass(frozen=True, slots=True)
+class Pin:
+    """A pin: as its part calls it, and the net that it is on."""
+
+    name: str
+    net: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WiringPart:
+    """A part: its name, what it is, where its numbers are from, and its pins on both sides of its box."""
+
+    name: str
+    what: str
+    source: str
+    column: int
+    left: tuple[Pin, ...]
+    right: tuple[Pin, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Wiring:
+    """All parts of a rig, in the order of the file."""
+
+    parts: tuple[WiringPart, ...]
+
+    def nets(self) -> dict[str, list[str]]:
+        """Return the pins of each net, as ``PART.pin``."""
+        found: dict[str, list[str]] = {}
+        for part in self.parts:
+            for pin in (*part.left, *part.right):
+                found.setdefault(pin.net, []).append(f"{part.name}.{pin.name}")
+        return found
+
+
+def wiring(board: Board, settings: Mapping[str, SettingValue]) -> Wiring:
+    """Read the wiring of a board, its pins as the settings have them.
+
+    Raises
+    ------
+    ConfigError
+        The board has no netlist, or it names a pin that the settings do not have.
+    """
+    path = board.directory / WIRING_FILE
+    if not path.is_file():
+        raise ConfigError(f"board {board.name} has no {WIRING_FILE}", remedy="write one like the Pico's")
+    rows = tomllib.loads(path.read_text(encoding="utf-8"))["part"]
+    return Wiring(
+        tuple(_part(row, board, settings) for row in rows if _applies(row.get("where", {}), settings))
+    )
+
+
+def _applies(where: Mapping[str, SettingValue], settings: Mapping[str, SettingValue]) -> bool:
+    return all(settings[name] == value for name, value in where.items())
+
+
+def _part(row: Mapping[str, Any], board: Board, settings: Mapping[str, SettingValue]) -> WiringPart:
+    sides = {
+        side: tuple(
+            Pin(_pin(name, board, settings), net)
+            for name, net, *where in row.get(side, ())
+            if all(_applies(one, settings) for one in where)
+        )
+        for side in ("left", "right")
+    }
+    return WiringPart(name=row["name"], what=row["what"], source=row["source"], column=row["column"], **sides)
+
+
+def _pin(name: str, board: Board, settings: Mapping[str, SettingValue]) -> str:
+    """Return a pin's name: of a setting its number with what it is, of anything else as it is."""
+    setting, _, offset = (text.strip() for text in name.partition("+"))
+    if setting not in board.settings:
+        if setting.endswith("_pin"):
+            raise ConfigError(f"{WIRING_FILE} of board {board.name}: unknown setting {setting!r}")
+        return name
+    number = int(settings[setting]) + int(offset or 0)
+    return f"GPIO{number} {setting.removesuffix('_pin')}{offset and f' + {offset}'}"
+
+
+def draw(found: Wiring, path: Path) -> Path:
+    """Draw the parts as boxes whose pins name their nets, as SVG; `RecordingError` when it cannot be written."""
+    with whole_file(path, overwrite=True) as file:
+        file.write(svg(found).encode())
+    return path
+
+
+def svg(found: Wiring) -> str:
+    """Return the drawing of the netlist as SVG."""
+    shapes: list[str] = []
+    bottom = 0
+    for column, parts in groupby(sorted(found.parts, key=lambda part: part.column), lambda part: part.column):
+        top = _MARGIN
+        for part in parts:
+            shapes += _box(part, _MARGIN + 70 + column * _COLUMN, top)
+            top += _height(part) + _MARGIN + _PITCH * len(_wrap(part.what))
+        bottom = max(bottom, top)
+    width = _MARGIN + (1 + max(part.column for part in found.parts)) * _COLUMN
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {bottom}" font-family="sans-serif" '
+    return "\n".join(
+        [f'{head}font-size="11">', '<rect width="100%" height="100%" fill="white"/>', *shapes, "</svg>\n"]
+    )
+
+
+def _height(part: WiringPart) -> int:
+    return _PITCH * (1 + max(len(part.left), len(part.right)))
+
+
+def _box(part: WiringPart, x: int, y: int) -> Iterator[str]:
+    words = [part.name, *_wrap(part.what)]
+    for line, text in enumerate(words):
+        yield _text(x, y - 4 + 13 * line, text, 'font-weight="bold"' if line == 0 else 'fill="#555"')
+    y += 13 * (len(words) - 1)
+    yield f'<rect x="{x}" y="{y}" width="{_BOX}" height="{_height(part)}" fill="#f4f7fb" stroke="#333"/>'
+    for side, pins in ((-1, part.left), (1, part.right)):
+        edge, inner, outer = (x, "start", "end") if side < 0 else (x + _BOX, "end", "start")
+        for place, pin in enumerate(pins, start=1):
+            at = y + _PITCH * place
+            end = edge + side * _STUB
+            yield f'<line x1="{edge}" y1="{at}" x2="{end}" y2="{at}" stroke="#333"/>'
+            yield _text(edge - 4 * side, at + 4, pin.name, f'text-anchor="{inner}" font-size="9"')
+            yield _text(end + 3 * side, at + 4, pin.net, f'text-anchor="{outer}" fill="#0a58a8"')
+
+
+def _text(x: int, y: int, text: str, look: str) -> str:
+    return f'<text x="{x}" y="{y}" {look}>{escape(text)}</text>'
+
+
+def _wrap(text: str) -> list[str]:
+    return textwrap.wrap(text, _LINE, break_long_words=False)

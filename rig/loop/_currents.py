@@ -1,0 +1,84 @@
+"""Commanded, active and measured current, which have to agree in every tick.
+
+The active current is that of the COMMAND that STATE names, unless a limit flag says why not. Where that one came in the
+very tick, one before it has driven the tick: a host that was late sends several within one. The measured current is
+compared with the active one by `rig.control.current`. Both are marks of the row (`rig.core.sample.RowFlag`); with the
+law on the device the first comparison is `rig.loop._device_host_agreement`'s.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import types
+
+from firmware_protocol.connection import State
+from firmware_protocol.faults import LimitFlag
+from firmware_protocol.messages import NO_COMMAND_YET
+from rig.control.current import AGREES, CURRENT, DISAGREES, compare, resume
+from rig.control.step import MEMORY_TYPE
+from rig.core.sample import RowFlag
+from rig.loop.layout import BUFFERS_TYPE, COMMANDS_KEPT, INTS, Buffers
+from rig.realtime.codec import STATE
+from rig.realtime.kernel import kernel
+
+_FOLLOWS, _DIFFERS, _OTHER = (
+    int(flag) for flag in (RowFlag.CURRENT_FOLLOWS, RowFlag.CURRENT_DIFFERS, RowFlag.OTHER_CURRENT)
+)
+_ACTING = int(~(LimitFlag.SPEED | LimitFlag.POSITION))  # nearing a limit changes no current
+_NONE_YET = NO_COMMAND_YET
+_RUNNING = int(State.RUNNING)
+OLDER = 8
+
+
+@kernel(types.void(INTS, types.int64, types.int64, types.int64), inline=True)
+def keep_command(sent: Any, sequence: int, current: int, answers: int) -> None:
+    """Remember the current of a COMMAND and the sample that it answers, for what the device says of it."""
+    place = 3 * (sequence % COMMANDS_KEPT)
+    sent[place], sent[place + 1], sent[place + 2] = sequence, current, answers
+
+
+@kernel(types.int64(INTS, types.int64), inline=True)
+def answered_by(sent: Any, sequence: int) -> int:
+    """Index of the sample that a COMMAND answers, -1 of one that is forgotten."""
+    place = 3 * (sequence % COMMANDS_KEPT)
+    return int(sent[place + 2]) if sent[place] == sequence else -1
+
+
+@kernel(types.boolean(INTS, types.int64, types.int64), inline=True)
+def _was_sent(sent: Any, sequence: int, current: int) -> bool:
+    """Return True if a COMMAND had a current, or is too old to be remembered."""
+    place = 3 * (sequence % 65536 % COMMANDS_KEPT)
+    return bool(sent[place] != sequence % 65536 or sent[place + 1] == current)
+
+
+@kernel(types.void(BUFFERS_TYPE, MEMORY_TYPE))
+def compare_command(buffers: Buffers, memory: Any) -> None:
+    """Mark a tick whose active current is not the one that was commanded, though no limit acted."""
+    state, sent = buffers.state, buffers.sent
+    if state[STATE.state] != _RUNNING or state[STATE.command_age] == _NONE_YET or state[STATE.fault] != 0:
+        return
+    if state[STATE.limits] & _ACTING != 0:
+        return
+    active, current = state[STATE.command_sequence], state[STATE.current_commanded]
+    older = OLDER if state[STATE.command_age] <= 1 else 0
+    for back in range(older + 1):
+        if _was_sent(sent, active - back, current):
+            return
+    memory[0]["flags"] |= _OTHER
+
+
+@kernel(types.void(BUFFERS_TYPE, MEMORY_TYPE, types.int64))
+def compare_measured(buffers: Buffers, memory: Any, elapsed: int) -> None:
+    """Mark a tick that ends a window in which the measured current followed the active one, or did not."""
+    words, state = buffers.currents, buffers.state
+    if words[CURRENT.ticks] == 0:  # this rig has no current sensor, or no expected current is configured
+        return
+    if elapsed != 1:
+        resume(words, state[STATE.current_measured])
+        return
+    found = compare(words, state[STATE.count], state[STATE.current_commanded], state[STATE.current_measured])
+    if found == AGREES:
+        memory[0]["flags"] |= _FOLLOWS
+    elif found == DISAGREES:
+        memory[0]["flags"] |= _DIFFERS

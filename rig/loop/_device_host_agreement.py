@@ -1,0 +1,72 @@
+"""Device–host agreement: the current active at a sample beside the one that the law gave a sample before.
+
+The two compute in different arithmetic, so they may differ slightly. Where a limit, a ramp or a gap acts the
+difference is expected and nothing is compared, nor for a while after a gap, until the estimators have forgotten it. A
+STATE reports limits afterwards, so what was found since the last one waits for the next; samples that no STATE covers,
+because it was lost or the run ended, are excluded.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import types
+
+from firmware_protocol.faults import LimitFlag
+from rig.control.step import CONTROL_TYPE
+from rig.loop._supervision import CONTIGUOUS, SUPERVISION_TYPE
+from rig.loop.layout import INTS, SETTINGS_TYPE
+from rig.realtime.codec import STATE
+from rig.realtime.kernel import kernel
+
+# Limits that change the current; the others only warn.
+_ACTING = int(
+    LimitFlag.CURRENT
+    | LimitFlag.SLEW
+    | LimitFlag.THERMAL
+    | LimitFlag.RAMPING
+    | LimitFlag.HOLD_TO_RUN_RELEASED
+)
+
+
+FORGET_PERIODS, FORGET_NS = 50, 20_000_000  # velocity periods, and time, whichever is longer
+
+
+@kernel(types.void(SUPERVISION_TYPE, SETTINGS_TYPE, CONTROL_TYPE, types.int64, types.int64))
+def compare(supervision: Any, settings: Any, control: Any, elapsed: int, applied: int) -> None:
+    """Compare the active current at a sample with what the law gave at the sample before."""
+    v, s = supervision[0], settings[0]
+    if v["comparable"] == 0:
+        return
+    if elapsed != 1:
+        v["forgetting"] = max(FORGET_PERIODS * control[0]["velocity_divider"], FORGET_NS // s["period_ns"])
+    if v["forgetting"] > 0:
+        v["forgetting"] -= 1
+        v["excluded"] += 1
+        return
+    difference = abs(applied - v["sent"])
+    v["open_compared"] += 1
+    if difference > 0:
+        v["open_differing"] += 1
+        v["open_greatest"] = max(v["open_greatest"], difference)
+    if difference > s["agreement_quanta"]:
+        v["open_beyond"] += 1
+
+
+@kernel(types.void(SUPERVISION_TYPE, INTS))
+def settle(supervision: Any, state: Any) -> None:
+    """Count what was found since the last STATE, now that the next one shows whether a limit acted."""
+    v = supervision[0]
+    limits = state[STATE.limits] & _ACTING
+    if state[CONTIGUOUS] == 1 and (limits | v["limits_before"]) == 0:
+        v["compared"] += v["open_compared"]
+        v["differing"] += v["open_differing"]
+        v["beyond"] += v["open_beyond"]
+        v["greatest"] = max(v["greatest"], v["open_greatest"])
+    else:
+        v["excluded"] += v["open_compared"]
+    v["limits_before"] = limits
+    v["open_compared"] = 0
+    v["open_differing"] = 0
+    v["open_beyond"] = 0
+    v["open_greatest"] = 0

@@ -1,0 +1,119 @@
+"""Reasons to end that all loops share: a stop from outside, or a flag of the law."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import types
+
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Input
+from rig.control.step import DONE, MEMORY_TYPE
+from rig.control.step import ENERGY as FLAG_ENERGY
+from rig.control.step import HOMING_FAILED as FLAG_HOMING
+from rig.control.step import NONFINITE as FLAG_NONFINITE
+from rig.control.step import OUT_OF_WINDOW as FLAG_WINDOW
+from rig.control.step import UNMOVED as FLAG_UNMOVED
+from rig.control.step import VIOLENT as FLAG_VIOLENT
+from rig.core.sample import RowFlag
+from rig.devices.port import PORT_TYPE, LoopPort
+from rig.loop._contradictions import Contradiction
+from rig.loop.layout import INTS, PROGRESS_TYPE, SETTINGS_TYPE, WORD, EndReason
+from rig.realtime import control_words
+from rig.realtime.atomics import load_word, store_word
+from rig.realtime.codec import STATE
+from rig.realtime.kernel import kernel
+
+# Plain integers, as compiled code takes them.
+FINISHED, STOPPED, HEARTBEAT = (int(EndReason[n]) for n in ("FINISHED", "STOPPED", "HEARTBEAT_MISSED"))
+CLOSED, SILENT, FAULT = (int(EndReason[n]) for n in ("LINK_CLOSED", "LINK_SILENT", "DEVICE_FAULT"))
+OVERRUN, DEVICE_ENDED = int(EndReason.OVERRUN), int(EndReason.DEVICE_ENDED)
+_NONFINITE, _WINDOW, _HOMING = (int(EndReason[n]) for n in ("NONFINITE", "OUT_OF_WINDOW", "HOMING_FAILED"))
+CONTRADICTS, RESTARTED = int(EndReason.DEVICE_CONTRADICTS), int(EndReason.DEVICE_RESTARTED)
+_ENERGY, _VIOLENT, _UNMOVED = int(EndReason.ENERGY), int(EndReason.VIOLENT), int(EndReason.UNMOVED)
+_ARMED, _RUNNING, _EMERGENCY = int(State.ARMED), int(State.RUNNING), int(Input.EMERGENCY_STOP)
+_SWITCH, _LIMIT_SWITCH = int(Input.LIMIT_SWITCH), int(EndReason.LIMIT_SWITCH)
+_ANEW = int(Contradiction.RESTARTED)
+DELAYED = int(EndReason.LINK_DELAYED)
+_CURRENT, _FLAG_CURRENT = int(EndReason.CURRENT_DIFFERS), int(RowFlag.CURRENT_DIFFERS)
+
+
+@kernel(types.int64(PROGRESS_TYPE))
+def contradicted(progress: Any) -> int:
+    """Reason to end that a contradiction of the device gives, or 0."""
+    found = progress[0]["contradiction"]
+    if found == 0:
+        return 0
+    return RESTARTED if found == _ANEW else CONTRADICTS
+
+
+@kernel(types.int64(INTS, PROGRESS_TYPE))
+def ended_by_device(state: Any, progress: Any) -> int:
+    """Reason to end that a STATE or a contradiction of the device gives, or 0.
+
+    A device that left the session may not say why, and one that reports a pressed emergency stop must not drive on.
+    """
+    armed = state[STATE.state] == _ARMED or state[STATE.state] == _RUNNING
+    if state[STATE.fault] != 0 or not armed or state[STATE.inputs] & _EMERGENCY != 0:
+        return FAULT
+    return int(contradicted(progress))
+
+
+@kernel(types.int64(INTS, SETTINGS_TYPE, PROGRESS_TYPE))
+def ended_at_the_switch(state: Any, settings: Any, progress: Any) -> int:
+    """Reason to end that the limit switch gives in a STATE, or 0.
+
+    The switch lies outside of the position window: where it is reached position zero is wrong or the guard has failed.
+    A broken wire reads as pressed and ends the run as well, because the switch could no longer detect the end.
+    """
+    s, p = settings[0], progress[0]
+    if state[STATE.inputs] & _SWITCH == 0:
+        p["switch_open"] += 1
+        return 0
+    if s["limit_switch"] != 0 and p["switch_open"] >= s["limit_switch"] - 1:
+        return _LIMIT_SWITCH
+    p["switch_open"] = 0
+    return 0
+
+
+@kernel(types.int64(PORT_TYPE, SETTINGS_TYPE, types.uintp))
+def told_to_end(port: LoopPort, settings: Any, words: int) -> int:
+    """Reason to end that came from outside, or 0: the stop word, a request, a supervisor whose heartbeat stopped."""
+    requests = settings[0]["stop_requests"]
+    if requests != 0 and load_word(requests) != settings[0]["stop_requests_before"]:
+        store_word(words + WORD * control_words.STOP, 1)
+    if load_word(words + WORD * control_words.STOP) != 0:
+        return STOPPED
+    alive_until = load_word(words + WORD * control_words.HEARTBEAT)
+    if alive_until != 0 and port.now(port.clock_handle) > alive_until:
+        return HEARTBEAT
+    return 0
+
+
+@kernel(types.int64(MEMORY_TYPE))
+def ended_by_law(memory: Any) -> int:
+    """Reason to end that `rig.control.step` or a comparison of the currents left in the tick's flags, or 0.
+
+    With the law on the device this is the host's own step on the samples of a BATCH, and the device does not watch
+    energy, violence or a count that stands: it drives until our STOP arrives. That takes the rest of the batch (at most
+    5 ms, see `rig.config.device_law._batch`), the transfer of its bytes, and the transfer of the STOP.
+    """
+    flags = memory[0]["flags"]
+    reason = 0
+    if flags & FLAG_NONFINITE:
+        reason = _NONFINITE
+    elif flags & FLAG_WINDOW:
+        reason = _WINDOW
+    elif flags & FLAG_ENERGY:
+        reason = _ENERGY
+    elif flags & FLAG_VIOLENT:
+        reason = _VIOLENT
+    elif flags & _FLAG_CURRENT:
+        reason = _CURRENT
+    elif flags & FLAG_UNMOVED:
+        reason = _UNMOVED
+    elif flags & FLAG_HOMING:
+        reason = _HOMING
+    elif memory[0]["phase"] == DONE:
+        reason = FINISHED
+    return reason

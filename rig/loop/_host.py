@@ -1,0 +1,220 @@
+"""The control loop on the host, as one compiled function without the GIL.
+
+For each fresh STATE: read the count, run `rig.control.step`, answer with a COMMAND, leave one row in the ring. The loop
+is paced by the device (block until a sample arrives, one period at most) or by the host (wake on a grid that does not
+drift, skip missed points, never burst, and take the newest sample available). Every wait is bounded, so that the stop
+word, a signal and the heartbeat are seen within a tick. The link is drained every time and the newest sample kept;
+older ones are counted as skipped, those that never arrived as lost: the law saw neither.
+
+Estimator, law, link and clock are plug points (`rig.realtime.plugs`), so that this function is compiled once for all of
+them: the in-memory link in virtual time and a serial port in real time run the same machine code.
+
+Whatever ends the loop, it sends several STOP commands before it returns, and its caller sends them again.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import types
+
+from firmware_protocol.messages import STOP_FRAMES
+from rig.control.step import CONTROLLER_TYPE, MEMORY_TYPE, ControllerArguments, shown_phase, step
+from rig.devices.port import PORT_TYPE, LoopPort
+from rig.loop._commands import MODE_CURRENT, MODE_STOP, NO_SYNC, send_command, sync_of
+from rig.loop._currents import compare_command, compare_measured
+from rig.loop._ending import (
+    CLOSED,
+    DELAYED,
+    OVERRUN,
+    SILENT,
+    STOPPED,
+    contradicted,
+    ended_at_the_switch,
+    ended_by_device,
+    ended_by_law,
+    told_to_end,
+)
+from rig.loop._exchange import ask_time
+from rig.loop._link_delay import is_delayed
+from rig.loop._parameters import renew_parameters
+from rig.loop._receive import add, drain, newest_state
+from rig.loop._rows import FLAG_GAP, FLAG_LATE, edge_age_ns, flag_timing, lateness, leave_row
+from rig.loop.layout import (
+    BUFFERS_TYPE,
+    PROGRESS_TYPE,
+    SETTINGS_TYPE,
+    SHARED_TYPE,
+    WORD,
+    Buffers,
+    SharedRing,
+)
+from rig.realtime import control_words
+from rig.realtime.atomics import load_word, store_word
+from rig.realtime.codec import STATE
+from rig.realtime.kernel import kernel
+
+SHORTEST_WAIT_NS = 200_000
+LONGEST_WAIT_NS = 10_000_000
+
+
+@kernel(types.boolean(SETTINGS_TYPE, MEMORY_TYPE, PROGRESS_TYPE))
+def _overran(settings: Any, memory: Any, progress: Any) -> bool:
+    """Return True if this tick is more than one period late.
+
+    Device-paced, the newest of several samples is in time though the skipped ones were not: they decide.
+    """
+    flags = memory[0]["flags"]
+    behind = settings[0]["host_paced"] == 0 and flags & FLAG_GAP != 0 and progress[0]["fresh"] > 1
+    return bool(behind or flags & FLAG_LATE != 0)
+
+
+@kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, MEMORY_TYPE))
+def _outcome(settings: Any, buffers: Buffers, memory: Any) -> int:
+    """End reason that follows from this tick, 0 to continue."""
+    progress = buffers.progress
+    reason = ended_by_device(buffers.state, progress)
+    if reason == 0 and is_delayed(settings, buffers):
+        reason = DELAYED
+    if reason == 0:
+        reason = ended_at_the_switch(buffers.state, settings, progress)
+    if reason == 0:
+        reason = ended_by_law(memory)
+    if reason == 0 and settings[0]["stop_when_late"] != 0 and _overran(settings, memory, progress):
+        reason = OVERRUN
+    return int(reason)
+
+
+@kernel(types.void(PORT_TYPE, SETTINGS_TYPE, PROGRESS_TYPE, types.uintp))
+def _sleep_to_the_grid(port: LoopPort, settings: Any, progress: Any, words: int) -> None:
+    """Host-paced: sleep to the next point of the grid. Points that passed before it woke are counted and left out."""
+    s, p = settings[0], progress[0]
+    if p["deadline"] == 0:
+        p["deadline"] = port.now(port.clock_handle)
+    p["deadline"] += s["period_ns"]
+    port.sleep(port.clock_handle, p["deadline"] - s["spin_ns"])
+    woke = port.now(port.clock_handle)
+    while woke < p["deadline"]:
+        woke = port.now(port.clock_handle)
+    p["late"] = woke - p["deadline"]
+    passed = p["late"] // s["period_ns"]
+    p["deadline"] += passed * s["period_ns"]
+    add(words, control_words.OVERRUNS, passed)
+
+
+_NO_SAMPLE = 0
+_ENDS = -1  # times an EndReason: what `_receive` returns instead of a number of samples
+
+
+@kernel(types.int64(PORT_TYPE, SETTINGS_TYPE, BUFFERS_TYPE, types.uintp))
+def _receive(port: LoopPort, settings: Any, buffers: Buffers, words: int) -> int:
+    """Wait for the next tick, one period at most: samples passed, 0 for none, or minus the reason to end."""
+    s, p = settings[0], buffers.progress[0]
+    reason = told_to_end(port, settings, words)
+    if reason != 0:
+        return _ENDS * reason
+    until_ns = port.now(port.clock_handle)
+    if s["host_paced"] != 0:
+        _sleep_to_the_grid(port, settings, buffers.progress, words)
+        until_ns = port.now(
+            port.clock_handle
+        )  # a link in virtual time brings its device to here; nothing is waited for
+    else:
+        until_ns += min(max(s["period_ns"], SHORTEST_WAIT_NS), LONGEST_WAIT_NS)
+    ready = port.wait(port.handle, until_ns)
+    if ready > 0:
+        ready = drain(port, buffers)
+    p["read_at"] = port.now(port.clock_handle)
+    passed = newest_state(settings, buffers, words)
+    if passed > 0:
+        p["last_fresh"] = p["read_at"]
+        if s["host_paced"] == 0:
+            p["late"] = lateness(settings, buffers.progress, p["read_at"])
+        return int(passed)
+    if p["contradiction"] != 0:
+        return _ENDS * contradicted(buffers.progress)
+    if ready < 0:
+        store_word(words + WORD * control_words.END_ERRNO, -ready)
+        return _ENDS * CLOSED
+    if p["read_at"] - p["last_fresh"] > s["lost_after_ns"]:
+        return _ENDS * SILENT
+    if s["host_paced"] != 0:
+        add(words, control_words.STALE, 1)
+    return _NO_SAMPLE
+
+
+@kernel(
+    types.int64(PORT_TYPE, CONTROLLER_TYPE, SHARED_TYPE, SETTINGS_TYPE, BUFFERS_TYPE),
+)
+def run(
+    port: LoopPort, controller: ControllerArguments, shared: SharedRing, settings: Any, buffers: Buffers
+) -> int:
+    """Run until an end reason; then send zero effort several times, and return the reason.
+
+    Parameters
+    ----------
+    port
+        The link and its clock.
+    controller
+        The law of one tick (`rig.control.step`).
+    shared
+        The ring that recorder and supervisor share with the loop.
+    settings, buffers
+        Memory of the loop (`rig.loop.layout`).
+
+    Returns
+    -------
+    int
+        `EndReason`; also stored in the ring. LOOP_DONE is the caller's to set, because it must be set after an
+        exception of a law too.
+    """
+    memory, state, words = controller.memory, buffers.state, shared.words
+    p, m = buffers.progress[0], memory[0]
+    p["last_fresh"] = port.now(port.clock_handle)
+    tick = 0
+    reason = 0
+    while reason == 0:
+        elapsed = _receive(port, settings, buffers, words)
+        if elapsed == _NO_SAMPLE:
+            continue
+        if elapsed < 0:
+            reason = -elapsed
+            break
+        if tick == 0:
+            elapsed = 1
+        received_ns = p["read_at"]
+        renew_parameters(controller, shared, buffers, tick)
+        edge_age_s = edge_age_ns(buffers.progress, state, settings) * 1e-9
+        current = step(controller, state[STATE.count], edge_age_s, elapsed)
+        if (
+            load_word(words + WORD * control_words.STOP) == control_words.ABANDONED
+        ):  # the law took too long, and the caller no longer waits
+            store_word(words + WORD * control_words.END_REASON, STOPPED)
+            return STOPPED
+        computed_ns = port.now(port.clock_handle)
+        flag_timing(settings, memory, buffers.progress, elapsed, words)
+        compare_command(buffers, memory)
+        compare_measured(buffers, memory, elapsed)
+        mode, sync = MODE_CURRENT, sync_of(memory)
+        reason = _outcome(settings, buffers, memory)
+        if reason != 0:
+            mode, sync = MODE_STOP, NO_SYNC
+            current = 0
+            m["effort_sent"] = 0.0
+            m["current_sent"] = 0
+        taken = send_command(port, settings, buffers, mode, current, sync)
+        sent_ns = port.now(port.clock_handle)
+        add(words, control_words.COMMANDS if taken == 1 else control_words.UNSENT, 1)
+        leave_row(controller, shared, settings, buffers, tick, elapsed, received_ns, computed_ns, sent_ns)
+        tick += 1
+        store_word(words + WORD * control_words.TICKS, tick)
+        store_word(words + WORD * control_words.PHASE, shown_phase(memory))
+        if taken >= 0 and reason == 0:
+            taken = ask_time(port, settings, buffers)
+        if taken < 0:
+            store_word(words + WORD * control_words.END_ERRNO, -taken)
+            reason = CLOSED
+    for _ in range(STOP_FRAMES):  # also on a closed link: one that only reads badly still carries them
+        send_command(port, settings, buffers, MODE_STOP, 0, NO_SYNC)
+    store_word(words + WORD * control_words.END_REASON, reason)
+    return int(reason)

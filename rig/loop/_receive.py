@@ -1,0 +1,100 @@
+"""From the link's bytes to the newest sample: frames split, checked and dispatched."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import types
+
+from rig.devices.port import PORT_TYPE, LoopPort
+from rig.loop._contradictions import ahead, take_news, time_of
+from rig.loop._exchange import take_time
+from rig.loop.frames import NO_FRAME, keep_rest, next_frame
+from rig.loop.layout import BUFFERS_TYPE, RECEIVE_BYTES, SETTINGS_TYPE, WORD, Buffers
+from rig.realtime import codec, control_words
+from rig.realtime.atomics import load_word, store_word
+from rig.realtime.codec import HEAD, STATE
+from rig.realtime.kernel import kernel
+
+
+@kernel(types.void(types.uintp, types.int64, types.int64))
+def add(words: int, word: int, amount: int) -> None:
+    """Raise a counter of the ring, whose only writer is the loop."""
+    store_word(words + WORD * word, load_word(words + WORD * word) + amount)
+
+
+@kernel(types.int64(PORT_TYPE, BUFFERS_TYPE))
+def drain(port: LoopPort, buffers: Buffers) -> int:
+    """Read all that is there into the receive buffer: 0, or the negative errno of a broken link."""
+    p, start = buffers.progress[0], np.int64(buffers.received.ctypes.data)
+    while p["filled"] < RECEIVE_BYTES:
+        got = port.read(port.handle, start + p["filled"], np.int64(RECEIVE_BYTES - p["filled"]))
+        if got <= 0:
+            return int(got)
+        p["filled"] += got
+    return 0
+
+
+@kernel(types.void(BUFFERS_TYPE, types.int64, types.int64, types.uintp))
+def forget_noise(buffers: Buffers, start: int, end: int, words: int) -> None:
+    """Keep the unfinished frame behind the last whole one for the next reading, unless it is noise."""
+    rest = keep_rest(buffers.received, start, end)
+    if rest < 0:
+        add(words, control_words.BAD_FRAMES, 1)
+    buffers.progress[0]["filled"] = max(rest, 0)
+
+
+@kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, types.uintp))
+def _take(settings: Any, buffers: Buffers, words: int) -> int:
+    """Store a STATE of this session in `buffers.state` if it is newer and accepted; return by how many samples."""
+    p, candidate, state = buffers.progress[0], buffers.candidate, buffers.state
+    newer, believed = take_news(settings, buffers.progress, candidate, state, p["started"] == 0)
+    if believed == 0:
+        return 0
+    if newer <= 0:
+        add(words, control_words.DUPLICATED if newer == 0 else control_words.REORDERED, 1)
+        return 0
+    if p["started"] == 0:
+        p["sample_index"] = candidate[STATE.sample_index]
+        p["device_time"] = candidate[STATE.device_time]
+        p["started"] = 1
+    else:
+        p["sample_index"] += newer
+        expected = time_of(settings, newer)  # a jump back is one, not a wrap
+        p["device_time"] += expected + ahead(candidate[STATE.device_time] - p["device_time"], expected)
+    p["answers"] = buffers.header[HEAD.sequence]
+    p["fresh"] += 1
+    for i in range(len(state)):
+        state[i] = candidate[i]
+    return newer
+
+
+@kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, types.uintp))
+def newest_state(settings: Any, buffers: Buffers, words: int) -> int:
+    """Take the whole frames out of the receive buffer and leave the newest fresh STATE in `buffers.state`.
+
+    Returns the samples passed since the last one delivered, 0 when nothing is fresh; ``progress["fresh"]`` is how
+    many of them arrived. An answer to a clock exchange goes to `buffers.exchanges`. An unfinished frame moves to the
+    front of the buffer; two kilobytes without a delimiter are noise and are thrown away.
+    """
+    p, header = buffers.progress[0], buffers.header
+    p["fresh"] = 0
+    end = p["filled"]
+    start = 0
+    passed = 0
+    while True:
+        length, start = next_frame(buffers.received, start, end, buffers.raw)
+        if length == NO_FRAME:
+            break
+        if length < 0:
+            add(words, control_words.BAD_FRAMES, 1)
+            continue
+        add(words, control_words.FRAMES, 1)
+        kind = codec.decode_state(buffers.raw, length, header, buffers.candidate)
+        if header[HEAD.session] == settings[0]["session"] and kind == 0:
+            passed += _take(settings, buffers, words)
+        elif take_time(settings, buffers, length, words) == 0:
+            add(words, control_words.OTHER_FRAMES, 1)
+    forget_noise(buffers, start, end, words)
+    return passed

@@ -1,0 +1,178 @@
+"""One tick as one row: what arrived, what the law computed, and when."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import types
+
+from rig.control.step import CONTROLLER_TYPE, MEMORY_TYPE, ControllerArguments
+from rig.core.sample import RowFlag
+from rig.loop._contradictions import WRAP
+from rig.loop._exchange import device_ns
+from rig.loop._receive import add
+from rig.loop.layout import (
+    BUFFERS_TYPE,
+    INTS,
+    PROGRESS_TYPE,
+    ROWS_TYPE,
+    SETTINGS_TYPE,
+    SHARED_TYPE,
+    WORD,
+    Buffers,
+    SharedRing,
+)
+from rig.realtime import control_words
+from rig.realtime.atomics import load_word, store_word
+from rig.realtime.codec import STATE
+from rig.realtime.kernel import kernel
+from rig.realtime.system import monotonic_now, sleep_until
+
+DRIFT_PPM = 100  # the host's grid may stretch by this much against the device's: two ordinary crystals
+ROOM_POLL_NS = 50_000
+YOUNGER = 1 << 24  # ticks of the device's clock by which an edge may be younger than its sample: a second
+FLAG_LATE, FLAG_GAP = int(RowFlag.LATE), int(RowFlag.GAP)
+
+
+@kernel(types.int64(SETTINGS_TYPE, PROGRESS_TYPE, types.int64, types.int64, types.int64))
+def behind_grid(settings: Any, progress: Any, sample_index: int, ticks: int, received_ns: int) -> int:
+    """Receipt of a sample behind the grid of the sample index, against the earliest receipt so far (ns).
+
+    `ticks` is how many have passed since the last call: so far the host's grid may have stretched.
+    """
+    p = progress[0]
+    offset = received_ns - sample_index * settings[0]["period_ns"]
+    stretched = p["earliest"] + ticks * settings[0]["period_ns"] * DRIFT_PPM // 1_000_000
+    p["earliest"] = min(offset, stretched)
+    return int(offset - p["earliest"])
+
+
+@kernel(types.int64(SETTINGS_TYPE, PROGRESS_TYPE, types.int64))
+def lateness(settings: Any, progress: Any, received_ns: int) -> int:
+    """Device-paced: how late the newest sample came (ns)."""
+    return int(behind_grid(settings, progress, progress[0]["sample_index"], 1, received_ns))
+
+
+@kernel(types.int64(types.uintp, types.int64, types.int64))
+def room(words: int, capacity: int, wait_for_room: int) -> int:
+    """Slot for the next row, or -1 when the ring is full and must not be waited for."""
+    head = load_word(words + WORD * control_words.HEAD)
+    while head - load_word(words + WORD * control_words.TAIL) >= capacity:
+        if wait_for_room == 0 or load_word(words + WORD * control_words.RECORDER_ERROR) != 0:
+            add(words, control_words.DROPPED, 1)
+            return -1
+        sleep_until(monotonic_now(0) + ROOM_POLL_NS)
+    return int(head % capacity)
+
+
+@kernel(types.int64(PROGRESS_TYPE, INTS, SETTINGS_TYPE))
+def edge_age_ns(progress: Any, state: Any, settings: Any) -> int:
+    """Age of the last encoder edge at the sample; the device's clock wraps, so an age is a difference."""
+    ticks = (progress[0]["device_time"] - state[STATE.edge_time]) % WRAP
+    return int(ticks * settings[0]["device_tick_ps"] // 1000)
+
+
+@kernel(types.int64(PROGRESS_TYPE, INTS))
+def sync_time(progress: Any, state: Any) -> int:
+    """Device time of the newest rising edge of the sync input, extended to 64 bits (device ticks); 0 for none.
+
+    A STATE may report an edge that is younger than its sample, since it is made later. An edge is dated when it is
+    first reported: its 32 bits stay the same while the clock wraps.
+    """
+    p = progress[0]
+    told = state[STATE.sync_time]
+    if told != p["sync_told"]:
+        p["sync_told"] = told
+        age = (p["device_time"] + YOUNGER - told) % WRAP - YOUNGER
+        p["sync_time"] = 0 if told == 0 else p["device_time"] - age
+    return int(p["sync_time"])
+
+
+@kernel(types.void(ROWS_TYPE, types.int64, MEMORY_TYPE), inline=True)
+def show_law(rows: Any, slot: int, memory: Any) -> None:
+    """Copy what `step` left in its memory into a row: all that a replay computes again."""
+    r, m = rows[slot], memory[0]
+    r["phase"] = m["phase"]
+    r["position"] = m["position"]
+    r["velocity"] = m["velocity"]
+    r["estimator_window"] = m["window"]
+    r["penetration"] = m["penetration"]
+    r["effort_wall"] = m["effort_wall"]
+    r["effort_wanted"] = m["effort_wanted"]
+    r["effort_sent"] = m["effort_sent"]
+    r["current_sent"] = m["current_sent"]
+    r["flags"] = m["flags"]
+
+
+@kernel(
+    types.void(
+        CONTROLLER_TYPE,
+        SHARED_TYPE,
+        SETTINGS_TYPE,
+        BUFFERS_TYPE,
+        *[types.int64] * 5,
+    )
+)
+def leave_row(
+    controller: ControllerArguments,
+    shared: SharedRing,
+    settings: Any,
+    buffers: Buffers,
+    tick: int,
+    elapsed: int,
+    received_ns: int,
+    computed_ns: int,
+    sent_ns: int,
+) -> None:
+    """Put one row of `rig.core.sample.COLUMNS` into the ring and publish it; in a full ring, count its loss.
+
+    The active effort follows from the active current.
+    """
+    words, rows, state, progress = shared.words, shared.rows, buffers.state, buffers.progress
+    edge = sync_time(progress, state)  # also in a row that is lost
+    slot = room(words, len(rows), settings[0]["wait_for_room"])
+    if slot < 0:
+        return
+    r, p, s = rows[slot], progress[0], settings[0]
+    quantum = controller.control[0]["effort_quantum"]
+    r["tick"] = tick
+    r["sample_index"] = p["sample_index"]
+    r["elapsed_ticks"] = elapsed
+    r["device_time"] = device_ns(p["device_time"], s["device_tick_ps"])
+    r["lateness"] = p["late"]
+    r["count"] = state[STATE.count]
+    r["edge_age"] = edge_age_ns(progress, state, settings)
+    r["effort_applied"] = state[STATE.current_commanded] * quantum
+    r["current_applied"] = state[STATE.current_commanded]
+    r["current_measured"] = state[STATE.current_measured] * s["current_quantum_a"]
+    r["command_age"] = state[STATE.command_age]
+    r["command_sequence"] = (p["sequence"] - 1) % 65536
+    r["command_active"] = state[STATE.command_sequence]
+    r["parameter_set"] = p["parameter_set"]
+    r["limits"] = state[STATE.limits]
+    r["fault"] = state[STATE.fault]
+    r["device_state"] = state[STATE.state]
+    r["inputs"] = state[STATE.inputs]
+    r["missed_ticks"] = state[STATE.missed_ticks]
+    r["sync_time"] = device_ns(edge, s["device_tick_ps"])
+    r["execution_time"] = state[STATE.execution_time] * s["device_tick_ps"] // 1000
+    show_law(rows, slot, controller.memory)
+    r["received_at"] = received_ns
+    r["computed_at"] = computed_ns
+    r["sent_at"] = sent_ns
+    r["sampled_at"] = 0  # sealing fills these two in, when the clocks can be compared
+    r["applied_at"] = 0
+    store_word(words + WORD * control_words.HEAD, load_word(words + WORD * control_words.HEAD) + 1)
+
+
+@kernel(types.void(SETTINGS_TYPE, MEMORY_TYPE, PROGRESS_TYPE, types.int64, types.uintp))
+def flag_timing(settings: Any, memory: Any, progress: Any, elapsed: int, words: int) -> None:
+    """Flag and count lateness and gaps of this tick; lost samples are counted apart from late ones."""
+    if progress[0]["late"] > settings[0]["period_ns"]:
+        memory[0]["flags"] |= FLAG_LATE
+        add(words, control_words.LATE, 1)
+    if elapsed > 1:
+        memory[0]["flags"] |= FLAG_GAP
+        skipped = progress[0]["fresh"] - 1
+        add(words, control_words.SKIPPED, skipped)
+        add(words, control_words.LOST, elapsed - 1 - skipped)

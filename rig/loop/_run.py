@@ -1,0 +1,335 @@
+"""The thread around the compiled loop: start it, watch it, stop it, and report how it ended.
+
+The loop runs off the main thread with all signals blocked, so that Ctrl-C reaches Python and never
+interrupts a tick; stopping is one store into the ring, seen within a tick whichever thread holds the GIL. The thread
+is a daemon: if Python dies, it dies too, and the device's watchdog takes the effort to zero.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_protocol.faults import Fault, Input
+from rig.control import current
+from rig.control.step import ControllerState
+from rig.core.current_sensor import CurrentSensor
+from rig.devices.device import Link
+from rig.loop import _host as host
+from rig.loop._contradictions import Contradiction
+from rig.loop.layout import EXCHANGES_KEPT, SETTINGS, Buffers, EndReason, SharedRing
+from rig.realtime import control_words, stop_requests
+from rig.realtime.atomics import read_word
+from rig.realtime.codec import STATE
+from rig.realtime.handlers import take_no_signals
+from rig.realtime.kernel import prepare
+from rig.realtime.mailbox import SET_FLOATS
+from rig.realtime.ring import Ring
+from rig.realtime.scheduling import Realtime
+
+POLL_S = 0.02
+JOIN_S = 5.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopSettings:
+    """Settings of the loop besides the controller; times in the link's clock."""
+
+    period_ns: int
+    session: int
+    lifetime_us: int
+    lost_after_ns: int
+    device_tick_ps: int
+    current_quantum_a: float
+    wait_for_room: bool
+    host_paced: bool = False
+    stop_when_late: bool = False
+    spin_ns: int = 0
+    limit_switch: int = 0
+    stop_requests: int = 0
+    stop_requests_before: int = 0
+    exchange_every_ns: int = 0
+    supervise_every_ns: int = 0
+    batch_samples: int = 1
+    agreement_quanta: int = 0
+
+    def as_array(self) -> NDArray[np.void]:
+        """Return the length-1 array that the compiled loop reads."""
+        array = np.zeros(1, SETTINGS)
+        for name in SETTINGS.names or ():
+            array[name] = getattr(self, name)
+        return array
+
+
+@dataclass(frozen=True, slots=True)
+class LoopEnd:
+    """How a loop ended: the reason, an exception of a law or of the simulation, the link's counters.
+
+    `contradiction` describes what is inconsistent in the device's reports, "" if nothing is.
+    `stopper` completes "stopped": which signal or process stopped it, "" where the owner of the loop did.
+    `watched` has the quantities of `rig.control._watch` and their limits: energy given in the trial and its limit (J),
+    oscillations in a row at the end, and the time within which they are in a row (s).
+    """
+
+    reason: EndReason
+    error: BaseException | None
+    counters: dict[str, int]
+    contradiction: str = ""
+    stopper: str = ""
+    watched: dict[str, float] = field(
+        default_factory=lambda: dict.fromkeys(
+            ("energy", "energy_limit", "oscillations", "oscillation_s"), 0.0
+        )
+    )
+
+
+COUNTERS = {
+    "ticks": control_words.TICKS,
+    "rows_dropped": control_words.DROPPED,
+    "frames": control_words.FRAMES,
+    "bad_frames": control_words.BAD_FRAMES,
+    "other_frames": control_words.OTHER_FRAMES,
+    "duplicated": control_words.DUPLICATED,
+    "reordered": control_words.REORDERED,
+    "lost": control_words.LOST,
+    "commands": control_words.COMMANDS,
+    "unsent": control_words.UNSENT,
+    "late": control_words.LATE,
+    "skipped": control_words.SKIPPED,
+    "stale": control_words.STALE,
+    "overruns": control_words.OVERRUNS,
+    "exchanges": control_words.EXCHANGES,
+    "parameter_set": control_words.PARAMETER_SET,
+    "errno": control_words.END_ERRNO,
+}
+
+
+def fault_of(state: NDArray[np.int64]) -> int:
+    """Return the fault of a STATE, 0 for none; a pressed emergency stop counts, also if the device did not latch it."""
+    pressed = int(state[STATE.inputs]) & Input.EMERGENCY_STOP
+    return int(state[STATE.fault]) or (Fault.EMERGENCY_STOP if pressed else Fault.NONE)
+
+
+class LoopThread:
+    """One run of the loop: `start`, `wait`, `finish`, `end`; `stop` from anywhere, any number of times.
+
+    Parameters
+    ----------
+    link, controller, settings, ring
+        The device, the law, and the memory that recorder and supervisor share with the loop.
+    realtime
+        Scheduling for the thread; None leaves it an ordinary one.
+    heartbeat_s
+        The loop ends when `wait` was not called for this long; 0: never, as in virtual time.
+    nonce
+        Nonce of the last transaction with the device.
+    sensor, encoder_sign
+        Expected measured current, and the direction of counting; None: the two are not compared.
+    """
+
+    compiled: ClassVar[tuple[Any, ...]] = (host.run,)  # what thread and supervisor call
+
+    @classmethod
+    def prepare(cls, link: Link, controller: ControllerState) -> None:
+        """Compile or load all that a run reaches, before the device is armed: inside a loop nothing compiles."""
+        prepare(*cls.compiled, *link.port(), *controller.arguments())
+
+    def __init__(
+        self,
+        link: Link,
+        controller: ControllerState,
+        settings: LoopSettings,
+        ring: Ring,
+        *,
+        realtime: Realtime | None = None,
+        heartbeat_s: float = 0.0,
+        nonce: int = 0,
+        sensor: CurrentSensor | None = None,
+        encoder_sign: int = 1,
+    ) -> None:
+        self.prepare(link, controller)
+        self.ring = ring
+        self._link = link
+        self._controller = controller
+        self._settings = settings
+        self._realtime = realtime
+        self._heartbeat_ns = 0 if link.clock.virtual else round(heartbeat_s * 1e9)
+        self._error: BaseException | None = None
+        self._memory: NDArray[np.uint8] | None = (
+            ring.buffer
+        )  # lives as long as the thread runs, also after the ring is closed
+        self._buffers = Buffers.allocate()
+        self._buffers.progress["nonce"] = nonce
+        if sensor is not None:
+            rate = round(1e9 / settings.period_ns)
+            current.configure(self._buffers.currents, sensor, rate, encoder_sign)
+        if realtime is not None:
+            for array in (ring.buffer, *self._arrays()):
+                realtime.prefault(array)
+        # Not Thread.join: interrupted by Ctrl-C, it forgets in Python 3.11 that the thread is still running.
+        self._started = False
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._body, name="rig-loop", daemon=True)
+
+    def start(self) -> None:
+        """Set the first heartbeat, and start the thread."""
+        self._started = True
+        self._live()
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Set the stop word: zero effort within one tick."""
+        self.ring.put(control_words.STOP, 1)
+
+    def wait(self, progress: Callable[[int, int], None] | None = None) -> None:
+        """Block until the loop has ended; call `progress(ticks, phase)` a few times a second meanwhile.
+
+        A stop is waited for `JOIN_S` at most: a law that never returns must not keep Ctrl-C from ending the program.
+        Whatever interrupts this, Ctrl-C or an exception of `progress`, the caller continues with `finish`.
+        """
+        told_at: float | None = None
+        while not self._ended.wait(POLL_S):
+            stop_requests.renew()
+            if self._is_requested_to_stop():
+                self.stop()  # the loop does so by itself, unless its law never returns
+            if self.ring.get(control_words.STOP) != 0:
+                told_at = time.monotonic() if told_at is None else told_at
+                if time.monotonic() - told_at > JOIN_S:
+                    return
+            self._live()
+            self._attend()
+            if progress is not None:
+                progress(self.ring.get(control_words.TICKS), self.ring.get(control_words.PHASE))
+
+    def _is_requested_to_stop(self) -> bool:
+        counted_at = self._settings.stop_requests
+        return counted_at != 0 and read_word(counted_at) != self._settings.stop_requests_before
+
+    def _stopper(self) -> str:
+        if self._is_requested_to_stop():
+            return f" by {stop_requests.requester()}"
+        process = -self.ring.get(control_words.STOP)
+        return f" by process {process} (`rig stop`, or STOP of a console)" if process > 0 else ""
+
+    def _live(self) -> None:
+        if self._heartbeat_ns:
+            self.ring.put(control_words.HEARTBEAT, self._link.clock.now_ns() + self._heartbeat_ns)
+
+    def _attend(self) -> None:
+        """Do the loop's periodic work in Python."""
+
+    def finish(self) -> None:
+        """Stop the loop if it still runs, and wait until it has ended. Cannot raise; Ctrl-C again changes nothing."""
+        patience = time.monotonic() + JOIN_S
+        while self._started and not self._ended.is_set() and time.monotonic() < patience:
+            with suppress(KeyboardInterrupt):
+                self.stop()
+                self._ended.wait(POLL_S)
+        if self._started and not self._ended.is_set():
+            self.ring.put(control_words.STOP, control_words.ABANDONED)
+
+    def end(self) -> LoopEnd:
+        """How the loop ended; `EndReason.STUCK` where it did not, though `finish` stopped it."""
+        stuck = self._started and not self._ended.is_set()
+        reason = EndReason.STUCK if stuck else EndReason(self.ring.get(control_words.END_REASON))
+        failure = self._error or self._link.failure()
+        counters = {name: self.ring.get(word) for name, word in COUNTERS.items()}
+        c, m = self._controller.control[0], self._controller.memory[0]
+        watched = {
+            "energy": float(m["energy"]),
+            "energy_limit": float(c["energy_limit"]),
+            "oscillations": float(m["oscillations"]),
+            "oscillation_s": float(c["oscillation_ticks"] * c["tick_s"]),
+        }
+        found = Contradiction(int(self._buffers.progress[0]["contradiction"]))
+        return LoopEnd(reason, failure, counters, found.text, self._stopper(), watched)
+
+    @property
+    def fault(self) -> int:
+        """Fault in the newest STATE, 0 for none."""
+        return fault_of(self._buffers.state)
+
+    def messages(self) -> list[str]:
+        """Warnings about the run for the user, besides how it ended."""
+        return []
+
+    def findings(self) -> dict[str, Any]:
+        """Entries of the recording's trailer that only this kind of loop has."""
+        return {}
+
+    def exchanges(self) -> NDArray[np.int64]:
+        """The clock exchanges of the run: rows of four stamps (`rig.core.clock_fit.EXCHANGE`), oldest first."""
+        done = self.ring.get(control_words.EXCHANGES)
+        kept = np.arange(max(0, done - EXCHANGES_KEPT), done) % EXCHANGES_KEPT
+        return self._buffers.exchanges[kept]
+
+    def parameter_sets(self) -> list[dict[str, Any]]:
+        """Parameter sets that became active during the run: number, first tick, wall position, the law's parameters."""
+        count = len(self._controller.law.parameters)
+        return [
+            {
+                "number": int(row[0]),
+                "tick": int(row[1]),
+                "wall_position": float(row[2]),
+                "parameters": row[3 : 3 + count].tolist(),
+            }
+            for row in self._buffers.sets[: int(self._buffers.progress[0]["sets"])]
+        ]
+
+    def handover(self) -> dict[str, int] | None:
+        """Where the streams stand after the loop: arguments of `rig.devices.framed.FramedDevice.take_back`.
+
+        None when it never saw a sample, and so never touched them.
+        """
+        progress = self._buffers.progress[0]
+        if not progress["started"]:
+            return None
+        return {
+            "next_command": int(progress["sequence"]),
+            "newest_state": int(progress["answers"]),
+            "state": int(self._buffers.state[STATE.state]),
+            "nonce": int(progress["nonce"]),
+        }
+
+    def _body(self) -> None:
+        take_no_signals()
+        try:
+            if self._realtime is not None:
+                self._realtime.enter_thread()
+            self._run()
+        except Exception as error:
+            # A law or an estimator of a user raised: the compiled loop is gone without its stop path. The
+            # caller sends STOP next; this thread only says what happened. Compiled code has no frames to show,
+            # and those of this thread would keep it, and what it refers to, until the next garbage collection.
+            self._error = error.with_traceback(None)
+            self.ring.put(control_words.END_REASON, EndReason.LAW_RAISED)
+        finally:
+            self.ring.put(control_words.LOOP_DONE, 1)
+            self._ended.set()
+
+    def _run(self) -> None:
+        host.run(
+            self._link.port(),
+            self._controller.arguments(),
+            self._shared(),
+            self._settings.as_array(),
+            self._buffers,
+        )
+
+    def _shared(self) -> SharedRing:
+        return SharedRing(words=self.ring.words.ctypes.data, mailbox=self._mailbox(), rows=self.ring.rows)
+
+    def _mailbox(self) -> int:
+        """Address of the ring's mailbox; 0 for a law with more parameters than a set holds (a recorded excitation)."""
+        return self.ring.mailbox if len(self._controller.law.parameters) < SET_FLOATS else 0
+
+    def _arrays(self) -> tuple[NDArray[Any], ...]:
+        """Memory that the loop must not wait for."""
+        return tuple(self._buffers)

@@ -1,0 +1,187 @@
+"""The thread around the loop of a law on the device: as around any loop, and it encodes parameter updates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Status
+from firmware_protocol.messages import NO_COMMAND_YET
+from firmware_protocol.parameter import Value
+from firmware_protocol.parameters import encode_block
+from rig.core.errors import RigError
+from rig.core.present import plain
+from rig.loop import _supervise as supervise
+from rig.loop._parameter_update import update_of
+from rig.loop._run import LoopThread, fault_of
+from rig.loop._supervision import SupervisionBuffers
+from rig.realtime import control_words
+from rig.realtime import mailbox as mailboxes
+from rig.realtime.codec import STATE
+
+# Quanta by which the device's current may differ from the host's law, by the arithmetic of a board. What renders the
+# wall elsewhere has filters of its own: its difference is reported, without a limit.
+BOUNDS = {"fixed": 1, "float32": 2}
+NO_BOUND = 1 << 16
+MANY_SHARE, MANY_TICKS = (
+    0.001,
+    10,
+)  # ticks beyond the bound that are too many: of those compared, and at least
+
+Live = Callable[
+    [Sequence[float]], Mapping[str, Value]
+]  # numbers of a parameter set → live parameters of the device
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceHostAgreement:
+    """How the device's current followed the host's law, which `rig.control.step` ran on the same counts.
+
+    Attributes
+    ----------
+    compared
+        Ticks in which the two could be compared: no limit, no ramp, no gap.
+    excluded
+        Ticks excluded, because a limit acted, no STATE covered them, or a gap was not yet forgotten.
+    differing
+        Ticks with another current.
+    greatest_quanta
+        Greatest difference.
+    bound_quanta
+        Difference that rounding explains: `BOUNDS`.
+    beyond
+        Ticks beyond that.
+    holds
+        True if these ticks are few enough.
+    """
+
+    compared: int
+    excluded: int
+    differing: int
+    greatest_quanta: int
+    bound_quanta: int
+    beyond: int
+    holds: bool
+
+
+class SupervisedThread(LoopThread):
+    """`LoopThread` for a law that runs on the device.
+
+    Parameters
+    ----------
+    arguments, keywords
+        Arguments of `LoopThread`.
+    live
+        Makes the device's parameters of a posted set; None: the wall stays as it is. A `rig.core.errors.RigError` of it
+        refuses the set.
+    """
+
+    compiled: ClassVar[tuple[Any, ...]] = (supervise.run, mailboxes.take)
+
+    def __init__(self, *arguments: Any, live: Live | None = None, **keywords: Any) -> None:
+        self._supervision = SupervisionBuffers.allocate()
+        self._updates = np.zeros(mailboxes.MAILBOX_BYTES // 8, np.int64)
+        mailboxes.clear(self._updates.ctypes.data)
+        self._writer = mailboxes.Mailbox(self._updates.ctypes.data, keep=self._updates)
+        self._posted = np.zeros(mailboxes.MOST_BYTES, np.uint8)
+        self._live_parameters = live
+        self._refused: list[str] = []
+        super().__init__(*arguments, **keywords)
+        # Until the first STATE comes: a device that sends samples runs, and its active command is not known.
+        self._buffers.state[STATE.state] = State.RUNNING
+        self._buffers.state[STATE.command_age] = NO_COMMAND_YET
+        self._parameter_count = 1 + len(self._controller.law.parameters)
+
+    @property
+    def fault(self) -> int:
+        """Fault in the newest STATE, 0 for none."""
+        return fault_of(self._supervision.newest)
+
+    def agreement(self) -> DeviceHostAgreement:
+        """How the device's current followed the host's law so far."""
+        v = self._supervision.supervision[0]
+        compared, beyond = int(v["compared"]), int(v["beyond"])
+        return DeviceHostAgreement(
+            compared=compared,
+            excluded=int(v["excluded"] + v["open_compared"]),
+            differing=int(v["differing"]),
+            greatest_quanta=int(v["greatest"]),
+            bound_quanta=self._settings.agreement_quanta,
+            beyond=beyond,
+            holds=beyond <= max(MANY_TICKS, MANY_SHARE * compared),
+        )
+
+    def messages(self) -> list[str]:
+        """Parameter updates that failed, and a device that does not follow the law."""
+        found, said = self.agreement(), list(self._refused)
+        v = self._supervision.supervision[0]
+        if v["refused_set"]:
+            status, known = int(v["refused_status"]), int(v["refused_status"]) in set(Status)
+            why = f"{Status(status).text}; {Status(status).remedy}" if known else f"status {status}"
+            said.append(f"the device refused parameter set {int(v['refused_set'])}: {why}")
+        if not found.holds:
+            lost = self.ring.get(control_words.LOST)
+            said.append(
+                f"the device's current differed from the host's law by more than {found.bound_quanta} quanta in "
+                f"{found.beyond} of {found.compared} ticks, at most by {found.greatest_quanta}"
+                + (
+                    f"; {lost} samples were lost, so the two may be in different phases: relieve the link"
+                    if lost
+                    else ": check that firmware and package are of one version (rig firmware info)"
+                )
+            )
+        return said
+
+    def findings(self) -> dict[str, Any]:
+        """How the device followed the law (`DeviceHostAgreement`)."""
+        return {"device_host_agreement": plain(self.agreement())}
+
+    def handover(self) -> dict[str, int] | None:
+        """As `LoopThread.handover`; commands leave before the first STATE comes."""
+        progress, v = self._buffers.progress[0], self._supervision.supervision[0]
+        if not progress["sequence"] and not v["stop_sequence"] >= 0:
+            return None
+        heard, changed = bool(v["heard"]), int(v["parameters_crc"])
+        return {
+            "next_command": int(progress["sequence"]),
+            "newest_state": int(progress["answers"]) if heard else 0xFFFF,
+            "state": int(self._supervision.newest[STATE.state]) if heard else int(State.RUNNING),
+            "nonce": int(progress["nonce"]),
+            **({} if changed < 0 else {"parameters_crc": changed}),
+        }
+
+    def _run(self) -> None:
+        supervise.run(
+            self._link.port(),
+            self._controller.arguments(),
+            self._shared(),
+            self._settings.as_array(),
+            self._buffers,
+            self._supervision,
+        )
+
+    def _mailbox(self) -> int:
+        """Address of the mailbox of updates; 0 where the wall does not change."""
+        return int(self._updates.ctypes.data) if self._live_parameters and super()._mailbox() else 0
+
+    def _arrays(self) -> tuple[NDArray[Any], ...]:
+        return (*super()._arrays(), *self._supervision)
+
+    def _attend(self) -> None:
+        """Turn a posted set into an update for the loop."""
+        if self._live_parameters is None or not super()._mailbox():
+            return
+        number = mailboxes.take(self.ring.mailbox, self._posted)
+        if number == 0:
+            return
+        values = self._posted.view(np.float64)[: self._parameter_count].tolist()
+        try:
+            block = encode_block(self._live_parameters(values))
+            self._writer.post(update_of(number, block, values))
+        except RigError as error:
+            self._refused.append(f"parameter set {number} is not for this device: {error}")

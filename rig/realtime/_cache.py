@@ -1,0 +1,130 @@
+"""The disk cache of machine code: never stale, and never writable by another user.
+
+numba decides whether a cached function is fresh by the time stamp of *its own* file: a helper edited in
+another file leaves the caller's old machine code in use, which for a control law is silently wrong. So
+the cache directory carries a hash of the files that compiled code depends on (`rig.realtime.source_files`), of
+numba's and numpy's version and of the CPU; an edit there opens a new, empty directory, and directories unused for
+a month are removed. An edit of a command or an experiment does not recompile.
+
+Its code runs a law on a person's hand: a directory into which another user can write is not used.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import platform
+import shutil
+import stat
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+import numba
+import numpy
+from llvmlite.binding import get_host_cpu_name
+
+from rig.realtime._user_cache import user_cache
+from rig.realtime.source_files import compiled_sources
+
+UNUSED_DAYS = 30.0
+_OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+_log = logging.getLogger(__name__)
+
+
+def cache_key(sources: Mapping[str, bytes]) -> str:
+    """Sixteen hex digits over names and contents, numba, numpy and the CPU."""
+    digest = hashlib.sha256()
+    cpu = getattr(numba.config, "CPU_NAME", None) or get_host_cpu_name()
+    for fact in (
+        numba.__version__,
+        numpy.__version__,
+        platform.python_version(),
+        platform.machine(),
+        cpu,
+    ):
+        digest.update(fact.encode() + b"\0")
+    for name, text in sources.items():
+        digest.update(name.encode() + b"\0" + hashlib.sha256(text).digest())
+    return digest.hexdigest()[:16]
+
+
+def cache_root() -> Path:
+    """Directory of all caches: ``$HAPTIC_RIG_CACHE``, the user's cache directory, or a temporary one."""
+    named = os.environ.get("HAPTIC_RIG_CACHE")
+    base = Path(named) if named else Path(user_cache()) / "haptic-rig"
+    for place in (base, Path(tempfile.gettempdir()) / f"haptic-rig-cache{_USER}"):
+        found = _made_private(place)
+        if found is not None:
+            return found
+    return _temporary()
+
+
+if sys.platform == "win32":
+    _USER = ""  # whose temporary files are his own already
+
+    def writable_by_others(place: Path) -> str:
+        """Nothing: the modes of files do not say it, and a profile is its user's own unless that is changed."""
+        return ""
+
+else:
+    _USER = f"-{os.getuid()}"
+
+    def writable_by_others(place: Path) -> str:
+        """Return why another user could add a file to a directory or replace the directory; "" if none can."""
+        us = os.getuid()
+        if place.lstat().st_uid != us or place.stat().st_uid != us:
+            return f"{place} belongs to another user"
+        if place.stat().st_mode & _OTHERS_WRITE:
+            return f"others can write into {place}"
+        for parent in (*place.absolute().parents, *place.resolve().parents):
+            mode = parent.stat().st_mode
+            if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
+                return f"others can replace what lies in {parent}"
+        return ""
+
+
+def _made_private(place: Path) -> Path | None:
+    """Make a directory, unless it is there, and return it without symbolic links; None where it cannot be used."""
+    try:
+        place.mkdir(parents=True, exist_ok=True, mode=0o700)
+        reason = writable_by_others(place)
+        if not reason:
+            return place.resolve() if os.access(place, os.W_OK) else None
+    except (OSError, RuntimeError):
+        return None
+    _log.warning(
+        "%s, so no compiled code is taken from there; chmod 700, or name another in HAPTIC_RIG_CACHE", reason
+    )
+    return None
+
+
+def _temporary() -> Path:
+    return Path(tempfile.mkdtemp(prefix="haptic-rig-cache-"))
+
+
+def _forget_unused(root: Path, current: Path) -> None:
+    limit = time.time() - UNUSED_DAYS * 86400.0
+    for path in root.glob("kernels-*"):
+        try:
+            if path != current and path.stat().st_mtime < limit:
+                shutil.rmtree(path, ignore_errors=True)
+        except OSError:
+            continue
+
+
+def open_cache() -> Path:
+    """Directory for the machine code of these files on this computer."""
+    root = cache_root()
+    place = root / f"kernels-{cache_key(compiled_sources())}"
+    fresh = not place.exists()
+    directory = _made_private(place)
+    if directory is None:
+        return _temporary()
+    os.utime(directory)
+    if fresh:
+        _forget_unused(root, directory)
+    return directory

@@ -1,0 +1,162 @@
+"""Memory of a running loop where the system is not Linux: a file in a directory of its process, in the user's cache.
+
+    .../haptic-rig/loops/PID/alive   locked by that process for as long as it lives
+    .../haptic-rig/loops/PID/N       its memories
+
+What a process leaves that dies is taken away by the next one that makes a memory: a lock that can be had says so.
+Functions as in `rig.realtime._anonymous_memory`.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from io import FileIO
+
+from rig.core import locks
+from rig.realtime._user_cache import user_cache
+
+ALIVE = "alive"
+_PATIENCE_S = 2.0  # with others that make or look: they need milliseconds
+_CHUNK = bytes(1 << 20)
+
+_alive: dict[int, FileIO] = {}  # lock of this process, by its number: a fork has none
+_made: dict[int, str] = {}  # path of each memory by its descriptor
+
+
+def make(size: int) -> int:
+    """Zeroed bytes, all written once, so that a lack of room shows now: their descriptor."""
+    directory = _own()
+    number = max((int(name) for name in os.listdir(directory) if name.isdecimal()), default=0) + 1
+    path = os.path.join(directory, str(number))
+    descriptor = _opened(path, "x+")
+    try:
+        for start in range(0, size, len(_CHUNK)):
+            os.write(descriptor, _CHUNK[: size - start])
+    except OSError:
+        os.close(descriptor)
+        os.unlink(path)
+        raise
+    _made[descriptor] = path
+    return descriptor
+
+
+def close(descriptor: int) -> None:
+    """Release what `make` made; Windows keeps the file until no process has it mapped."""
+    os.close(descriptor)
+    path = _made.pop(descriptor, None)
+    if path is not None:
+        _remove(path)
+
+
+def is_sound(descriptor: int) -> bool:
+    """Return True: only this user can change the file."""
+    return True
+
+
+def is_memory(path: str) -> bool:
+    """Return True if a path is that of a memory whose process lives."""
+    directory, name = os.path.split(path)
+    return (
+        name.isdecimal()
+        and os.path.dirname(directory) == _root()
+        and os.path.exists(path)
+        and _lives(directory)
+    )
+
+
+def paths(pid: int | None = None) -> Iterator[tuple[int, str]]:
+    """Each memory with the process that made it: of all, or of one."""
+    for process in _names(_root()) if pid is None else [str(pid)]:
+        directory = os.path.join(_root(), process)
+        if process.isdecimal() and _lives(directory):
+            yield from (
+                (int(process), os.path.join(directory, name))
+                for name in _names(directory)
+                if name.isdecimal()
+            )
+
+
+def held(path: str, descriptor: int) -> str:
+    """Where it can be opened once more."""
+    return path
+
+
+def is_process(pid: int, creator: int) -> bool:
+    """Return True if the two process numbers are equal."""
+    return creator == pid
+
+
+def may_look(pid: int) -> bool:
+    """Return True if a process of this user runs a loop; raise `ProcessLookupError` if this is unknown."""
+    if not _lives(os.path.join(_root(), str(pid))):
+        raise ProcessLookupError
+    return True
+
+
+def command_lines() -> Iterator[tuple[int, list[bytes]]]:
+    """Others' processes are not looked at."""
+    return iter(())
+
+
+def _root() -> str:
+    return os.path.join(user_cache(), "haptic-rig", "loops")
+
+
+def _own() -> str:
+    """The directory of this process, locked; what the dead have left is taken away on the occasion."""
+    pid = os.getpid()
+    directory = os.path.join(_root(), str(pid))
+    if pid not in _alive:
+        os.makedirs(_root(), mode=0o700, exist_ok=True)
+        with FileIO(os.path.join(_root(), "lock"), "a") as one_at_a_time:
+            _have(one_at_a_time)
+            for name in _names(_root()):
+                _forget(os.path.join(_root(), name))
+            os.makedirs(directory, mode=0o700, exist_ok=True)
+            alive = FileIO(os.path.join(directory, ALIVE), "a")
+            _have(alive)
+            _alive[pid] = alive
+    return directory
+
+
+def _have(file: FileIO) -> None:
+    deadline = time.monotonic() + _PATIENCE_S
+    while not locks.lock(file.fileno()) and time.monotonic() < deadline:
+        time.sleep(0.005)
+
+
+def _forget(directory: str) -> None:
+    """Remove the files of a dead process; on Windows those that another process still has mapped remain."""
+    if os.path.isdir(directory) and not _lives(directory):
+        for name in _names(directory):
+            _remove(os.path.join(directory, name))
+        try:
+            os.rmdir(directory)
+        except OSError:
+            return
+
+
+def _lives(directory: str) -> bool:
+    return locks.is_locked(os.path.join(directory, ALIVE))
+
+
+def _names(directory: str) -> list[str]:
+    try:
+        return sorted(os.listdir(directory))
+    except OSError:
+        return []
+
+
+def _remove(path: str) -> None:
+    try:
+        os.unlink(path)
+    except OSError:
+        return
+
+
+def _opened(path: str, mode: str) -> int:
+    """A descriptor of its own, which changes no line ends."""
+    with FileIO(path, mode) as file:
+        return os.dup(file.fileno())

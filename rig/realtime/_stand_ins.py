@@ -1,0 +1,98 @@
+"""Python in place of the C library's calls that compiled code makes, where the system is not Linux.
+
+Compiled code names its calls (`rig.realtime.system`), and only Linux has all of them under these names and with these
+numbers. Elsewhere each name leads to a function here, so that machine code is the same on every system. They take the
+GIL and some microseconds. That is acceptable: a law in real time on this computer, which could not tolerate it, needs
+Linux anyway. In virtual time only the recorder calls them.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import os
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import binding
+
+_EAGAIN = 11  # Linux's numbers, as compiled code has them
+_BILLION = 1_000_000_000
+_int32, _int64, _uint64, _address = ctypes.c_int32, ctypes.c_int64, ctypes.c_uint64, ctypes.c_size_t
+_kept: list[Any] = []  # callbacks, for as long as compiled code may call them
+
+
+class _Errno(threading.local):
+    """Error number of each thread."""
+
+    def __init__(self) -> None:
+        self.number = ctypes.c_int32(0)
+
+
+_errno = _Errno()
+
+
+def _failed(error: OSError) -> int:
+    number = error.errno or errno.EIO
+    _errno.number.value = _EAGAIN if number == errno.EAGAIN else number
+    return -1
+
+
+def _refuse(*arguments: int) -> int:
+    """A call on a descriptor of a port: links bring their own here (`rig.devices._threaded_serial`)."""
+    return _failed(OSError(errno.ENOSYS, "not on this system"))
+
+
+def _write(descriptor: int, address: int, size: int) -> int:
+    try:
+        return os.write(descriptor, ctypes.string_at(address, size))
+    except OSError as error:
+        return _failed(error)
+
+
+def _sync(descriptor: int) -> int:
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        return _failed(error)
+    return 0
+
+
+def _now(clock: int, timespec: int) -> int:
+    words = (_int64 * 2).from_address(timespec)
+    words[0], words[1] = divmod(time.perf_counter_ns(), _BILLION)
+    return 0
+
+
+def _sleep(clock: int, flags: int, deadline: int, remaining: int) -> int:
+    seconds, ns = (_int64 * 2).from_address(deadline)
+    left_ns = seconds * _BILLION + ns - time.perf_counter_ns()
+    if left_ns > 0:
+        time.sleep(left_ns * 1e-9)
+    return 0
+
+
+def _errno_location() -> int:
+    return ctypes.addressof(_errno.number)
+
+
+_CALLS: dict[str, tuple[Callable[..., int], list[Any]]] = {  # result first
+    "read": (_refuse, [_int64, _int32, _address, _uint64]),
+    "write": (_write, [_int64, _int32, _address, _uint64]),
+    "fdatasync": (_sync, [_int32, _int32]),
+    "ppoll": (_refuse, [_int32, _address, _uint64, _address, _address]),
+    "clock_gettime": (_now, [_int32, _int32, _address]),
+    "clock_nanosleep": (_sleep, [_int32, _int32, _int32, _address, _address]),
+    "__errno_location": (_errno_location, [_address]),
+}
+
+
+def stand_in() -> None:
+    """Let compiled code find them under the names of the C library; before any of it is loaded."""
+    if not _kept:
+        for name, (function, types) in _CALLS.items():
+            callback = ctypes.CFUNCTYPE(*types)(function)
+            _kept.append(callback)
+            binding.add_symbol(name, ctypes.cast(callback, ctypes.c_void_p).value)

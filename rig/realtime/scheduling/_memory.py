@@ -1,0 +1,100 @@
+"""Locked memory of the process: no page fault reads from a disk while it lasts. Counted, because it is shared."""
+
+from __future__ import annotations
+
+import ctypes
+import mmap
+import re
+import sys
+import threading
+from dataclasses import dataclass
+
+from rig.core.check import Check
+from rig.realtime.scheduling import _calls as calls
+from rig.realtime.scheduling import refusals
+from rig.realtime.scheduling._rights import Rights
+from rig.realtime.scheduling.facts import ROOT, status_kilobytes, text_of
+
+assert sys.platform == "linux"
+
+_MAPPING = re.compile(r"^([0-9a-f]+)-([0-9a-f]+) ")
+
+
+@dataclass(frozen=True, slots=True)
+class LockedRange:
+    """Pages locked by others."""
+
+    start: int
+    end: int
+    on_fault: bool
+
+
+class _Lock:
+    def __init__(self) -> None:
+        self._guard = threading.Lock()
+        self._users = 0
+        self._before: (
+            list[LockedRange] | None
+        ) = []  # None: the program had locked all of it, so nothing is ours
+
+    def take(self) -> Check | None:
+        with self._guard:
+            if self._users == 0:
+                refusal = self._lock()
+                if refusal is not None:
+                    return refusal
+            self._users += 1
+            return None
+
+    def give_back(self) -> None:
+        with self._guard:
+            self._users -= 1
+            if self._users == 0 and self._before is not None:
+                calls.unlock_all()
+                for pages in self._before:  # what is gone meanwhile is refused, which is right
+                    calls.lock_range(pages.start, pages.end - pages.start, on_fault=pages.on_fault)
+
+    def _lock(self) -> Check | None:
+        self._before = locked_before()
+        if self._before is None:
+            return None
+        rights = Rights.here()
+        # The lock holds for pages to come: at its limit every further allocation of the program would fail.
+        if not rights.may_lock(status_kilobytes("VmSize") * 1024 + refusals.ROOM):
+            return refusals.of_memory(rights)
+        number = calls.lock_all()
+        return refusals.of_memory(rights, number) if number else None
+
+
+_LOCK = _Lock()
+take, give_back = _LOCK.take, _LOCK.give_back
+
+
+def locked_bytes() -> int:
+    """Size of the locked mappings; with "on fault", their pages count from their first touch on."""
+    return status_kilobytes("VmLck") * 1024
+
+
+def locked_before() -> list[LockedRange] | None:
+    """Return the ranges that are locked now; None when the program has locked all pages, those to come included."""
+    if locked_bytes() == 0:
+        return []
+    with mmap.mmap(-1, mmap.PAGESIZE) as probe:
+        word = ctypes.c_char.from_buffer(probe)
+        fresh = ctypes.addressof(word)
+        ranges = locked_ranges(text_of(ROOT / "proc/self/smaps"))
+        del word
+    return None if any(pages.start <= fresh < pages.end for pages in ranges) else ranges
+
+
+def locked_ranges(smaps: str) -> list[LockedRange]:
+    """Read the locked mappings from the text of /proc/self/smaps."""
+    found = []
+    start = end = 0
+    for line in smaps.splitlines():
+        match = _MAPPING.match(line)
+        if match:
+            start, end = int(match[1], 16), int(match[2], 16)
+        elif line.startswith("VmFlags:") and "lo" in (flags := line.split()):
+            found.append(LockedRange(start, end, "lf" in flags))
+    return found

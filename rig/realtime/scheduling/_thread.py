@@ -1,0 +1,119 @@
+"""Scheduling of the calling thread: policy, processor, timer slack, stack."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from rig.core.check import Check
+from rig.realtime.scheduling import _calls as calls
+from rig.realtime.scheduling import refusals
+from rig.realtime.scheduling._rights import Rights
+
+assert sys.platform == "linux"
+
+STACK_BYTES = 512 * 1024  # from the top: frames of Python and of the loop, and what they call
+SHORTEST_SLACK_NS = 1
+SHORTEST_SLICE_NS = 100_000  # what the kernel grants at least
+_POLICIES = {
+    getattr(os, name): name
+    for name in ("SCHED_OTHER", "SCHED_BATCH", "SCHED_IDLE", "SCHED_FIFO", "SCHED_RR")
+    if hasattr(os, name)
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThreadState:
+    """How a thread is scheduled. `policy` has the bit that its children do not inherit it, if that is set."""
+
+    policy: int
+    priority: int
+    cpus: tuple[int, ...]
+    timer_slack_ns: int
+
+    @classmethod
+    def here(cls) -> ThreadState:
+        """Return the state of the calling thread."""
+        return cls(
+            policy=os.sched_getscheduler(0),
+            priority=os.sched_getparam(0).sched_priority,
+            cpus=tuple(sorted(os.sched_getaffinity(0))),
+            timer_slack_ns=calls.timer_slack(),
+        )
+
+    @property
+    def is_fifo(self) -> bool:
+        """Return True if the thread runs before every ordinary thread until it waits."""
+        return self.policy & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
+
+    @property
+    def name(self) -> str:
+        """Return the name of the scheduling policy."""
+        plain = self.policy & ~os.SCHED_RESET_ON_FORK
+        return _POLICIES.get(plain, str(plain))
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return policy, priority and processors as JSON types."""
+        return {**asdict(self), "policy": self.name, "cpus": list(self.cpus)}
+
+
+def raise_thread(priority: int, cpu: int | None) -> list[Check]:
+    """Give the calling thread SCHED_FIFO and its processor as far as they are granted; return what is not.
+
+    A thread that stays ordinary gets the shortest timer slack, which needs no rights.
+    """
+    refused = []
+    if cpu is not None:
+        try:
+            os.sched_setaffinity(0, {cpu})
+        except (OSError, ValueError, OverflowError) as error:
+            refused.append(refusals.of_processor(cpu, getattr(error, "errno", None) or 22))
+    try:
+        # Children of this thread start as ordinary ones: a process that it starts must not outrun the machine.
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+    except OSError as error:
+        refused.append(refusals.of_policy(priority, Rights.here(), error.errno or 1))
+        if not ThreadState.here().is_fifo:
+            calls.set_timer_slack(SHORTEST_SLACK_NS)
+            calls.set_slice(SHORTEST_SLICE_NS)
+    return refused
+
+
+def restore(before: ThreadState) -> None:
+    """Put the calling thread back into an earlier state."""
+    parameter = os.sched_param(before.priority)
+    try:
+        os.sched_setscheduler(0, before.policy, parameter)
+    except OSError:
+        # Without CAP_SYS_NICE the kernel keeps "children do not inherit": it changes nothing for an ordinary thread.
+        with suppress(OSError):
+            os.sched_setscheduler(0, before.policy | os.SCHED_RESET_ON_FORK, parameter)
+    with suppress(OSError):
+        os.sched_setaffinity(0, set(before.cpus))
+    if before.timer_slack_ns > 0:  # a real-time thread has none, and 0 would mean the default
+        calls.set_timer_slack(before.timer_slack_ns)
+
+
+def touch_stack() -> None:
+    """Bring the stack of the calling thread into memory, as deep as the loop will need it."""
+    top = calls.stack_top()
+    if top and threading.current_thread() is not threading.main_thread():  # whose stack grows by itself
+        calls.touch(top - STACK_BYTES, STACK_BYTES)
+
+
+def tried(priority: int, cpu: int | None) -> tuple[ThreadState, list[Check]]:
+    """Ask in a thread that ends at once, and return how it ran and what it was refused."""
+    outcome: list[tuple[ThreadState, list[Check]]] = []
+
+    def body() -> None:
+        refused = raise_thread(priority, cpu)
+        outcome.append((ThreadState.here(), refused))
+
+    thread = threading.Thread(target=body, name="rig-scheduling-probe", daemon=True)
+    thread.start()
+    thread.join()
+    return outcome[0]

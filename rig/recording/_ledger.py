@@ -1,0 +1,90 @@
+"""The latency ledger of a recording: its two fitted columns, and its summary.
+
+A run that was ended by kill -9 has no clock exchanges: its ledger has the host's part only.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.clock_fit import ClockFit
+from rig.core.errors import RecordingError, RigError
+from rig.recording._timing_summary import TimingSummary, summarise
+from rig.recording.canonical import lossless
+from rig.recording.data import Recording
+from rig.recording.timing import LATENESS, STAGES, Ledger, ledger
+
+__all__ = [
+    "CLOCK_KEY",
+    "LATENESS",
+    "STAGES",
+    "TIMING_KEY",
+    "Ledger",
+    "TimingSummary",
+    "clock_of",
+    "ledger_of",
+    "period_ns_of",
+    "summarise",
+    "with_ledger",
+]
+
+CLOCK_KEY = "clock"  # of the trailer: a `rig.core.clock_fit.ClockFit`
+TIMING_KEY = "timing"  # of the trailer: a `rig.recording._timing_summary.TimingSummary`
+
+_log = logging.getLogger(__name__)
+
+
+def with_ledger(recording: Recording) -> Recording:
+    """Return the recording with the summary in its trailer; its fitted columns are filled in in place.
+
+    A recording without rows, or without a clock in its trailer, is returned as it is. So is one with an invalid clock,
+    with a warning: a recording is kept whatever is wrong with its clock.
+    """
+    trailer = recording.trailer or {}
+    if CLOCK_KEY not in trailer or not len(recording):
+        return recording
+    try:
+        found = ledger_of(recording)
+    except RigError as error:
+        _log.warning("%s: the latency ledger stays empty: %s", recording.path, error)
+        return recording
+    recording.rows["sampled_at"], recording.rows["applied_at"] = found.sampled, found.applied
+    timing = lossless(summarise(found, trailer.get("counters")))
+    return replace(recording, trailer={**trailer, TIMING_KEY: timing})
+
+
+def ledger_of(recording: Recording) -> Ledger:
+    """Compute the ledger of a recording from its rows, and from the clock of its trailer if it has one.
+
+    Raises
+    ------
+    RecordingError
+        There are no rows.
+    RigError
+        The clock of the trailer is invalid.
+    """
+    if not len(recording):
+        raise RecordingError("the recording has no rows", remedy="record again: the loop received no sample")
+    loop = str((recording.header.get("extra") or {}).get("loop", "host"))
+    return ledger(recording.rows, clock_of(recording), period_ns_of(recording), loop)
+
+
+def clock_of(recording: Recording) -> ClockFit | None:
+    """Return the clock fit of a recording's trailer; None when it has none. `RigError` when it is invalid."""
+    clock = (recording.trailer or {}).get(CLOCK_KEY)
+    return None if clock is None else ClockFit.from_mapping(clock)
+
+
+def period_ns_of(recording: Recording) -> float:
+    """Length of a device tick (ns): from the position rate, or from the device's own times where no header has it."""
+    rate = (recording.experiment.get("controller") or {}).get("position_rate")
+    if rate:
+        return 1e9 / float(rate)
+    time: NDArray[np.int64] = recording.rows["device_time"]
+    index: NDArray[np.int64] = recording.rows["sample_index"]
+    passed = int(index[-1]) - int(index[0])
+    return (int(time[-1]) - int(time[0])) / passed if passed > 0 else 0.0

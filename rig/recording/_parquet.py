@@ -1,0 +1,203 @@
+"""Recordings as Parquet: the form to keep, which pandas, polars, DuckDB, MATLAB and PlotJuggler open.
+
+Unit and meaning are metadata of each field (``unit``, ``description``); header, trailer, completeness and
+losses are metadata of the file, as JSON under the keys in `KEYS`, with a checksum over all of it and the
+columns. pyarrow is loaded when a function here is called.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.deferred import parquet, pyarrow
+from rig.core.errors import RecordingError
+from rig.core.regular_file import open_regular
+from rig.recording._shape import parsed
+from rig.recording.canonical import canonical_json
+from rig.recording.data import Loss, Recording
+from rig.recording.files import plain_errors
+from rig.recording.header import check_version, dtype_of, schema_of
+
+KEYS = (b"rig.header", b"rig.trailer", b"rig.complete", b"rig.lost")
+CHECKSUM_KEY = b"rig.crc32"
+GROUP_ROWS = 1 << 17  # of a row group: what is held twice while a recording is written
+READ_BYTES = (
+    1 << 25
+)  # of columns that are decoded at once: those of a short recording together, a long one's singly
+
+
+def has_pyarrow() -> bool:
+    """Return True if Parquet can be written and read here."""
+    try:
+        return bool(parquet.ParquetFile)
+    except ImportError:
+        return False
+
+
+def check_pyarrow() -> None:
+    """Raise `RecordingError` where Parquet and CSV cannot be read."""
+    if not has_pyarrow():
+        raise RecordingError("Parquet needs pyarrow", remedy="pip install pyarrow, or use captures and CSV")
+
+
+def write_parquet(file: BinaryIO, recording: Recording) -> None:
+    """Write a recording; equal recordings give equal bytes under the same pyarrow."""
+    check_pyarrow()
+    units, descriptions, dtype = recording.units, recording.descriptions, recording.rows.dtype
+    fields = [
+        pyarrow.field(
+            name,
+            pyarrow.from_numpy_dtype(dtype[name]),
+            nullable=False,
+            metadata={"unit": units[name], "description": descriptions[name]},
+        )
+        for name in recording.names
+    ]
+    lost = [asdict(loss) for loss in recording.lost]
+    facts = (recording.header, recording.trailer, recording.complete, lost)
+    metadata = {key: canonical_json(fact) for key, fact in zip(KEYS, facts, strict=True)}
+    metadata[CHECKSUM_KEY] = _checksum(metadata, (recording.column(name) for name in recording.names))
+    schema = pyarrow.schema(fields, metadata=metadata)
+    with parquet.ParquetWriter(file, schema, compression="zstd", **_encodings(dtype)) as writer:
+        for first in range(0, max(1, len(recording)), GROUP_ROWS):
+            rows = recording.rows[first : first + GROUP_ROWS]
+            writer.write_table(
+                pyarrow.Table.from_arrays([_to_arrow(rows, name) for name in recording.names], schema=schema)
+            )
+
+
+def _to_arrow(rows: NDArray[np.void], name: str) -> Any:
+    """Wrap the memory of a column; pyarrow.array would import pandas, if installed, to check where it comes from."""
+    column = np.ascontiguousarray(rows[name])
+    return pyarrow.Array.from_buffers(
+        pyarrow.from_numpy_dtype(column.dtype), len(column), [None, pyarrow.py_buffer(column)]
+    )
+
+
+def _checksum(metadata: Mapping[bytes, bytes], columns: Iterable[NDArray[Any]]) -> bytes:
+    """CRC-32 over metadata and columns in their order, since Parquet checks neither footer nor page heads."""
+    crc = _checksum_of(metadata)
+    for column in columns:
+        crc = zlib.crc32(column.data, crc)
+    return b"%08x" % crc
+
+
+def _checksum_of(metadata: Mapping[bytes, bytes]) -> int:
+    return zlib.crc32(b"".join(metadata[key] for key in KEYS))
+
+
+def _encodings(dtype: np.dtype[np.void]) -> dict[str, Any]:
+    """Floats by byte stream: neighbours share exponents. Whole numbers by difference: most repeat."""
+    chosen = {
+        name: "BYTE_STREAM_SPLIT" if dtype[name].kind == "f" else "DELTA_BINARY_PACKED"
+        for name in dtype.names or ()
+        if dtype[name].kind == "f" or dtype[name].itemsize >= 4
+    }
+    return {"use_dictionary": False, "column_encoding": chosen}
+
+
+def read_parquet(path: Path, columns: Collection[str] | None = None) -> Recording:
+    """Read a sealed recording, of its rows all columns or those named; its header describes all of them.
+
+    Raises `RecordingError` when the file is not a recording, or when a bit of it has changed, in any column.
+    """
+    with _opened(path) as file:
+        return _recording(path, file, _metadata(path, file.schema_arrow), columns)
+
+
+def read_parquet_facts(path: Path) -> Recording:
+    """Read a sealed recording without its rows, from the end of the file; raises `RecordingError` for another file."""
+    with _opened(path) as file:
+        metadata = _metadata(path, file.schema_arrow)
+        return _facts(path, metadata)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    check_pyarrow()
+    with plain_errors("read", path), open_regular(path) as file:
+        try:
+            yield parquet.ParquetFile(file)
+        except (pyarrow.ArrowException, OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise RecordingError(f"{path} is damaged", remedy=f"{error}".partition("\n")[0]) from error
+
+
+def _metadata(path: Path, schema: Any) -> dict[bytes, bytes]:
+    metadata: dict[bytes, bytes] = schema.metadata or {}
+    if not any(key in metadata for key in KEYS):
+        raise RecordingError(
+            f"{path} is not a recording",
+            remedy="the file is Parquet written by another program; give one written by haptic-rig",
+        )
+    return metadata
+
+
+def _to_numpy(chunk: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Return numbers without nulls from the memory of a chunk, since pyarrow's own conversion imports pandas."""
+    if chunk.null_count or chunk.type != pyarrow.from_numpy_dtype(dtype):
+        raise ValueError(f"a column has nulls, or is {chunk.type} and not {dtype}")
+    return np.frombuffer(chunk.buffers()[1], dtype, len(chunk), chunk.offset * dtype.itemsize)
+
+
+def _recording(
+    path: Path, file: Any, metadata: dict[bytes, bytes], columns: Collection[str] | None
+) -> Recording:
+    facts = _facts(path, metadata)
+    dtype = facts.rows.dtype if columns is None else dtype_of(schema_of(facts.header["schema"], columns))
+    rows, wanted = np.empty(file.metadata.num_rows, dtype), set(dtype.names or ())
+    for name, row, values in _checked_columns(file, metadata, facts):
+        if name in wanted:
+            rows[name][row : row + len(values)] = values
+    return replace(facts, rows=rows)
+
+
+def is_stored(path: Path, expected: Recording, names: Collection[str]) -> bool:
+    """Check that a sealed recording has these columns of another, to the last bit, a part of a column at a time."""
+    with _opened(path) as file:
+        metadata = _metadata(path, file.schema_arrow)
+        facts = _facts(path, metadata)
+        if not set(names) <= set(facts.names) or file.metadata.num_rows != len(expected):
+            return False
+        return all(
+            name not in names or values.tobytes() == expected.rows[name][row : row + len(values)].tobytes()
+            for name, row, values in _checked_columns(file, metadata, facts)
+        )
+
+
+def _checked_columns(
+    file: Any, metadata: Mapping[bytes, bytes], facts: Recording
+) -> Iterator[tuple[str, int, NDArray[Any]]]:
+    """Yield each part of each column, with its name and first row; `ValueError` at the end where a bit has changed."""
+    stored: list[str] = file.schema_arrow.names
+    if set(stored) != set(facts.names):
+        raise ValueError("its columns are not those of its header")
+    together = max(1, READ_BYTES // (8 * file.metadata.num_rows + 1))
+    crc = _checksum_of(metadata)
+    for first in range(0, len(stored), together):
+        names = stored[first : first + together]
+        table = file.read(columns=names)
+        for name in names:
+            row = 0
+            for chunk in table.column(name).chunks:
+                if len(chunk):
+                    values = _to_numpy(chunk, facts.rows.dtype[name])
+                    crc = zlib.crc32(values.data, crc)
+                    yield name, row, values
+                    row += len(values)
+    if b"%08x" % crc != metadata[CHECKSUM_KEY]:
+        raise ValueError("its checksum does not match")
+
+
+def _facts(path: Path, metadata: dict[bytes, bytes]) -> Recording:
+    header, trailer, complete, lost = (parsed(metadata[key]) for key in KEYS)
+    check_version(path, header.get("version"))
+    rows = np.empty(0, dtype_of(header["schema"]))
+    return Recording(header, rows, trailer, complete is True, tuple(Loss(**loss) for loss in lost), path)

@@ -1,0 +1,129 @@
+"""Which walls of a study the arming gate refuses on a rig's link, as measured (`rig.doctor.gate`).
+
+A search for the limit asks for walls that do not hold, so on a real rig there are nearly always some. They are found
+before a person touches the handle: a session begins with consent to all of them, or it does not begin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+
+from rig.config import Experiment
+from rig.core.check import Check, Outcome
+from rig.core.errors import ConfigError, PlanError
+from rig.core.sample import Motion, unit_of
+from rig.devices.framed import FramedDevice
+from rig.doctor import gate as gates
+from rig.session.engine._runner import RefusedWalls, SessionWall, TrialRunner
+from rig.session.planning._conditions import Walls, own_rates
+from rig.session.planning._protocol import BLINDED
+from rig.session.planning._schedule import levels_of
+
+CONSENT = (
+    "a search for the limit needs unstable walls: consent to them once with `arm_anyway` (every hit is cut off as "
+    "described in the guide), search softer walls, or use a faster link"
+)
+
+
+def walls_of(walls: Walls) -> Iterator[SessionWall]:
+    """Every wall that a session may ask for, practice too; of a condition and damping all one after the other."""
+    protocol = walls.protocol
+    practised = protocol.practice.condition or protocol.condition[0].name
+    for condition in protocol.condition:
+        for damping in condition.damping:
+            stiffness = set(levels_of(protocol.search_of(condition)))
+            if condition.name == practised and damping == condition.damping[0]:
+                stiffness |= set(protocol.practice.stiffness)
+            x = walls.at(condition, damping, max(stiffness))
+            for level in sorted(stiffness):
+                under = replace(x, wall=replace(x.wall, stiffness=level))
+                yield SessionWall(condition=condition.name, experiment=under, changes=own_rates(condition, x))
+
+
+def refusals(
+    device: FramedDevice, under: Mapping[tuple[str, float], Sequence[Experiment]]
+) -> tuple[RefusedWalls, ...]:
+    """Measure this device's link and return the walls that the gate refuses on it. Nothing moves.
+
+    Parameters
+    ----------
+    device
+        Open, and not in a run.
+    under
+        By condition and damping: experiments as they would run, at rising stiffness.
+    """
+    if device.link.clock.virtual:
+        return ()
+    found = []
+    for (condition, damping), experiments in under.items():
+        x = experiments[0]
+        measurement = gates.measured_once(device, x.host, x.controller.position_rate)
+        levels = gates.refused_among(x, measurement, [one.wall.stiffness for one in experiments])
+        if levels:
+            softest = replace(x, wall=replace(x.wall, stiffness=levels[0]))
+            text = gates.gate(softest, measurement).text
+            found.append(
+                RefusedWalls(
+                    condition=condition, damping=damping, stiffness=levels, walls=len(experiments), text=text
+                )
+            )
+    return tuple(found)
+
+
+def refuse_unarmable(walls: Walls, runner: TrialRunner) -> None:
+    """Raise `rig.core.errors.PlanError` when this rig refuses a wall of the session without consent (`arm_anyway`).
+
+    For a blinded operator the error gives only the number of such walls.
+    """
+    blinded = walls.protocol.study.blind in BLINDED
+    if runner.simulated:  # never refused
+        return
+    try:
+        found = runner.refusals(tuple(walls_of(walls)))
+    except PlanError as error:
+        if not blinded:
+            raise
+        raise PlanError(
+            "this rig cannot run every wall that the session may present",
+            remedy="list these walls with rig session check, for the same device",
+        ) from error
+    if found and not runner.arm_anyway:
+        refused_walls = (
+            _number(found) if blinded else f"{_number(found)}: {_list_walls(found, walls.base.rig.motion)}"
+        )
+        raise PlanError(
+            f"with the measured link the arming gate refuses {refused_walls}",
+            remedy=f"{CONSENT}; list them with rig session check, for the same device",
+        )
+
+
+def arming_checks(walls: Walls, runner: TrialRunner) -> Iterator[Check]:
+    """Say which walls a real rig does not arm without consent. Its link is measured; nothing moves."""
+    if runner.simulated:
+        return
+    try:
+        found = runner.refusals(tuple(walls_of(walls)))
+    except ConfigError as error:
+        yield Check("arming", Outcome.REFUSED, error.message, error.remedy)
+        return
+    text = "with the measured link every wall may be armed"
+    if found:
+        listed = _list_walls(found, walls.base.rig.motion)
+        text = f"with the measured link the arming gate refuses {_number(found)}: {listed}"
+    yield Check("arming", Outcome.WARNING if found else Outcome.OK, text, CONSENT if found else "")
+
+
+def _number(found: Iterable[RefusedWalls]) -> str:
+    found = tuple(found)
+    conditions = "" if len(found) == 1 else f" of {len(found)} searches"
+    return f"{sum(len(one.stiffness) for one in found)} walls{conditions}"
+
+
+def _list_walls(found: Iterable[RefusedWalls], motion: Motion) -> str:
+    unit = unit_of("stiffness", motion)
+    return "; ".join(
+        f"{one.condition}, B = {one.damping:g}: {len(one.stiffness)} of {one.walls} walls, from "
+        f"K = {min(one.stiffness):g} to {max(one.stiffness):g} {unit} ({one.text})"
+        for one in found
+    )

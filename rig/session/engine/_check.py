@@ -1,0 +1,285 @@
+"""What a protocol will come to, and whether it may: listed and checked before a person touches the handle.
+
+Trials and times are expectations with a range (`rig.session.planning._expected`, `rig.session.planning._times`); every
+wall that a rule may ask for is checked like a hit of its own (`rig.experiments.trials.plan`) and held against linear
+theory.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from rig.config import Experiment
+from rig.config.schemes import Scheme
+from rig.core.check import Check, refuse
+from rig.session.engine._protocol_changes import protocol_check
+from rig.session.engine._taken import find_taken
+from rig.session.planning._comparisons import (
+    band_checks,
+    cap_checks,
+    energy_check,
+    heat_check,
+    level_checks,
+    most_checks,
+    order_checks,
+    rest_checks,
+    stop_checks,
+    wall_checks,
+)
+from rig.session.planning._conditions import Walls, base_of
+from rig.session.planning._disk import bytes_of_trial
+from rig.session.planning._expected import (
+    NO_TRIALS,
+    NOTHING,
+    ExpectedRange,
+    ExpectedTrials,
+    expected_limits,
+    expected_trials,
+)
+from rig.session.planning._plan import CellPlan, StudyPlan
+from rig.session.planning._protocol import Condition, Protocol
+from rig.session.planning._schedule import Block, levels_of, rows_of, schedule
+from rig.session.planning._simulated_hand import reach_for
+from rig.session.planning._times import (
+    BETWEEN_RUNS_S,
+    QUESTION_S,
+    REHEARSED_TICK_S,
+    TrialTimes,
+    heat_of,
+    trial_times,
+)
+
+
+def check(
+    protocol: Protocol,
+    folder: Path,
+    *,
+    participants: int | None = None,
+    of_device: Callable[[Walls], Iterable[Check]] | None = None,
+    study: Path | None = None,
+) -> StudyPlan:
+    """Plan and check a study.
+
+    Parameters
+    ----------
+    protocol
+        A checked one.
+    folder
+        Where its file is: what it names is relative to that.
+    participants
+        How many will come; those that the protocol plans if not given.
+    of_device
+        Returns checks of these walls on a device, see `rig.session.engine._device_checks`; without it no device is
+        loaded.
+    study
+        Directory of the participants: what those took who have finished replaces the planned times of people, and the
+        protocol is compared with that of their sessions.
+
+    Raises
+    ------
+    ConfigError
+        A condition that this rig does not allow.
+    RigError
+        A device that does not open.
+    """
+    if participants is not None:
+        protocol = replace(protocol, study=replace(protocol.study, participants=participants))
+    base = base_of(protocol, folder)
+    walls = Walls(protocol, base, reach_for)
+    under = [_experiments(walls, condition) for condition in protocol.condition]
+    cells = tuple(_cells(protocol, under))
+    searches = sum((cell.trials for cell in cells), NO_TRIALS) * protocol.order.repeats
+    practice = len(protocol.practice.stiffness)
+    trials = searches.count + ExpectedRange(practice, practice, practice)
+    stiffest = max((one for of in under for one in of), key=lambda one: one.wall.stiffness)
+    asks, people = protocol.study.judge == "person", protocol.trial
+    times = trial_times(under[0][0], ready_s=people.ready_s, verdict_s=people.verdict_s if asks else 0.0)
+    took = None if study is None else find_taken(protocol, study)
+    times = times if took is None else took.of_people(times)
+    heat = heat_of(stiffest, times, math.ceil(trials.most), protocol.rest.heat)
+    blocks = schedule(protocol, 0)
+    question_s = QUESTION_S if took is None else took.question
+    duration = dict(_durations(protocol, blocks, trials, times, stiffest, question_s))
+    rows = rows_of(protocol)
+    checks = [
+        *wall_checks([*_walls(protocol, under), *_practice(walls)]),
+        *level_checks(cells, base.rig.motion),
+        *most_checks(cells),
+        *energy_check(protocol, under),
+        *band_checks(protocol.trial, [walls.softest(one) for one in protocol.condition]),
+        *cap_checks(protocol, under),
+        heat_check(protocol, heat, trials.most),
+        *order_checks(protocol, rows),
+        *stop_checks(protocol, trials, searches.failures, sum(duration.values(), NOTHING)),
+        *rest_checks(protocol, trials, times),
+    ]
+    if study is not None:
+        checks += protocol_check(walls, study)
+    if of_device is not None:
+        checks += of_device(walls)
+    return StudyPlan(
+        title=protocol.study.title,
+        rig=base.rig.name,
+        motion=base.rig.motion,
+        kind=protocol.trial.kind,
+        participants=protocol.study.participants,
+        rows=rows,
+        blocks=sum(not block.practice for block in blocks),
+        runs=sum(len(block.runs) for block in blocks if not block.practice),
+        practice=practice,
+        cells=cells,
+        trials=trials,
+        trial=times,
+        taken=took,
+        duration_s=duration,
+        trial_bytes=max(bytes_of_trial(of[0], protocol) for of in under),
+        disk_bytes=_disk(protocol, cells, under),
+        rehearsal_s=_rehearsal(protocol, cells, under, times),
+        heat=heat,
+        orders=tuple(_names(protocol, schedule(protocol, row)) for row in range(protocol.study.participants)),
+        hidden=tuple(_hidden(protocol)),
+        blinded=protocol.study.blind in ("both", "operator"),
+        checks=tuple(checks),
+    )
+
+
+def refuse_walls(study: Walls) -> None:
+    """Raise `rig.core.errors.PlanError` when a rule may ask for a wall that must not be hit on this rig."""
+    under = [_experiments(study, condition) for condition in study.protocol.condition]
+    walls = [*_walls(study.protocol, under), *_practice(study)]
+    refuse(wall_checks(walls))
+
+
+def _experiments(study: Walls, condition: Condition) -> list[Experiment]:
+    """Experiments of a condition: at every damping, all its levels."""
+    levels = levels_of(study.protocol.search_of(condition))
+    found = []
+    for damping in condition.damping:
+        stiffest = study.at(condition, damping, levels[-1])
+        found += [replace(stiffest, wall=replace(stiffest.wall, stiffness=level)) for level in levels]
+    return found
+
+
+def _walls(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterator[tuple[str, Experiment]]:
+    for condition, experiments in zip(protocol.condition, under, strict=True):
+        for x in experiments:
+            yield condition.name, x
+
+
+def _practice(study: Walls) -> Iterator[tuple[str, Experiment]]:
+    protocol = study.protocol
+    condition = protocol.condition_named(protocol.practice.condition or protocol.condition[0].name)
+    for stiffness in protocol.practice.stiffness:
+        yield "practice", study.at(condition, condition.damping[0], stiffness)
+
+
+def _cells(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterator[CellPlan]:
+    known: dict[Any, ExpectedTrials] = {}
+    for condition, experiments in zip(protocol.condition, under, strict=True):
+        wanted = protocol.search_of(condition)
+        levels = levels_of(wanted)
+        expected = expected_limits(experiments[0], condition.damping, wanted)
+        for damping in condition.damping:
+            here = expected[damping]
+            key = (repr(wanted), here.limit)
+            if key not in known:
+                known[key] = expected_trials(wanted, here.limit)
+            free, held = here.free, here.in_hand
+            yield CellPlan(
+                condition=condition.name,
+                damping=damping,
+                scheme=Scheme.of(experiments[0]).label(experiments[0]),
+                rule=wanted.rule,
+                levels=levels,
+                expected=here,
+                trials=known[key],
+                unstable_free=None if free is None else tuple(k for k in levels if k > free),
+                unstable_in_hand=None if held is None else tuple(k for k in levels if k > held[0]),
+                fit=condition.fit,
+            )
+
+
+def _durations(
+    protocol: Protocol,
+    blocks: Sequence[Block],
+    trials: ExpectedRange,
+    times: TrialTimes,
+    stiffest: Experiment,
+    question_s: float,
+) -> Iterator[tuple[str, ExpectedRange]]:
+    """Durations of the parts of a session (s)."""
+    yield "homing and free space", trials * (times.homing + times.baseline)
+    yield "hits", trials * (times.hit + times.release)
+    yield "ready and verdict", trials * (times.ready + times.verdict)
+    rest = protocol.rest
+    if rest.every:
+        taken = [math.floor(max(0.0, number - 1) / rest.every) for number in trials.values]
+        yield "rests", ExpectedRange(*map(float, taken)) * rest.seconds
+    counted = sum(not block.practice for block in blocks)
+    yield (
+        "between runs and blocks",
+        _same(
+            BETWEEN_RUNS_S * sum(len(block.runs) for block in blocks) + rest.between_blocks_s * (counted - 1)
+        ),
+    )
+    often = {"start": 1, "block": counted, "end": 1}
+    questions = sum(often[item.when] for item in protocol.question)
+    if questions:
+        yield "questions", _same(question_s * questions)
+    cooling = [heat_of(stiffest, times, math.ceil(number), rest.heat).cooling_s for number in trials.values]
+    if cooling[-1] > 0.0:
+        yield "cooling of the motor", ExpectedRange(*cooling)
+
+
+def _disk(
+    protocol: Protocol, cells: Sequence[CellPlan], under: Sequence[Sequence[Experiment]]
+) -> ExpectedRange:
+    """Room for the recordings of a participant."""
+    of_a_trial = {
+        one.name: bytes_of_trial(of[0], protocol) for one, of in zip(protocol.condition, under, strict=True)
+    }
+    searches = [cell.trials.count * of_a_trial[cell.condition] for cell in cells]
+    return sum(searches, NOTHING) * protocol.order.repeats
+
+
+def _rehearsal(
+    protocol: Protocol, cells: Sequence[CellPlan], under: Sequence[Sequence[Experiment]], times: TrialTimes
+) -> ExpectedRange:
+    """Estimate the computing time of a rehearsal in virtual time (s)."""
+    rates = {
+        one.name: of[0].controller.position_rate for one, of in zip(protocol.condition, under, strict=True)
+    }
+    tick_s = times.recorded * REHEARSED_TICK_S
+    searches = [cell.trials.count * (rates[cell.condition] * tick_s) for cell in cells]
+    return sum(searches, NOTHING) * protocol.order.repeats
+
+
+def _same(value: float) -> ExpectedRange:
+    return ExpectedRange(value, value, value)
+
+
+def _names(protocol: Protocol, blocks: Sequence[Block]) -> tuple[tuple[str, ...], ...]:
+    """Names of the runs of each block."""
+    several = {one.name for one in protocol.condition if len(one.damping) > 1}
+    return tuple(
+        tuple(
+            f"{run.condition}, B = {run.damping:g}" if run.condition in several else run.condition
+            for run in block.runs
+        )
+        for block in blocks
+        if not block.practice
+    )
+
+
+def _hidden(protocol: Protocol) -> Iterator[str]:
+    blind = protocol.study.blind
+    if blind in ("both", "operator"):
+        yield "operator: the console shows no condition, stiffness or damping, and effort in words"
+    if blind in ("both", "participant"):
+        yield "participant: condition and wall are not disclosed"
+    if blind == "none":
+        yield "nothing is hidden: operator and participant know condition and wall"

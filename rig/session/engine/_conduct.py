@@ -1,0 +1,595 @@
+"""The engine of a session: takes what comes next from the state, does it, and writes it down before anything follows.
+
+There is no other memory than the log: whatever ends the process, the same function resumes from the log. It knows the
+rig only as a `TrialRunner`, and people only as a `Desk`.
+"""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any, Protocol
+
+from rig.config import Experiment
+from rig.control.verdict import Kind
+from rig.core.errors import (
+    ConfigError,
+    DeviceFaultError,
+    DeviceNotFoundError,
+    GuardError,
+    LinkLostError,
+    OverrunError,
+    PlanError,
+    RealtimeError,
+    RecordingError,
+    RigError,
+    StoppedError,
+)
+from rig.core.sample import HOLD, Phase, unit_of
+from rig.experiments.motion.pulse import IN_DOUBT, NO_HANDS
+from rig.session.engine._desk import Action, Desk, DeskView, Question, Reply
+from rig.session.engine._directory import TRIALS, Session
+from rig.session.engine._log import Event
+from rig.session.engine._place import resume_command
+from rig.session.engine._protocol_changes import walls_in
+from rig.session.engine._runner import TrialDone, TrialRunner
+from rig.session.engine._state import (
+    DoAsk,
+    DoBlock,
+    DoDecide,
+    DoEnd,
+    DoJudge,
+    DoPause,
+    DoRest,
+    DoTrial,
+    SessionState,
+)
+from rig.session.engine._telling import line_of_event, outcome
+from rig.session.planning._bands import describe_task as asked_of_hand
+from rig.session.planning._bands import judge_bands
+from rig.session.planning._conditions import Walls, own_rates
+from rig.session.planning._expected import likely_trials
+from rig.session.planning._items import describe_item, parse_answer
+from rig.session.planning._keymap import VERDICTS
+from rig.session.planning._protocol import BLINDED
+from rig.session.planning._reasons import summarise_reasons
+from rig.session.planning._schedule import Block, SearchRun
+from rig.session.planning._trial import Presented, RecordedTrial, event_of
+
+LINES_SHOWN = 8
+_PHASES: Mapping[int, str] = {
+    Phase.WAIT: "homing",
+    Phase.HOMING: "homing",
+    Phase.SETTLE: "homing",
+    Phase.FREE: "free space",
+    Phase.TRIAL: "go",
+    HOLD: "hold",
+    Phase.RELEASE: "release",
+    Phase.DONE: "release",
+}
+ASKED_FOR = "requested by the operator"  # why a session pauses, where the machine is not the cause
+ASKED_FOR_BEFORE = "the operator asked for it"  # the same in logs written until 2026-11
+MEND = "close other programs; `rig doctor` shows what delays this computer and the link"
+AS_DESCRIBED, NOT_AS_DESCRIBED = (
+    "the rig moves as it is described",
+    "the rig does not move as it is described",
+)
+WAIT, STAY = "Wait for the signal; do not move yet.", "Stay there."
+SEE_TO_IT = "release the handle; `rig device check` shows the details"
+_ALWAYS: tuple[Action, ...] = ("note", "abort")
+_ASKED = (
+    GuardError,
+    LinkLostError,
+    OverrunError,
+    StoppedError,
+)  # after these the operator decides how to continue
+# Errors that a blinded operator may read: nothing in their texts comes from a wall.
+_PLAIN = (DeviceNotFoundError, LinkLostError, OverrunError, RealtimeError, RecordingError)
+
+
+def first_wall(walls: Walls, blocks: Sequence[Block]) -> tuple[Experiment, Mapping[str, Any]]:
+    """The softest wall of the first run: what a device is opened with before anything is hit."""
+    protocol = walls.protocol
+    run = next(run for block in blocks for run in block.runs)
+    softest = protocol.search_of(protocol.condition_named(run.condition)).lowest
+    return _wall(walls, run.condition, run.damping, softest)
+
+
+def _wall(
+    walls: Walls, name: str, damping: float, stiffness: float, seed: int | None = None
+) -> tuple[Experiment, Mapping[str, Any]]:
+    """The experiment of a hit, and what a device must not change of it."""
+    condition = walls.protocol.condition_named(name)
+    experiment = walls.at(condition, damping, stiffness, seed=seed)
+    return experiment, own_rates(condition, experiment)
+
+
+class Marks(Protocol):
+    """Reports events to other programs and never makes a session wait."""
+
+    def push(self, mark: str, at_ns: int | None = None, **content: Any) -> None:
+        """Report an event, at a host time (ns) or now."""
+        ...
+
+
+class Streams(Marks, Protocol):
+    """Marks that a session opens and closes itself: what a row "marks" of an extra's table makes."""
+
+    @property
+    def lost(self) -> int:
+        """How many marks could not be sent."""
+        ...
+
+    def wait(self) -> None:
+        """Return once other programs can receive; `RigError` when that fails."""
+        ...
+
+    def close(self) -> Mapping[str, Any] | None:
+        """End, and return what was sent for the log; None if that is not known."""
+        ...
+
+
+def conduct(
+    session: Session,
+    runner: TrialRunner,
+    desk: Desk,
+    *,
+    walls: Walls | None = None,
+    on_event: Callable[[Event], None] | None = None,
+    marks: Marks | None = None,
+) -> SessionState:
+    """Run a session to its end, or until the operator leaves it.
+
+    Parameters
+    ----------
+    session
+        Just begun, or resumed.
+    runner
+        The rig.
+    desk
+        Who sits there.
+    walls
+        Of its study; None for those of the protocol and the experiment in its log.
+    on_event
+        Called with each event after it was written.
+    marks
+        Called with what happens when it does: each trial before it begins, with its wall, and each event.
+
+    Returns
+    -------
+    State
+        How it stands: `ended`, or `stopped` when the operator left it.
+
+    Raises
+    ------
+    RigError
+        What cannot continue: a disk that is full, a wall that must not run, a device that is gone. The effort is zero,
+        and the session can be resumed. A blinded operator reads no text that may name a wall: it is in the log.
+    """
+    engine = _Engine(session, runner, desk, walls or walls_in(session.state), on_event, marks)
+    try:
+        engine.open()
+        while engine.step():
+            pass
+    except (KeyboardInterrupt, StoppedError) as stop:
+        why = stop.message if isinstance(stop, StoppedError) else "interrupted"
+        with suppress(RecordingError):
+            engine.record("stopped", reason=why)
+        raise
+    except Exception as error:
+        hidden = _hide_error(session.state, error)
+        reason = error.message if isinstance(error, RigError) else repr(error)
+        whole = str(error) if isinstance(error, RigError) else "".join(traceback.format_exception(error))
+        with suppress(RecordingError):
+            engine.record("stopped", reason=reason if hidden is None else hidden.message, detail=whole)
+        if hidden is not None:
+            raise hidden from None
+        raise
+    return session.state
+
+
+def _hide_error(state: SessionState, error: Exception) -> RigError | None:
+    """Return the error that a blinded operator sees instead of one that may name a wall; None if it may be shown."""
+    if state.protocol.study.blind not in BLINDED or isinstance(error, _PLAIN):
+        return None
+    recording = getattr(error, "recording", None)
+    if recording is not None:
+        text = f"trial {state.newest} ended by an error"
+    elif isinstance(error, ConfigError):
+        text = f"trial {state.newest + 1} was refused before anything moved"
+    else:
+        text = f"an error before trial {state.newest + 1}"
+    shown = (PlanError if isinstance(error, ConfigError) else RigError)(
+        text, remedy="show the reason, which is not blinded: rig session show --log --unblind"
+    )
+    shown.exit_code = error.exit_code if isinstance(error, RigError) else RigError.exit_code
+    shown.recording = recording
+    return shown
+
+
+def _mend(reason: str) -> str:
+    return SEE_TO_IT if reason.startswith(NOT_AS_DESCRIBED) else MEND
+
+
+class _Left(Exception):  # noqa: N818  (no error: the operator leaves)
+    """The operator leaves the session."""
+
+
+class _Engine:
+    """What `conduct` remembers between two steps: nothing that the log does not have, but for what is on show."""
+
+    def __init__(
+        self,
+        session: Session,
+        runner: TrialRunner,
+        desk: Desk,
+        walls: Walls,
+        on_event: Callable[[Event], None] | None,
+        marks: Marks | None,
+    ) -> None:
+        self._session = session
+        self._runner = runner
+        self._desk = desk
+        self._on_event = on_event
+        self._marks = marks
+        self._walls = walls
+        self._last = ""
+        self._lines: list[str] = []
+        self._expected = 0
+        self._pulsed: int | None = None  # block before which the rig moved as described
+        desk.attend(session)
+
+    @property
+    def _state(self) -> SessionState:
+        return self._session.state
+
+    @property
+    def _blind(self) -> bool:
+        return self._state.protocol.study.blind in BLINDED
+
+    def record(self, kind: str, **content: Any) -> None:
+        """Write down an event, and pass it to those who listen."""
+        event = self._session.record(kind, **content)
+        self._lines.append(line_of_event(event))
+        if self._on_event is not None:
+            self._on_event(event)
+        if self._marks is not None:
+            self._marks.push(kind, text=line_of_event(event))
+
+    def open(self) -> None:
+        """Record the device, its firmware and the expected number of trials."""
+        state = self._state
+        self._expected = round(sum(likely_trials(state.protocol, state.blocks).values()))
+        self.record("opened", **self._runner.facts(*first_wall(self._walls, state.blocks)))
+
+    def step(self) -> bool:
+        """Do what comes next; return False when the session is over or the operator left it."""
+        try:
+            if self._state.paused is not None:
+                self._pause(self._state.paused)
+            step = self._state.next()
+            match step:
+                case DoTrial(presented):
+                    self._trial(presented)
+                case DoJudge(trial):
+                    self._judge(trial)
+                case DoRest(seconds, reason):
+                    self._rest(seconds, reason)
+                case DoPause(reason):
+                    self._machine_pauses(reason)
+                case DoBlock(block):
+                    self.record("block", block=block.number)
+                case DoAsk():
+                    self._item(step)
+                case DoDecide(run, last):
+                    self._decide(run, last)
+                case DoEnd(reason):
+                    if self._state.ended is None and not self._may_end():
+                        return True
+                    if self._state.ended is None:
+                        self.record("ended", reason=reason)
+                    self._show("done", say="Thank you: that was the last one.")
+                    return False
+        except _Left:
+            self.record("stopped", reason="the operator left")
+            return False
+        return True
+
+    # One step each.
+
+    def _trial(self, presented: Presented) -> None:
+        if self._pulsed != presented.block and not self._runner.simulated and not self._pulse(presented):
+            return
+        again = (
+            "Again. " if presented.attempt > 1 else ""
+        )  # why it comes again is not the participant's matter
+        self._show("ready", presented, say=again + self._state.protocol.trial.say)
+        actions: tuple[Action, ...] = ("go", "pause", "skip")
+        if self._redoable() is not None:
+            actions = (*actions, "redo")
+        reply = self._ask(Question(kind="ready", text="ready?", actions=(*actions, *_ALWAYS)))
+        match reply.action:
+            case "pause":
+                self._pause(ASKED_FOR)
+            case "skip":
+                self.record("skipped", run=presented.run)
+            case "redo":
+                self._redo()
+            case "go":
+                self._hit(presented)
+
+    def _pulse(self, presented: Presented) -> bool:
+        """Before a block's first trial, where the rig was left, or is in doubt: whether it moves as it is described."""
+        self._show("hands off", presented, say="Let go of the handle.")
+        self._ask(Question(kind="ready", text=NO_HANDS, actions=("go", *_ALWAYS)))
+        wall = _wall(self._walls, presented.condition, presented.damping, presented.stiffness, presented.seed)
+        found = self._runner.pulse(*wall, self._session.directory / TRIALS, f"pulse-{presented.trial:04d}")
+        checks = [f"{check.name}: {check.text}" for check in found.checks]
+        summary = AS_DESCRIBED if found.ok else NOT_AS_DESCRIBED
+        self.record(
+            "pulse",
+            block=presented.block,
+            ok=found.ok,
+            said=summary,
+            checks=checks,
+            recording=found.recording.name,
+        )
+        if found.ok:
+            self._pulsed = presented.block
+        else:
+            self._machine_pauses(f"{summary}; {'; '.join(checks)}")
+        return found.ok
+
+    def _hit(self, presented: Presented) -> None:
+        state, wall = self._state, presented
+        if not self._runner.virtual:
+            presented = replace(presented, seed=state.seed)
+        experiment, changes = _wall(self._walls, wall.condition, wall.damping, wall.stiffness, presented.seed)
+        trials = self._session.directory / TRIALS
+        if self._marks is not None:
+            self._marks.push("begins", **presented.marked)
+        try:
+            done = self._runner.hit(
+                *(
+                    experiment,
+                    changes,
+                    trials,
+                    f"t{wall.trial:04d}",
+                    lambda x: self._watch(wall, x),
+                    state.heat,
+                ),
+                state.protocol.study.blind != "none",
+            )
+        except StoppedError as stop:
+            if stop.recording is not None or stop.signal is not None or self._desk.who == "simulated":
+                raise
+            self._trouble("stopped before anything moved", presented)  # nothing to log: no trial was begun
+            return
+        self._session.clock.took(done.duration_s)
+        hit = judge_bands(done.hit, state.protocol.trial, experiment.rig.motion)
+        self.record("trial", **event_of(presented, hit))
+        self._last = outcome(state.trials[-1], blind=self._blind)
+        if done.hit.ended in IN_DOUBT:
+            self._pulsed = None
+        if done.error is not None:
+            self._after_early_end(done, presented)
+
+    def _after_early_end(self, done: TrialDone, presented: Presented) -> None:
+        """Raise the error that ended a hit, or ask the operator how to continue; the effort is zero."""
+        error = done.error
+        if error is not None and not isinstance(error, _ASKED):
+            raise error  # the law or the desk is broken: the next hit would end like this one
+        if isinstance(error, StoppedError) and (error.signal is not None or self._desk.who == "simulated"):
+            raise error
+        if (
+            isinstance(error, LinkLostError)
+            and not isinstance(error, DeviceFaultError)
+            and not self._runner.simulated
+        ):
+            raise error  # a person must check that the handle's position zero is still valid
+        if self._state.trials[-1].invalid:
+            why = error.message if isinstance(error, RigError) else done.hit.ended
+            if self._blind and isinstance(error, GuardError):  # an energy, a velocity, an oscillating effort
+                why = summarise_reasons(self._state.trials[-1].reasons, blind=True).removeprefix(
+                    "the run ended early: "
+                )
+            self._trouble(f"the hit ended early: {why}", presented)
+
+    def _trouble(self, text: str, presented: Presented) -> None:
+        """Continue only when the operator chooses to."""
+        self._show("stopped", presented)
+        actions: tuple[Action, ...] = ("go", "redo") if self._redoable() is not None else ("go",)
+        reply = self._ask(
+            Question(kind="trouble", text=text, actions=(*actions, *_ALWAYS), trial=presented.trial)
+        )
+        if reply.action == "redo":
+            self._redo()
+
+    def _judge(self, trial: RecordedTrial) -> None:
+        study = self._state.protocol.study
+        if study.judge == "automatic":
+            passes = trial.passes[study.criterion]
+            verdict = "stable" if passes else "unstable" if trial.automatic == Kind.UNSTABLE else "buzz"
+            self._record_verdict(trial, verdict, "automatic", 0.0)
+            return
+        self._show("verdict?", trial, say="How was it: stable, a buzz, unstable, or are you unsure?")
+        reply = self._ask(
+            Question(
+                kind="verdict",
+                text="the verdict?",
+                actions=("judge", "redo", *_ALWAYS),
+                trial=trial.trial,
+            )
+        )
+        if reply.action == "redo":
+            self._redo()
+        elif reply.value in VERDICTS:
+            self._record_verdict(trial, reply.value, self._desk.who, reply.took_s)
+
+    def _record_verdict(self, trial: RecordedTrial, verdict: str, judged_by: str, seconds: float) -> None:
+        self.record(
+            "judged", trial=trial.trial, verdict=verdict, judged_by=judged_by, response_time_s=seconds
+        )
+        self._last = outcome(trial, blind=self._blind)
+
+    def _rest(self, seconds: float, reason: str) -> None:
+        words = "The motor cools." if reason == "heat" else "Let go of the handle and rest."
+        self._show("rest", say=words)
+        actions: tuple[Action, ...] = ("go", "redo") if self._redoable() is not None else ("go",)
+        reply = self._ask(Question(kind="rest", text=words, actions=(*actions, *_ALWAYS), seconds=seconds))
+        if reply.action == "redo":
+            self._redo()
+            return
+        self.record("rested", seconds=round(min(reply.took_s, seconds), 3), reason=reason)
+
+    def _item(self, step: DoAsk) -> None:
+        item = step.item
+        self._show("question", say=item.text)
+        shown = describe_item(item)
+        actions: tuple[Action, ...] = ("answer", "redo") if self._redoable() is not None else ("answer",)
+        reply = self._ask(Question(kind="item", text=item.text, actions=(*actions, *_ALWAYS), item=shown))
+        if reply.action == "redo":
+            self._redo()
+        elif (answer := parse_answer(shown, reply.value)) is not None:
+            self.record("answered", item=item.name, answer=answer, block=step.block)
+
+    def _decide(self, run: SearchRun, last: RecordedTrial) -> None:
+        why = summarise_reasons(last.reasons, blind=self._blind)
+        text = f"{self._state.protocol.trial.attempts} trials in a row were invalid: {why}; try again, or skip this run"
+        self._show("trouble", last)
+        reply = self._ask(
+            Question(kind="trouble", text=text, actions=("go", "skip", *_ALWAYS), trial=last.trial)
+        )
+        self.record("skipped" if reply.action == "skip" else "retried", run=run.number)
+
+    def _may_end(self) -> bool:
+        """Ask whether the session may end, the last chance to redo a trial; return True if it may."""
+        if self._redoable() is None:
+            return True
+        self._show("ready to end", say="That was the last one.")
+        reply = self._ask(Question(kind="ready", text="end the session?", actions=("go", "redo", *_ALWAYS)))
+        if reply.action == "redo":
+            self._redo()
+        return reply.action == "go"
+
+    def _machine_pauses(self, reason: str) -> None:
+        """Wait until a person has fixed the machine; without a person at the desk, leave the session for that."""
+        if self._desk.who != "simulated":
+            self._pause(reason)
+            return
+        self.record("paused", reason=reason)
+        raise OverrunError(
+            reason,
+            remedy=f"{_mend(reason)}; then resume: {resume_command(self._session.directory, self._session.log.events)}",
+        )
+
+    def _pause(self, reason: str) -> None:
+        if self._state.paused is None:
+            self.record("paused", reason=reason)
+        text = (
+            "paused"
+            if reason in (ASKED_FOR, ASKED_FOR_BEFORE)
+            else f"paused: {reason}; {_mend(reason)}, then continue"
+        )
+        self._show("paused", say="Let go of the handle.")
+        self._ask(Question(kind="paused", text=text, actions=("go", *_ALWAYS)))
+        self.record("continued")
+
+    def _redoable(self) -> RecordedTrial | None:
+        """The trial that `redo` is about: the newest that counts, in the current block."""
+        counted = [trial for trial in self._state.trials if not trial.void and not trial.invalid]
+        begun = self._state.begun[-1] if self._state.begun else None
+        return counted[-1] if counted and counted[-1].block == begun else None
+
+    def _redo(self) -> None:
+        trial = self._redoable()
+        if trial is not None:
+            self.record("redone", trial=trial.trial)
+
+    def _ask(self, question: Question) -> Reply:
+        """Ask until the reply is more than a note; ignore an action that was not offered."""
+        while True:
+            reply = self._desk.ask(question)
+            if reply.action not in question.actions:
+                continue
+            if reply.action == "note":
+                if reply.value.strip():
+                    self.record("note", text=reply.value.strip(), trial=self._state.newest)
+                continue
+            if reply.action == "abort":
+                raise _Left
+            return reply
+
+    # What is seen.
+
+    def _watch(self, presented: Presented, experiment: Experiment) -> Callable[[int, int], None]:
+        """Return the function that is called during a hit: it shows the phase and calls the desk's own `watch`."""
+        beside = self._desk.watch()
+        seen = -1
+        self._show("homing", presented, experiment=experiment, say="Hold the handle loosely.")
+
+        def watch(ticks: int, phase: int) -> None:
+            nonlocal seen
+            if phase != seen:
+                seen = phase
+                say = {Phase.FREE: WAIT, Phase.TRIAL: self._state.protocol.trial.say, HOLD: STAY}
+                shown = _PHASES[phase]
+                self._show(shown, presented, experiment=experiment, say=say.get(phase, ""))
+            if beside is not None:
+                beside(ticks, phase)
+
+        return watch
+
+    def _show(
+        self,
+        words: str,
+        wall: Presented | None = None,
+        *,
+        experiment: Experiment | None = None,
+        say: str = "",
+    ) -> None:
+        """Show how things stand, with the wall only to an operator who may know it."""
+        state = self._state
+        trial = wall.trial if wall else state.newest
+        blind = state.protocol.study.blind in BLINDED
+        seen = wall if wall is not None and not blind else None
+        self._desk.show(
+            DeskView(
+                state=words,
+                say=say,
+                code=state.code,
+                block=wall.block if wall else state.begun[-1] if state.begun else 0,
+                blocks=sum(not one.practice for one in state.blocks),
+                run=wall.run if wall else 0,
+                runs=sum(len(one.runs) for one in state.blocks if not one.practice),
+                trial=trial,
+                trials=max(self._expected, trial),
+                practice=wall.practice if wall else False,
+                attempt=wall.attempt if wall else 1,
+                condition=seen.condition if seen else None,
+                stiffness=seen.stiffness if seen else None,
+                damping=seen.damping if seen else None,
+                blinded=blind,
+                asked=asked_of_hand(state.protocol.trial, self._walls.base.rig.motion),
+                scale=_scale(experiment or self._walls.base),
+                heat=state.heat,
+                last=self._last,
+                lines=tuple(self._lines[-LINES_SHOWN:]),
+            )
+        )
+
+
+def _scale(x: Experiment) -> dict[str, Any]:
+    """Return the limits that bars are drawn against."""
+    limits, motion = x.rig.limits, x.rig.motion
+    return {
+        "start": x.trial.start,
+        "wall": x.wall.position,
+        "side": x.wall.side,
+        "window": [limits.position_minimum, limits.position_maximum],
+        "effort_limit": limits.effort,
+        "speed_limit": limits.speed,
+        **{f"{name}_unit": unit_of(name, motion) for name in ("position", "velocity", "effort")},
+    }

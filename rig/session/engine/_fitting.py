@@ -1,0 +1,59 @@
+"""Whether the device of a session carries every condition: asked before a session leaves a trace, and by a check."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+from rig.config import Experiment
+from rig.core.check import Check, refuse
+from rig.session.engine._runner import TrialRunner
+from rig.session.planning._comparisons import SEVERITY
+from rig.session.planning._conditions import Walls, own_rates
+from rig.session.planning._schedule import levels_of
+
+
+def fit_checks(walls: Walls, runner: TrialRunner) -> list[Check]:
+    """Check the conditions against the device and its link; return the worst result of each check.
+
+    The device is opened and asked; nothing moves.
+
+    Raises
+    ------
+    RigError
+        A device that does not open.
+    """
+    worst: dict[str, Check] = {}
+    for x, changes in _stiffest(walls):
+        for one in runner.fits(x, changes):
+            known = worst.get(one.name)
+            if known is None or SEVERITY.index(one.outcome) > SEVERITY.index(known.outcome):
+                worst[one.name] = replace(one, remedy=_remedy(one, walls, runner))
+    return list(worst.values())
+
+
+def refuse_misfit(walls: Walls, runner: TrialRunner) -> None:
+    """Raise `rig.core.errors.PlanError` when the device of a session cannot run one of its conditions."""
+    refuse(fit_checks(walls, runner))
+
+
+def _stiffest(walls: Walls) -> Iterator[tuple[Experiment, Mapping[str, Any]]]:
+    """The stiffest wall of each condition and damping."""
+    for condition in walls.protocol.condition:
+        stiffest = levels_of(walls.protocol.search_of(condition))[-1]
+        for damping in condition.damping:
+            x = walls.at(condition, damping, stiffest)
+            yield x, own_rates(condition, x)
+
+
+def _remedy(one: Check, walls: Walls, runner: TrialRunner) -> str:
+    """In words of a protocol: a session has no rate of its own, and one device."""
+    if one.name == "rig of the device" and any(condition.fit for condition in walls.protocol.condition):
+        return (
+            f"{one.remedy}; a board has one encoder: run conditions with another encoder as a separate study"
+        )
+    if one.name not in ("device rate", "link capacity"):
+        return one.remedy
+    slower = "give the conditions slower schemes, as in the template first-steps"
+    return f"{slower}; or rehearse in virtual time" if runner.simulated else slower

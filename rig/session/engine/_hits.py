@@ -1,0 +1,368 @@
+"""One trial of a session on a device: an ordinary recorded hit, and what the session's log keeps of it."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig import config, devices
+from rig.config import Experiment
+from rig.control.verdict import CRITERIA, Kind
+from rig.core.check import Check
+from rig.core.errors import DeviceFaultError, LinkLostError
+from rig.core.model import RigModel
+from rig.core.present import plain
+from rig.core.same_rig import check_rig
+from rig.devices.device import Link
+from rig.devices.framed import FramedDevice
+from rig.devices.local import opened
+from rig.doctor.pace import Pace, measured_pace
+from rig.experiments.hits.admission import admit, vetted
+from rig.experiments.hits.hit import HitRequest, Recorded, hit, in_effect, left_by
+from rig.experiments.motion.pulse import Pulse, pulse
+from rig.experiments.trials.judgement import THREW_OUT, THROWN_OUT
+from rig.experiments.trials.plan import device_checks, link_checks
+from rig.experiments.trials.preparation import position_zero, prepared_on
+from rig.recording.data import Recording
+from rig.recording.files import free_name, plain_errors, sha256_of
+from rig.recording.header import host_facts
+from rig.session.engine._arming import refusals
+from rig.session.engine._baseline import baseline
+from rig.session.engine._pace import sentence
+from rig.session.engine._place import software
+from rig.session.engine._runner import RefusedWalls, SessionWall, TrialDone, Watch
+from rig.session.planning._bands import press_of
+from rig.session.planning._trial import HitOutcome
+
+NUMBERS = (
+    "felt",
+    "felt_floor",
+    "heard",
+    "moved",
+    "growth",
+    "exits",
+    "contact_s",
+    "impact_velocity",
+    "peak_penetration",
+    "resting_penetration",
+    "settling_s",
+    "peak_effort",
+    "saturated_fraction",
+    "late_ticks",
+    "gaps",
+)
+
+
+@dataclass(slots=True, kw_only=True)
+class DeviceRunner:
+    """The rig of a session.
+
+    A real device stays open from the first trial to the last, so that its zero is read once; so does a simulated one in
+    real time, as long as conditions do not change the machine itself. In virtual time each trial has a fresh one.
+
+    Attributes
+    ----------
+    url
+        Of the device; None simulates.
+    realtime, verified
+        As in `rig.experiments.hits.hit.HitRequest`.
+    arm_anyway
+        Arm what the gate refuses, in every trial: consent for a whole session, because a search for the limit asks for
+        walls that do not hold.
+    lossy_anyway
+        Begin although nearly every trial would be lost to the computer or the link.
+    hand
+        File through which a person moves the simulated hand (`rig.realtime.hand`); None: it plays its script.
+    messages
+        What this computer or the port did not grant, once each.
+    """
+
+    url: str | None = None
+    realtime: bool = False
+    verified: bool = False
+    arm_anyway: bool = False
+    lossy_anyway: bool = False
+    hand: Path | None = None
+    messages: list[str] = field(default_factory=list)
+    _open: FramedDevice | None = None
+    _served: tuple[RigModel, Path | None] | None = None  # model and hand of the open device
+    _zero: int = 0
+    _refused: tuple[RefusedWalls, ...] = ()
+    _pace: Pace | None = None
+    _stack: ExitStack = field(default_factory=ExitStack)
+
+    @property
+    def virtual(self) -> bool:
+        """Return True if time is the simulation's own."""
+        return not self.realtime and (self.url or "sim://").startswith("sim:")
+
+    @property
+    def simulated(self) -> bool:
+        """Return True if no rig can move."""
+        return (self.url or "sim://").startswith("sim:")
+
+    def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what the log stores about the device, its clock and this computer."""
+        url = devices.url_for(self.url or "sim://", experiment.controller.loop)
+        facts: dict[str, Any] = {
+            "url": url,
+            "place": {"url": self.url, "realtime": self.realtime},
+            "clock": "virtual" if self.virtual else "monotonic",
+            "host": host_facts(),
+            "versions": software(),
+        }
+        device = self._device(experiment, changes)
+        if device is None:
+            return {**facts, "device": experiment.rig.name, "firmware": "simulated", "simulated": True}
+        dictionary = device.dictionary
+        clock = device.exchange_clock()
+        if self._refused:
+            facts["armed_anyway"] = plain(self._refused)
+        if self._pace is not None:
+            summary = sentence(self._pace, simulated=self.simulated)
+            facts["pace"] = {**plain(self._pace), "said": summary}
+        return {
+            **facts,
+            "device": dictionary.device,
+            "firmware": dictionary.firmware,
+            "simulated": dictionary.simulated,
+            "serial_number": _serial_number(device.link),
+            "dictionary": f"{device.dictionary_hash:016x}",
+            "exchanges": [list(stamps) for stamps in clock.tolist()],
+        }
+
+    def refusals(self, walls: Sequence[SessionWall]) -> tuple[RefusedWalls, ...]:
+        """Which of these walls a real rig does not arm without consent. Its link is measured; nothing moves.
+
+        Raises
+        ------
+        PlanError, ConfigError
+            A wall that this rig must not or cannot run, consent or not; or the polarity of the rig is not verified.
+        """
+        if self.simulated or not walls:
+            return ()
+        device = self._device(walls[0].experiment, walls[0].changes)
+        assert device is not None  # a real one
+        under: dict[tuple[str, float], list[Experiment]] = {}
+        for wall in walls:
+            request = HitRequest(
+                experiment=wall.experiment,
+                url=self.url,
+                changes=wall.changes,
+                verified=self.verified,
+                reference_count=self._zero,
+            )
+            x = vetted(request, device, in_effect(wall.experiment, device, wall.changes)).experiment
+            under.setdefault((wall.condition, x.wall.damping), []).append(x)
+        self._refused = refusals(device, under)
+        return self._refused
+
+    def pace(self, experiment: Experiment, changes: Mapping[str, Any]) -> Pace | None:
+        """Measure the losses of this computer and the link at an experiment's rate on the open device; nothing moves.
+
+        Raises
+        ------
+        RigError
+            A device that does not open or answer, or scheduling that is demanded and not granted.
+        """
+        device = self._device(experiment, changes)
+        if device is None:
+            return None
+        x = in_effect(experiment, device, changes)
+        run = prepared_on(device, x, verified=self.verified, reference_count=self._zero)
+        device.configure(run.parameters)  # so that it samples at this rate
+        self._pace = measured_pace(device, x.host, x.controller.position_rate, x.verdict)
+        return self._pace
+
+    def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> list[Check]:
+        """Check whether the device and its link carry an experiment; nothing moves.
+
+        Raises
+        ------
+        RigError
+            A device that does not open.
+        """
+        device = self._device(experiment, changes)
+        if device is not None:
+            return _fits(in_effect(experiment, device, changes), device)
+        x = config.override(experiment, changes)
+        with devices.open_device(
+            devices.url_for(self.url or "sim://", x.controller.loop), config.rig_model(x)
+        ) as device:
+            return _fits(x, device)
+
+    def pulse(self, experiment: Experiment, changes: Mapping[str, Any], directory: Path, name: str) -> Pulse:
+        """Send the rig a torque pulse, without a hand on the handle; see `rig.experiments.motion.pulse.pulse`."""
+        device = self._device(experiment, changes)
+        assert device is not None  # a real one
+        with plain_errors("make", directory):
+            directory.mkdir(parents=True, exist_ok=True)
+        return pulse(
+            device,
+            in_effect(experiment, device, changes),
+            recording=free_name(directory, name),
+            verified=self.verified,
+            reference_count=self._zero,
+        )
+
+    def hit(
+        self,
+        experiment: Experiment,
+        changes: Mapping[str, Any],
+        directory: Path,
+        name: str,
+        watch: Callable[[Experiment], Watch | None],
+        heat: float,
+        blinded: bool = False,
+    ) -> TrialDone:
+        """Run one trial.
+
+        Parameters
+        ----------
+        experiment, changes
+            Of the wall, and what of it the device's own defaults must not change.
+        directory, name
+            Of the recording.
+        watch
+            Given the experiment in effect, returns what is called while the hit runs.
+        heat
+            Share of the winding's budget before.
+        blinded
+            As in `rig.experiments.hits.hit.HitRequest`.
+
+        Raises
+        ------
+        RigError
+            The trial must not or cannot run: nothing has moved, and nothing was recorded; or the disk refuses. Whatever
+            ended a hit that was recorded is in what this returns.
+        """
+        device = self._device(experiment, changes)
+        request = HitRequest(
+            experiment=experiment,
+            url=self.url,
+            changes=changes,
+            realtime=self.realtime,
+            verified=self.verified,
+            output=directory,
+            name=name,
+            device=device,
+            reference_count=self._zero,
+            arm_anyway=self.arm_anyway or self.simulated,
+            blinded=blinded,
+        )
+        error: Exception | None = None
+        try:
+            (result,) = hit(request, admit, lambda _, effective: watch(effective))
+            left = result.recorded
+            self.messages += [text for text in result.messages if text not in self.messages]
+        except Exception as survived:
+            recorded = left_by(survived)
+            if recorded is None:
+                raise
+            error, left = survived, recorded
+            if isinstance(error, LinkLostError) and not isinstance(error, DeviceFaultError):
+                self.close()  # the next trial opens it anew
+        done = _hit_of(left, left.path.relative_to(directory.parent), heat)
+        return TrialDone(done, error, _duration_s(left.recording))
+
+    def close(self) -> None:
+        """Close the device, if one was opened."""
+        stack, self._stack = self._stack, ExitStack()
+        self._open = self._served = None
+        stack.close()
+
+    def _device(self, experiment: Experiment, changes: Mapping[str, Any]) -> FramedDevice | None:
+        """The open device that the trial runs on; None in virtual time."""
+        if self.virtual:
+            return None
+        if not self.simulated:
+            if self._open is None:
+                model = config.rig_model(config.with_realtime(experiment, changes))
+                self._open = self._stack.enter_context(devices.open_device(self.url or "", model))
+                self._zero = position_zero(self._open, experiment)
+            return self._open
+        x = config.with_realtime(experiment, changes)
+        model = config.rig_model(x)
+        if self._open is None or self._served != (model, self.hand):
+            self.close()
+            url = devices.url_for(self.url or "sim://", experiment.controller.loop)
+            if self.hand is not None:
+                url += ("&" if "?" in url else "?") + f"hand={self.hand}"
+            seed, realtime = experiment.trial.seed, x.host.realtime
+            self._open = self._stack.enter_context(
+                opened(url, model, in_real_time=True, seed=seed, realtime=realtime)
+            )
+            self._served = model, self.hand
+        return self._open
+
+
+def _serial_number(link: Link) -> str | None:
+    """Return the serial number of the plugged-in board, if the link has it."""
+    return getattr(getattr(link, "facts", link), "serial_number", None) or None
+
+
+def _fits(x: Experiment, device: FramedDevice) -> list[Check]:
+    dictionary = device.dictionary
+    return [
+        check_rig(config.rig_model(x), dictionary),
+        *link_checks(x, dictionary.position_rate_maximum, device.link.bytes_per_second),
+        *device_checks(prepared_on(device, x), dictionary),
+    ]
+
+
+def heat_after(before: float, load: np.ndarray, tick_s: float, time_constant_s: float) -> float:
+    """Share of a winding's heat budget after a stretch of efforts, by a first-order model.
+
+    Parameters
+    ----------
+    before
+        Share at the beginning.
+    load
+        Effort over the nominal effort, tick by tick; 1 for ever ends at a share of 1.
+    tick_s, time_constant_s
+        Length of a tick, and of the winding (s).
+    """
+    decay = math.exp(-tick_s / time_constant_s)
+    ages = np.arange(len(load) - 1, -1, -1, dtype=np.float64)
+    added = (1.0 - decay) * float(np.dot(np.square(load), decay**ages))
+    return before * decay ** len(load) + added
+
+
+def _hit_of(left: Recorded, path: Path, heat: float) -> HitOutcome:
+    experiment, recording = left.experiment, left.recording
+    verdict, measured = left.judgement.verdict, left.judgement.measured
+    trailer, free = recording.trailer or {}, baseline(recording, experiment)
+    ended = str(trailer.get("reason", "the recording is incomplete"))
+    fault = (trailer.get("fault") or {}).get("name", "")
+    limits, tick_s = experiment.rig.limits, 1.0 / experiment.controller.position_rate
+    load = recording.rows["effort_sent"] / limits.nominal_effort
+    invalid = verdict.kind is Kind.INVALID
+    return HitOutcome(
+        recording=str(path),
+        sha256=sha256_of(left.path),
+        rows_sha256=hashlib.sha256(recording.rows.tobytes()).hexdigest(),
+        ended=ended,
+        aborted=ended if ended in THREW_OUT else fault.lower() if fault in THROWN_OUT else "",
+        automatic=str(verdict.kind),
+        reasons=verdict.reasons,
+        outside=(),
+        by_machine=left.judgement.early is None and invalid and measured.by_machine,
+        passes={criterion: None if invalid else measured.passes(criterion) for criterion in CRITERIA},
+        numbers=plain(
+            {**{name: getattr(verdict, name) for name in NUMBERS}, "press": press_of(recording, experiment)}
+        ),
+        baseline=None if free is None else plain(free),
+        heat=heat_after(heat, load, tick_s, limits.thermal_time_constant_s),
+    )
+
+
+def _duration_s(recording: Recording) -> float:
+    times = recording.time_s
+    return float(times[-1]) if len(times) else 0.0

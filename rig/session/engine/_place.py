@@ -1,0 +1,96 @@
+"""Where a session takes place, as its log says each time that the rig was opened, and what a resumption goes by.
+
+A session stays on its rig: limits found on two devices, or on a rig and on its simulation, are no session's.
+"""
+
+from __future__ import annotations
+
+import platform
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from firmware_protocol.messages import MAJOR, MINOR
+from rig.realtime.source_files import code_version
+from rig.recording.header import checkout, versions
+from rig.session.engine._log import Event
+
+# Keys of an ``opened`` event that distinguish devices; a key that one of two events lacks distinguishes nothing.
+_TELLING = {"simulated": "", "device": "device", "serial_number": "serial number"}
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """URL of a session's device (None simulates), and whether time there is real; `simulated` if no rig moves."""
+
+    url: str | None = None
+    realtime: bool = False
+    simulated: bool = True
+
+
+def last_place(events: Sequence[Event]) -> Place:
+    """Where a session took place when it was opened last."""
+    opened = last_opened(events)
+    place = opened.get("place")
+    if place is None:
+        return Place()
+    return Place(place["url"], place["realtime"], bool(opened.get("simulated", True)))
+
+
+def last_opened(events: Sequence[Event]) -> Mapping[str, Any]:
+    """Return the log's entry about the device that was opened last; empty if none was."""
+    return next((event.content for event in reversed(events) if event.kind == "opened"), {})
+
+
+def resume_command(directory: Path, events: Sequence[Event]) -> str:
+    """The command that resumes a session where it took place."""
+    place = last_place(events)
+    words = ["rig", "session", "resume", str(directory)]
+    if place.url is not None:
+        words += ["--url", place.url]
+    if not place.simulated:
+        words.append("--verified")
+    if last_opened(events).get("armed_anyway"):
+        words.append("--arm-anyway")
+    if (last_opened(events).get("pace") or {}).get("hopeless"):
+        words.append("--lossy-anyway")
+    return shlex.join(words)
+
+
+def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
+    """In what two ``opened`` events name different devices; empty where they may be the same."""
+    return [
+        name or ("the one is simulated" if one[key] else "the other is simulated")
+        for key, name in _TELLING.items()
+        if one.get(key) is not None and other.get(key) is not None and one[key] != other[key]
+    ]
+
+
+def device_words(opened: Mapping[str, Any]) -> str:
+    """Return name, kind and serial number of a device, in words."""
+    kind = "simulated" if opened.get("simulated") else "real"
+    number = opened.get("serial_number")
+    return f"{opened.get('device', 'unknown')} ({kind}{f', serial number {number}' if number else ''})"
+
+
+def list_lost_samples(opened: Mapping[str, Any]) -> list[str]:
+    """Return the loss of samples measured when the rig was opened (content of that event): one sentence or none."""
+    pace = opened.get("pace") or {}
+    if not pace.get("said"):
+        return []
+    anyway = "; nearly every trial will be invalid, which the operator accepted" if pace["hopeless"] else ""
+    return [pace["said"] + anyway]
+
+
+@cache
+def software() -> dict[str, str]:
+    """Versions of what runs a session here."""
+    return {
+        **versions(f"{MAJOR}.{MINOR}"),
+        "sources": code_version().partition("+")[2],
+        "platform": platform.platform(),
+        **checkout(),
+    }

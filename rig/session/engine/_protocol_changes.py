@@ -1,0 +1,197 @@
+"""In what the protocols of a study's sessions differ, key by key, and which of these keys can decide a result.
+
+A session compares itself with the earlier ones before it begins, and an analysis compares all of them: both by these
+functions, so that what one accepts the other does not refuse.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rig import config
+from rig.config.checked import flatten
+from rig.core.check import Check, Outcome
+from rig.core.errors import ConfigError, RigError
+from rig.session.engine._log import Event, read
+from rig.session.engine._state import SessionState
+from rig.session.planning._conditions import ReachFor, Walls
+from rig.session.planning._load import as_mapping, protocol_from_mapping
+from rig.session.planning._names import directory_name
+from rig.session.planning._protocol import Protocol
+
+LOG = "session.log"
+TITLE = "study.title"
+# Keys, and sections of keys, that decide neither a verdict nor what is compared: wording, names of files (what they
+# contain is compared), plans, and how a session is conducted.
+NEUTRAL = (
+    *(TITLE, "study.participants", "study.code", "study.notes", "study.preset", "study.experiment"),
+    *("trial.say", "trial.ready_s", "trial.verdict_s", "trial.fastest_verdict_s", "trial.attempts"),
+    *("keys", "question", "rest", "stop", "practice"),
+    *("experiment.rig.description", "experiment.rig.source", "experiment.excitation"),
+    *(
+        "experiment.wall.stiffness",
+        "experiment.wall.damping",
+        "experiment.trial.seed",
+    ),  # the protocol replaces them
+)
+_LONGEST_VALUE = 60  # characters of a value in a message
+_LISTED = 5  # names in a message
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """A key in which protocols differ: its value by participant; None where the key is missing."""
+
+    key: str
+    values: Mapping[str, Any]
+
+    @property
+    def is_neutral(self) -> bool:
+        """Return True if the key cannot decide a result."""
+        return is_within(self.key, NEUTRAL)
+
+    @property
+    def usual(self) -> Any:
+        """The value of most participants, of the first of them where that is not one."""
+        texts = {code: json.dumps(value, sort_keys=True) for code, value in self.values.items()}
+        (most, _), *_ = Counter(texts.values()).most_common(1)
+        return next(self.values[code] for code, text in texts.items() if text == most)
+
+    @property
+    def sentence(self) -> str:
+        """Return the key with the participants who have each value."""
+        texts = {code: value_words(value) for code, value in self.values.items()}
+        each = (
+            f"{text}: {list_names([code for code, theirs in texts.items() if theirs == text])}"
+            for text in dict.fromkeys(texts.values())
+        )
+        return f"{self.key} ({'; '.join(each)})"
+
+
+def is_within(key: str, keys: Iterable[str]) -> bool:
+    """Return True if a dotted key is one of these, or lies in a section that is."""
+    return any(key == one or key.startswith(f"{one}.") for one in keys)
+
+
+def value_words(value: Any) -> str:
+    """Return a setting's value as it is written in a message."""
+    text = "not given" if value is None else json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= _LONGEST_VALUE else f"{text[: _LONGEST_VALUE - 1]}…"
+
+
+def list_names(names: Sequence[str]) -> str:
+    """The first names, and how many more there are."""
+    more = len(names) - _LISTED
+    return ", ".join(names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
+
+
+def walls_in(state: SessionState, reach_for: ReachFor | None = None) -> Walls:
+    """Return the walls of a session: of the protocol and the experiment in its log; `reach_for` as `Walls` has it."""
+    base = config.experiment_from_mapping(state.experiment, "the experiment in the session's log")
+    return Walls(state.protocol, base, reach_for)
+
+
+def settings_of(protocol: Protocol, experiment: Mapping[str, Any]) -> dict[str, Any]:
+    """Every key of a protocol, and of the experiment that it names (``experiment.…``), as plain JSON.
+
+    Conditions and questions are keyed by their names; the key ``condition`` has these names in order.
+    """
+    table = as_mapping(protocol)
+    names = [one["name"] for one in table["condition"]]
+    table["condition"] = {one["name"]: one for one in table["condition"]}
+    table["question"] = {one["name"]: one for one in table["question"]}
+    plain = json.loads(json.dumps({**table, "experiment": experiment}))
+    return {"condition": names, **{key: value for key, value in flatten(plain) if value != {}}}
+
+
+def differences(settings: Mapping[str, Mapping[str, Any]]) -> list[Difference]:
+    """In what these settings, by participant, differ."""
+    keys = dict.fromkeys(key for of in settings.values() for key in of)
+    each = [Difference(key, {code: of.get(key) for code, of in settings.items()}) for key in keys]
+    return [one for one in each if any(value != one.usual for value in one.values.values())]
+
+
+def changed_keys(walls: Walls, study: Path, code: str = "") -> list[Difference]:
+    """In what a protocol differs from the sessions in a study's directory; those under "here" are its own values.
+
+    Sessions without a trial decide nothing, nor does that of `code`, which is about to begin; what cannot be read is
+    left for the analysis to refuse. Another title counts where the title chose the directory.
+    """
+    there = _settings_there(study, code)
+    here = settings_of(walls.protocol, config.as_mapping(walls.base))
+    return differences({**there, "here": here}) if there else []
+
+
+def deciding(changes: Iterable[Difference], study: Path) -> list[Difference]:
+    """Those changes that can decide a result, or that make two studies of one directory."""
+
+    def shares_a_directory(one: Difference) -> bool:
+        return one.key == TITLE and study.name in {directory_name(title) for title in one.values.values()}
+
+    return [one for one in changes if not one.is_neutral or shares_a_directory(one)]
+
+
+def refuse_changed(changes: Sequence[Difference], study: Path) -> None:
+    """Raise `ChangedProtocolError` for changes that can decide a result."""
+    found = deciding(changes, study)
+    if found:
+        raise ChangedProtocolError(_sentence(found, study), remedy=_remedy(found))
+
+
+def protocol_check(walls: Walls, study: Path) -> Iterable[Check]:
+    """Compare a protocol with the sessions in a study's directory, if there are any."""
+    changes = changed_keys(walls, study)
+    found = deciding(changes, study)
+    if found:
+        yield Check("protocol", Outcome.WARNING, _sentence(found, study), _remedy(found))
+    elif changes:
+        keys = list_names([one.key for one in changes])
+        yield Check(
+            "protocol",
+            Outcome.OK,
+            f"equal to that of the sessions in {study} except {keys}, which do not affect results",
+        )
+    elif _settings_there(study, ""):
+        yield Check("protocol", Outcome.OK, f"equal to that of the sessions in {study}")
+
+
+class ChangedProtocolError(ConfigError):
+    """A protocol is not that of the study's earlier sessions."""
+
+
+def _sentence(found: Sequence[Difference], study: Path) -> str:
+    return f"the protocol differs from that of the sessions in {study}: {'; '.join(one.sentence for one in found)}"
+
+
+def _remedy(found: Sequence[Difference]) -> str:
+    across = " ".join(f"`across` {one.key}" for one in found if not one.is_neutral)
+    analysed = f"; the analysis then needs {across}" if across else ""
+    return (
+        "restore these keys, or begin another study (study.title, or `study` DIR); to continue here nevertheless, give "
+        f"`other_protocol`{analysed}"
+    )
+
+
+def _settings_there(study: Path, code: str) -> dict[str, dict[str, Any]]:
+    found: dict[str, dict[str, Any]] = {}
+    for path in sorted(study.glob(f"*/{LOG}")):
+        if path.parent.name != code:
+            try:
+                found |= _read_settings(read(path))
+            except (RigError, KeyError, TypeError, ValueError):
+                continue
+    return found
+
+
+def _read_settings(events: Sequence[Event]) -> dict[str, dict[str, Any]]:
+    """The settings of a session with a trial, by its code."""
+    if not any(event.kind == "trial" for event in events):
+        return {}
+    began = events[0].content
+    protocol = protocol_from_mapping(began["protocol"], "the protocol in the session's log")
+    return {began["code"]: settings_of(protocol, began["experiment"])}

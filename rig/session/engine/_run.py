@@ -1,0 +1,433 @@
+"""A participant's session from a protocol file: what `rig session run` and `rig session resume` do."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rig import config
+from rig.config.schemes import Scheme
+from rig.core import extras
+from rig.core.errors import ConfigError, RecordingError
+from rig.core.present import plain
+from rig.core.regular_file import read_regular
+from rig.recording.files import plain_errors
+from rig.session.engine._arming import refuse_unarmable
+from rig.session.engine._check import refuse_walls
+from rig.session.engine._clock import SessionClock, WallClock
+from rig.session.engine._conduct import Streams, conduct, first_wall
+from rig.session.engine._desk import Desk, DeskView
+from rig.session.engine._directory import (
+    LOG,
+    Session,
+    begin,
+    clear_rehearsal,
+    refuse_begun,
+    resume,
+    study_directory,
+)
+from rig.session.engine._fitting import refuse_misfit
+from rig.session.engine._log import Event, log_losses, read
+from rig.session.engine._pace import refuse_lossy
+from rig.session.engine._place import (
+    Place,
+    device_words,
+    differences,
+    last_opened,
+    last_place,
+    resume_command,
+    software,
+)
+from rig.session.engine._protocol_changes import changed_keys, refuse_changed, walls_in
+from rig.session.engine._rehearsal import Day, Person, RealDay, RehearsalDesk, refuse_nobody
+from rig.session.engine._runner import TrialRunner
+from rig.session.engine._state import SessionState
+from rig.session.engine._telling import outcome
+from rig.session.planning._conditions import ReachFor, Walls
+from rig.session.planning._disk import refuse_full_disk
+from rig.session.planning._load import load_walls
+from rig.session.planning._names import normalise
+from rig.session.planning._protocol import Protocol
+from rig.session.planning._schedule import rows_of, schedule
+from rig.session.planning._simulated_hand import reach_for
+
+OnEvent = Callable[[Event], None]
+DeskFor = Callable[
+    [Protocol, Mapping[str, Any], TrialRunner], Desk
+]  # the experiment is the study's, as a mapping
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SessionResult:
+    """How a session stands after it has ended or was left. Nothing in it identifies a wall.
+
+    Attributes
+    ----------
+    directory
+        Of the participant.
+    code, row
+        Of the participant.
+    ended, stopped
+        Why it is over, or why it was left; None where it is not.
+    trials, counted, invalid, by_machine, aborted, outside
+        Recorded hits; those that count and were judged; invalid ones, and how many of these the computer or the link
+        spoiled; those cut off for safety; those outside the protocol's bands.
+    invalid_trials
+        A sentence each with the reasons, oldest first, as a blinded operator may read them.
+    blocks, blocks_done
+        Of the order, practice aside, and how many of them are finished.
+    resume
+        The command that resumes it; empty when it is over.
+    messages
+        What this computer or the port did not grant.
+    """
+
+    directory: Path
+    code: str
+    row: int
+    ended: str | None
+    stopped: str | None
+    trials: int
+    counted: int
+    invalid: int
+    by_machine: int
+    aborted: int
+    outside: int
+    blocks: int
+    blocks_done: int
+    resume: str = ""
+    messages: tuple[str, ...] = ()
+    invalid_trials: tuple[str, ...] = ()
+
+    @property
+    def stands(self) -> str:
+        """Return a sentence about the state of the session."""
+        why = self.ended or (f"interrupted: {self.stopped}" if self.stopped else "running")
+        return f"session of {self.code}: {why}"
+
+    @property
+    def pairs(self) -> list[tuple[str, str]]:
+        """Its names and values to show."""
+        outside = f", {self.outside} outside the bands" if self.outside else ""
+        trials = (
+            f"{self.trials}, {self.counted} count, {self.invalid} invalid ({self.by_machine} by the machine), "
+            f"{self.aborted} cut off{outside}"
+        )
+        return [
+            ("trials", trials),
+            ("blocks", f"{self.blocks_done} of {self.blocks} done"),
+            ("directory", str(self.directory)),
+        ]
+
+
+def run_session(
+    protocol_file: Path,
+    code: str,
+    desk: DeskFor,
+    *,
+    runner: TrialRunner,
+    study: Path | None = None,
+    row: int | None = None,
+    person: Person | None = None,
+    again: bool = False,
+    other_protocol: bool = False,
+    on_event: OnEvent | None = None,
+    marks: str | None = None,
+) -> SessionResult:
+    """Run a participant's session from its beginning.
+
+    Parameters
+    ----------
+    protocol_file
+        TOML (`rig.session.planning._protocol`).
+    code
+        Of the participant.
+    desk
+        Makes the desk: a person's, or a simulated one's.
+    runner
+        The rig; closed at the end.
+    study
+        Directory of all participants; unless given ``sessions/`` and the study's title, for a rehearsal
+        ``rehearsals/`` and that: people and simulated ones never lie side by side by themselves.
+    row
+        Of the order; the number in the code, from 1, unless given.
+    person
+        Who is rehearsed, for the log; None with a participant.
+    again
+        Delete a rehearsal that is there, and begin it anew.
+    other_protocol
+        Begin although the protocol differs from that of the study's earlier sessions in what can decide a result.
+    on_event
+        Called with each event once it is written.
+    marks
+        Stream samples and markers by that extra (`rig.core.extras`), without walls where a person is blinded.
+
+    Raises
+    ------
+    ConfigError
+        The protocol or the code is invalid, the participant has a session already, the protocol is not that of the
+        study's earlier sessions (`ChangedProtocolError`), or the rig refuses a wall that the session may ask for
+        (`rig.session.engine._arming`).
+    RigError
+        As `rig.session.engine._conduct.conduct`.
+    """
+    code = normalise(code)
+    walls = load_walls(protocol_file, _reach_for(runner))
+    protocol, experiment = walls.protocol, walls.base
+    with plain_errors("read", protocol_file):
+        text = read_regular(protocol_file)
+    place = study_directory(protocol, study, rehearsal=person is not None) / code
+    changes = changed_keys(walls, place.parent, code)
+    if not other_protocol:
+        refuse_changed(changes, place.parent)
+    if person is not None:
+        refuse_nobody(person, protocol)
+        if again:
+            clear_rehearsal(place)
+    refuse_begun(protocol, place, code)
+    row = row_of(code) if row is None else _checked_row(row, protocol)
+    _refuse_a_real_rig(person, runner)
+    refuse_walls(walls)
+    refuse_full_disk(walls, row, place)
+    mapping = config.as_mapping(experiment)
+    with closing(runner):
+        # Before anything is written: a rig in use by another program, or a missing terminal, leaves no trace.
+        runner.facts(*first_wall(walls, schedule(protocol, row)))
+        refuse_misfit(walls, runner)
+        refuse_unarmable(walls, runner)
+        refuse_lossy(walls, runner)
+        with (
+            desk(protocol, mapping, runner) as somebody,
+            _streams(protocol, mapping, marks) as streams,
+            begin(
+                place,
+                protocol,
+                experiment,
+                text=text,
+                sha256=hashlib.sha256(text).hexdigest(),
+                code=code,
+                row=row,
+                versions=software(),
+                rehearsal=None if person is None else plain(person),
+                differs=[one.key for one in changes],
+                clock=_clock(person, runner),
+            ) as session,
+        ):
+            return _conduct(session, runner, somebody, walls, on_event, streams)
+
+
+def compare_with_study(walls: Walls, code: str, study: Path | None, person: Person | None) -> None:
+    """Raise `ChangedProtocolError` if the study's earlier sessions had another protocol; arguments as `run_session`."""
+    place = study_directory(walls.protocol, study, rehearsal=person is not None)
+    refuse_changed(changed_keys(walls, place, normalise(code)), place)
+
+
+def resume_session(
+    directory: Path,
+    desk: DeskFor,
+    *,
+    runner: TrialRunner,
+    at: str = "trial",
+    on_event: OnEvent | None = None,
+    marks: str | None = None,
+    other_device: bool = False,
+) -> SessionResult:
+    """Resume a session; see `rig.session.engine._directory.resume` and `run_session`.
+
+    Raises `ConfigError`, before anything is written, on another device than the session took place on; with
+    `other_device` it is accepted.
+    """
+    person = read_person(directory)
+    _refuse_a_real_rig(person, runner)
+    state, events = session_state(directory)
+    with closing(runner):
+        walls = walls_in(state, _reach_for(runner))
+        if not other_device and state.ended is None:
+            _refuse_another_device(state, events, runner, walls)
+        refuse_unarmable(walls, runner)
+        refuse_lossy(walls, runner)
+        return _resume(directory, desk, state, person, runner, walls, at, on_event, marks)
+
+
+def _refuse_another_device(
+    state: SessionState, events: list[Event], runner: TrialRunner, walls: Walls
+) -> None:
+    before = last_opened(events)
+    if not before:
+        return
+    now = runner.facts(*first_wall(walls, state.blocks))
+    if differences(before, now):
+        url = (before.get("place") or {}).get("url")
+        raise ConfigError(
+            f"the session of {state.code} began on {device_words(before)}, but this device is {device_words(now)}",
+            remedy=f"give the URL of the first device{f', `url` {url}' if url else ' (omit it to simulate)'}; to "
+            "continue here give `other_device`, which the analysis reports",
+        )
+
+
+def _resume(
+    directory: Path,
+    desk: DeskFor,
+    state: SessionState,
+    person: Person | None,
+    runner: TrialRunner,
+    walls: Walls,
+    at: str,
+    on_event: OnEvent | None,
+    marks: str | None,
+) -> SessionResult:
+    with (
+        desk(state.protocol, state.experiment, runner) as somebody,
+        _streams(state.protocol, state.experiment, marks) as streams,
+        resume(directory, at=at, clock=_clock(person, runner)) as session,
+    ):
+        return _conduct(session, runner, somebody, walls, on_event, streams)
+
+
+def read_person(directory: Path) -> Person | None:
+    """The simulated person of a session that was a rehearsal; None of one with a participant."""
+    events = read(directory / LOG)
+    found = events[0].content.get("rehearsal") if events else None
+    return None if found is None else Person(**found)
+
+
+def took_place(directory: Path) -> Place:
+    """Where a session took place when it was opened last."""
+    return last_place(read(directory / LOG))
+
+
+def rehearsal_desk(person: Person, looks: Callable[[DeskView], None] | None = None) -> DeskFor:
+    """A desk for `run_session` at which this simulated person sits; `looks` is shown what a console would show."""
+
+    def desk(_: Protocol, __: Mapping[str, Any], runner: TrialRunner) -> Desk:
+        return RehearsalDesk(person, Day() if runner.virtual else RealDay(), looks)
+
+    return desk
+
+
+def session_state(directory: Path) -> tuple[SessionState, list[Event]]:
+    """Where a session stands, and its events; also while it runs."""
+    events = read(directory / LOG)
+    return SessionState.of(events), events
+
+
+def summary(
+    directory: Path, state: SessionState, events: Sequence[Event] = (), messages: tuple[str, ...] = ()
+) -> SessionResult:
+    """How a session stands, without anything that identifies a wall."""
+    counted = [trial for trial in state.trials if not (trial.void or trial.practice) and trial.verdict]
+    blocks = [block for block in state.blocks if not block.practice]
+    return SessionResult(
+        directory=directory,
+        code=state.code,
+        row=state.row,
+        ended=state.ended,
+        stopped=state.stopped,
+        trials=len(state.trials),
+        counted=len(counted),
+        invalid=sum(trial.invalid for trial in state.trials),
+        by_machine=sum(trial.by_machine for trial in state.trials),
+        aborted=sum(bool(trial.aborted) for trial in state.trials),
+        outside=sum(bool(trial.outside) for trial in state.trials),
+        blocks=len(blocks),
+        blocks_done=sum(all(state.asks(run) is None for run in block.runs) for block in blocks),
+        resume="" if state.ended is not None else resume_command(directory, events),
+        messages=messages,
+        invalid_trials=tuple(outcome(trial, blind=True) for trial in state.trials if trial.invalid),
+    )
+
+
+def row_of(code: str) -> int:
+    """Row of the order, from 0, that a participant's code names: its last number, counted from 1.
+
+    Raises `ConfigError` for a code without a number.
+    """
+    numbers = re.findall(r"[0-9]+", code)
+    if not numbers:
+        raise ConfigError(
+            f"code {code!r} contains no number, from which the participant's row of the order is computed",
+            remedy="give the row: `row` N",
+        )
+    if int(numbers[-1]) == 0:
+        raise ConfigError(
+            f"code {code!r} has the number 0, but participants are counted from 1",
+            remedy="give another code, or the row: `row` N",
+        )
+    return int(numbers[-1]) - 1
+
+
+def _checked_row(row: int, protocol: Protocol) -> int:
+    """Return the given row; raise `ConfigError` for one that the plan does not have."""
+    rows = max(protocol.study.participants, rows_of(protocol))
+    if not 0 <= row < rows:
+        raise ConfigError(
+            f"row {row} of the order does not exist: {protocol.study.participants} participants are planned, and "
+            "rows are counted from 0",
+            remedy=f"give `row` 0 to {rows - 1}, or raise study.participants",
+        )
+    return row
+
+
+def _reach_for(runner: TrialRunner) -> ReachFor | None:
+    """Return the function that finds the reach of the simulated hand; None on a real rig."""
+    return reach_for if runner.simulated else None
+
+
+def _refuse_a_real_rig(person: Person | None, runner: TrialRunner) -> None:
+    """Raise `ConfigError` for a simulated person at a rig that moves."""
+    if person is not None and not runner.simulated:
+        raise ConfigError(
+            "a rehearsal cannot use a real rig: the simulated person would continue after a STOP",
+            remedy="omit `url`, or omit `rehearse` and run the session with a person",
+        )
+
+
+def _clock(person: Person | None, runner: TrialRunner) -> SessionClock:
+    if person is None:
+        return WallClock()
+    return Day() if runner.virtual else RealDay()
+
+
+def _conduct(
+    session: Session,
+    runner: TrialRunner,
+    somebody: Desk,
+    walls: Walls,
+    on_event: OnEvent | None,
+    streams: Streams | None,
+) -> SessionResult:
+    try:
+        conduct(session, runner, somebody, walls=walls, on_event=on_event, marks=streams)
+    finally:
+        if streams is not None:
+            sent = streams.close()
+            with suppress(RecordingError):
+                session.record("streamed", sent=sent, lost_markers=streams.lost)
+    resumed = [event for event in session.log.events if event.kind == "resumed"][-1:]
+    messages = [text for event in resumed for text in log_losses(event)] + list(runner.messages)
+    return summary(session.directory, session.state, session.log.events, tuple(messages))
+
+
+@contextmanager
+def _streams(
+    protocol: Protocol, experiment: Mapping[str, Any], marks: str | None
+) -> Iterator[Streams | None]:
+    """Yield the streams of a session, once they are open; None without a name of `marks`."""
+    if marks is None:
+        yield None
+        return
+    rates = {one.scheme and Scheme.parse(one.scheme).position_rate for one in protocol.condition}
+    rate = rates.pop() if len(rates) == 1 else None
+    opened: AbstractContextManager[Streams] = extras.load("marks", marks)(
+        blind=protocol.study.blind != "none",
+        # One rate known beforehand: then the stream of samples is there before the first trial.
+        expected=(experiment["rig"]["motion"], float(rate)) if rate else None,
+    )
+    with opened as streams:
+        streams.wait()
+        yield streams

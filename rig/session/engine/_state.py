@@ -1,0 +1,580 @@
+"""Where a session stands, and what comes next: a pure function of its log.
+
+Nothing is remembered outside the log, so a session that was killed resumes as if nothing had happened, and an analysis
+reads what the session itself went by. The kinds of events, and what each holds:
+
+=============  ====================================================================================================
+``began``      protocol, protocol_sha256, experiment, code, row, seed, versions, rehearsal, differs (keys in which
+               earlier sessions of the study have another value)
+``opened``     the device and where it is, its clock, this computer and versions, each time that it was opened
+``resumed``    where (trial, block), abandoned: recordings of trials that were not logged
+``block``      block: it begins
+``trial``      one recorded hit: `rig.session.planning._trial.Presented` and `rig.session.planning._trial.HitOutcome`
+``judged``     trial, verdict, judged_by, response_time_s
+``redone``     trial: it does not count, and comes again
+``retried``    run: its trials were invalid so often that the operator was asked, and continued
+``skipped``    run: it is left without a limit
+``note``       text, trial
+``paused``     reason … ``continued``
+``rested``     seconds, reason (every, block, heat)
+``answered``   item, answer, block
+``restarted``  block: its trials do not count
+``amended``    number of the event that is corrected, field, value, why, trial that it is about; the field void of a
+               ``trial`` says afterwards that it does not count
+``stopped``    reason: the session was left, to be resumed
+``ended``      reason: complete, or the rule that ended it
+``streamed``   what went out by Lab Streaming Layer, and the offset of its clock
+=============  ====================================================================================================
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+
+from rig.core.errors import RecordingError
+from rig.session.engine._log import Event
+from rig.session.planning._load import protocol_from_mapping
+from rig.session.planning._names import normalise
+from rig.session.planning._protocol import Item, Protocol, Search
+from rig.session.planning._reasons import summarise_reasons
+from rig.session.planning._schedule import Block, SearchRun, asking_of, rule_of, schedule
+from rig.session.planning._times import cooling_s
+from rig.session.planning._trial import REDONE, RESTARTED, Presented, RecordedTrial, trial_of
+from rig.session.search import JudgedProbe, Probe, Rule
+
+# What a session without interruptions has once or not at all.
+BOOKKEEPING = ("opened", "resumed", "stopped", "streamed", "amended", "pulse")
+AMENDABLE = {"judged": ("verdict",), "trial": ("void",), "note": ("text",), "answered": ("answer",)}
+_LONGEST_PAUSE_S = 3600.0  # between two events: a longer gap does not count as active time
+_TRUSTED_S = 30.0  # of the time between two events, for cooling: the clock of the computer may have been set
+
+
+# What comes next.
+
+
+@dataclass(frozen=True, slots=True)
+class DoTrial:
+    """Hit this wall."""
+
+    presented: Presented
+
+
+@dataclass(frozen=True, slots=True)
+class DoJudge:
+    """Have this trial judged."""
+
+    trial: RecordedTrial
+
+
+@dataclass(frozen=True, slots=True)
+class DoAsk:
+    """An item of the questionnaire, before the first block (block 0), after one, or at the end (-1); or `FITTED`."""
+
+    item: Item
+    block: int
+
+
+@dataclass(frozen=True, slots=True)
+class DoBlock:
+    """A block begins."""
+
+    block: Block
+
+
+@dataclass(frozen=True, slots=True)
+class DoRest:
+    """A rest is due: for how long (s), and why."""
+
+    seconds: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class DoPause:
+    """The computer or the link spoiled so many trials in a row that the next one would most likely go the same way."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class DoDecide:
+    """Ask the operator how to continue: trials of this run were invalid again and again."""
+
+    run: SearchRun
+    last: RecordedTrial
+
+
+@dataclass(frozen=True, slots=True)
+class DoEnd:
+    """Nothing is left to do, for this reason."""
+
+    reason: str
+
+
+Step = DoTrial | DoJudge | DoAsk | DoBlock | DoRest | DoPause | DoDecide | DoEnd
+
+WALKING = ("ascending", "staircase", "interleaved")  # rules that go from wall to wall
+
+END = -1  # block of an item asked at the end
+FITTED = "fitted to the rig"  # an item that no question can be called: the rig is as the next block needs it
+AS_IT_IS = "the rig as it is"
+
+
+@dataclass
+class SessionState:
+    """A session after some of its events; `SessionState.of` replays a log, `apply` adds an event.
+
+    Attributes
+    ----------
+    protocol, experiment, code, row, seed, rehearsal
+        As the log began.
+    blocks
+        The order.
+    trials
+        All so far, void ones too.
+    skipped, corrected
+        Runs that were left, and runs of which a verdict was corrected or a trial left out afterwards.
+    answered
+        Answers to the questionnaire, by item and block.
+    fitted
+        What is fitted to the rig, as the operator confirmed; None if unknown, as after a resume.
+    stopped
+        Why the session was left, until it is resumed.
+    paused
+        Why it pauses, until the operator continues.
+    ended
+        Why it is over; None while it is not.
+    """
+
+    protocol: Protocol
+    experiment: Mapping[str, Any]
+    code: str
+    row: int
+    seed: int
+    rehearsal: Mapping[str, Any] | None
+    blocks: tuple[Block, ...]
+    trials: list[RecordedTrial] = field(default_factory=list)
+    begun: list[int] = field(default_factory=list)
+    skipped: set[int] = field(default_factory=set)
+    corrected: set[int] = field(default_factory=set)
+    answered: dict[tuple[str, int], Any] = field(default_factory=dict)
+    fitted: str | None = ""
+    notes: list[tuple[int, str]] = field(default_factory=list)
+    stopped: str | None = None
+    ended: str | None = None
+    paused: str | None = None
+    heat: float = 0.0
+    active_s: float = 0.0
+    _last_at: float = 0.0
+    _rested: dict[str, int] = field(default_factory=dict)  # newest trial at the last rest, by reason
+    _continued: int = 0  # newest trial when the operator continued after a pause
+    _retried: dict[int, int] = field(default_factory=dict)  # newest trial when a run was tried again
+    _owed: dict[int, int] = field(default_factory=dict)  # redone trials that have not come again, by run
+    _asked: dict[int, tuple[tuple[JudgedProbe, ...], Probe | None]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, events: Sequence[Event]) -> SessionState:
+        """Replay a log.
+
+        Raises
+        ------
+        RecordingError
+            It does not begin with ``began``.
+        ConfigError
+            Its protocol is not valid.
+        """
+        if not events or events[0].kind != "began":
+            raise RecordingError(
+                "the session's log does not begin with its protocol", remedy="start a new session"
+            )
+        began = events[0].content
+        protocol = protocol_from_mapping(began["protocol"], "the protocol in the session's log")
+        state = cls(
+            protocol=protocol,
+            experiment=began["experiment"],
+            code=normalise(began["code"]),
+            row=began["row"],
+            seed=began["seed"],
+            rehearsal=began["rehearsal"],
+            blocks=schedule(protocol, began["row"]),
+            _last_at=events[0].at,
+        )
+        numbers = {event.content["number"] for event in events if event.kind == "amended"}
+        corrected = [
+            event for event in events if event.kind in ("judged", "trial") and event.number in numbers
+        ]
+        state.corrected = {_run_of(events, event.content["trial"]) for event in corrected}
+        for event in apply_corrections(events[1:]):
+            state.apply(event)
+        return state
+
+    def apply(self, event: Event) -> None:
+        """Update the state with the next event of the log."""
+        elapsed = max(0.0, event.at - self._last_at)  # the computer's clock may have been set back
+        self._last_at = event.at
+        if event.kind not in BOOKKEEPING and elapsed < _LONGEST_PAUSE_S:
+            self.active_s += elapsed
+        rested = event.content["seconds"] if event.kind == "rested" else 0.0
+        self._cool(max(min(elapsed, _TRUSTED_S), rested))
+        change = self._changes.get(event.kind)
+        if change is not None:
+            change(self, event.content)
+
+    def _cool(self, seconds: float) -> None:
+        self.heat *= math.exp(-seconds / self.thermal_time_constant_s)
+
+    @property
+    def open_block(self) -> Block | None:
+        """The block that was begun last, unless it is finished."""
+        if not self.begun:
+            return None
+        block = next(one for one in self.blocks if one.number == self.begun[-1])
+        return block if any(self.asks(run) is not None for run in block.runs) else None
+
+    def _tried(self, content: Any) -> None:
+        trial = trial_of(content)
+        self.trials.append(trial)
+        self.heat = trial.heat
+        if not trial.invalid and self._owed.get(trial.run):
+            self._owed[trial.run] -= 1
+
+    def _judged(self, content: Any) -> None:
+        trial = self.trial_numbered(content["trial"])
+        for name in ("verdict", "judged_by", "response_time_s"):
+            setattr(trial, name, content[name])
+        fastest_s = self.protocol.trial.fastest_verdict_s
+        trial.too_fast = trial.judged_by == "person" and content["response_time_s"] < fastest_s
+
+    def _redone(self, content: Any) -> None:
+        trial = self.trial_numbered(content["trial"])
+        trial.leave_out(REDONE)
+        self._owed[trial.run] = self._owed.get(trial.run, 0) + 1
+
+    def _restarted(self, content: Any) -> None:
+        number = content["block"]
+        for trial in self.trials:
+            if trial.block == number:
+                trial.leave_out(RESTARTED)
+        runs = {run.number for block in self.blocks if block.number == number for run in block.runs}
+        self.skipped -= runs
+        self._owed = {run: number for run, number in self._owed.items() if run not in runs}
+        self.answered = {
+            key: answer for key, answer in self.answered.items() if key[1] != number or number == 0
+        }
+
+    def _retry(self, content: Any) -> None:
+        self._retried[content["run"]] = self.newest
+
+    def _rest(self, content: Any) -> None:
+        self._rested[content["reason"]] = self.newest
+
+    def _answered(self, content: Any) -> None:
+        if content["item"] == FITTED:
+            self.fitted = self._fit_of(next(one for one in self.blocks if one.number == content["block"]))
+        else:
+            self.answered[content["item"], content["block"]] = content["answer"]
+
+    def _noted(self, content: Any) -> None:
+        self.notes.append((content["trial"], content["text"]))
+
+    def _pause(self, content: Any) -> None:
+        self.paused = content["reason"]
+
+    def _continue(self, content: Any) -> None:
+        self.paused, self._continued = None, self.newest
+
+    def _resume(self, content: Any) -> None:
+        self.stopped = None
+        if any(one.fit for one in self.protocol.condition):
+            self.fitted = None
+
+    def _stop(self, content: Any) -> None:
+        self.stopped = content["reason"]
+
+    def _end(self, content: Any) -> None:
+        self.ended = content["reason"]
+
+    def _began_block(self, content: Any) -> None:
+        self.begun.append(content["block"])
+
+    def _skip(self, content: Any) -> None:
+        self.skipped.add(content["run"])
+
+    _changes: ClassVar[Mapping[str, Callable[[SessionState, Any], None]]] = {
+        "block": _began_block,
+        "trial": _tried,
+        "judged": _judged,
+        "redone": _redone,
+        "retried": _retry,
+        "restarted": _restarted,
+        "skipped": _skip,
+        "rested": _rest,
+        "answered": _answered,
+        "note": _noted,
+        "paused": _pause,
+        "continued": _continue,
+        "resumed": _resume,
+        "stopped": _stop,
+        "ended": _end,
+    }
+
+    @property
+    def newest(self) -> int:
+        """Number of the newest trial, 0 before the first."""
+        return self.trials[-1].trial if self.trials else 0
+
+    @property
+    def thermal_time_constant_s(self) -> float:
+        """Return the thermal time constant of the motor's winding (s)."""
+        return float(self.experiment["rig"]["limits"]["thermal_time_constant_s"])
+
+    def trial_numbered(self, number: int) -> RecordedTrial:
+        """The trial of this number; raises `RecordingError` when the log has none."""
+        if not 1 <= number <= len(self.trials) or self.trials[number - 1].trial != number:
+            raise RecordingError(
+                f"the log refers to trial {number}, which it does not contain",
+                remedy="restore the log from a copy",
+            )
+        return self.trials[number - 1]
+
+    def trials_of(self, run: SearchRun) -> list[RecordedTrial]:
+        """Trials of a run that count, invalid ones too."""
+        return [trial for trial in self.trials if trial.run == run.number and not trial.void]
+
+    def rule(self, run: SearchRun) -> Rule:
+        """The search rule of a run, without its catch trials."""
+        return rule_of(self.protocol, run)
+
+    def answers(self, run: SearchRun) -> list[JudgedProbe]:
+        """Return the answers that the rule of a run receives: all, unless one was corrected.
+
+        A rule that walks from wall to wall derives its place from the walls that it asked for: after a correction it
+        receives the answers to walls that it would have asked for, continues there, and never jumps to a wall far from
+        all that were hit. The other answers stay for every estimate that needs no walk.
+        """
+        probes = self.judged_probes(run)
+        if run.number not in self.corrected or run.practice or self._search(run).rule not in WALKING:
+            return probes
+        rule = self.rule(run)
+        led: list[JudgedProbe] = []
+        for answer in probes:
+            if answer.probe.catch or rule.next(led) == answer.probe:
+                led.append(answer)
+        return led
+
+    def judged_probes(self, run: SearchRun) -> list[JudgedProbe]:
+        """All answers about the walls of a run: each judged trial that counts.
+
+        An unsure verdict is an empty answer, until there are `trial.unsure` of them in a row about one wall: then it
+        counts as not stable.
+        """
+        probes: list[JudgedProbe] = []
+        unsure, about = 0, None
+        for trial in self.trials_of(run):
+            if not trial.judged:
+                continue
+            unsure = 0 if trial.verdict != "unsure" else unsure + 1 if trial.probe == about else 1
+            about = trial.probe
+            stable: bool | None = trial.verdict == "stable"
+            if unsure:
+                stable = None if unsure < self.protocol.trial.unsure else False
+                unsure = 0 if stable is False else unsure
+            probes.append(JudgedProbe(trial.probe, stable))
+        return probes
+
+    def _search(self, run: SearchRun) -> Search:
+        return self.protocol.search_of(self.protocol.condition_named(run.condition))
+
+    def asks(self, run: SearchRun) -> Probe | None:
+        """Which wall a run wants next; None when it has enough or was left."""
+        if run.number in self.skipped:
+            return None
+        answers = tuple(self.answers(run))
+        known = self._asked.get(run.number)
+        if known is None or known[0] != answers:
+            known = self._asked[run.number] = answers, asking_of(self.protocol, run).next(answers)
+        return known[1]
+
+    def next(self) -> Step:
+        """Return the next step of the session."""
+        if self.ended is not None:
+            return DoEnd(self.ended)
+        counted = [trial for trial in self.trials if not trial.void]
+        if counted and not counted[-1].verdict and not counted[-1].invalid:
+            return DoJudge(counted[-1])
+        over = None if self._owes() else self._stop_rule()
+        step = None if over else self._in_blocks()
+        if step is not None:
+            return step
+        item = self._item("end", END)
+        return item or DoEnd(over or "complete")
+
+    def _in_blocks(self) -> Step | None:
+        item = self._item("start", 0)
+        if item is not None:
+            return item
+        for block in self.blocks:
+            waiting = [run for run in block.runs if self.asks(run) is not None]
+            if waiting:
+                return self._in_block(block, waiting)
+            item = None if block.practice else self._item("block", block.number)
+            if item is not None:
+                return item
+        return None
+
+    def _in_block(self, block: Block, waiting: list[SearchRun]) -> Step:
+        first = self._before(block)
+        if first is not None:
+            return first
+        spoiled = _count_in_a_row(trial.by_machine for trial in self.trials[self._continued :])
+        if spoiled >= self.protocol.stop.machine:
+            why = summarise_reasons(self.trials[-1].reasons, blind=True)  # a blinded operator reads the log
+            return DoPause(f"this computer or the link made {spoiled} trials in a row invalid: {why}")
+        last = next((t for t in reversed(self.trials) if t.block == block.number and not t.void), None)
+        if last is not None and last.invalid and last.run in [run.number for run in waiting]:
+            run = next(run for run in waiting if run.number == last.run)
+            if self._invalid_in_a_row(run) >= self.protocol.trial.attempts:
+                return DoDecide(run, last)
+            attempt = last.attempt + 1
+        else:
+            run, attempt = waiting[self._turn(block, len(waiting))], 1
+        due = self._rest_due()
+        if due is not None:
+            return due
+        probe = self.asks(run)
+        assert probe is not None
+        return DoTrial(self._presented(block, run, probe, attempt))
+
+    def _before(self, block: Block) -> Step | None:
+        """Return the step that must precede the next trial of a block; None if there is none."""
+        begun = block.number in self.begun
+        between = self.protocol.rest.between_blocks_s if self.trials and not begun else 0.0
+        if between > 0.0 and self._rested.get("block") != self.newest:
+            return DoRest(between, "block")
+        return self._fitting(block) or (None if begun else DoBlock(block))
+
+    def _fitting(self, block: Block) -> DoAsk | None:
+        """Ask for what the rig needs in a block, or no longer; None where it is there."""
+        fit = self._fit_of(block)
+        if fit == self.fitted:
+            return None
+        taken = f"Take off the rig: {self.fitted}. " if self.fitted else ""
+        text = (
+            f"{taken}Fit to the rig: {fit}."
+            if fit
+            else taken.strip() or "Take off what was fitted to the rig."
+        )
+        return DoAsk(Item(name=FITTED, text=text, kind="choice", choices=(fit or AS_IT_IS,)), block.number)
+
+    def _fit_of(self, block: Block) -> str:
+        return self.protocol.condition_named(block.runs[0].condition).fit
+
+    def _presented(self, block: Block, run: SearchRun, probe: Probe, attempt: int) -> Presented:
+        number = self.newest + 1
+        return Presented(
+            block=block.number,
+            run=run.number,
+            trial=number,
+            attempt=attempt,
+            condition=run.condition,
+            damping=run.damping,
+            repeat=run.repeat,
+            stiffness=probe.level,
+            track=probe.track,
+            catch=probe.catch,
+            practice=run.practice,
+            seed=self.seed_of(number),
+        )
+
+    def _turn(self, block: Block, waiting: int) -> int:
+        """Whose turn it is among the runs that are not finished."""
+        if not block.interleave:
+            return 0
+        done = sum(1 for t in self.trials if t.block == block.number and not t.void and not t.invalid)
+        return int(np.random.default_rng([self.seed, self.row, 1, block.number, done]).integers(waiting))
+
+    def seed_of(self, trial: int) -> int:
+        """Return the seed of the simulation in a trial, and of the simulated person there."""
+        return int(np.random.SeedSequence([self.seed, self.row, 2, trial]).generate_state(1)[0])
+
+    def _invalid_in_a_row(self, run: SearchRun) -> int:
+        """Count invalid trials of a run in a row since the operator last chose to continue, without the machine's."""
+        since = self._retried.get(run.number, 0)
+        count = 0
+        for trial in reversed(self.trials_of(run)):
+            if not trial.invalid or trial.trial <= since:
+                break
+            count += not trial.by_machine
+        return count
+
+    def _rest_due(self) -> DoRest | None:
+        rest = self.protocol.rest
+        if self.heat > rest.heat:
+            seconds = cooling_s(self.heat, rest.heat, self.thermal_time_constant_s)
+            return DoRest(math.ceil(seconds), "heat")
+        rested = max(self._rested.values(), default=0)
+        if rest.every and self.newest - rested >= rest.every:
+            return DoRest(rest.seconds, "every")
+        return None
+
+    def _item(self, when: str, block: int) -> DoAsk | None:
+        for item in self.protocol.question:
+            if item.when == when and (item.name, block) not in self.answered:
+                return DoAsk(item, block)
+        return None
+
+    def _owes(self) -> bool:
+        """Return True if a redone trial has not been repeated yet; nothing ends before it is."""
+        return any(
+            self._owed.get(run.number) and self.asks(run) is not None
+            for block in self.blocks
+            for run in block.runs
+        )
+
+    def _stop_rule(self) -> str | None:
+        """The rule that ends the session now, if one does. What was redone does not count."""
+        stop = self.protocol.stop
+        counted = sum(not (trial.practice or trial.void) for trial in self.trials)
+        if stop.trials is not None and counted >= stop.trials:
+            return f"{stop.trials} trials"
+        if stop.minutes is not None and self.active_s >= 60.0 * stop.minutes:
+            return f"{stop.minutes:g} minutes"
+        invalid = [one.invalid for one in self.trials if not one.by_machine]
+        if stop.invalid is not None and _count_in_a_row(invalid) >= stop.invalid:
+            return f"{stop.invalid} invalid trials in a row"
+        aborted = [one.aborted != "" for one in self.trials if not one.invalid]
+        if stop.aborts is not None and _count_in_a_row(aborted) >= stop.aborts:
+            return f"{stop.aborts} hits in a row cut off for safety"
+        return None
+
+
+def _run_of(events: Sequence[Event], trial: int) -> int:
+    return next(int(e.content["run"]) for e in events if e.kind == "trial" and e.content["trial"] == trial)
+
+
+def _count_in_a_row(found: Iterable[bool]) -> int:
+    """How many of the newest are true, without one between that is not."""
+    count = 0
+    for one in found:
+        count = count + 1 if one else 0
+    return count
+
+
+def apply_corrections(events: Iterable[Event]) -> list[Event]:
+    """The events with their corrections in place; the corrections themselves stay too."""
+    events = list(events)
+    changes: dict[int, dict[str, Any]] = {}
+    for event in events:
+        if event.kind == "amended":
+            changes.setdefault(event.content["number"], {})[event.content["field"]] = event.content["value"]
+    return [
+        Event(event.number, event.at, event.kind, {**event.content, **changes[event.number]})
+        if event.number in changes
+        else event
+        for event in events
+    ]

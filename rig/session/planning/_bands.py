@@ -1,0 +1,86 @@
+"""Bands of impact speed and press: what a protocol requires, what the hand did, and what a simulated hand aims at.
+
+The impact speed is that of the handle at the first contact (`rig.control.verdict`). The press is the mean effort that
+pushed the hand out of the wall over the judged tail (`verdict.tail_s`): what the hand pressed with, less the rig's
+friction, whatever the law of the wall.
+
+In an unstable wall the effort comes from the wall and not from the hand: the press is not judged there, since
+repeating such trials would discard unstable walls. The impact speed, which no wall affects, is always judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+from rig import config
+from rig.config import Experiment
+from rig.control.verdict import Kind
+from rig.core.sample import Motion, Phase, unit_of
+from rig.recording.data import Recording
+from rig.session.planning._protocol import Band, Trial
+from rig.session.planning._reasons import explain_outside
+from rig.session.planning._trial import HitOutcome
+
+# Key of the protocol: the quantity that it is of, its number in a hit's, and what it is called.
+BANDS: Mapping[str, tuple[str, str, str]] = {
+    "impact_speed": ("velocity", "impact_velocity", "impact speed"),
+    "press": ("effort", "press", "press"),
+}
+
+
+def describe_task(trial: Trial, motion: Motion) -> str:
+    """Return the ranges that a protocol requires of the hand, in words; empty if it requires none."""
+    return ", ".join(
+        f"{words} {_words(band)} {unit_of(quantity, motion)}"
+        for name, (quantity, _, words) in BANDS.items()
+        if (band := getattr(trial, name))
+    )
+
+
+def press_of(recording: Recording, experiment: Experiment) -> float | None:
+    """Press of a hit (N·m or N); None of one without a trial."""
+    rows = recording.rows
+    effort = rows["effort_sent"][rows["phase"] == Phase.TRIAL]
+    tail = effort[-round(experiment.verdict.tail_s * experiment.controller.position_rate) :]
+    return -experiment.wall.side * float(tail.mean()) if len(tail) else None
+
+
+def judge_bands(hit: HitOutcome, trial: Trial, motion: Motion) -> HitOutcome:
+    """The hit with what of it lies outside the bands, and invalid because of that where the protocol says so."""
+    found = () if hit.automatic == Kind.INVALID else tuple(_outside(hit, trial, motion))
+    if not found or trial.outside == "keep":
+        return replace(hit, outside=found)
+    return replace(
+        hit,
+        outside=found,
+        automatic=str(Kind.INVALID),
+        reasons=found,
+        passes=dict.fromkeys(hit.passes),
+    )
+
+
+def _outside(hit: HitOutcome, trial: Trial, motion: Motion) -> Iterator[str]:
+    for name, (quantity, number, _) in BANDS.items():
+        band, value = getattr(trial, name), hit.numbers.get(number)
+        if not band or value is None or (name == "press" and hit.automatic == Kind.UNSTABLE):
+            continue
+        value = abs(value)
+        if not band[0] <= value <= band[-1]:
+            yield explain_outside(
+                name, value, _words(band), unit_of(quantity, motion), above=value > band[-1]
+            )
+
+
+def _words(band: Band) -> str:
+    return " to ".join(f"{end:g}" for end in band)
+
+
+def pressing(x: Experiment, trial: Trial) -> dict[str, float]:
+    """Return the press of a simulated hand as keys of a wall's experiment: the middle of the band."""
+    return {"operator.press": max(0.0, config.press_for(x, middle(trial.press)))} if trial.press else {}
+
+
+def middle(band: Band) -> float:
+    """Return the value that a simulated hand aims at."""
+    return 0.5 * (band[0] + band[-1])

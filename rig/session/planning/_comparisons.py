@@ -1,0 +1,260 @@
+"""What a study is compared with beforehand: limits, theory, heat, order, stop rules."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+from rig.config import Experiment
+from rig.core.check import Check, Outcome
+from rig.core.errors import RigError
+from rig.core.sample import Motion, unit_of
+from rig.experiments.trials.plan import CUTOFFS, make_plan
+from rig.session.planning._bands import BANDS
+from rig.session.planning._expected import ExpectedRange
+from rig.session.planning._plan import CellPlan
+from rig.session.planning._protocol import Protocol, Trial
+from rig.session.planning._schedule import schedule
+from rig.session.planning._simulated_hand import simulate_hits
+from rig.session.planning._times import Heat, TrialTimes
+
+TIRES_S = 1200.0  # chosen: so long without a rest, and a hand tires
+COARSE = 0.25  # of the expected limit: a step that resolves little
+SLOW = 4  # chosen: pauses more often than every so many trials, and people grow impatient
+FAR = 10.0  # times the stiffest wall: a cap beyond has no effect
+SEVERITY = (Outcome.OK, Outcome.WARNING, Outcome.REFUSED)
+
+Walls = Sequence[tuple[str, Experiment]]  # each with its condition
+
+
+def wall_checks(walls: Walls) -> list[Check]:
+    """Every wall like a hit of its own; of each comparison the worst wall, and how many walls are like it."""
+    worst: dict[str, tuple[Check, str]] = {}
+    number: dict[tuple[str, Outcome], int] = {}
+    for condition, x in walls:
+        where = f"{condition}, K = {x.wall.stiffness:g} {unit_of('stiffness', x.rig.motion)}, B = {x.wall.damping:g}"
+        for one in _checks_of(x):
+            number[one.name, one.outcome] = number.get((one.name, one.outcome), 0) + 1
+            if one.name not in worst or _severity(one) > _severity(worst[one.name][0]):
+                worst[one.name] = (one, where)
+    return [
+        Check(one.name, one.outcome, f"all {len(walls)} walls", "")
+        if one.outcome is Outcome.OK
+        else replace(
+            one,
+            text=f"{number[one.name, one.outcome]} of {len(walls)} walls, for example {where}: {one.text}",
+        )
+        for one, where in worst.values()
+    ]
+
+
+def _checks_of(x: Experiment) -> Sequence[Check]:
+    try:
+        # A protocol states its conditions: what other comparisons would take for a cut-off is not theirs.
+        return [check for check in make_plan(x).checks if check.name != CUTOFFS]
+    except RigError as error:
+        return (Check("law", Outcome.REFUSED, error.message, error.remedy),)
+
+
+def _severity(check: Check) -> int:
+    return SEVERITY.index(check.outcome)
+
+
+def level_checks(cells: Sequence[CellPlan], motion: Motion) -> Iterator[Check]:
+    """Check whether the limit is likely to lie among the levels: beyond them it is censored, and there is no mean."""
+    unit = unit_of("stiffness", motion)
+    beyond = []
+    for cell in cells:
+        limit, levels = cell.expected.limit, cell.levels
+        if cell.expected.by_hand and limit.likely > levels[-1]:
+            beyond.append(f"{_cell(cell)}: expected {limit.likely:.3g}, highest level {levels[-1]:g} {unit}")
+        elif cell.expected.by_hand and limit.likely < levels[0]:
+            where = f"expected {limit.likely:.3g}" if limit.most else "no stable wall expected"
+            beyond.append(f"{_cell(cell)}: {where}, lowest level {levels[0]:g} {unit}")
+    yield Check(
+        "expected limits",
+        Outcome.WARNING if beyond else Outcome.OK,
+        "some lie beyond the searched levels and would be censored: " + "; ".join(beyond)
+        if beyond
+        else "all lie within the searched levels",
+        "change search.lowest or search.highest",
+    )
+    silent = [cell for cell in cells if not cell.expected.by_hand]
+    if silent:
+        note = silent[0].expected.note
+        yield Check(
+            "linear theory",
+            Outcome.WARNING,
+            f"gives no limit for {'; '.join(map(_cell, silent))}: {note}",
+            "trial numbers and times there are estimates from the levels; begin with soft walls",
+        )
+    coarse = [cell for cell in cells if _step_at(cell.levels, cell.expected.limit.likely) > COARSE]
+    if coarse:
+        yield Check(
+            "steps",
+            Outcome.WARNING,
+            f"levels are more than a quarter of the expected limit apart: {'; '.join(map(_cell, coarse))}",
+            "choose a smaller search.step or search.ratio",
+        )
+
+
+def most_checks(cells: Sequence[CellPlan]) -> Iterator[Check]:
+    """Check whether `most` leaves a search its turns: a limit without them is marked, and left out of the analysis."""
+    short = [cell for cell in cells if cell.trials.ended_by_most]
+    if short:
+        each = "; ".join(
+            f"{_cell(cell)}: {cell.trials.ended_by_most} of {cell.trials.simulated}" for cell in short
+        )
+        yield Check(
+            "search.settings.most",
+            Outcome.WARNING,
+            "ends simulated searches before they have enough turns; their limits are marked and excluded: "
+            + each,
+            "raise search.settings.most, or lower search.settings.turns",
+        )
+
+
+def _step_at(levels: Sequence[float], stiffness: float) -> float:
+    """Return the step of the levels around a stiffness, relative to it; 0 if it lies outside of them."""
+    return max((b - a for a, b in pairwise(levels) if a <= stiffness <= b), default=0.0) / max(
+        stiffness, levels[0]
+    )
+
+
+def _cell(cell: CellPlan) -> str:
+    return f"{cell.condition} at B = {cell.damping:g}"
+
+
+def heat_check(protocol: Protocol, heat: Heat, trials: float) -> Check:
+    """Check whether the motor keeps cool, and how often it has to wait for that."""
+    share = protocol.rest.heat
+    text = (
+        f"{100 * heat.after_one:.2g} % of the winding's heat budget per hit at {heat.load:.2g} of the nominal effort, "
+        f"{100 * heat.peak:.2g} % at most"
+    )
+    if heat.after_one > 1.0:
+        remedy = "use less effort, or shorten trial.duration_s"
+        return Check("motor heat over a session", Outcome.REFUSED, text, remedy)
+    if heat.first_pause:
+        text += (
+            f"; above {100 * share:g} % the motor cools: {heat.pauses} pauses of {heat.pause_s:.0f} s, the first "
+            f"before trial {heat.first_pause}"
+        )
+        slow = heat.pauses * SLOW > trials
+        remedy = "use less effort, shorten trial.duration_s, or raise rest.heat"
+        return Check("motor heat over a session", Outcome.WARNING if slow else Outcome.OK, text, remedy)
+    return Check("motor heat over a session", Outcome.OK, f"{text}; no pause is needed")
+
+
+def energy_check(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterator[Check]:
+    """Check whether a wall that gives energy to a hand ends by that."""
+    if protocol.trial.kind != "human":
+        return
+    limits = [one.rig.limits.energy for of in under for one in of]
+    free = any(limit is None for limit in limits)
+    most = max((limit for limit in limits if limit is not None), default=0.0)
+    yield Check(
+        "energy cap",
+        Outcome.WARNING if free else Outcome.OK,
+        "the energy that the motor may give to a hand in a hit is not limited"
+        if free
+        else f"a hit ends when the motor has given {most:g} J",
+        "set caps.energy to a few times the energy of stable practice hits (see watched in a recording's trailer)",
+    )
+
+
+def band_checks(trial: Trial, walls: Sequence[Experiment]) -> Iterator[Check]:
+    """Check whether the simulated hand of a rehearsal keeps within the bands, in these soft walls."""
+    bands = {name: band for name in BANDS if (band := getattr(trial, name))}
+    does = [simulate_hits(x) for x in walls] if bands else []
+    for name, band in bands.items():
+        quantity, _, words = BANDS[name]
+        values, unit = [one for of in does for one in of[name]], unit_of(quantity, walls[0].rig.motion)
+        key = "operator.press" if name == "press" else "operator.reach_s"
+        yield Check(
+            f"trial.{name}",
+            Outcome.OK if band[0] <= min(values) and max(values) <= band[-1] else Outcome.WARNING,
+            f"{words} of the simulated hand {min(values):.3g} to {max(values):.3g} {unit}, required {band[0]:g} to "
+            f"{band[-1]:g} {unit}",
+            f"widen this band, or change {key} of the simulated hand; a person may stay within it",
+        )
+
+
+def cap_checks(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterator[Check]:
+    """Check whether a cap can ever act: one far beyond what any hit here can give is a typing error."""
+    caps, experiments = protocol.caps, [one for of in under for one in of]
+    stiffest = max([x.wall.stiffness for x in experiments] + list(protocol.practice.stiffness))
+    most = max(x.rig.limits.effort * x.rig.limits.speed * x.trial.duration_s for x in experiments)
+    unit = unit_of("stiffness", experiments[0].rig.motion)
+    remedy = "check the unit and the power of ten"
+    if caps.stiffness is not None and caps.stiffness > FAR * stiffest:
+        text = f"{caps.stiffness:g} {unit} has no effect: the stiffest wall is {stiffest:g} {unit}"
+        yield Check("caps.stiffness", Outcome.WARNING, text, remedy)
+    if caps.energy is not None and caps.energy > most:
+        text = f"{caps.energy:g} J has no effect: at full effort and speed a hit gives {most:.2g} J"
+        yield Check("caps.energy", Outcome.WARNING, text, remedy)
+
+
+def order_checks(protocol: Protocol, rows: int) -> Iterator[Check]:
+    """Check whether the order is balanced over those who come; it is after so many `rows`."""
+    number = protocol.study.participants
+    if protocol.order.kind == "latin-square":
+        runs = sum(len(one.damping) for one in protocol.condition)
+        whole = number % rows == 0
+        nearest = list(dict.fromkeys([max(1, number // rows) * rows, (number // rows + 1) * rows]))
+        yield Check(
+            "order",
+            Outcome.OK if whole else Outcome.WARNING,
+            f"{number} participants; a Latin square of {runs} searches is balanced with multiples of {rows}",
+            f"plan {' or '.join(map(str, nearest))} participants",
+        )
+    elif protocol.order.kind == "fixed" and len(protocol.condition) > 1:
+        yield Check(
+            "order",
+            Outcome.WARNING,
+            "the order is the same for all participants: practice and fatigue cannot be separated from conditions",
+            'set order.kind = "latin-square" or "randomised"',
+        )
+
+
+def stop_checks(
+    protocol: Protocol, trials: ExpectedRange, failures: ExpectedRange, session_s: ExpectedRange
+) -> Iterator[Check]:
+    """Check whether a stop rule leaves a session its end."""
+    stop = protocol.stop
+    for name, limit, expected, unit in (
+        ("trials", stop.trials, trials, "trials"),
+        ("minutes", stop.minutes, session_s * (1.0 / 60.0), "min"),
+    ):
+        if limit is None:
+            continue
+        outcome = Outcome.REFUSED if expected.least > limit else Outcome.OK
+        if outcome is Outcome.OK and expected.most > limit:
+            outcome = Outcome.WARNING
+        text = f"ends a session after {limit:g} {unit}; expected are {_range(expected)}"
+        yield Check(f"stop.{name}", outcome, text, f"raise stop.{name}, or reduce the number of searches")
+
+
+def rest_checks(protocol: Protocol, trials: ExpectedRange, times: TrialTimes) -> Iterator[Check]:
+    """Check whether a hand has time to rest."""
+    rest = protocol.rest
+    if protocol.trial.kind != "human":
+        return
+    stretch = trials.most if not rest.every else min(float(rest.every), trials.most)
+    blocks = len([block for block in schedule(protocol, 0) if not block.practice])
+    if rest.between_blocks_s > 0.0:
+        stretch = min(stretch, trials.most / blocks)
+    tires = stretch * times.total > TIRES_S
+    yield Check(
+        "rest",
+        Outcome.WARNING if tires else Outcome.OK,
+        f"{stretch * times.total / 60.0:.2g} min at most without a rest",
+        "set rest.every, or rest.between_blocks_s",
+    )
+
+
+def _range(expected: ExpectedRange) -> str:
+    if round(expected.least) == round(expected.most):
+        return f"{expected.likely:.0f}"
+    return f"{expected.least:.0f} to {expected.most:.0f}, likely {expected.likely:.0f}"

@@ -1,0 +1,261 @@
+"""The experiment behind a protocol: its rig and trial, and what each condition makes of them.
+
+Later ones win: the preset or the experiment file; what a person at the handle demands (`SAFE`); ``[study.changes]``;
+``[trial]`` and ``[caps]``; the condition's scheme and its changes; damping and stiffness of the run. A simulated hand
+follows the bands of ``[trial]`` unless something else sets how it hits (`rig.session.planning._bands`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from rig import config
+from rig.config import DEFAULT_PRESET, EXPERIMENT, FREE, Experiment, parameters, presets, shown
+from rig.config.checked import Problem, config_error, did_you_mean
+from rig.config.schemes import Scheme
+from rig.core.errors import ConfigError, RigError
+from rig.core.sample import unit_of
+from rig.session.planning._bands import BANDS, middle, pressing
+from rig.session.planning._protocol import Condition, Protocol
+from rig.session.planning._schedule import levels_of
+
+ReachFor = Callable[[Experiment, float], float]
+
+OWNED = {  # keys of the experiment that a protocol says in its own words
+    "wall.stiffness": "[search]",
+    "wall.damping": "damping of each condition",
+    "trial.kind": "trial.kind of the protocol",
+    "trial.duration_s": "trial.duration_s of the protocol",
+    "trial.baseline_s": "trial.baseline_s of the protocol",
+    "trial.foreperiod_s": "trial.foreperiod_s of the protocol",
+    "trial.hold_s": "trial.hold_s of the protocol",
+    "trial.repeats": "order.repeats of the protocol",
+    "trial.seed": "study.seed of the protocol",
+}
+
+
+def base_experiment(study: Any, folder: Path) -> Experiment | list[Problem]:
+    """Read what ``[study]`` names, as it stands in the file, or say what is wrong with that.
+
+    Parameters
+    ----------
+    study
+        That table of a protocol file, not checked yet.
+    folder
+        Where the protocol file is.
+    """
+    study = study if isinstance(study, Mapping) else {}
+    preset, file = study.get("preset"), study.get("experiment")
+    if (preset is None) == (file is None):
+        given = "" if preset is None else f"{shown(preset)}, and experiment = {shown(file)}"
+        must = "and study.experiment: exactly one of the two must name the rig"
+        choice = f"write preset = {shown(DEFAULT_PRESET)}, or the name of an experiment file"
+        return [Problem("study.preset", given, must, choice)]
+    if preset is not None:
+        if preset not in presets.names():
+            choice = did_you_mean(
+                str(preset), presets.names(), f"choose one of: {', '.join(presets.names())}"
+            )
+            return [Problem("study.preset", shown(preset), "is not a preset", choice)]
+        return presets.load(preset)
+    if not isinstance(file, str):
+        return [
+            Problem("study.experiment", shown(file), "must be text", "write the name of a file in quotes")
+        ]
+    try:
+        return config.load_experiment(folder / file)
+    except ConfigError as error:
+        return [
+            Problem("study.experiment", shown(file), f"is not an experiment: {error.message}", error.remedy)
+        ]
+
+
+class Walls:
+    """The walls of a study, as experiments: each is checked once and then cached.
+
+    Parameters
+    ----------
+    protocol
+        A checked one.
+    base
+        What its ``[study]`` names, from `base_of`.
+    reach_for
+        Finds the reach of a simulated hand for an impact speed (`rig.session.planning._simulated_hand`); None without a
+        simulated hand: a band of impact speeds then changes nothing.
+    """
+
+    def __init__(self, protocol: Protocol, base: Experiment, reach_for: ReachFor | None = None) -> None:
+        self.protocol = protocol
+        self.base = base
+        self._known: dict[tuple[str, float, float], Experiment] = {}
+        self._reach_for = reach_for
+        self._reaches: dict[str, float] = {}  # by condition
+
+    def at(
+        self, condition: Condition, damping: float, stiffness: float, *, seed: int | None = None
+    ) -> Experiment:
+        """Return the experiment of one wall of a condition.
+
+        Parameters
+        ----------
+        condition
+            One of the protocol's.
+        damping, stiffness
+            B and K of the wall (`rig.core.sample.unit_of`).
+        seed
+            Of a trial; that of the study, unless given.
+
+        Raises
+        ------
+        ConfigError
+            Something that this rig, this trial or this estimator does not allow.
+        """
+        key = (condition.name, damping, stiffness)
+        if key not in self._known:
+            self._known[key] = self._experiment(condition, damping, stiffness)
+        x = self._known[key]
+        return x if seed is None else replace(x, trial=replace(x.trial, seed=seed))
+
+    def softest(self, condition: Condition) -> Experiment:
+        """The softest wall of a condition, at its first damping; raises as `at`."""
+        return self.at(condition, *self._softest(condition))
+
+    def _softest(self, condition: Condition) -> tuple[float, float]:
+        return condition.damping[0], levels_of(self.protocol.search_of(condition))[0]
+
+    def _experiment(self, condition: Condition, damping: float, stiffness: float) -> Experiment:
+        protocol, name = self.protocol, condition.name
+        source = f"condition {shown(name)}"
+        experiment = config.override(self.base, _study_changes(protocol), source, check_rules=False)
+        if condition.scheme is not None:
+            experiment = Scheme.parse(condition.scheme).on(experiment)
+            source += f" with scheme {condition.scheme}"
+        experiment = config.override(experiment, condition.changes, source, check_rules=False)
+        own = {**protocol.study.changes, **condition.changes}
+
+        def at(damping: float, stiffness: float) -> Experiment:
+            wall = {"wall.stiffness": stiffness, "wall.damping": damping}
+            x = config.override(experiment, wall, source, check_rules=False)
+            pressed = {} if "operator.press" in own else pressing(x, protocol.trial)
+            return config.override(x, pressed, source, check_rules=False)
+
+        x, speeds, reach = at(damping, stiffness), protocol.trial.impact_speed, {}
+        if self._reach_for is not None and speeds and "operator.reach_s" not in own:
+            if name not in self._reaches:  # by one wall, whichever is asked for first
+                self._reaches[name] = self._reach_for(at(*self._softest(condition)), middle(speeds))
+            reach["operator.reach_s"] = self._reaches[name]
+        x = config.override(x, reach, source)
+        config.check_plugins(x, source)
+        return x
+
+
+def own_rates(condition: Condition, experiment: Experiment) -> dict[str, Any]:
+    """Return the settings that a device must not change: the rates, if the condition's scheme names them."""
+    if condition.scheme is None:
+        return {}
+    rates = experiment.controller
+    return {
+        "controller.position_rate": rates.position_rate,
+        "controller.velocity_rate": rates.velocity_rate,
+    }
+
+
+def base_of(protocol: Protocol, folder: Path) -> Experiment:
+    """Return the experiment that a protocol names; `folder` is where its file is. Raises `ConfigError`."""
+    study = {"preset": protocol.study.preset, "experiment": protocol.study.experiment}
+    base = base_experiment(study, folder)
+    if isinstance(base, list):
+        raise config_error(base, f"protocol {protocol.study.title}")
+    return base
+
+
+def broken_conditions(walls: Walls) -> list[Problem]:
+    """Return the first problems of each condition that rig, trial or estimators do not allow."""
+    protocol, base = walls.protocol, walls.base
+    problems = [*_find_misplaced(protocol), *_wide_caps(protocol, base), *_wide_bands(protocol, base)]
+    return problems or list(_find_refused(walls))
+
+
+def _study_changes(protocol: Protocol) -> dict[str, Any]:
+    """Return the changes to the experiment that all conditions share."""
+    return {**protocol.study.changes, **_trial_and_caps(protocol)}
+
+
+def _trial_and_caps(protocol: Protocol) -> dict[str, Any]:
+    """Return the settings of ``[trial]`` and ``[caps]`` as keys of the experiment, without those they omit."""
+    trial, caps = protocol.trial, protocol.caps
+    values = {
+        "trial.duration_s": trial.duration_s,
+        "trial.baseline_s": trial.baseline_s or None,
+        "trial.foreperiod_s": trial.foreperiod_s or None,
+        "trial.hold_s": trial.hold_s,
+        "rig.limits.effort": caps.effort,
+        "rig.limits.speed": caps.speed,
+        "rig.limits.energy": caps.energy,
+    }
+    given = {key: value for key, value in values.items() if value is not None}
+    return {"trial.kind": trial.kind, "trial.repeats": 1, "trial.seed": protocol.study.seed, **given}
+
+
+def _find_misplaced(protocol: Protocol) -> Iterator[Problem]:
+    """Yield changes to unknown keys, and to keys that the protocol sets elsewhere."""
+    places: list[tuple[str, Mapping[str, Any]]] = [("study.changes", protocol.study.changes)]
+    places += [(f"condition {n}.changes", one.changes) for n, one in enumerate(protocol.condition, 1)]
+    for place, changes in places:
+        for key, value in changes.items():
+            name = f"{place}.{key}"
+            if key in OWNED:
+                yield Problem(name, shown(value), f"is set by {OWNED[key]}", "set it there")
+            elif key not in parameters() and not key.startswith(f"{FREE}."):
+                section, _, leaf = key.rpartition(".")
+                instead = EXPERIMENT.known_instead(section, leaf)
+                yield Problem(name, shown(value), "is not a key of an experiment", instead)
+
+
+def _wide_caps(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
+    """A cap only narrows what the rig allows."""
+    limits = {name: getattr(base.rig.limits, name) for name in ("effort", "speed", "energy")}
+    for name, quantity in (("effort", "effort"), ("speed", "velocity"), ("energy", "J")):
+        cap, unit = getattr(protocol.caps, name), unit_of(quantity, base.rig.motion)
+        limit = protocol.study.changes.get(f"rig.limits.{name}", limits[name])
+        if cap is not None and isinstance(limit, int | float) and cap > limit:
+            yield Problem(
+                f"caps.{name}",
+                f"{cap:g} {unit}",
+                f"must be at most rig.limits.{name} of the rig, {limit:g} {unit}",
+                "lower it, or omit it",
+            )
+
+
+def _wide_bands(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
+    """Yield problems of bands beyond the limits that end a hit, or beyond the motor's effort."""
+    studied, kind = _study_changes(protocol), {"trial.kind": protocol.trial.kind}
+    limits = config.override(base, kind, "the study", check_rules=False).rig.limits
+    for name, (quantity, _, _) in BANDS.items():
+        band, limited = getattr(protocol.trial, name), "effort" if name == "press" else "speed"
+        unit = unit_of(quantity, base.rig.motion)
+        limit = studied.get(f"rig.limits.{limited}", getattr(limits, limited))
+        if band and isinstance(limit, int | float) and band[-1] > limit:
+            must = f"must end at rig.limits.{limited} at most, {limit:g} {unit}"
+            yield Problem(f"trial.{name}", f"{shown(band)} {unit}", must, "lower its upper end")
+
+
+def _find_refused(walls: Walls) -> Iterator[Problem]:
+    """Every condition and damping at the softest and the stiffest wall, until one of them is refused."""
+    protocol, unit = walls.protocol, unit_of("stiffness", walls.base.rig.motion)
+    for number, condition in enumerate(protocol.condition, 1):
+        levels = levels_of(protocol.search_of(condition))
+        asked = [(b, k) for k in (levels[0], levels[-1]) for b in condition.damping]
+        if condition.name == (protocol.practice.condition or protocol.condition[0].name):
+            asked += [(condition.damping[0], k) for k in protocol.practice.stiffness]
+        for damping, stiffness in asked:
+            try:
+                walls.at(condition, damping, stiffness)
+            except RigError as error:
+                name = f"condition {number}, {shown(condition.name)}"
+                where = f"cannot be run at K = {stiffness:g} {unit}: {error.message}"
+                yield Problem(name, "", where, error.remedy)
+                break

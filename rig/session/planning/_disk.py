@@ -1,0 +1,48 @@
+"""How much room the recordings of a session take, and whether it is there."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from rig.config import Experiment
+from rig.core.errors import ConfigError
+from rig.recording.files import plain_errors
+from rig.session.planning._conditions import Walls
+from rig.session.planning._expected import likely_trials
+from rig.session.planning._protocol import Protocol
+from rig.session.planning._schedule import schedule
+from rig.session.planning._times import trial_times
+
+TICK_BYTES = 35.0  # of a sealed recording: 30 to 40 were measured
+TRIAL_BYTES = 100e3  # what one takes besides
+
+
+def bytes_of_trial(x: Experiment, protocol: Protocol) -> float:
+    """Return the disk space of the recording of one trial (bytes)."""
+    seconds = trial_times(x).recorded
+    return TRIAL_BYTES + TICK_BYTES * seconds * x.controller.position_rate
+
+
+def refuse_full_disk(walls: Walls, row: int, place: Path) -> None:
+    """Raise `ConfigError` where a session would run out of room; `place` need not exist yet."""
+    protocol = walls.protocol
+    trials = likely_trials(protocol, schedule(protocol, row))
+    needed = 0.0
+    for condition in protocol.condition:
+        x = walls.softest(condition)
+        needed += trials[condition.name] * bytes_of_trial(x, protocol)
+    here = next(one for one in (place, *place.absolute().parents) if one.exists())
+    with plain_errors("look at", here):
+        free = shutil.disk_usage(here).free
+    if free < needed:
+        raise ConfigError(
+            f"{here} has {format_size(free)} left, and a session of about {sum(trials.values()):.0f} trials takes "
+            f"{format_size(needed)}",
+            remedy="free some space, or give a directory on another disk with `study`",
+        )
+
+
+def format_size(size: float) -> str:
+    """A size in bytes for people."""
+    return f"{size / 1e9:.2g} GB" if size >= 1e9 else f"{size / 1e6:.{0 if size >= 1e7 else 1}f} MB"

@@ -1,0 +1,281 @@
+"""The order of a session: its blocks, the runs in them, and the rule of each run. Decided by seed and row alone.
+
+A participant has a row of the order, from 0. With a Latin square the rows are those of Williams' designs: over a cycle
+of rows each condition comes in each place equally often, and after each other one equally often (Williams, Australian
+Journal of Scientific Research A 2, 1949). An even number of conditions needs one square, an odd one a square and its
+mirror image. What is drawn is drawn by hashing, so that it is the same in every version of every library.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any, TypeVar
+
+from rig.session import search
+from rig.session.planning._protocol import Protocol, Search
+from rig.session.search import Estimate, JudgedProbe, Probe
+
+PRACTICE = 0  # number of the block, and of the run, of the practice trials
+LARGEST_SEED = 2**53  # whole numbers below it survive JSON in any language
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SearchRun:
+    """One search: its number over the session (from 1; 0 is practice), what it is about, and which repeat it is.
+
+    `seed` is that of the run's rule; runs of other participants and other runs have others.
+    """
+
+    number: int
+    condition: str
+    damping: float
+    repeat: int = 1  # from 1
+    practice: bool = False
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Block:
+    """Runs between two checkpoints; number 0 is practice."""
+
+    number: int
+    runs: tuple[SearchRun, ...]
+    practice: bool = False
+    interleave: bool = False
+
+
+def schedule(protocol: Protocol, row: int) -> tuple[Block, ...]:
+    """Blocks of the session of one participant, practice first.
+
+    Parameters
+    ----------
+    protocol
+        A checked one (`rig.session.planning._load`).
+    row
+        The participant's row of the order, from 0: the first participant has 0, the next one 1.
+    """
+    if row < 0:
+        raise ValueError(f"row = {row} must not be below 0")
+    groups = _orders(protocol, row)
+    blocks = list(_practice(protocol, row))
+    number = 0
+    for place, cells in enumerate(groups, start=1):
+        runs = []
+        for (condition, damping), repeat in cells:
+            number += 1
+            runs.append(
+                SearchRun(
+                    number=number,
+                    condition=condition,
+                    damping=damping,
+                    repeat=repeat,
+                    seed=_seed(protocol.study.seed, row, number),
+                )
+            )
+        blocks.append(Block(number=place, runs=tuple(runs), interleave=protocol.order.interleave))
+    return tuple(blocks)
+
+
+def rows_of(protocol: Protocol) -> int:
+    """Participants after whom the order has been through all its rows: 1 unless it is a Latin square."""
+    if protocol.order.kind != "latin-square":
+        return 1
+    if protocol.order.blocks == "condition":
+        fits = _fits(protocol)
+        within = math.lcm(*(_rows(len(names)) for names in fits.values()))
+        dampings = [len(condition.damping) for condition in protocol.condition]
+        return math.lcm(_rows(len(fits)) * within, *map(_rows, dampings))
+    return _rows(len(cells_of(protocol)))
+
+
+def cells_of(protocol: Protocol) -> tuple[tuple[str, float], ...]:
+    """Return what is searched, in the order of the file: every condition at each of its dampings."""
+    return tuple((one.name, damping) for one in protocol.condition for damping in one.damping)
+
+
+def rule_of(protocol: Protocol, run: SearchRun) -> search.Rule:
+    """The rule of a run, without catch trials: its condition's, with the run's seed. Practice goes through its walls.
+
+    Raises `rig.core.errors.ConfigError` for invalid settings, which `rig.session.planning._load` refuses earlier.
+    """
+    if run.practice:
+        return InOrder(protocol.practice.stiffness)
+    return rule(protocol.search_of(protocol.condition_named(run.condition)), run.seed)
+
+
+def asking_of(protocol: Protocol, run: SearchRun) -> search.Rule:
+    """The rule of a run with its catch trials, see `rule_of`."""
+    if run.practice:
+        return rule_of(protocol, run)
+    return asking(protocol.search_of(protocol.condition_named(run.condition)), run.seed)
+
+
+def asking(wanted: Search, seed: int) -> search.Rule:
+    """The rule of a search with its catch trials, where it has any; see `rule`."""
+    own = rule(wanted, seed)
+    if not wanted.catch_share:
+        return own
+    return search.Catching(rule=own, levels=levels_of(wanted), share=wanted.catch_share, seed=seed)
+
+
+def rule(wanted: Search, seed: int) -> search.Rule:
+    """Return the rule of a search without catch trials; raise `rig.core.errors.ConfigError` for invalid settings."""
+    levels = levels_of(wanted)
+    settings: Mapping[str, Any] = wanted.settings
+    start = settings.get("start")
+    if isinstance(start, int | float) and not isinstance(start, bool) and levels[0] <= start <= levels[-1]:
+        settings = {**settings, "start": min(levels, key=lambda level: abs(level - start))}
+    return search.make(wanted.rule, levels=levels, seed=seed, **settings)
+
+
+def levels_of(wanted: Search) -> tuple[float, ...]:
+    """Stiffnesses that a search may ask for, rising; the last one does not exceed the highest."""
+    steps = level_steps(wanted)
+    if wanted.step is not None:
+        values = (wanted.lowest + wanted.step * place for place in range(steps + 1))
+    else:
+        values = (wanted.lowest * (wanted.ratio or 1.0) ** place for place in range(steps + 1))
+    return tuple(float(f"{value:.12g}") for value in values)  # 0.1 · 3 is 0.3 in a table
+
+
+def level_steps(wanted: Search) -> int:
+    """Steps from the lowest level to the last one."""
+    if wanted.step is not None:
+        steps = (wanted.highest - wanted.lowest) / wanted.step
+    else:
+        steps = math.log(wanted.highest / wanted.lowest) / math.log(wanted.ratio or math.inf)
+    return math.floor(steps + 1e-9)
+
+
+@dataclass(frozen=True)
+class InOrder:
+    """The rule of practice: each wall once, independent of the verdicts; it finds no limit."""
+
+    levels: Sequence[float]
+
+    def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
+        """Return the next practice wall; None after the last one."""
+        return Probe(self.levels[len(answers)]) if len(answers) < len(self.levels) else None
+
+    def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
+        """Return an estimate without a value, as practice finds no limit."""
+        return Estimate(
+            value=math.nan, low=0.0, high=math.inf, share=math.nan, censored="", hits=len(answers)
+        )
+
+
+def williams(items: Sequence[T], row: int) -> tuple[T, ...]:
+    """A row of the Williams design of these items; rows repeat after n of them, 2 n where n is odd."""
+    n = len(items)
+    row %= _rows(n)
+    mirrored = n % 2 == 1 and row % 2 == 1  # in turns, so that half a cycle is balanced as well as can be
+    shift = row // 2 if n % 2 else row
+    zigzag = [(place + 1) // 2 if place % 2 else -(place // 2) for place in range(n)]  # 0, 1, -1, 2, -2 …
+    order = tuple(items[(place + shift) % n] for place in zigzag)
+    return order[::-1] if mirrored else order
+
+
+def _rows(n: int) -> int:
+    return 2 * n if n % 2 and n > 1 else n
+
+
+_Cell = tuple[tuple[str, float], int]  # condition and damping; repeat
+
+
+def _orders(protocol: Protocol, row: int) -> list[list[_Cell]]:
+    """Cells of each block, in their order."""
+    order, cells = protocol.order, cells_of(protocol)
+    repeats = range(1, order.repeats + 1)
+    if order.blocks == "condition":
+        fits = _fits(protocol)
+        square = order.kind == "latin-square"  # every order of conditions under every order of what is fitted
+        within = row // _rows(len(fits)) if square else row
+        names = [
+            name
+            for fit in _order(protocol, "fits", list(fits), row)
+            for name in _order(protocol, f"conditions{fit}", fits[fit], within)
+        ]
+        return [
+            [
+                (cell, repeat)
+                for repeat in repeats
+                for cell in _order(
+                    protocol, f"{name}/{repeat}", [c for c in cells if c[0] == name], row + repeat - 1
+                )
+            ]
+            for name in names
+        ]
+    if order.blocks == "one" and order.kind == "randomised":
+        every = [(cell, repeat) for repeat, cell in product(repeats, cells)]
+        drawn = _draw(every, f"{protocol.study.seed}/{row}/all")
+        return [_count_repeats(cell for cell, _ in drawn)]
+    by_repeat = [
+        [(cell, repeat) for cell in _order(protocol, f"{repeat}", cells, row + repeat - 1)]
+        for repeat in repeats
+    ]
+    return by_repeat if order.blocks == "repeat" else [[cell for block in by_repeat for cell in block]]
+
+
+def _fits(protocol: Protocol) -> dict[str, list[str]]:
+    """Group conditions by what must be fitted to the rig, which is not refitted for every block."""
+    found: dict[str, list[str]] = {}
+    for one in protocol.condition:
+        found.setdefault(one.fit, []).append(one.name)
+    return found
+
+
+def _order(protocol: Protocol, what: str, items: Sequence[T], row: int) -> Sequence[T]:
+    """Items as the protocol wants them; `what` separates draws, `row` the rows of a square."""
+    seed = protocol.study.seed
+    match protocol.order.kind:
+        case "fixed":
+            return items
+        case "randomised":
+            return _draw(items, f"{seed}/{row}/{what}")
+    # Which item is which letter of the square is drawn once for the study.
+    return williams(_draw(items, f"{seed}/letters/{len(items)}"), row)
+
+
+def _count_repeats(cells: Iterable[tuple[str, float]]) -> list[_Cell]:
+    """Repeats are numbered in the order in which they come."""
+    seen: dict[tuple[str, float], int] = {}
+    counted = []
+    for cell in cells:
+        seen[cell] = seen.get(cell, 0) + 1
+        counted.append((cell, seen[cell]))
+    return counted
+
+
+def _practice(protocol: Protocol, row: int) -> list[Block]:
+    practice = protocol.practice
+    if not practice.stiffness:
+        return []
+    condition = protocol.condition_named(practice.condition or protocol.condition[0].name)
+    run = SearchRun(
+        number=PRACTICE,
+        condition=condition.name,
+        damping=condition.damping[0],
+        practice=True,
+        seed=_seed(protocol.study.seed, row, PRACTICE),
+    )
+    return [Block(number=PRACTICE, runs=(run,), practice=True)]
+
+
+def _draw(items: Sequence[T], key: str) -> list[T]:
+    """Items in an order that the key decides, each order as likely as another."""
+    places = sorted(range(len(items)), key=lambda place: _hash(f"{key}/{place}"))
+    return [items[place] for place in places]
+
+
+def _seed(*parts: int) -> int:
+    return int.from_bytes(_hash("/".join(map(str, parts)))[:8], "big") % LARGEST_SEED
+
+
+def _hash(text: str) -> bytes:
+    return hashlib.sha256(text.encode()).digest()

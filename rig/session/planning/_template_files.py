@@ -1,0 +1,67 @@
+"""Protocols to start from: commented files that this package ships, each of which passes its check."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+from rig.config.checked import did_you_mean
+from rig.core.errors import ConfigError, RecordingError
+from rig.recording.files import plain_errors
+from rig.session.planning._load import json_schema
+
+DEFAULT = "first-steps"  # some minutes, at a rate that a simulated rig does in real time
+SCHEMA = "haptic-rig-protocol.schema.json"  # beside a protocol, which names it in its first line
+
+
+@cache
+def template_names() -> tuple[str, ...]:
+    """Return the names of the built-in protocol templates."""
+    found = (files("rig.session") / "templates").iterdir()
+    return tuple(sorted(entry.name.removesuffix(".toml") for entry in found if entry.name.endswith(".toml")))
+
+
+def template_text(name: str) -> str:
+    """Return the text of a template; raise `ConfigError` for an unknown name."""
+    if name not in template_names():
+        choice = did_you_mean(name, template_names(), f"choose one of: {', '.join(template_names())}")
+        raise ConfigError(f"unknown template {name!r}", remedy=choice)
+    return (files("rig.session") / "templates" / f"{name}.toml").read_text(encoding="utf-8")
+
+
+def template_path(name: str) -> Path:
+    """Return the path of a template; raise `ConfigError` for an unknown name."""
+    return Path(str(files("rig.session") / "templates" / f"{name}.toml"))
+
+
+def template_subject(name: str) -> str:
+    """Return the subject of a template, its first line."""
+    return template_text(name).partition("\n")[0].removeprefix("# ")
+
+
+def write_template(name: str, path: Path) -> Path | None:
+    """Write a template into a new file, and beside it the schema by which editors complete and check it.
+
+    Returns the schema that was written; None where a file of that name was there, which stays.
+
+    Raises `ConfigError` for an unknown name, `RecordingError` when there is such a file or the disk refuses.
+    """
+    if path.exists():
+        raise RecordingError(
+            f"cannot write {path}: the file exists, and a protocol is never overwritten",
+            remedy="choose another name",
+        )
+    text = f"#:schema ./{SCHEMA}\n{template_text(name)}"
+    with plain_errors("write", path), path.open("x", encoding="utf-8") as file:
+        file.write(text)
+    beside = path.parent / SCHEMA
+    with plain_errors("write", beside):
+        try:
+            with beside.open("x", encoding="utf-8") as file:
+                json.dump(json_schema(), file, indent=1, ensure_ascii=False)
+                file.write("\n")
+        except FileExistsError:
+            return None
+    return beside

@@ -1,0 +1,123 @@
+"""The rule of Koul et al., section III: from the softest wall upwards until one is not stable; so often.
+
+Every stable verdict on the way is a chance for a lapse to end the series early, so the rule reads low by more than its
+scatter shows, and it costs most hits far below the limit (``README.md`` has the numbers).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.core.deferred import stats
+from rig.session.search._psychometric import open_interval
+from rig.session.search._resolution import is_resolved, rounding_deviation, step_at
+from rig.session.search._rule import (
+    Censored,
+    Estimate,
+    JudgedProbe,
+    Probe,
+    check_whole,
+    checked_levels,
+    mark_contradictions,
+    verdicts_of,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class AscendingSeries:
+    """The last stable level of an ascending series that has ended.
+
+    A series in which no wall failed, or already the softest, has its limit beyond the levels (`censored`) and enters
+    with the end of them. Below the softest level that is at most this level too much, as 0 would be too little.
+    """
+
+    limit: float
+    censored: Censored
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ascending:
+    """Ascending series through all levels; the limit is the mean of the last stable ones.
+
+    It lies above the levels when that of any series does: the mean is then a lower bound. It lies below them only when
+    that of every series does: a single one that ends at the softest wall may be a lapse.
+
+    Parameters
+    ----------
+    levels
+        Stiffnesses, rising.
+    repeats
+        Series.
+    seed
+        Not used: the rule draws nothing. Taken, so that all rules are made alike.
+    """
+
+    levels: Sequence[float]
+    repeats: int = 5
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "levels", checked_levels(self.levels))
+        check_whole("repeats", self.repeats, 1, 1000)
+
+    def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
+        """The next level of the series, or the first one of the next."""
+        places, step = self._places(answers)
+        return None if len(places) == self.repeats else Probe(self.levels[step], track=len(places))
+
+    def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
+        """Mean over the series that have ended, and Student's interval of it.
+
+        It is infinite for a single series, and for series that scatter by no more than rounding to the levels makes;
+        where all of these lie beyond the levels, the end of the levels is the bound.
+        """
+        series = self.series(answers)
+        if not series:
+            return Estimate(
+                value=math.nan, low=0.0, high=math.inf, share=math.nan, censored="", hits=len(answers)
+            )
+        limits = np.array([one.limit for one in series])
+        sides = {one.censored for one in series}
+        censored: Censored = "above" if "above" in sides else "below" if sides == {"below"} else ""
+        value, half = float(limits.mean()), math.inf
+        step = step_at(self.levels, value)
+        deviation = float(limits.std(ddof=1)) if len(limits) > 1 else math.nan
+        if is_resolved(deviation, rounding_deviation(step)):
+            half = float(stats.t.ppf(0.975, len(limits) - 1) * deviation / math.sqrt(len(limits)))
+        elif len(limits) > 1 and censored:
+            half = 0.0
+        low, high = open_interval(censored, value, max(0.0, value - half), value + half)
+        estimate = Estimate(
+            value=value,
+            low=low,
+            high=high,
+            share=math.nan,
+            censored=censored,
+            hits=len(answers),
+            step=step,
+        )
+        return mark_contradictions(estimate, verdicts_of(answers))
+
+    def series(self, answers: Sequence[JudgedProbe]) -> tuple[AscendingSeries, ...]:
+        """Return the series that have ended, in their order."""
+        return tuple(self._series(place) for place in self._places(answers)[0])
+
+    def _series(self, place: int) -> AscendingSeries:
+        side: Censored = "below" if place == 0 else "above" if place == len(self.levels) else ""
+        return AscendingSeries(self.levels[max(place - 1, 0)], side)
+
+    def _places(self, answers: Sequence[JudgedProbe]) -> tuple[list[int], int]:
+        """Stable levels of each series that has ended, and the step of the one that has not."""
+        places: list[int] = []
+        step = 0
+        for _, stable in verdicts_of(answers):
+            if stable:
+                step += 1
+            if not stable or step == len(self.levels):
+                places.append(step)
+                step = 0
+        return places, step

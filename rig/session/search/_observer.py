@@ -1,0 +1,144 @@
+"""A simulated observer, and what each rule makes of it: bias, scatter, hits, and whether the intervals are honest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from rig.session.search._psychometric import share_stable
+from rig.session.search._rule import JudgedProbe, Rule
+
+Making = Callable[
+    ..., Rule
+]  # makes a rule from `seed=`, like `functools.partial(rig.session.search.make, "psi", levels=…)`
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Observer:
+    """An observer whose verdicts follow the psychometric function (`rig.session.search._psychometric`).
+
+    `threshold` is K50, `spread` how gradually verdicts change, `lapse_rate` the share of verdicts turned round, as
+    when a finger takes the wrong key.
+    """
+
+    threshold: float
+    spread: float
+    lapse_rate: float = 0.0
+
+    def judge(self, stiffness: float, drawn: np.random.Generator) -> bool:
+        """Draw one verdict of this observer: True for stable."""
+        return bool(drawn.random() < share_stable(stiffness, self.threshold, self.spread, self.lapse_rate))
+
+    def level_of(self, share: float) -> float:
+        """Stiffness with this share of stable verdicts, lapses left aside."""
+        return float(self.threshold + self.spread * np.log((1.0 - share) / share))
+
+
+def run(rule: Rule, observer: Observer, seed: int, most: int = 100_000) -> list[JudgedProbe]:
+    """Answers of an observer until the rule has enough, or `most` of them; the same seed gives the same."""
+    drawn = np.random.default_rng(seed)
+    answers: list[JudgedProbe] = []
+    while len(answers) < most and (probe := rule.next(answers)) is not None:
+        answers.append(JudgedProbe(probe, observer.judge(probe.level, drawn)))
+    return answers
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Performance:
+    """What a rule made of an observer over many sessions; stiffnesses in the units of the levels.
+
+    Attributes
+    ----------
+    bias, scatter
+        Mean and standard deviation of the estimate less the stiffness that the rule aims at (K50 for the ascending
+        rule, which aims at none); NaN where no session gave an estimate.
+    hits
+        Mean of the verdicts that a session cost.
+    covered
+        Share of 95 % intervals that hold the stiffness aimed at.
+    width
+        Median width of the intervals.
+    above, below
+        Share of sessions that put the limit above the levels, and below them.
+    """
+
+    rule: str
+    observer: Observer
+    sessions: int
+    bias: float
+    scatter: float
+    hits: float
+    covered: float
+    width: float
+    above: float
+    below: float
+
+    @property
+    def censored(self) -> float:
+        """Share of sessions that put the limit beyond the levels."""
+        return self.above + self.below
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values."""
+        return {**asdict(self), "observer": asdict(self.observer)}
+
+
+def study(
+    rules: Mapping[str, Making],
+    observers: Sequence[Observer],
+    sessions: int,
+    *,
+    seed: int = 0,
+    off_lattice: float = 0.0,
+) -> list[Performance]:
+    """Run each observer through each rule `sessions` times; see `performance`."""
+    return [
+        performance(name, make, observer, sessions, seed=seed, off_lattice=off_lattice)
+        for observer in observers
+        for name, make in rules.items()
+    ]
+
+
+def performance(
+    name: str, make: Making, observer: Observer, sessions: int, *, seed: int = 0, off_lattice: float = 0.0
+) -> Performance:
+    """Simulate one rule with one observer and return its performance.
+
+    Parameters
+    ----------
+    name
+        Of the rule, for the result.
+    make
+        Makes the rule of one session from `seed=`.
+    seed
+        Of all sessions; each has one of its own for rule and observer.
+    off_lattice
+        Half a range about K50 from which each session draws the observer's own: half a step of the levels, so that it
+        does not matter where K50 lies between two of them.
+    """
+    errors, found = [], []
+    for one in np.random.SeedSequence(seed).generate_state(sessions, np.uint64).tolist():
+        drawn = np.random.default_rng([one, 1]).uniform(-off_lattice, off_lattice)
+        person = replace(observer, threshold=observer.threshold + drawn)
+        rule = make(seed=one)
+        estimate = rule.estimate(run(rule, person, one))
+        truth = person.level_of(estimate.share if math.isfinite(estimate.share) else 0.5)
+        found.append(estimate)
+        errors.append((estimate.value - truth, estimate.low <= truth <= estimate.high))
+    off = np.array([error for error, _ in errors if math.isfinite(error)])
+    return Performance(
+        rule=name,
+        observer=observer,
+        sessions=sessions,
+        bias=float(off.mean()) if len(off) else math.nan,
+        scatter=float(off.std()) if len(off) else math.nan,
+        hits=float(np.mean([one.hits for one in found])),
+        covered=float(np.mean([inside for _, inside in errors])),
+        width=float(np.median([one.high - one.low for one in found])),
+        above=float(np.mean([one.censored == "above" for one in found])),
+        below=float(np.mean([one.censored == "below" for one in found])),
+    )

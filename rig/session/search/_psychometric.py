@@ -1,0 +1,197 @@
+"""The psychometric function of walls, and what answers say of it: a posterior on a grid.
+
+    P(stable | K) = λ + (1 − 2 λ) / (1 + exp((K − K50) / s))
+
+K50 is where half of the verdicts are stable, s the spread, λ the lapse rate: the share of verdicts turned round, as
+likely one way as the other. The posterior is computed on a grid of the three: no fit can fail to converge, and a few
+answers give a wide interval instead of none. Lapse rate and spread are integrated out (the marginal of Prins, Journal
+of Vision 13(7):3, 2013, of the Psi method of Kontsevich and Tyler, Vision Research 39, 1999).
+
+The prior is flat over K50 where levels are a step apart, and over log K50 where they are a ratio apart, from half a
+range below the levels to half a range above them: the limit is as likely between any two levels as between any other
+two. It is flat over log s, from a quarter of the smallest step to 0.35 of the range, and over the values of λ in
+`LAPSE_RATES`. Beyond the levels hardly anything but the prior says where a limit lies, so that no more than the side is
+reported (`Located`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.session.search._rule import Censored
+
+Floats = NDArray[np.float64]
+
+LEAST_THRESHOLDS, MOST_THRESHOLDS = 121, 241  # values of K50
+FINENESS = (
+    0.4  # of the smallest step, from value to value: coarser ones miss steep observers between two levels
+)
+SPREADS = 10
+LAPSE_RATES = (0.0, 0.01, 0.02, 0.04, 0.08)
+LEAST_SPREAD = 0.25  # of the smallest step
+MOST_SPREAD = 0.35  # of the range; cut off at a quarter, the posterior of a gradual observer was too narrow
+
+
+def share_stable(
+    stiffness: Floats | float, threshold: float, spread: float, lapse_rate: float = 0.0
+) -> Floats:
+    """Share of stable verdicts at a stiffness."""
+    odds = np.clip((np.asarray(stiffness, dtype=np.float64) - threshold) / spread, -700.0, 700.0)
+    return np.asarray(lapse_rate + (1.0 - 2.0 * lapse_rate) / (1.0 + np.exp(odds)))
+
+
+@dataclass(frozen=True)
+class PsychometricGrid:
+    """The grid for a set of levels (stiffnesses, rising). `log_share` is made once for all levels."""
+
+    levels: tuple[float, ...]
+
+    @cached_property
+    def edges(self) -> Floats:
+        """Ends of the ranges that the values of K50 stand for, shape (thresholds + 1,)."""
+        if _ratio_apart(self.levels):
+            return np.asarray(np.exp(_edges(np.log(self.levels), -math.inf)))
+        return _edges(np.array(self.levels), 0.0)
+
+    @cached_property
+    def thresholds(self) -> Floats:
+        """Return the grid's values of K50, shape (thresholds,)."""
+        return np.asarray((self.edges[:-1] + self.edges[1:]) / 2.0)
+
+    @cached_property
+    def spreads(self) -> Floats:
+        """Return the grid's values of the spread s, shape (spreads,)."""
+        least = LEAST_SPREAD * np.diff(self.levels).min()
+        return np.geomspace(
+            least, max(MOST_SPREAD * (self.levels[-1] - self.levels[0]), 2.0 * least), SPREADS
+        )
+
+    @cached_property
+    def shares(self) -> Floats:
+        """Share of stable verdicts, shape (levels, thresholds, spreads, lapse rates)."""
+        level = np.array(self.levels)[:, None, None, None]
+        lapses = np.array(LAPSE_RATES)
+        odds = (level - self.thresholds[:, None, None]) / self.spreads[:, None]
+        return np.asarray(lapses + (1.0 - 2.0 * lapses) / (1.0 + np.exp(np.clip(odds, -700.0, 700.0))))
+
+    @cached_property
+    def logs(self) -> tuple[Floats, Floats]:
+        """Logarithms of the shares of stable and of other verdicts."""
+        with np.errstate(divide="ignore"):
+            return np.log(self.shares), np.log1p(-self.shares)
+
+    @cached_property
+    def _latest(self) -> list[tuple[tuple[tuple[float, bool], ...], Floats]]:
+        """Verdicts and log likelihood of the latest posterior: the next is mostly of the same and one verdict more."""
+        return [((), np.zeros(self.shares.shape[1:]))]
+
+    def posterior(self, verdicts: Sequence[tuple[float, bool]]) -> Floats:
+        """Probability of each grid point after these verdicts (level, stable), shape as one level of `shares`."""
+        known, log = self._latest[0]
+        if tuple(verdicts[: len(known)]) != known:  # other verdicts than in the cache
+            known, log = (), np.zeros(self.shares.shape[1:])
+        stable, other = self.logs
+        for level, verdict in verdicts[len(known) :]:
+            log = log + (stable if verdict else other)[self.levels.index(level)]
+        self._latest[0] = tuple(verdicts), log
+        weights = np.exp(log - log.max())
+        return np.asarray(weights / weights.sum())
+
+    def quantiles(self, posterior: Floats, share: float, probabilities: Sequence[float]) -> Floats:
+        """Quantiles of the stiffness at which `share` of the verdicts are stable, lapses aside; none below zero.
+
+        Each K50 of the grid counts as the range between its edges: that is not small against what some dozens of
+        verdicts tell, and intervals between bare points would be too narrow.
+        """
+        shifts = self.spreads * math.log((1.0 - share) / share)
+        at = np.unique(self.edges + shifts[:, None])  # the distribution function is straight between these
+        below = np.zeros(len(at))
+        for shift, weights in zip(shifts, posterior.sum(axis=2).T, strict=True):
+            below += np.interp(at, self.edges + shift, np.concatenate(([0.0], np.cumsum(weights))))
+        return np.asarray(np.maximum(np.interp(np.asarray(probabilities) * below[-1], below, at), 0.0))
+
+
+@lru_cache(maxsize=16)
+def of_levels(levels: tuple[float, ...]) -> PsychometricGrid:
+    """The grid for these levels, made once."""
+    return PsychometricGrid(levels)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Located:
+    """Where verdicts put a stiffness: value, interval of 95 %, and the end of the levels beyond which it lies, if any.
+
+    Beyond the levels nothing is known but the side: `value` is the last level then, and the interval open, up to
+    infinity or down to zero.
+    """
+
+    value: float
+    low: float
+    high: float
+    censored: Censored
+
+
+def locate(levels: tuple[float, ...], verdicts: Sequence[tuple[float, bool]], share: float = 0.5) -> Located:
+    """Find the stiffness with this share of stable verdicts, whatever rule asked for them.
+
+    The value is the posterior median. Not the mean, because after few verdicts the only one that was not stable may
+    have been a lapse: the posterior has a long tail upwards that pulls the mean along.
+
+    Beyond the levels lies a stiffness whose median does. Where all verdicts are of one kind, it lies beyond the walls
+    that were judged, which need not be all levels yet.
+    """
+    if not verdicts:
+        return Located(value=math.nan, low=0.0, high=math.inf, censored="")
+    grid = of_levels(levels)
+    low, middle, high = (
+        float(one) for one in grid.quantiles(grid.posterior(verdicts), share, (0.025, 0.5, 0.975))
+    )
+    kinds, judged = {stable for _, stable in verdicts}, [level for level, _ in verdicts]
+    side: Censored = ""
+    end = middle
+    if kinds == {True} or middle > levels[-1]:
+        side, end = "above", levels[-1] if False in kinds else max(judged)
+    elif kinds == {False} or middle < levels[0]:
+        side, end = "below", levels[0] if True in kinds else min(judged)
+    low, high = open_interval(side, end, low, high)
+    return Located(value=end, low=low, high=high, censored=side)
+
+
+def open_interval(side: Censored, end: float, low: float, high: float) -> tuple[float, float]:
+    """Open an interval on the side where a stiffness lies beyond an end; the same where it lies beyond none."""
+    if side == "above":
+        return min(low, end), math.inf
+    return (0.0, max(high, end)) if side == "below" else (low, high)
+
+
+def interval(
+    levels: tuple[float, ...], verdicts: Sequence[tuple[float, bool]], share: float
+) -> tuple[float, float]:
+    """Interval of 95 % for the stiffness with this share of stable verdicts, whatever rule asked for them."""
+    grid = of_levels(levels)
+    low, high = grid.quantiles(grid.posterior(verdicts), share, (0.025, 0.975))
+    return float(low), float(high)
+
+
+def _edges(levels: Floats, least: float) -> Floats:
+    """Even ranges from half a range below the levels, or `least`, to half a range above."""
+    half = (levels[-1] - levels[0]) / 2.0
+    low, high = max(levels[0] - half, least), levels[-1] + half
+    wanted = math.ceil((high - low) / (FINENESS * np.diff(levels).min()))
+    return np.linspace(low, high, min(max(wanted, LEAST_THRESHOLDS), MOST_THRESHOLDS) + 1)
+
+
+def _ratio_apart(levels: Sequence[float]) -> bool:
+    """Return True if the levels are more evenly spaced in their logarithm than as they are."""
+
+    def unevenness(values: Floats) -> float:
+        steps = np.diff(values)
+        return float(steps.std() / steps.mean())
+
+    return unevenness(np.log(levels)) < unevenness(np.asarray(levels))

@@ -1,0 +1,147 @@
+"""Up-down rules: stiffer after stable verdicts, softer after another, with steps that shrink at each turn.
+
+With `stable_to_rise` = 1 it settles where half of the verdicts are stable; with n, where their share to the n-th power
+is a half: 0.71 for 2, 0.79 for 3 (Levitt, Journal of the Acoustical Society of America 49, 1971; "1-up-1-down",
+"1-up-2-down", "1-up-3-down", where up means softer).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rig.core.errors import ConfigError
+from rig.session.search import _psychometric as psychometric
+from rig.session.search._resolution import step_at
+from rig.session.search._rule import (
+    Censored,
+    Estimate,
+    JudgedProbe,
+    Probe,
+    check_whole,
+    checked_levels,
+    mark_contradictions,
+    verdicts_of,
+)
+
+EDGE_VERDICTS = 3  # in a row at an end of the levels, which it cannot leave: the limit lies beyond
+
+
+@dataclass(slots=True)
+class _Walk:
+    """Where a staircase stands after some verdicts."""
+
+    place: int
+    direction: int
+    pressed: int  # verdicts in a row that wanted beyond the end
+    turns: Sequence[tuple[int, bool]]  # place, and whether the smallest step was active
+    hits: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Staircase:
+    """One track.
+
+    Parameters
+    ----------
+    levels
+        Stiffnesses, rising.
+    stable_to_rise
+        Stable verdicts in a row before the wall gets stiffer.
+    start
+        Level to begin with; the middle one unless given.
+    steps
+        Sizes of steps in levels, one for each turn, the last one for all that follow.
+    turns
+        Turns at the smallest step that are enough.
+    most
+        Verdicts after which it ends in any case; a limit without its turns is marked (`Estimate.mark`).
+    seed
+        Not used: the rule draws nothing.
+    """
+
+    levels: Sequence[float]
+    stable_to_rise: int = 1
+    start: float | None = None
+    steps: Sequence[int] = (4, 2, 1)
+    turns: int = 8
+    most: int = 60
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        levels = checked_levels(self.levels)
+        object.__setattr__(self, "levels", levels)
+        object.__setattr__(self, "steps", tuple(self.steps))
+        check_whole("stable_to_rise", self.stable_to_rise, 1, 10)
+        check_whole("turns", self.turns, 2, 1000)
+        check_whole("most", self.most, 1, 100_000)
+        if not self.steps:
+            raise ConfigError("the staircase needs at least one step", remedy="give steps, like [4, 2, 1]")
+        for step in self.steps:
+            check_whole("steps", step, 1, len(levels) - 1)
+        if self.start is not None and self.start not in levels:
+            raise ConfigError(f"start = {self.start:g} is not one of the levels", remedy="choose one of them")
+
+    @property
+    def share(self) -> float:
+        """Share of stable verdicts where it settles."""
+        return float(0.5 ** (1.0 / self.stable_to_rise))
+
+    def next(self, answers: Sequence[JudgedProbe], track: int = 0) -> Probe | None:
+        """The level where the track stands, or None when it has turned often enough."""
+        walk = self.walk(verdicts_of(answers, track))
+        return None if self.has_ended(walk) else Probe(self.levels[walk.place], track=track)
+
+    def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
+        """Mean of the turns at the smallest step, and the interval that all verdicts together give."""
+        verdicts = verdicts_of(answers, 0)
+        return self.estimate_of(self.walk(verdicts), verdicts, len(answers))
+
+    def walk(self, verdicts: Sequence[tuple[float, bool]]) -> _Walk:
+        """Follow the staircase through verdicts; return its place, step and turns."""
+        top, last = len(self.levels) - 1, len(self.steps) - 1
+        place = len(self.levels) // 2 if self.start is None else list(self.levels).index(self.start)
+        step = direction = run = pressed = 0
+        turns = []
+        for _, stable in verdicts:
+            run = run + 1 if stable else 0
+            if stable and run < self.stable_to_rise:
+                continue
+            before, direction, run = direction, 1 if stable else -1, 0
+            if before == -direction:
+                turns.append((place, step == last))
+                step = min(step + 1, last)
+            pressed = pressed + 1 if place == (top if stable else 0) else 0
+            place = min(max(place + direction * self.steps[step], 0), top)
+        return _Walk(place, direction, pressed, turns, len(verdicts))
+
+    def has_ended(self, walk: _Walk) -> bool:
+        """Return True if it knows enough, or cannot know more on these levels."""
+        fine = sum(1 for _, smallest in walk.turns if smallest)
+        return fine >= self.turns or walk.hits >= self.most or walk.pressed >= EDGE_VERDICTS
+
+    def estimate_of(self, walk: _Walk, verdicts: Sequence[tuple[float, bool]], hits: int) -> Estimate:
+        """The limit that a walk shows."""
+        fine = [self.levels[place] for place, smallest in walk.turns if smallest]
+        places = fine[len(fine) % 2 :] or [self.levels[place] for place, _ in walk.turns]
+        low, high = psychometric.interval(tuple(self.levels), verdicts, self.share)
+        value = sum(places) / len(places) if places else math.nan
+        censored: Censored = ""
+        if walk.pressed >= EDGE_VERDICTS:
+            censored = "above" if walk.direction > 0 else "below"
+            value = self.levels[-1] if walk.direction > 0 else self.levels[0]
+        low, high = psychometric.open_interval(censored, value, low, high)
+        ended_by_most = not censored and len(fine) < self.turns and walk.hits >= self.most
+        estimate = Estimate(
+            value=value,
+            low=low,
+            high=high,
+            share=self.share,
+            censored=censored,
+            hits=hits,
+            step=step_at(self.levels, value) * self.steps[-1],
+            mark=f"ended by most after {len(fine)} of {self.turns} turns" if ended_by_most else "",
+            ended_by_most=ended_by_most,
+        )
+        return mark_contradictions(estimate, verdicts)

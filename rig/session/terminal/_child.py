@@ -1,0 +1,181 @@
+"""The console as a process: started on a terminal, read by a thread, ended, and the terminal restored."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from contextlib import ExitStack, suppress
+from queue import SimpleQueue
+from typing import Any
+
+from rig.core.child import with_this_package
+from rig.core.errors import RigError
+from rig.session.terminal import _terminal as terminal
+from rig.session.terminal._messages import MessageReader, line_of
+
+assert sys.platform != "win32"
+
+MOST_PENDING = 1 << 20  # bytes for a console that does not read: it hangs
+END_S = 2.0  # how long it may take to give the terminal back
+READ_BYTES = 65536
+
+Message = dict[str, Any]
+
+
+class Child:
+    """One console process.
+
+    Parameters
+    ----------
+    place
+        Descriptor of its terminal.
+    before
+        How the terminal was set.
+    setup
+        Content of the first message.
+    inbox
+        Where its messages go, with this object.
+
+    Attributes
+    ----------
+    heard_s
+        Time of its last message (s, monotonic), at first of its start.
+    greeted
+        Whether it has sent a message.
+    """
+
+    def __init__(
+        self,
+        place: int,
+        before: list[Any],
+        setup: Message,
+        inbox: SimpleQueue[tuple[Child, Message]],
+    ) -> None:
+        self._place, self._before = place, before
+        self._inbox = inbox
+        self._pending = bytearray()
+        self._closed = False
+        self.greeted = False
+        try:
+            with ExitStack() as ours:
+                self._start(ours)
+                ours.pop_all()
+        except (OSError, RuntimeError) as error:  # RuntimeError: no thread
+            raise RigError(
+                f"the console cannot be started: {getattr(error, 'strerror', None) or error}",
+                remedy="free memory, processes or open files, then resume the session",
+            ) from error
+        self.say("setup", **setup)
+
+    def _start(self, ours: ExitStack) -> None:
+        """Start process and thread; on `ours` is what must go if one of them cannot be had."""
+
+        def owned(stack: ExitStack, *descriptors: int) -> None:
+            for descriptor in descriptors:
+                stack.callback(os.close, descriptor)
+
+        with ExitStack() as theirs:
+            self._complaints = _nameless()
+            owned(ours, self._complaints)
+            theirs_in, self._to = os.pipe()
+            owned(theirs, theirs_in)
+            owned(ours, self._to)
+            self._from, theirs_out = os.pipe()
+            owned(theirs, theirs_out)
+            owned(ours, self._from)
+            os.set_blocking(self._to, False)
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "rig.session.terminal", str(theirs_in), str(theirs_out)],
+                stdin=self._place,
+                stdout=self._place,
+                stderr=self._complaints,
+                pass_fds=(theirs_in, theirs_out),
+                env=with_this_package(),
+            )
+        ours.callback(self._process.wait)
+        ours.callback(self._process.kill)
+        self.heard_s = time.monotonic()
+        self._reader = threading.Thread(target=self._listen, name="rig-console", daemon=True)
+        self._reader.start()
+
+    @property
+    def pid(self) -> int:
+        """Return the id of the process."""
+        return self._process.pid
+
+    @property
+    def dead(self) -> bool:
+        """Return True if it has ended."""
+        return self._process.poll() is not None
+
+    @property
+    def silent_s(self) -> float:
+        """Time since its last message (s)."""
+        return time.monotonic() - self.heard_s
+
+    def say(self, kind: str, **content: Any) -> None:
+        """Send a message; never waits for a console that does not read."""
+        if not self._closed:
+            self._pending += line_of(kind, **content)
+            self.flush()
+
+    def flush(self) -> None:
+        """Send what a full pipe left behind."""
+        with suppress(BlockingIOError, BrokenPipeError):
+            while self._pending and not self._closed:
+                del self._pending[: os.write(self._to, self._pending)]
+        if len(self._pending) > MOST_PENDING:
+            self.kill()
+
+    def complaint(self) -> str:
+        """The last line of what it wrote to standard error; empty when it wrote none."""
+        length = os.fstat(self._complaints).st_size
+        text = os.pread(self._complaints, 4096, max(0, length - 4096)).decode(errors="replace")
+        lines = [line.strip() for line in text.splitlines() if line.strip()]
+        return lines[-1] if lines else ""
+
+    def kill(self) -> None:
+        """End it at once, also when it is stopped."""
+        with suppress(ProcessLookupError):
+            self._process.send_signal(signal.SIGKILL)
+
+    def close(self, *, last: bool = True) -> None:
+        """Ask it to go, make it go, and see to the terminal, unless another one takes it over. Cannot raise."""
+        if self._closed:
+            return
+        if not self.dead:
+            self.say("end")
+            self._reader.join(END_S)  # reads the end of the pipe at once: `wait` polls ever more rarely
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(0.0 if self._reader.is_alive() else END_S)
+        if not self.dead:
+            self.kill()
+            self._process.wait()
+        if last:
+            terminal.give_back(self._place, self._before)
+        self._closed = True
+        self._reader.join(END_S)
+        os.close(self._to)
+        os.close(self._complaints)
+
+    def _listen(self) -> None:
+        lines = MessageReader()
+        try:
+            while data := os.read(self._from, READ_BYTES):
+                self.heard_s, self.greeted = time.monotonic(), True
+                for message in lines.feed(data):
+                    if message["kind"] != "alive":
+                        self._inbox.put((self, message))
+        finally:
+            os.close(self._from)
+
+
+def _nameless() -> int:
+    """A file that goes with its descriptor."""
+    with tempfile.TemporaryFile(buffering=0) as file:
+        return os.dup(file.fileno())

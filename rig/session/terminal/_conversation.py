@@ -1,0 +1,253 @@
+"""What the console shows and asks, and what a key does then. Touches no terminal, no pipe and no clock.
+
+A key answers only the question that stands there when it is pressed: what is typed during a hit is no verdict about it,
+and a key that is still down from before answers nothing (`held`).
+Pause, note and abort may be asked for at any time, and wait for the next question. The key of STOP is STOP in every
+mode, but in a line that is being typed while nothing moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, cast
+
+from rig.session.engine._desk import Action, DeskView, Question
+from rig.session.planning._items import describe_answer, parse_answer
+from rig.session.planning._keymap import HELP, STOP, VERDICTS, KeyMap
+from rig.session.terminal._held import RELEASED_S, HeldKeys
+from rig.session.terminal._pointer import HandKind
+
+LATER: tuple[Action, ...] = ("pause", "note", "abort")  # may be requested while no question is open
+TWICE: dict[Action, str] = {  # what a wrong key must not do
+    "abort": "leave the session (it can be resumed)",
+    "skip": "leave this run without a limit",
+}
+BACK = (HELP, "enter", "escape")  # what leaves the page of the keys, and does nothing else
+MOST_TEXT = 500
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What goes back: an action, with a verdict, an answer or a text."""
+
+    action: Action
+    value: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class StopPressed:
+    """Zero effort, now."""
+
+
+Decision = Answer | StopPressed
+
+
+@dataclass(slots=True)
+class TextEntry:
+    """A line that is being typed: a note, or the answer to an item."""
+
+    purpose: Literal["note", "item"]
+    text: str = ""
+
+
+class Conversation:
+    """State of the console.
+
+    Attributes
+    ----------
+    view
+        What the console shows.
+    question
+        The open question; None while the session does something.
+    asked
+        How many questions came so far: the same one asked again is another one.
+    due_s
+        When a rest is over (s, the caller's clock).
+    entry
+        The line that is being typed, if any.
+    twice
+        What the next key must confirm, if anything.
+    later
+        What waits for the next question.
+    live
+        Whether a loop runs; the caller says so.
+    notice
+        What the last key came to, when that was not what it was pressed for.
+    help
+        Whether the keys are shown.
+    hand
+        What moves the simulated hand here, if anything.
+    held
+        Keys that were down before the question.
+    """
+
+    def __init__(self, keymap: KeyMap, hand: HandKind | None = None) -> None:
+        self.keymap, self.hand = keymap, hand
+        self.held = HeldKeys()
+        self.view = DeskView(state="starting")
+        self.question: Question | None = None
+        self.asked = 0
+        self.due_s = 0.0
+        self.entry: TextEntry | None = None
+        self.twice: Action | None = None
+        self.later: Action | None = None
+        self.live = False
+        self.notice = ""
+        self.help = False
+
+    def see(self, view: Mapping[str, Any]) -> None:
+        """Replace the view that the console shows."""
+        self.view = DeskView(**{**view, "lines": tuple(view.get("lines", ()))})
+
+    def ask(self, question: Mapping[str, Any], now_s: float) -> list[Decision]:
+        """Take a new question; what waited for it is answered at once."""
+        asked = Question(**{**question, "actions": tuple(question["actions"])})
+        self.question, self.due_s = asked, now_s + asked.seconds
+        self.held.ask(now_s)
+        self.asked += 1
+        self.entry, self.twice, self.notice = None, None, ""
+        self.help = False  # whatever ends a hit asks something: nothing may cover that
+        later, self.later = self.later, None
+        if later is not None and later in asked.actions:
+            return self._act(later, sure=True)
+        if asked.kind == "item":
+            self.entry = TextEntry("item")
+        return []
+
+    def pass_time(self, now_s: float) -> list[Decision]:
+        """End a rest that is over, unless the operator is typing."""
+        if self.left_s(now_s) > 0.0 or self.entry or self.twice or not self._resting:
+            return []
+        return self._answer(Answer("go"))
+
+    def left_s(self, now_s: float) -> float:
+        """Return the remaining time of a rest (s)."""
+        return max(0.0, self.due_s - now_s) if self._resting else 0.0
+
+    @property
+    def _resting(self) -> bool:
+        return self.question is not None and self.question.kind == "rest" and self.question.seconds > 0.0
+
+    @property
+    def moving(self) -> bool:
+        """Return True if the handle may move: a loop runs, or no question is open."""
+        return self.live or self.question is None
+
+    @property
+    def allowed(self) -> tuple[Action, ...]:
+        """Return the actions that may be answered now."""
+        return () if self.question is None else self.question.actions
+
+    def press(self, key: str, now_s: float | None = None) -> list[Decision]:
+        """Handle a key that arrives at `now_s` (s, the caller's clock; None: it cannot have been held before)."""
+        self.notice = ""
+        is_new = now_s is None or self.held.arrive(key, now_s)
+        if key == STOP and (self.moving or self.entry is None):
+            self.notice = "STOP" if self.moving else "STOP: nothing is moving"
+            self.help = False
+            return [StopPressed()]
+        if self.help:
+            self.help = False  # a key acts as the page says, except for those that only close it (`BACK`)
+            if key in BACK:
+                return []
+        is_text = self.entry is not None and (key != "enter" or self.entry.text)
+        if not (is_new or is_text or self.question is None):
+            self.notice = (
+                f"{key} was held down before the question; release it for {RELEASED_S:g} s, then press it"
+            )
+            return []
+        if self.twice is not None:
+            return self._confirm(key)
+        if self.entry is not None:
+            return self._type(key, self.entry)
+        return self._mean(self.keymap.meaning(key), key)
+
+    def line(self, text: str) -> list[Decision]:
+        """A line that was typed as a whole, where one is wanted."""
+        if self.entry is None:
+            return []
+        self.entry.text = "".join(one for one in text if one.isprintable())[:MOST_TEXT]
+        return self._typed(self.entry)
+
+    def _mean(self, meaning: str, key: str) -> list[Decision]:
+        if meaning == "help":
+            self.help = True
+            return []
+        if not meaning:
+            self.notice = f"{key} has no function (? lists the keys)"
+            return []
+        action: Action = "judge" if meaning in VERDICTS else cast("Action", meaning)
+        if action in self.allowed:
+            return self._answer(Answer("judge", meaning)) if action == "judge" else self._act(action)
+        if self.question is not None and self.question.kind == "item" and action == "go":
+            self.entry = TextEntry("item")
+            return []
+        if action in LATER and self.question is None:
+            return self._act(action) if action in TWICE else self._remember(action)
+        self.notice = f"{meaning} is not possible now"
+        return []
+
+    def _act(self, action: Action, *, sure: bool = False) -> list[Decision]:
+        if action == "note":
+            self.entry = TextEntry("note")
+            return []
+        if action in TWICE and not sure:
+            self.twice = action
+            self.held.ask_again()  # the same key confirms, but not by being held
+            return []
+        return self._answer(Answer(action))
+
+    def _remember(self, action: Action) -> list[Decision]:
+        self.later = action
+        self.notice = f"{action}: will follow when this is over"
+        return []
+
+    def _confirm(self, key: str) -> list[Decision]:
+        action, self.twice = self.twice, None
+        assert action is not None
+        if key.lower() != "y" and self.keymap.meaning(key) != action:
+            self.notice = f"{action}: cancelled"
+            return []
+        if action in self.allowed:
+            return self._answer(Answer(action))
+        self._remember(action)
+        return [StopPressed()] if self.moving else []
+
+    def _answer(self, answer: Answer) -> list[Decision]:
+        self.question, self.entry, self.twice = None, None, None
+        return [answer]
+
+    def _type(self, key: str, entry: TextEntry) -> list[Decision]:
+        if key == "enter":
+            return self._typed(entry)
+        if key == "escape":
+            self.entry = None
+        elif key == "backspace":
+            entry.text = entry.text[:-1]
+        elif key == "ctrl+u":
+            entry.text = ""
+        elif key == STOP or len(key) == 1:
+            entry.text = (entry.text + (" " if key == STOP else key))[:MOST_TEXT]
+        return []
+
+    def _typed(self, entry: TextEntry) -> list[Decision]:
+        text = entry.text.strip()
+        if entry.purpose == "note":
+            if text:
+                return self._answer(Answer("note", text))
+            self.entry = None  # an empty note is not stored
+            return []
+        value = self._answer_of(text)
+        if value is None:
+            entry.text = ""
+            return []
+        return self._answer(Answer("answer", value))
+
+    def _answer_of(self, text: str) -> str | None:
+        """An answer to the item as the session takes it; None, with a notice, when it is not one."""
+        item = (self.question.item if self.question is not None else None) or {"kind": "text"}
+        value = parse_answer(item, text)
+        if value is None:
+            self.notice = describe_answer(item)
+        return None if value is None else str(value)

@@ -1,0 +1,50 @@
+"""Lines between the session's program and its console: one JSON object each, with its kind.
+
+==========  =========  ============================================================================================
+from        kind       content
+==========  =========  ============================================================================================
+session     setup      pid of the program, keys, how the terminal was set, hand (null, or where it is moved)
+session     view       `rig.session.engine._desk.DeskView`
+session     ask        number (counts up), `rig.session.engine._desk.Question`
+session     end        give the terminal back and go
+console     alive      a few times a second, as long as it is
+console     reply      number of the question, action, value
+console     stop       the operator requests zero effort; the loop's stop word is set already, where there is one
+console     gone       no answer can come any more: why
+==========  =========  ============================================================================================
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+MOST_BYTES = 1 << 20  # of an unfinished line: more is not ours
+
+
+def line_of(kind: str, **content: Any) -> bytes:
+    """One message as it goes through the pipe."""
+    return json.dumps({"kind": kind, **content}).encode() + b"\n"
+
+
+class MessageReader:
+    """Bytes in, messages out; what is no message is left out."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def feed(self, data: bytes) -> Iterator[dict[str, Any]]:
+        """Yield what the bytes so far complete."""
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        if len(self._rest) > MOST_BYTES:
+            self._rest = b""
+        for line in lines:
+            try:
+                value = json.loads(line)
+            except ValueError:  # also of bytes that are not UTF-8
+                continue
+            except RecursionError:
+                continue
+            if isinstance(value, dict) and isinstance(value.get("kind"), str):
+                yield value

@@ -1,0 +1,163 @@
+"""A seat at a session's desk, whatever shows it: what stands there, what a key does, and the hand that is moved.
+
+A terminal (`rig.session.terminal._program`) and a page (`rig.extras.console.sessions`) give it messages and keys, and
+show what it has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from rig.core.errors import ConfigError
+from rig.realtime import running
+from rig.session.planning._keymap import KeyMap
+from rig.session.terminal._conversation import Conversation, Decision, StopPressed
+from rig.session.terminal._live import LiveLoop, Snapshot
+from rig.session.terminal._pointer import KEYS, START_SHARE, HandKind, Pointer, PointerTarget
+
+if TYPE_CHECKING:  # a console, started anew within a hit, loads no loop
+    from rig.session.engine._runner import TrialRunner
+    from rig.session.planning._protocol import Keys
+
+PRESS_N = 4.0  # of a hand whose experiment does not say: that of a normal grip (`rig.core.operators`)
+
+
+class SeatHand:
+    """The simulated hand that the operator moves at this seat.
+
+    Parameters
+    ----------
+    kind
+        By what.
+    press
+        Force of a full press (N).
+    hand
+        Where its intention goes.
+    """
+
+    def __init__(self, kind: HandKind, press: float, hand: PointerTarget) -> None:
+        self.kind = kind
+        self.pointer = Pointer(press)
+        self._hand = hand
+
+    def key(self, name: str) -> bool:
+        """Return True if the key moved the hand."""
+        return self.kind == "keyboard" and self.pointer.key(name)
+
+    def begin(self) -> None:
+        """Be back at the start: keys that led into the last wall would touch the next one in free space."""
+        if self.kind == "keyboard":
+            self.pointer.point(START_SHARE, held=False)
+
+    def hold(self) -> None:
+        """Send the intention again: a hand without new intentions rests."""
+        intention = self.pointer.intention
+        if intention is not None:
+            self._hand.move(*intention)
+
+    def close(self) -> None:
+        """Release the simulated hand."""
+        self._hand.close()
+
+
+class Seat:
+    """See the module.
+
+    Parameters
+    ----------
+    setup
+        Content of the session's first message: its process, the keys.
+    say
+        Sends the session a message.
+    hand
+        The simulated hand that is moved here, if any.
+
+    Attributes
+    ----------
+    talk
+        What is shown and asked.
+    snapshot
+        Of the running loop, if one runs.
+    number
+        Of the question that stands there, or of the last one.
+    """
+
+    def __init__(
+        self, setup: Mapping[str, Any], say: Callable[..., None], hand: SeatHand | None = None
+    ) -> None:
+        self._pid = int(setup["pid"])
+        self._say = say
+        self.hand = hand
+        self.talk = Conversation(KeyMap.from_mapping(setup["keys"]), None if hand is None else hand.kind)
+        self.live = LiveLoop(self._pid)
+        self.snapshot: Snapshot | None = None
+        self.number = 0
+
+    def hear(self, kind: str, message: Mapping[str, Any], now_s: float) -> bool:
+        """Take a message of the session; return True if the bell should ring for it."""
+        if kind == "view":
+            before = self.talk.view.state
+            self.talk.see(message["view"])
+            if self.hand is not None:
+                self.hand.pointer.scale(self.talk.view.scale)
+            return self.talk.view.state != before and self.talk.view.state == "go"
+        if kind != "ask":
+            return False
+        self.number = message["number"]
+        ready = bool(message["question"]["kind"] == "ready")
+        answered = self.talk.ask(message["question"], now_s)
+        if ready and self.hand is not None:
+            self.hand.begin()
+        self.do(answered)
+        return ready
+
+    def key(self, name: str, now_s: float, shown_s: float | None = None) -> None:
+        """Press a key at `now_s`, `shown_s` after its question could be read, if known."""
+        if self.hand is None or self.talk.entry is not None or not self.hand.key(name):
+            self.do(self.talk.press(name, now_s), shown_s)
+
+    def look(self, now_s: float) -> None:
+        """Look at the loop, and let what takes time take it."""
+        self.do(self.talk.pass_time(now_s))
+        self.snapshot = self.live.look()
+        self.talk.live = self.snapshot is not None
+        if self.hand is not None:
+            self.hand.hold()
+
+    def do(self, outcomes: list[Decision], shown_s: float | None = None) -> None:
+        """Do what a key, a question or the time came to."""
+        for outcome in outcomes:
+            if isinstance(outcome, StopPressed):
+                running.ask_to_stop(self._pid)  # before anything that may take time
+                if self.talk.moving:
+                    self._say("stop")
+            else:
+                known = {} if shown_s is None else {"shown_s": shown_s}
+                self._say("reply", number=self.number, action=outcome.action, value=outcome.value, **known)
+
+
+def full_press(experiment: Mapping[str, Any]) -> float:
+    """How hard the hand of an experiment can press (N)."""
+    return float(experiment.get("operator", {}).get("press", PRESS_N))
+
+
+def keymap_for(keys: Keys, hand: HandKind | None) -> KeyMap:
+    """The keys of a protocol; raises `ConfigError` for one that cannot be meant, or that moves the hand."""
+    keymap = KeyMap.of(keys)
+    for meaning, key in keymap.keys.items() if hand == "keyboard" else ():
+        if key in KEYS:
+            raise ConfigError(
+                f"[keys] {meaning} = {key!r}: this key already moves the simulated hand",
+                remedy="choose another key, or omit `hand` keyboard",
+            )
+    return keymap
+
+
+def refuse_a_hand(hand: HandKind | None, runner: TrialRunner) -> None:
+    """Raise `ConfigError` for a hand that is to be moved at a rig that is real."""
+    if hand is not None and not runner.simulated:
+        raise ConfigError(
+            f"`hand` {hand} needs a simulated rig, but `url` names a real one",
+            remedy="omit `hand`, or omit `url`",
+        )

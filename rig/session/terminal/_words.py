@@ -1,0 +1,189 @@
+"""Texts of the console: a terminal prints them, a page arranges them.
+
+Where the operator must be blind to the wall, an effort is a word: low, half, near the limit, saturated. As a number,
+next to the penetration, it would reveal the stiffness.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rig.session.engine._desk import Action, DeskView
+from rig.session.terminal._conversation import TWICE, Conversation
+from rig.session.terminal._live import Snapshot
+from rig.session.terminal._pointer import CLOSE, HandKind
+
+HALF, NEAR = 0.4, 0.8  # of the limit: from where an effort is called half, and near the limit
+MEANINGS: dict[str, str] = {
+    "go": "continue (also enter)",
+    "redo": "discard the last trial and repeat it",
+    "pause": "pause before the next trial",
+    "note": "write a note into the log",
+    "skip": "end this run without a limit (asks for confirmation)",
+    "abort": "leave the session; it can be resumed (asks for confirmation)",
+}
+HANDS: dict[HandKind, list[tuple[str, str]]] = {
+    "keyboard": [
+        ("right, left", "one step towards the wall, or back; inside the wall each step presses harder"),
+        ("up, down", f"{CLOSE} steps at once"),
+        ("end, home", "into the wall and full press, or back behind the start"),
+    ],
+    "mouse": [
+        (
+            "mouse",
+            "to the right: towards the wall; inside the wall the hand presses harder the further you move",
+        ),
+        ("button", "while held: full press"),
+    ],
+}
+ORDER: tuple[Action, ...] = ("go", "redo", "pause", "note", "skip", "abort")
+
+
+@dataclass(frozen=True, slots=True)
+class Gauge:
+    """One line of the live panel: a name, a share of full for a bar (None: no bar), and its text."""
+
+    name: str
+    share: float | None
+    text: str
+
+
+def place(view: DeskView) -> str:
+    """Return code, block, run and trial, as far as known."""
+    parts = [view.code] if view.code else []
+    if view.practice:
+        parts.append("practice")
+    elif view.block:
+        parts.append(f"block {view.block}" + (f" of {view.blocks}" if view.blocks else ""))
+    if view.run:
+        parts.append(f"run {view.run}" + (f" of {view.runs}" if view.runs else ""))
+    if view.trial:
+        parts.append(f"trial {view.trial}" + (f" of about {view.trials}" if view.trials else ""))
+    return " · ".join(parts)
+
+
+def state(talk: Conversation) -> str:
+    """Return the state in a word or two."""
+    waits = "" if talk.later is None else f" ({talk.later} next)"
+    return talk.view.state + waits
+
+
+def facts(view: DeskView) -> list[tuple[str, str]]:
+    """Return the facts shown beside the live numbers."""
+    wall = "hidden"
+    if view.stiffness is not None:
+        wall = f"K = {view.stiffness:g}" + ("" if view.damping is None else f", B = {view.damping:g}")
+    return [
+        ("state", view.state),
+        ("condition", "hidden" if view.condition is None else view.condition),
+        ("wall", wall),
+        ("counts", "no (practice)" if view.practice else "yes"),
+        ("attempt", str(view.attempt)),
+        *([("asked", view.asked)] if view.asked else []),
+        ("motor heat", f"{100 * view.heat:.0f} % of budget"),
+    ]
+
+
+def gauges(view: DeskView, live: Snapshot | None) -> list[Gauge]:
+    """The live lines; dashes while no loop runs."""
+    names = ("phase", "depth", "velocity", "effort", "round trip", "late, lost")
+    if live is None:
+        return [Gauge(name, None, "-") for name in names]
+    scale = view.scale
+    way = abs(float(scale.get("wall", 0.0)) - float(scale.get("start", 0.0))) or 1.0
+    speed = abs(float(scale.get("speed_limit") or 0.0)) or 1.0
+    position_unit, velocity_unit = scale.get("position_unit", ""), scale.get("velocity_unit", "")
+    trip = "-" if live.round_trip_ns is None else f"{live.round_trip_ns * 1e-6:.2f} ms"
+    return [
+        Gauge(names[0], None, live.phase),
+        Gauge(names[1], live.penetration / way, f"{live.penetration:+.4f} {position_unit}"),
+        Gauge(names[2], abs(live.velocity) / speed, f"{live.velocity:+.3f} {velocity_unit}"),
+        effort(view, live, names[3]),
+        Gauge(names[4], None, trip),
+        Gauge(
+            names[5],
+            None,
+            f"{live.late}, {live.lost}" + (f" ({live.skipped} skipped)" if live.skipped else ""),
+        ),
+    ]
+
+
+def effort(view: DeskView, live: Snapshot, name: str = "effort") -> Gauge:
+    """The effort: its share of the limit as a word for the blind, as a number for the others."""
+    limit = abs(float(view.scale.get("effort_limit") or 0.0))
+    share = live.peak_effort / limit if limit else 0.0
+    if not view.blinded:
+        text = f"{live.effort:+.3f} {view.scale.get('effort_unit', '')}"
+        return Gauge(name, share, text + (", saturated" if live.saturated else ""))
+    if live.saturated:
+        return Gauge(name, 1.0, "saturated")
+    if share >= NEAR:
+        return Gauge(name, NEAR, "near the limit")
+    if share >= HALF:
+        return Gauge(name, HALF, "half")
+    return Gauge(name, 0.1, "low")
+
+
+def question(talk: Conversation, now_s: float) -> str:
+    """Return the open question, or what to wait for."""
+    if talk.twice is not None:
+        return f"{TWICE[talk.twice]}?"
+    asked = talk.question
+    if asked is None:
+        return "the rig is moving; SPACE stops it" if talk.live else "please wait"
+    left = talk.left_s(now_s)
+    text = asked.text
+    item = asked.item or {}
+    if asked.kind == "item" and item.get("text") and item["text"] not in text:
+        text = f"{text} {item['text']}".strip()
+    if asked.kind == "item" and item.get("kind") == "choice":
+        choices = enumerate(item.get("choices", ()), 1)
+        text += "  " + "  ".join(f"{n} {choice}" for n, choice in choices)
+    if asked.kind == "item" and item.get("kind") == "scale":
+        text += f"  ({item['lowest']} to {item['highest']})"
+    return text + (f"  ({left:.0f} s left)" if asked.kind == "rest" and asked.seconds else "")
+
+
+def list_offered(talk: Conversation) -> list[tuple[str, str]]:
+    """Return the keys that answer now, each with its meaning."""
+    keymap, allowed = talk.keymap, talk.allowed
+    if talk.twice is not None:
+        return [("y", "yes"), ("escape", "no")]
+    found = list(keymap.verdicts) if "judge" in allowed else []
+    if talk.question is not None and talk.question.kind == "item":
+        found.append(("enter", "answer"))
+    return found + [(keymap.key_of(action), action) for action in ORDER if action in allowed]
+
+
+def choices(talk: Conversation) -> str:
+    """Keys that answer what is asked."""
+    if talk.twice is not None:
+        return f"[y] yes, or {talk.keymap.key_of(talk.twice)} again; any other key: no"
+    return "  ".join(f"[{key}] {text}" for key, text in list_offered(talk))
+
+
+def always(talk: Conversation) -> str:
+    """Return the line with the keys that work at any time."""
+    return "\n".join(filter(None, [hand(talk), "[SPACE] STOP  [?] keys  [^C] stop and leave"]))
+
+
+def hand(talk: Conversation) -> str:
+    """Return how the simulated hand is moved here; empty if it is not."""
+    if talk.hand is None:
+        return ""
+    if talk.hand == "mouse":
+        return "hand: mouse to the right  [button] full press"
+    return "hand: [left] [right] a step  [down] [up] more  [home] back  [end] into the wall"
+
+
+def help_pairs(talk: Conversation, *, interrupts: bool = True) -> list[tuple[str, str]]:
+    """All keys and what they do; `interrupts`: also the kernel's of a terminal."""
+    keymap = talk.keymap
+    return [
+        ("SPACE", "STOP: zero effort now"),
+        *((key, f"verdict: {verdict}") for key, verdict in keymap.verdicts),
+        *((keymap.key_of(action), MEANINGS[action]) for action in ORDER),
+        *([("^C", "stop, and leave the session; works also when this console hangs")] if interrupts else []),
+        *(HANDS[talk.hand] if talk.hand else []),
+        ("?, enter, escape", "close this list; any other key acts as listed"),
+    ]

@@ -1,0 +1,182 @@
+"""Maps of Z-width with fidelity as figures 7 and 8 of Chawda et al.: passive walls, coloured by the fidelity error.
+
+One panel for each scheme, one colour scale for all. Plain cells are connected with the softest wall of their damping,
+hatched ones are islands, grey ones were not passive, dark grey ones threw the handle out. Over them the boundary
+search of the paper's Fig. 5, and what the linear theory says: dashed where a wall stops being stable, dotted where it
+stops being passive in the band.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from textwrap import fill
+from typing import Any
+
+import numpy as np
+
+from rig.analysis.impedance import Floats
+from rig.core.deferred import colors
+from rig.core.sample import unit_of
+from rig.experiments.mapping.interface import FrequencyMap, FrequencyWidth, trace_grid
+from rig.views.plots import style
+
+Curves = tuple[
+    Sequence[float], Sequence[float], Sequence[float]
+]  # dampings, stable stiffness, passive stiffness
+COLUMNS = 2  # panels beside each other, unless there are more than four
+COLOURS = "viridis"
+ACTIVE, ENDED = "#ececec", "#bdbdbd"
+SEARCH = "#d01c8b"
+TITLE_WIDTH = 60
+
+
+def draw_frequency_map(
+    found: FrequencyMap,
+    picture: str | Path,
+    *,
+    theory: Mapping[int, Curves] | None = None,
+    search: bool = True,
+    realisation: int = -1,
+) -> Path:
+    """Draw a map; returns the path.
+
+    Parameters
+    ----------
+    found
+        The map.
+    picture
+        File to write, see `rig.views.plots.style.save`.
+    theory
+        Curves by number of scheme, as `rig.experiments.mapping._ranges.linear_curves` gives them.
+    search
+        True if the path of the boundary search is drawn.
+    realisation
+        Which one to show; −1 is all together.
+
+    Raises `rig.core.errors.RecordingError` when the file cannot be written.
+    """
+    figure = frequency_figure(found, theory=theory, search=search, realisation=realisation)
+    return style.save(figure, Path(picture))
+
+
+@style.own_style()
+def frequency_figure(
+    found: FrequencyMap,
+    *,
+    theory: Mapping[int, Curves] | None = None,
+    search: bool = True,
+    realisation: int = -1,
+) -> Any:
+    """The figure of a map, see `draw_frequency_map`."""
+    plan = found.plan
+    count = len(plan.schemes)
+    columns = min(count, COLUMNS if count <= COLUMNS**2 else COLUMNS + 1)
+    rows = math.ceil(count / columns)
+    figure = style.new_figure(4.9 * columns + 0.9, 4.0 * rows + 0.6)
+    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    passive, fidelity = found.passive[:, realisation], found.fidelity[:, realisation]
+    low, high = _scale(fidelity[passive])
+    mesh = None
+    for number, axes in enumerate(panels.flat):
+        if number >= count:
+            axes.set_visible(False)
+            continue
+        mesh = _draw_cells(
+            axes, plan.dampings, plan.stiffnesses, passive[number], fidelity[number], low, high
+        )
+        _draw_theory(axes, (theory or {}).get(number))
+        if search:
+            _draw_search(axes, plan.dampings, plan.stiffnesses, passive[number])
+        axes.set_title(fill(plan.schemes[number].label(plan.experiment), TITLE_WIDTH), fontsize=9)
+        axes.set_ylim(*_ends(plan.stiffnesses))
+        axes.set_xlim(*_ends(plan.dampings))
+    motion = plan.experiment.rig.motion
+    for axes in panels[-1]:
+        axes.set_xlabel(f"damping B ({unit_of('damping', motion)})")
+    for axes in panels[:, 0]:
+        axes.set_ylabel(f"stiffness K ({unit_of('stiffness', motion)})")
+    if mesh is not None:
+        bar = figure.colorbar(mesh, ax=panels, shrink=0.9)
+        bar.set_label(f"fidelity: rms of |Z| − |K/(jω) + B| ({unit_of('damping', motion)})")
+    band, excitation = plan.band_hz, plan.experiment.excitation
+    figure.suptitle(
+        f"{plan.experiment.rig.name}: passive from {band[0]:g} to {band[1]:g} Hz, "
+        f"{excitation.realisations} × {excitation.periods} periods of {excitation.period_s:g} s",
+        fontsize=11,
+    )
+    return figure
+
+
+def _draw_cells(
+    axes: Any, dampings: Sequence[float], stiffnesses: Sequence[float], passive: Any, fidelity: Any,
+    low: float, high: float,
+) -> Any:  # fmt: skip
+    edges = _edges(dampings), _edges(stiffnesses)
+    axes.set_facecolor(ACTIVE)
+    ended = np.where(np.isnan(fidelity), 0.0, math.nan)
+    axes.pcolormesh(*edges, ended.T, cmap=colors.ListedColormap([ENDED]), linewidth=0, rasterized=True)
+    shown = np.where(passive, fidelity, math.nan)
+    mesh = axes.pcolormesh(*edges, shown.T, cmap=COLOURS, vmin=low, vmax=high, linewidth=0, rasterized=True)
+    for island in FrequencyWidth.of(passive, fidelity, stiffnesses, dampings).islands:
+        b = dampings.index(island.damping)
+        first, last = stiffnesses.index(island.lowest), stiffnesses.index(island.highest)
+        axes.fill_between(
+            edges[0][[b, b + 1]],
+            edges[1][first],
+            edges[1][last + 1],
+            facecolor="none",
+            hatch="////",
+            edgecolor="white",
+            linewidth=0.0,
+        )
+    return mesh
+
+
+def _draw_theory(axes: Any, curves: Curves | None) -> None:
+    if curves is None:
+        return
+    dampings, stable, passive = curves
+    axes.plot(dampings, stable, color="black", linewidth=1.0, linestyle="--", label="linear: stable")
+    axes.plot(dampings, passive, color="black", linewidth=1.2, linestyle=":", label="linear: passive in band")
+    axes.legend(fontsize=7, loc="upper right", framealpha=0.85, edgecolor="none")
+
+
+def _draw_search(axes: Any, dampings: Sequence[float], stiffnesses: Sequence[float], passive: Any) -> None:
+    found = trace_grid(passive)
+    path = found.path
+    b, k = np.array([dampings[cell[0]] for cell in path]), np.array([stiffnesses[cell[1]] for cell in path])
+    axes.plot(b, k, color=SEARCH, linewidth=1.0, alpha=0.9)
+    ends = [(dampings[d], stiffnesses[s]) for d, s in found.edge if s >= 0]
+    if ends:
+        axes.plot(*zip(*ends, strict=True), "o", color=SEARCH, markersize=3.0)
+    axes.text(
+        0.02, 0.98, f"search: {len(path)} of {found.cells} walls, {found.ending}",
+        transform=axes.transAxes, fontsize=7, va="top", color=SEARCH,
+        bbox={"facecolor": "white", "alpha": 0.85, "linewidth": 0.0, "pad": 1.5},
+    )  # fmt: skip
+
+
+def _scale(values: Floats) -> tuple[float, float]:
+    """Colours from the smallest error to the largest; the largest few per cent share one."""
+    finite = values[np.isfinite(values)]
+    if len(finite) == 0:
+        return 0.0, 1.0
+    low, high = float(finite.min()), float(np.percentile(finite, 98.0))
+    return low, high if high > low else low + 1.0
+
+
+def _edges(values: Sequence[float]) -> Floats:
+    """Borders of the cells around rising values: half-way between them, the outer ones as wide as their neighbours."""
+    centres = np.asarray(values, dtype=np.float64)
+    if len(centres) == 1:
+        half = 0.5 * max(abs(float(centres[0])), 1e-9)
+        return np.array([centres[0] - half, centres[0] + half])
+    between = 0.5 * (centres[1:] + centres[:-1])
+    return np.concatenate([[2.0 * centres[0] - between[0]], between, [2.0 * centres[-1] - between[-1]]])
+
+
+def _ends(values: Sequence[float]) -> tuple[float, float]:
+    edges = _edges(values)
+    return max(0.0, float(edges[0])), float(edges[-1])

@@ -1,0 +1,83 @@
+"""The product's modules and what they import, read from the sources; nothing is imported or run."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("rig", "sim_backend", "firmware_protocol")
+
+
+@cache
+def modules() -> dict[str, Path]:
+    """Return the path of each module by its dotted name."""
+    found = {}
+    for package in PACKAGES:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+            found[name.removesuffix(".__init__")] = path
+    return found
+
+
+@cache
+def tree_of(module: str) -> ast.Module:
+    """Parse a module."""
+    return ast.parse(modules()[module].read_text(encoding="utf-8"))
+
+
+def module_of(name: str) -> str:
+    """Return the module that a dotted name is, or is defined in; empty when it is not of this product."""
+    while name and name not in modules():
+        name = name.rpartition(".")[0]
+    return name
+
+
+def room_of(module: str) -> str:
+    """Return ``control`` for `rig.control.step`, ``extras.console`` for what is in that extra, else the package."""
+    parts = module.split(".")
+    if parts[0] != "rig":
+        return parts[0]
+    if parts[1:2] == ["extras"]:
+        return ".".join(parts[1:3])
+    is_room = len(parts) > 2 or (len(parts) == 2 and modules()[module].name == "__init__.py")
+    return parts[1] if is_room else "(rig)"
+
+
+@cache
+def imports_of(module: str) -> frozenset[str]:
+    """Return the modules of this product that a module imports, anywhere in it."""
+    names: list[str] = []
+    for node in ast.walk(tree_of(module)):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names += [f"{node.module}.{alias.name}" for alias in node.names]
+    return frozenset(found for name in names if (found := module_of(name)) and found != module)
+
+
+def crossings() -> Iterator[tuple[str, str]]:
+    """Yield importing and imported module of each import between two rooms."""
+    for module in modules():
+        for other in sorted(imports_of(module)):
+            if room_of(other) != room_of(module):
+                yield module, other
+
+
+def closure_of(module: str) -> frozenset[str]:
+    """Return a module and all that it imports, directly or not: what a reader may have to open."""
+    seen: set[str] = set()
+    todo = [module]
+    while todo:
+        one = todo.pop()
+        if one not in seen:
+            seen.add(one)
+            todo += imports_of(one)
+    return frozenset(seen)
+
+
+def lines_of(module: str) -> int:
+    """Count the lines of a module."""
+    return modules()[module].read_text(encoding="utf-8").count("\n")
