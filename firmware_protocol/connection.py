@@ -498,12 +498,12 @@ class Connection:
         self._only(Role.DEVICE, "fault")
         self.state = State.FAULT
 
-    def told_again(self, event: Event) -> None:
+    def resend(self, event: Event) -> None:
         """Device: this request was answered before; its answer, sent again, moves nothing.
 
         Otherwise a late repeat of a DISARM would lead out of a fault that came in between.
         """
-        self._only(Role.DEVICE, "told_again")
+        self._only(Role.DEVICE, "resend")
         self._open.pop((event.request, event.nonce), None)
 
     def reset(self) -> None:

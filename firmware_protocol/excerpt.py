@@ -103,7 +103,7 @@ def _pieces(text: str) -> Iterator[_Piece]:
         end = beside.end() if beside else mark.end()
         whole = text[start:end].strip()
         code = _COMMENT.sub("", whole).strip()
-        if word == "}" and _goes_on(code):
+        if word == "}" and _continues(code):
             continue
         start = end
         if word == ";" and _is_prototype(code):
@@ -120,7 +120,7 @@ def _leading(whole: str) -> int:
     return found.end() if found else 0
 
 
-def _goes_on(code: str) -> bool:
+def _continues(code: str) -> bool:
     """Return True if a closing brace is followed by a name or a semicolon: a type, or the value of an object."""
     return code.startswith(("typedef", "enum", "struct")) or "=" in code.partition("{")[0]
 

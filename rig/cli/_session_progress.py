@@ -30,7 +30,7 @@ class Rehearsed:
         self._clock = clock
         self._seen = 0  # the trial that this began with, which may have compiled the loop
         self._first: tuple[int, float] | None = None  # the one after it, and when that was ready
-        self._said = False
+        self._shown = False
 
     def __enter__(self) -> Rehearsed:
         return self
@@ -55,8 +55,8 @@ class Rehearsed:
             words += f", about {_rough(left)} left"
         if self._line:
             click.echo(f"\r\033[K{words}", nl=False, err=True)
-        elif left is not None and not self._said:
-            self._said = True
+        elif left is not None and not self._shown:
+            self._shown = True
             click.echo(f"  {words}", err=True)
 
     def _left_s(self, view: DeskView) -> float | None:

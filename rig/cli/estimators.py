@@ -68,7 +68,7 @@ def list_(names: tuple[str, ...], rate: str, as_json: bool) -> None:
         click.echo(f"{click.style(fact['name'], bold=True)}: {fact['summary']}")
         late = fact["refused"] or f"{1e3 * fact['delay_s']:.3f} ms at {fact['delay_at']}"
         pairs = [("delay", late), ("source", str(fact["source"]))]
-        output.print_pairs([*pairs, *((p["name"], _said(p)) for p in fact["parameters"])])
+        output.print_pairs([*pairs, *((p["name"], _describe(p)) for p in fact["parameters"])])
 
 
 def _facts(name: str, case: Case, hertz: int) -> dict[str, Any]:
@@ -260,7 +260,7 @@ def _setting(setting: Any) -> dict[str, Any]:
     return {name: getattr(setting, name) for name in names if hasattr(setting, name)}
 
 
-def _said(p: dict[str, Any]) -> str:
+def _describe(p: dict[str, Any]) -> str:
     if "choices" in p:
         return f"{p['default']}   ({' | '.join(p['choices'])}) {p['meaning']}"
     default = "must be given" if p["default"] is None else f"{p['default']:g}"

@@ -29,7 +29,7 @@ class _Bar:
         self._quiet = quiet()
         self._bar: Any = None
         self._task: Any = None
-        self._said_s = time.monotonic()
+        self._printed_s = time.monotonic()
 
     def __enter__(self) -> Self:
         return self
@@ -44,8 +44,8 @@ class _Bar:
             return
         if self._plain:
             now = time.monotonic()
-            if now - self._said_s >= LINE_S:
-                self._said_s = now
+            if now - self._printed_s >= LINE_S:
+                self._printed_s = now
                 click.echo(f"{self._what}: {text}", err=True)
             return
         if self._bar is None:
@@ -77,12 +77,12 @@ class SweepBar(_Bar):
     def __init__(self, what: str, *, unit: str = "tasks", plain: bool = False) -> None:
         super().__init__(what, plain=plain)
         self._unit = unit
-        self._told_damage = False
+        self._reported_damage = False
 
     def watch(self, progress: Progress) -> None:
         """Show finished tasks and the remaining time."""
-        if progress.damaged and not self._told_damage:
-            self._told_damage = True
+        if progress.damaged and not self._reported_damage:
+            self._reported_damage = True
             click.echo(
                 f"rig: the journal has {progress.damaged} damaged lines; their tasks run again", err=True
             )
@@ -90,16 +90,16 @@ class SweepBar(_Bar):
 
     def text(self, progress: Progress) -> str:
         """``120 of 510 tasks, 1,240 trials/s, 1 min 20 s left``."""
-        said = [f"{progress.done} of {progress.total} tasks"]
+        parts = [f"{progress.done} of {progress.total} tasks"]
         if progress.units:
-            said.append(f"{_rate(progress.units_per_s)} {self._unit}/s")
+            parts.append(f"{_rate(progress.units_per_s)} {self._unit}/s")
         if progress.stopping and progress.running:
-            said.append(f"stopping: waiting for {progress.running} more")
+            parts.append(f"stopping: waiting for {progress.running} more")
         elif not progress.workers and progress.done < progress.total:
-            said.append("waiting for workers")
+            parts.append("waiting for workers")
         elif progress.seconds_left:
-            said.append(f"{_time(progress.seconds_left)} left")
-        return ", ".join(said)
+            parts.append(f"{_time(progress.seconds_left)} left")
+        return ", ".join(parts)
 
 
 def _rate(per_s: float) -> str:

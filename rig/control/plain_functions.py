@@ -273,8 +273,8 @@ def _reason(text: str, form: Form, seen: type[tuple[float, ...]], kept: np.dtype
         found = re.search(pattern, text)
         if found:
             return reason.format(*found.groups()), remedy
-    told = [line.strip() for line in text.splitlines() if line.strip()]
-    plain = [line for line in told if not line.startswith(_FRAME)]
+    stripped = [line.strip() for line in text.splitlines() if line.strip()]
+    plain = [line for line in stripped if not line.startswith(_FRAME)]
     return plain[0].partition(" Raised from")[0].rstrip(".") if plain else "no reason is given", _NUMBERS
 
 

@@ -158,7 +158,7 @@ Item = str | Row | Table | Check
 """A heading, a line, a table or a check."""
 
 
-def told(items: Sequence[Item]) -> list[dict[str, Any]]:
+def page_items(items: Sequence[Item]) -> list[dict[str, Any]]:
     """Return items as texts for a page with a layout of its own, each with its kind."""
 
     def one(item: Item) -> dict[str, Any]:

@@ -112,10 +112,10 @@ def _first(ours: Connection, served: bytes, name: str, by_hand: str) -> Any:
     with suppress(EOFError, OSError):
         ours.send_bytes(served)
         if ours.poll(START_TIMEOUT_S):
-            said = ours.recv()
-            if isinstance(said, RigError):
-                raise said
-            return said
+            message = ours.recv()
+            if isinstance(message, RigError):
+                raise message
+            return message
     raise DeviceNotFoundError(
         f"the process {name} did not start", remedy=f"start it by hand to see why: {by_hand}"
     )

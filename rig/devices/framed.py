@@ -97,7 +97,7 @@ class FramedDevice:
         )
         self._session = 0  # used last
         self._answers = True  # unless the last transaction was given up
-        self._said_ns = self._heard_ns = (
+        self._sent_ns = self._received_ns = (
             0  # host time of the last request's first frame, and of the last bytes read
         )
 
@@ -365,7 +365,7 @@ class FramedDevice:
             place = (number + number * GOLDEN % 1.0) / max(1, exchanges - 1)
             self._listen_until(start_ns + round(min(1.0, place) * over_s * 1e9))
             reply = self._ask(m.GetTime(self._next_nonce(), self.link.clock.now_ns()), m.Time)
-            row["host_sent"], row["host_received"] = self._said_ns, self._heard_ns
+            row["host_sent"], row["host_received"] = self._sent_ns, self._received_ns
             row["device_received"] = self._counted_ns(reply.device_received, tick_ps)
             row["device_sent"] = self._counted_ns(reply.device_sent, tick_ps)
         return stamps
@@ -502,7 +502,7 @@ class FramedDevice:
             if frame:
                 request = connection.request
                 if connection.transaction.tries == 1:  # a late answer may be to the first
-                    self._said_ns = clock.now_ns()
+                    self._sent_ns = clock.now_ns()
                 self.link.write(frame)
             before = connection.transaction
             for event in self._events((before.again_at - now_ns) * 1e-9):  # a write may have taken a while
@@ -523,7 +523,7 @@ class FramedDevice:
         deadline = self.link.clock.now_ns() + math.ceil(timeout_s * 1e9)
         while (remaining := deadline - self.link.clock.now_ns()) > 0:
             data = self.link.read(remaining * 1e-9)
-            self._heard_ns = self.link.clock.now_ns()
+            self._received_ns = self.link.clock.now_ns()
             self.connection.receive_data(data)
             while True:
                 with self._understood():

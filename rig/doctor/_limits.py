@@ -40,7 +40,7 @@ def memory(machine: Machine) -> Check:
 
 @question(refusals.IDLE, "waking from deep sleep takes 0.1 ms or more")
 def idle_states(machine: Machine) -> Check:
-    """Whether processors can be kept from deep sleep."""
+    """Check that processors can be kept from deep sleep."""
     device = machine.root / IDLE_DEVICE
     if device.exists() and machine.openable(device):
         return ok("processors can be kept from deep sleep (/dev/cpu_dma_latency)")

@@ -56,8 +56,8 @@ def set_point_step_a(model: RigModel, settings: Mapping[str, SettingValue]) -> f
     """
     if (sent := _share_of_a_step(settings)) is None:
         return None
-    told_apart = amplifiers.load(model.amplifier.profile).steps
-    seen = 2.0 / told_apart if told_apart else 0.0
+    smallest_step = amplifiers.load(model.amplifier.profile).steps
+    seen = 2.0 / smallest_step if smallest_step else 0.0
     return float(settings["full_scale"]) * max(sent, seen)
 
 

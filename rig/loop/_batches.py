@@ -107,8 +107,8 @@ def _take_state(settings: Any, buffers: Buffers, supervised: SupervisionBuffers,
     v, p = supervised.supervision[0], buffers.progress[0]
     header, candidate = buffers.header, buffers.candidate
     states, newest = supervised.states, supervised.newest
-    newer, believed = take_news(settings, buffers.progress, candidate, newest, v["heard"] == 0)
-    if believed == 0:
+    newer, accepted = take_news(settings, buffers.progress, candidate, newest, v["heard"] == 0)
+    if accepted == 0:
         return
     if newer <= 0:
         add(words, control_words.DUPLICATED if newer == 0 else control_words.REORDERED, 1)

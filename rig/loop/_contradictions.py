@@ -79,19 +79,19 @@ def of_clock(settings: Any, samples: int, error: int) -> int:
 
 
 @kernel(types.int64(SETTINGS_TYPE, PROGRESS_TYPE, INTS))
-def _of_itself(settings: Any, progress: Any, told: Any) -> int:
+def _of_itself(settings: Any, progress: Any, state: Any) -> int:
     """Contradiction between a STATE and itself, or the COMMANDs that were sent."""
-    s, age = settings[0], told[STATE.command_age]
-    if (told[STATE.device_time] - told[STATE.edge_time]) % WRAP > _OLDEST_EDGE:
+    s, age = settings[0], state[STATE.command_age]
+    if (state[STATE.device_time] - state[STATE.edge_time]) % WRAP > _OLDEST_EDGE:
         return _EDGE
     # Each command answers a sample of its own: since the active one came there were `age`, and some on the way.
     latest = age + 2 * s["lost_after_ns"] // s["period_ns"]
-    since = (progress[0]["sequence"] - 1 - told[STATE.command_sequence]) % 65536
+    since = (progress[0]["sequence"] - 1 - state[STATE.command_sequence]) % 65536
     return _COMMAND if age != _NO_COMMAND_YET and since > latest else _NONE
 
 
 @kernel(types.UniTuple(types.int64, 2)(SETTINGS_TYPE, PROGRESS_TYPE, INTS, INTS, types.boolean))
-def take_news(settings: Any, progress: Any, told: Any, before: Any, first: bool) -> tuple[int, int]:
+def take_news(settings: Any, progress: Any, state: Any, before: Any, first: bool) -> tuple[int, int]:
     """Compare a STATE with the newest one so far; return by how many samples it is newer, and 1 if it is accepted.
 
     A contradiction is stored in `progress`. A STATE that reports a fault is accepted: it ends the run anyway.
@@ -99,16 +99,16 @@ def take_news(settings: Any, progress: Any, told: Any, before: Any, first: bool)
     p = progress[0]
     newer, error, found = 1, 0, _NONE
     if not first:
-        newer = ahead(told[STATE.sample_index], before[STATE.sample_index])
-        time = told[STATE.device_time] - before[STATE.device_time]
+        newer = ahead(state[STATE.sample_index], before[STATE.sample_index])
+        time = state[STATE.device_time] - before[STATE.device_time]
         error = clock_error(settings, p["clock_error"], newer, time)
         found = of_clock(settings, newer, error)
     if found == _NONE and newer > 0:
-        found = _of_itself(settings, progress, told)
-        missed = told[STATE.missed_ticks] - before[STATE.missed_ticks]
+        found = _of_itself(settings, progress, state)
+        missed = state[STATE.missed_ticks] - before[STATE.missed_ticks]
         if found == _NONE and not first and not 0 <= missed < newer:
             found = _MISSED
-    if found != _NONE and told[STATE.fault] == 0:
+    if found != _NONE and state[STATE.fault] == 0:
         p["contradiction"] = found
         return newer, 0
     if newer > 0:

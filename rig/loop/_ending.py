@@ -77,7 +77,7 @@ def ended_at_the_switch(state: Any, settings: Any, progress: Any) -> int:
 
 
 @kernel(types.int64(PORT_TYPE, SETTINGS_TYPE, types.uintp))
-def told_to_end(port: LoopPort, settings: Any, words: int) -> int:
+def end_requested(port: LoopPort, settings: Any, words: int) -> int:
     """Reason to end that came from outside, or 0: the stop word, a request, a supervisor whose heartbeat stopped."""
     requests = settings[0]["stop_requests"]
     if requests != 0 and load_word(requests) != settings[0]["stop_requests_before"]:

@@ -30,10 +30,10 @@ from rig.loop._ending import (
     SILENT,
     STOPPED,
     contradicted,
+    end_requested,
     ended_at_the_switch,
     ended_by_device,
     ended_by_law,
-    told_to_end,
 )
 from rig.loop._exchange import ask_time
 from rig.loop._link_delay import is_delayed
@@ -110,7 +110,7 @@ _ENDS = -1  # times an EndReason: what `_receive` returns instead of a number of
 def _receive(port: LoopPort, settings: Any, buffers: Buffers, words: int) -> int:
     """Wait for the next tick, one period at most: samples passed, 0 for none, or minus the reason to end."""
     s, p = settings[0], buffers.progress[0]
-    reason = told_to_end(port, settings, words)
+    reason = end_requested(port, settings, words)
     if reason != 0:
         return _ENDS * reason
     until_ns = port.now(port.clock_handle)

@@ -49,8 +49,8 @@ def forget_noise(buffers: Buffers, start: int, end: int, words: int) -> None:
 def _take(settings: Any, buffers: Buffers, words: int) -> int:
     """Store a STATE of this session in `buffers.state` if it is newer and accepted; return by how many samples."""
     p, candidate, state = buffers.progress[0], buffers.candidate, buffers.state
-    newer, believed = take_news(settings, buffers.progress, candidate, state, p["started"] == 0)
-    if believed == 0:
+    newer, accepted = take_news(settings, buffers.progress, candidate, state, p["started"] == 0)
+    if accepted == 0:
         return 0
     if newer <= 0:
         add(words, control_words.DUPLICATED if newer == 0 else control_words.REORDERED, 1)

@@ -80,11 +80,11 @@ def sync_time(progress: Any, state: Any) -> int:
     first reported: its 32 bits stay the same while the clock wraps.
     """
     p = progress[0]
-    told = state[STATE.sync_time]
-    if told != p["sync_told"]:
-        p["sync_told"] = told
-        age = (p["device_time"] + YOUNGER - told) % WRAP - YOUNGER
-        p["sync_time"] = 0 if told == 0 else p["device_time"] - age
+    stamp = state[STATE.sync_time]
+    if stamp != p["sync_told"]:
+        p["sync_told"] = stamp
+        age = (p["device_time"] + YOUNGER - stamp) % WRAP - YOUNGER
+        p["sync_time"] = 0 if stamp == 0 else p["device_time"] - age
     return int(p["sync_time"])
 
 

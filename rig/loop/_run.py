@@ -194,14 +194,14 @@ class LoopThread:
         A stop is waited for `JOIN_S` at most: a law that never returns must not keep Ctrl-C from ending the program.
         Whatever interrupts this, Ctrl-C or an exception of `progress`, the caller continues with `finish`.
         """
-        told_at: float | None = None
+        requested_at: float | None = None
         while not self._ended.wait(POLL_S):
             stop_requests.renew()
             if self._is_requested_to_stop():
                 self.stop()  # the loop does so by itself, unless its law never returns
             if self.ring.get(control_words.STOP) != 0:
-                told_at = time.monotonic() if told_at is None else told_at
-                if time.monotonic() - told_at > JOIN_S:
+                requested_at = time.monotonic() if requested_at is None else requested_at
+                if time.monotonic() - requested_at > JOIN_S:
                     return
             self._live()
             self._attend()

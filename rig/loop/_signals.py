@@ -45,12 +45,12 @@ def stop_on_signals() -> Iterator[Signals]:
     handler that the caller had set is called at once, and what it raises waits for the end of the run. A signal that
     comes while the old handlers return is given to them, when everything is as it was.
     """
-    heard: int | None = None
+    received: int | None = None
     before: dict[int, Any] = {number: signal.getsignal(number) for number in STOPPING}
 
     def stop(number: int, frame: object) -> None:
         seen.append(number)
-        if heard is not None:
+        if received is not None:
             return
         stop_requests.request(number)  # once more where it was counted in machine code
         if callable(before[number]):
@@ -69,11 +69,11 @@ def stop_on_signals() -> Iterator[Signals]:
             try:
                 yield signals
             finally:
-                heard = len(seen)
+                received = len(seen)
                 signals.is_stopped = series.is_stopped
                 signals.number = seen[0] if seen else stop_requests.last_signal()
                 signals.raised = raised[0] if raised else None
     finally:
         stop_requests.renew()
-        for number in seen[heard or 0 :]:
+        for number in seen[received or 0 :]:
             signal.raise_signal(number)

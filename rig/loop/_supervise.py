@@ -42,10 +42,10 @@ from rig.loop._ending import (
     SILENT,
     STOPPED,
     contradicted,
+    end_requested,
     ended_at_the_switch,
     ended_by_device,
     ended_by_law,
-    told_to_end,
 )
 from rig.loop._exchange import ask_time
 from rig.loop._parameter_update import COMMITTED, GRANTED, IDLE, say_update
@@ -88,7 +88,7 @@ READINGS_A_TURN = 16  # of a full receive buffer, before anything else is looked
 ROWS_A_TURN = 1024
 REST_NS = 20_000_000  # after the stop: how long to take what is still on the way
 SETTLE_NS = 2_000_000  # after the STATE that shows the stop active
-_GO_ON = 0
+_CONTINUE = 0
 _ABANDONED = -1
 
 
@@ -243,7 +243,7 @@ def _run_law(
         store_word(words + WORD * control_words.PHASE, shown_phase(controller.memory))
         if reason != 0:
             return int(reason)
-    return _GO_ON
+    return _CONTINUE
 
 
 @kernel(types.int64(INTS, SUPERVISION_TYPE, SETTINGS_TYPE, MEMORY_TYPE, PROGRESS_TYPE, types.int64))
@@ -272,10 +272,10 @@ def _queue_fault(states: Any, samples: Any, supervision: Any, progress: Any) -> 
     """A device that fails between two samples sends no further batch: the STATE with the fault stands for it."""
     v = supervision[0]
     for i in range(v["states_tail"], v["states_head"]):
-        told = states[i % STATES_KEPT]
-        if ended_by_device(told, progress) != FAULT:
+        state = states[i % STATES_KEPT]
+        if ended_by_device(state, progress) != FAULT:
             continue
-        index, time = told[STATE.sample_index], told[STATE.device_time]
+        index, time = state[STATE.sample_index], state[STATE.device_time]
         if v["started"] != 0:
             index = v["index"] + ahead(index, v["index"])
             time = v["time"] + ahead(time, v["time"])
@@ -283,9 +283,9 @@ def _queue_fault(states: Any, samples: Any, supervision: Any, progress: Any) -> 
             place = samples[v["head"] % QUEUE]
             place[INDEX] = index
             place[TIME] = time
-            place[COUNT] = told[STATE.count]
-            place[CURRENT] = told[STATE.current_commanded]
-            place[MEASURED] = told[STATE.current_measured]
+            place[COUNT] = state[STATE.count]
+            place[CURRENT] = state[STATE.current_commanded]
+            place[MEASURED] = state[STATE.current_measured]
             place[RECEIVED] = progress[0]["read_at"]
             place[LATE] = 0
             v["head"] += 1
@@ -333,7 +333,7 @@ def run(
     reason = 0
     last_row = False  # whether the row of the end is there
     while reason == 0:
-        reason = told_to_end(port, settings, words)
+        reason = end_requested(port, settings, words)
         if reason != 0:
             break
         time_ns = port.now(port.clock_handle)
@@ -343,7 +343,7 @@ def run(
             until_ns = v["next_command"] if idle else time_ns
             ready = _listen(port, settings, buffers, supervised, until_ns, words)
         reason = _run_law(controller, shared, settings, buffers, supervised, False)
-        last_row = reason != _GO_ON
+        last_row = reason != _CONTINUE
         if not last_row:
             reason = _ended_without_a_row(
                 newest, supervision, settings, controller.memory, buffers.progress, ready
@@ -370,8 +370,8 @@ def run(
             stopped = 1
             until_ns = min(until_ns, port.now(port.clock_handle) + SETTLE_NS)
         more = ready >= 0 and port.now(port.clock_handle) < until_ns
-        resting = ended == _GO_ON and (more or v["tail"] < v["head"])
-        if reason == FAULT and ended == _GO_ON and not resting:
+        resting = ended == _CONTINUE and (more or v["tail"] < v["head"])
+        if reason == FAULT and ended == _CONTINUE and not resting:
             _queue_fault(supervised.states, supervised.samples, supervision, buffers.progress)
             resting = v["tail"] < v["head"]
             listening = False

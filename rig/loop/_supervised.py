@@ -118,15 +118,15 @@ class SupervisedThread(LoopThread):
 
     def messages(self) -> list[str]:
         """Parameter updates that failed, and a device that does not follow the law."""
-        found, said = self.agreement(), list(self._refused)
+        found, refusals = self.agreement(), list(self._refused)
         v = self._supervision.supervision[0]
         if v["refused_set"]:
             status, known = int(v["refused_status"]), int(v["refused_status"]) in set(Status)
             why = f"{Status(status).text}; {Status(status).remedy}" if known else f"status {status}"
-            said.append(f"the device refused parameter set {int(v['refused_set'])}: {why}")
+            refusals.append(f"the device refused parameter set {int(v['refused_set'])}: {why}")
         if not found.holds:
             lost = self.ring.get(control_words.LOST)
-            said.append(
+            refusals.append(
                 f"the device's current differed from the host's law by more than {found.bound_quanta} quanta in "
                 f"{found.beyond} of {found.compared} ticks, at most by {found.greatest_quanta}"
                 + (
@@ -135,7 +135,7 @@ class SupervisedThread(LoopThread):
                     else ": check that firmware and package are of one version (rig firmware info)"
                 )
             )
-        return said
+        return refusals
 
     def findings(self) -> dict[str, Any]:
         """How the device followed the law (`DeviceHostAgreement`)."""
@@ -146,11 +146,11 @@ class SupervisedThread(LoopThread):
         progress, v = self._buffers.progress[0], self._supervision.supervision[0]
         if not progress["sequence"] and not v["stop_sequence"] >= 0:
             return None
-        heard, changed = bool(v["heard"]), int(v["parameters_crc"])
+        received, changed = bool(v["heard"]), int(v["parameters_crc"])
         return {
             "next_command": int(progress["sequence"]),
-            "newest_state": int(progress["answers"]) if heard else 0xFFFF,
-            "state": int(self._supervision.newest[STATE.state]) if heard else int(State.RUNNING),
+            "newest_state": int(progress["answers"]) if received else 0xFFFF,
+            "state": int(self._supervision.newest[STATE.state]) if received else int(State.RUNNING),
             "nonce": int(progress["nonce"]),
             **({} if changed < 0 else {"parameters_crc": changed}),
         }

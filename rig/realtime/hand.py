@@ -80,8 +80,8 @@ class SharedHand:
     def __init__(self, memory: mmap.mmap, path: Path) -> None:
         self.path = path
         self._memory = memory
-        told = self._whole_motions()  # of a process that opened it before
-        self._told = self._seen = told[-1][0] if told else 0
+        motions = self._whole_motions()  # of a process that opened it before
+        self._latest = self._seen = motions[-1][0] if motions else 0
 
     @classmethod
     def create(cls, path: str | Path) -> SharedHand:
@@ -93,8 +93,8 @@ class SharedHand:
         path = Path(path)
         try:
             with open(os.open(path, os.O_RDWR | os.O_CREAT, 0o600), "r+b", buffering=0) as file:
-                told = os.fstat(file.fileno())
-                if stat.S_ISREG(told.st_mode) and told.st_size == 0:
+                status = os.fstat(file.fileno())
+                if stat.S_ISREG(status.st_mode) and status.st_size == 0:
                     file.write((MAGIC + _packed(Wish(0, 0.0, 0.0))).ljust(SIZE, b"\0"))
                 return cls._mapped(file.fileno(), path)
         except OSError as error:
@@ -156,9 +156,11 @@ class SharedHand:
 
     def tell(self, motion: HandMotion) -> None:
         """Say how hand and handle moved."""
-        self._told += 1
-        values = _MOTION.pack(self._told, motion.device_time_ns, motion.hand, motion.handle, motion.velocity)
-        place = WISH_END + self._told % MOTIONS * _MOTION_BYTES
+        self._latest += 1
+        values = _MOTION.pack(
+            self._latest, motion.device_time_ns, motion.hand, motion.handle, motion.velocity
+        )
+        place = WISH_END + self._latest % MOTIONS * _MOTION_BYTES
         self._memory[place : place + _MOTION_BYTES] = values + _CRC.pack(zlib.crc32(values))
 
     def motions(self) -> list[HandMotion]:

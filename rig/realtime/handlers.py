@@ -35,7 +35,7 @@ def handled(numbers: tuple[int, ...], handler: Callable[[int, Any], None]) -> It
 
 
 _waiting: list[int] = []
-_heard_by: dict[int, Any] = {}
+_handled_by: dict[int, Any] = {}
 
 
 @contextmanager
@@ -45,16 +45,16 @@ def interrupts_later() -> Iterator[None]:
     Where C calls back into Python, and where objects are finalised, the interpreter prints an exception and forgets it:
     a KeyboardInterrupt raised there, as inside a compiler, would be lost.
     """
-    if _heard_by or not _in_the_main_thread():  # within another: as that one does
+    if _handled_by or not _in_the_main_thread():  # within another: as that one does
         yield
         return
     numbers = (signal.SIGINT, signal.SIGTERM)
-    _heard_by.update({number: signal.getsignal(number) for number in numbers})
+    _handled_by.update({number: signal.getsignal(number) for number in numbers})
     try:
         with handled(numbers, lambda number, frame: _waiting.append(number)):
             yield
     finally:
-        _heard_by.clear()
+        _handled_by.clear()
         for number in _came():
             signal.raise_signal(number)
 
@@ -63,10 +63,10 @@ def interrupts_now() -> None:
     """Let what waits interrupt here, where an exception is heard."""
     if _waiting and _in_the_main_thread():
         for number in _came():
-            if callable(_heard_by[number]):
-                _heard_by[number](number, None)
+            if callable(_handled_by[number]):
+                _handled_by[number](number, None)
             else:  # the system's own action, which ends the process
-                signal.signal(number, _heard_by[number])
+                signal.signal(number, _handled_by[number])
                 signal.raise_signal(number)
 
 

@@ -177,13 +177,13 @@ class Recording(Shown, Drawn):
         """Return what was hit, how it ended, and the length of the recording, for people."""
         trailer = self.trailer or {}
         verdict = trailer.get("verdict") or {}
-        said = "; ".join([str(verdict.get("kind") or "none"), *verdict.get("reasons", ())])
+        words = "; ".join([str(verdict.get("kind") or "none"), *verdict.get("reasons", ())])
         whole = "complete" if self.complete else "cut off"
         rows = [
             Row("made", str(self.header.get("created", ""))),
             Row("file", str(self.path) if self.path else "none"),
             Row("ended by", str(trailer.get("reason", "not known"))),
-            Row("verdict", said),
+            Row("verdict", words),
             Row("rows", f"{len(self)} over {self.time_s[-1] if len(self) else 0.0:.4g} s, {whole}"),
             Row("columns", f"{', '.join(self.names[:6])} … ({len(self.names)})"),
         ]

@@ -78,9 +78,9 @@ def assert_limit(subject: Subject, **most: float) -> None:
     if not most:
         limits = _experiment_of(recording).rig.limits
         most = {"effort_applied": limits.effort, "velocity": limits.speed}
-    said = [text for name, bound in most.items() if (text := _beyond(recording, name, bound))]
-    if said:
-        raise AssertionError("\n".join([*said, _where(recording)]))
+    problems = [text for name, bound in most.items() if (text := _beyond(recording, name, bound))]
+    if problems:
+        raise AssertionError("\n".join([*problems, _where(recording)]))
 
 
 def assert_passive(subject: Subject) -> None:

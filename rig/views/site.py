@@ -89,8 +89,8 @@ def build_site(output: Path, *, strict: bool = False) -> Site:
         check=False,
     )
     if built.returncode:
-        said = (built.stderr or built.stdout).strip().splitlines()[-_SHOWN_LINES:]
+        messages = (built.stderr or built.stdout).strip().splitlines()[-_SHOWN_LINES:]
         raise RigError(
-            "the documents were not built:\n" + "\n".join(said), remedy="fix the errors in this output"
+            "the documents were not built:\n" + "\n".join(messages), remedy="fix the errors in this output"
         )
     return Site(pages / "index.html", len(list(pages.rglob("*.html"))), time.monotonic() - began)

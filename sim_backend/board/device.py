@@ -332,7 +332,7 @@ class SimulatedDevice:
 
     def _answer(self, event: Event) -> Message:
         if self._replies.remembers(event):
-            self.connection.told_again(event)
+            self.connection.resend(event)
         if isinstance(event, Refused):
             return self._replies.answer(event, event.ack)
         handler = self._handlers().get(type(event.message))

@@ -157,7 +157,7 @@ class Hardware:
         self._row = 0
         self._sessions += 1
 
-    def _go_on(self) -> None:
+    def _ask_hand(self) -> None:
         """Where the hand is driven, ask for the next ticks when the last ones are over."""
         if self._hand_driven and self._row == 0 and self._hand is not None:
             hand, handle = self._plant.hand_position, self._plant.handle_position
@@ -167,7 +167,7 @@ class Hardware:
 
     def advance(self, current: int) -> None:
         """Let one tick pass under a current (quanta), then sample."""
-        self._go_on()
+        self._ask_hand()
         state, script = self._state, self._script
         if len(script.rows):
             state[self._plant.intentions] = script.rows[self._row]
@@ -204,7 +204,7 @@ class Hardware:
 
     def world(self, truth: TruthLog | None) -> World:
         """Return what compiled ticks take of the rig as it is now; noise and truth have room for one at least."""
-        self._go_on()
+        self._ask_hand()
         noise = self._noise
         noise.refill()
         indices, states, rows = truth.room() if truth is not None else (_NO_INDICES, _NO_STATES, 0)

@@ -426,15 +426,13 @@ class SimulatedMoteus:
             words[word] = values[name]
         natural = 2.0 * math.pi * values["motor_position.sources.0.pll_filter_hz"] / PLL_SHAPE
         words[W.pll_kp], words[W.pll_ki] = 2.0 * natural, natural**2
-        believed = (
-            TORQUE_TIMES_KV / values["motor.Kv"] if values["motor.Kv"] else UNCONFIGURED_TORQUE_CONSTANT
-        )
-        words[W.torque_constant], words[W.motor_constant] = believed, self._kt
+        assumed = TORQUE_TIMES_KV / values["motor.Kv"] if values["motor.Kv"] else UNCONFIGURED_TORQUE_CONSTANT
+        words[W.torque_constant], words[W.motor_constant] = assumed, self._kt
         source = values["motor_position.output.source"]
         words[W.source_valid] = values.get(f"motor_position.sources.{source}.type", 0) == self._kind
         words[W.sign] = values["motor_position.sources.0.sign"] * values["motor_position.output.sign"]
         resistance = 1.5 * values["motor.resistance_ohm"]  # of one phase, as the q current sees it
-        per_turn = 2.0 * math.pi * self._kt * believed / resistance
+        per_turn = 2.0 * math.pi * self._kt * assumed / resistance
         words[W.brake_damping] = per_turn / values["motor_position.rotor_to_output_ratio"] ** 2
 
 

@@ -345,10 +345,10 @@ def _advance_two_mass(
 _callback = ctypes.CFUNCTYPE(None)(lambda: None)
 _address = ctypes.cast(_callback, ctypes.c_void_p).value
 assert _address is not None
-_NOBODY = NativeFunction(_address, ADVANCE, keep=_callback)  # a plug point takes no null
+_NO_HAND = NativeFunction(_address, ADVANCE, keep=_callback)  # a plug point takes no null
 _OTHER = {  # by the states of a plant
-    RIGID_ORDER: _NOBODY,  # never called
-    TWO_MASS_ORDER: _NOBODY,
+    RIGID_ORDER: _NO_HAND,  # never called
+    TWO_MASS_ORDER: _NO_HAND,
     RIGID_ORDER + HAND_ORDER: coupled_hand.advance_rigid,
     TWO_MASS_ORDER + HAND_ORDER: coupled_hand.advance_two_mass,
 }

@@ -152,7 +152,7 @@ class Lifted:
 def _at_the_worse_place(
     lifted: Lifted,
     worse: np.ufunc,
-    told: Callable[[Matrix], NDArray[Any]],
+    measure: Callable[[Matrix], NDArray[Any]],
     stiffness: ArrayLike,
     damping: ArrayLike,
 ) -> NDArray[Any]:
@@ -160,12 +160,14 @@ def _at_the_worse_place(
     k, b = np.broadcast_arrays(np.asarray(stiffness, float), np.asarray(damping, float))
     block = max(1, BLOCK // lifted.size**2)
     blocks = (slice(i, i + block) for i in range(0, max(k.size, 1), block))
-    own = np.concatenate([told(lifted.period(k.ravel()[i], b.ravel()[i])) for i in blocks]).reshape(k.shape)
+    own = np.concatenate([measure(lifted.period(k.ravel()[i], b.ravel()[i])) for i in blocks]).reshape(
+        k.shape
+    )
     softest = lifted.softest
     if softest is None:
         return own
     rests = k + softest.loop.cogging - softest.loop.compensated > 0.0
-    return np.where(rests, worse(own, _at_the_worse_place(softest, worse, told, k, b)), own)
+    return np.where(rests, worse(own, _at_the_worse_place(softest, worse, measure, k, b)), own)
 
 
 def _radius(phi: Matrix) -> Vector:

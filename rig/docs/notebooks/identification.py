@@ -52,10 +52,10 @@ print(sorted(found))
 # 3. Compare the descriptions
 # ---------------------------
 
-believed, measured, real = (rig.load(source) for source in ("koul-rigid", "identified.toml", "real.toml"))
+assumed, measured, real = (rig.load(source) for source in ("koul-rigid", "identified.toml", "real.toml"))
 print(f"{'':16}{'data sheet':>12}{'identified':>12}{'truth':>12}")
 for key in ("motor_inertia", "link_inertia", "motor_coulomb", "motor_damping", "link_damping"):
-    values = [getattr(experiment.rig.mechanics, key) for experiment in (believed, measured, real)]
+    values = [getattr(experiment.rig.mechanics, key) for experiment in (assumed, measured, real)]
     print(f"{key:16}" + "".join(f"{value:>12.3g}" for value in values))
 
 # %%
@@ -65,7 +65,7 @@ for key in ("motor_inertia", "link_inertia", "motor_coulomb", "motor_damping", "
 
 dampings = np.linspace(0.0, 1.5, 31)
 figure, axes = plt.subplots(figsize=(7, 4))
-for label, experiment in (("data sheet", believed), ("identified", measured), ("truth", real)):
+for label, experiment in (("data sheet", assumed), ("identified", measured), ("truth", real)):
     limits = theory.k_max_curve(experiment, "dual:20k/2k", dampings, operator="normal")
     axes.plot(dampings, [limit.stiffness for limit in limits], "--" if label == "truth" else "-", label=label)
 axes.set(xlabel="damping B (N·m·s/rad)", ylabel="stiffest stable wall (N·m/rad)", ylim=(0, None))

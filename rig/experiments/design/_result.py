@@ -214,7 +214,7 @@ class Design(Shown, Drawn):
     def as_mapping(self) -> dict[str, Any]:
         """Return all results as plain values, for JSON."""
 
-        def told(one: Standing) -> dict[str, Any]:
+        def as_facts(one: Standing) -> dict[str, Any]:
             return {
                 "scheme": one.candidate.scheme.text,
                 "loop": one.candidate.loop,
@@ -243,14 +243,14 @@ class Design(Shown, Drawn):
             "places": plain(self.places),
             "listed": self.listed,
             "kept": self.kept,
-            "recommended": told(self.recommended),
-            "own": told(self.own),
+            "recommended": as_facts(self.recommended),
+            "own": as_facts(self.own),
             "held_out": held_out,
             "margin": plain(self.margin),
-            "front": [told(one) for one in self.front],
+            "front": [as_facts(one) for one in self.front],
             "as_good": [one.candidate.scheme.text for one in self.as_good],
-            "standings": [told(one) for one in self.standings],
-            "finalists": [told(one) for one in self.finalists],
+            "standings": [as_facts(one) for one in self.standings],
+            "finalists": [as_facts(one) for one in self.finalists],
             "hits": dict(self.hits),
             "against": [one.as_mapping() for one in self.against],
             "toml": self.toml(),

@@ -178,7 +178,7 @@ class Against:
     def as_mapping(self) -> dict[str, Any]:
         """Return the comparison as plain values, for JSON."""
 
-        def told(one: MappedScheme) -> dict[str, Any]:
+        def as_facts(one: MappedScheme) -> dict[str, Any]:
             return {
                 "scheme": one.candidate.scheme.text,
                 "label": one.label,
@@ -187,10 +187,10 @@ class Against:
             }
 
         return {
-            "paper": told(self.paper),
+            "paper": as_facts(self.paper),
             "listed": self.listed,
             "ruled_out": dict(self.ruled_out),
-            "measured": [told(one) | {"misses": one.misses(self.paper)} for one in self.measured],
+            "measured": [as_facts(one) | {"misses": one.misses(self.paper)} for one in self.measured],
             "open": self.open,
             "as_good": self.as_good,
             "text": self.text,

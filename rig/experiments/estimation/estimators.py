@@ -61,8 +61,10 @@ class Variant:
     @property
     def label(self) -> str:
         """Name and settings, for tables and legends."""
-        said = (f"{k}={v:g}" if isinstance(v, int | float) else f"{k}={v}" for k, v in self.settings.items())
-        return " ".join((self.estimator, *said))
+        settings = (
+            f"{k}={v:g}" if isinstance(v, int | float) else f"{k}={v}" for k, v in self.settings.items()
+        )
+        return " ".join((self.estimator, *settings))
 
 
 @dataclass(frozen=True, slots=True)

@@ -139,9 +139,9 @@ class HitResult(Shown, Drawn):
     def brief(self) -> list[Item]:
         """Wall, verdict with its reasons, and the three ripples that it goes by."""
         rows = self.recorded.judgement.rows(self.experiment)
-        said = [row for row in rows if row.label in {"verdict", ""}]
-        told = [row for row in rows if row.label.startswith(("peak", "felt", "heard", "moved"))]
-        return [self.experiment.headline(), *said[:3], *told, Row("recording", str(self.path))]
+        summary = [row for row in rows if row.label in {"verdict", ""}]
+        numbers = [row for row in rows if row.label.startswith(("peak", "felt", "heard", "moved"))]
+        return [self.experiment.headline(), *summary[:3], *numbers, Row("recording", str(self.path))]
 
     def detailed(self) -> list[Item]:
         """Everything that the verdict goes by."""

@@ -71,7 +71,7 @@ __all__ = [
     "OnDevice",
     "Wall",
     "Watch",
-    "concluded",
+    "conclude",
     "expected",
     "known_device",
     "measure_impedance",
@@ -301,7 +301,7 @@ def measure_impedance(
                     watch(done, total)
                 if runs[-1].record is None:
                     break
-            results.append(concluded(one, runs, method=method, signal=signal, judging=judging))
+            results.append(conclude(one, runs, method=method, signal=signal, judging=judging))
     return tuple(results)
 
 
@@ -371,7 +371,7 @@ def measure_on_device(
                     watch(done, total)
                 if run.record is None:
                     break
-            yield concluded(
+            yield conclude(
                 one, runs, method=method, signal="count", judging=judging, recordings=tuple(recordings)
             )
 
@@ -410,7 +410,7 @@ def refuse_excitations(asked: Sequence[Experiment]) -> None:
         refuse(excitation_checks(one))
 
 
-def concluded(
+def conclude(
     experiment: Experiment,
     runs: Sequence[RealisationRun],
     *,
@@ -487,7 +487,7 @@ def recorded_impedance(
         for one, experiment in zip(attempts.values(), experiments, strict=True)
     ]
     paths = tuple(one.path for one in recordings if one.path is not None)
-    return concluded(experiments[0], runs, method=method, signal="count", judging=judging, recordings=paths)
+    return conclude(experiments[0], runs, method=method, signal="count", judging=judging, recordings=paths)
 
 
 def known_device(experiment: Experiment) -> RigidRig:

@@ -34,7 +34,7 @@ from rig.core.sample import unit_of
 from rig.core.shown import Drawn, Shown
 from rig.experiments import sweep
 from rig.experiments.mapping._searches import check_values
-from rig.experiments.mapping.impedance import ImpedanceResult, Judging, concluded, refuse_excitations
+from rig.experiments.mapping.impedance import ImpedanceResult, Judging, conclude, refuse_excitations
 from rig.experiments.trials.excitation_run import ExcitedRig, RealisationRun, Signal
 
 TOGETHER = -1  # number that stands for all realisations
@@ -166,8 +166,8 @@ def wall_rows(
     runs: list[RealisationRun] = []
     for realisation in range(walled.excitation.realisations):
         runs.append(bench.excite(wall.stiffness, wall.damping, realisation))
-        yield _row(concluded(walled, runs[-1:], signal=signal, judging=judging), realisation, 1)
-    yield _row(concluded(walled, runs, signal=signal, judging=judging), TOGETHER, 0)
+        yield _row(conclude(walled, runs[-1:], signal=signal, judging=judging), realisation, 1)
+    yield _row(conclude(walled, runs, signal=signal, judging=judging), TOGETHER, 0)
 
 
 def _row(result: ImpedanceResult, realisation: int, runs: int) -> dict[str, Any]:

@@ -123,13 +123,15 @@ class Weighing:
         """Return what was weighed and calibrated, for people."""
         effort, unit = unit_of("effort", self.motion), unit_of("effort/A", self.motion)
         off = self.effort_per_ampere.value / self.described - 1.0
-        said = "as described, within the interval" if self.agrees else f"{100 * off:+.2g} % of that described"
+        agreement = (
+            "as described, within the interval" if self.agrees else f"{100 * off:+.2g} % of that described"
+        )
         return [
             Row("weight", self.weight, effort, f"{self.mass_kg:g} kg at {self.arm_m:g} m"),
             Row("measured", self.measured.text(effort)),
             Row("friction", f"{self.bare.coulomb.text()}, with the mass {self.loaded.coulomb.text(effort)}"),
             Row("rig.amplifier.effort_per_ampere", self.effort_per_ampere.text(unit)),
-            Row("  described", self.described, unit, said),
+            Row("  described", self.described, unit, agreement),
             *(Row("recording", str(path)) for path in self.recordings),
         ]
 

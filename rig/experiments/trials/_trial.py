@@ -318,17 +318,17 @@ def _seal(
     """Seal the capture, with what the caller's judge says of it. A failure here never hides the `error` of the run."""
     if not request.sealed:
         return None, None
-    said: list[Judgement] = []
+    judgements: list[Judgement] = []
 
     def judged(recording: Recording) -> dict[str, Any]:
         if request.judge is None:
             return {}
-        said.append(request.judge(recording))
-        return dict(lossless(said[0]))
+        judgements.append(request.judge(recording))
+        return dict(lossless(judgements[0]))
 
     try:
         sealed = seal(open_recording(request.recording), truth, judge=judged)
-        return sealed, said[0] if said else None
+        return sealed, judgements[0] if judgements else None
     except RigError as own:
         if error is None:
             own.recording = request.recording

@@ -185,10 +185,10 @@ def verdicts_of(recording: Recording, experiment: Experiment) -> Verdicts:
     They are missing in a recording whose writer died, in a cut, and in one that another version wrote in its format.
     """
     try:
-        told: Verdicts = pydantic.TypeAdapter(Verdicts).validate_python(recording.trailer)
+        stored: Verdicts = pydantic.TypeAdapter(Verdicts).validate_python(recording.trailer)
     except pydantic.ValidationError:
         return judge(recording, experiment)
-    return told
+    return stored
 
 
 def judge(recording: Recording, experiment: Experiment) -> Judgement:

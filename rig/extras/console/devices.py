@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from annotated_types import Ge, Le
 
 from firmware_protocol.faults import Fault
-from rig.core.present import told
+from rig.core.present import page_items
 from rig.doctor.here import here
 from rig.experiments.hits.examine import ExaminationRequest, examine
 from rig.extras.console.client import Client
@@ -47,7 +47,7 @@ class Devices(Service):
     async def _devices(self, client: Client, request: AskDevices) -> Any:
         found = await asyncio.to_thread(here)
         faults = [{"name": one.name, "text": one.text, "remedy": one.remedy} for one in Fault if one]
-        return {"items": told(found.items()), "faults": faults}
+        return {"items": page_items(found.items()), "faults": faults}
 
     async def _examine(self, client: Client, request: Examine) -> Any:
         self._shared.must_operate(client)
@@ -66,4 +66,4 @@ def doctor(content: Mapping[str, Any], talk: Talk) -> Any:
         seconds=float(content["seconds"]),
     )
     found = examine(question, lambda what, share: talk.progress(stage=what, share=share))
-    return {"items": told(found.items()), "error": None if found.error is None else str(found.error)}
+    return {"items": page_items(found.items()), "error": None if found.error is None else str(found.error)}

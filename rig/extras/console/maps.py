@@ -199,7 +199,7 @@ class MapService(Service):
         if path.name in self._watched:  # another page was faster
             return await self._show(client, path)
         self._watched[path.name] = watched = Watched(path, facts, {client})
-        self.go_on(self._follow(watched))
+        self.run_beside(self._follow(watched))
         return watched.facts
 
     async def _follow(self, watched: Watched) -> None:

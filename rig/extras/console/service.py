@@ -100,10 +100,10 @@ class Service(ABC):
             except Exception as error:
                 client.reply(request.number, error=defect(request.do, error))
 
-        self.go_on(answered())
+        self.run_beside(answered())
         return LATER
 
-    def go_on(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+    def run_beside(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         """Do something beside; it ends with the service at the latest."""
         task = asyncio.create_task(work)
         self._working.add(task)

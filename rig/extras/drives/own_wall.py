@@ -108,10 +108,10 @@ class OwnWall:
 
     def fits(self, experiment: Experiment, dictionary: Dictionary) -> list[Check]:
         """Return whether the gains of a drive are large enough for the wall of an experiment."""
-        told = {info.name: info.value for info in dictionary.settings}
-        most = [told.get(name) for name in ("drive_wall_stiffness", "drive_wall_damping")]
+        facts = {info.name: info.value for info in dictionary.settings}
+        most = [facts.get(name) for name in ("drive_wall_stiffness", "drive_wall_damping")]
         if not all(isinstance(value, int | float) for value in most):
-            why = told.get("drive_wall", "it is not a drive behind a bridge")
+            why = facts.get("drive_wall", "it is not a drive behind a bridge")
             return [
                 Check(
                     NAME,
@@ -128,7 +128,7 @@ class OwnWall:
             f"K = {wall.stiffness:g} {k_unit} is {k_share:.3g} of what the drive's kp gives, {stiffness:.4g}; "
             f"B = {wall.damping:g} {b_unit} is {b_share:.3g} of its kd's, {damping:.4g}"
         )
-        kp, kd = float(told["drive_kp"]), float(told["drive_kd"])
+        kp, kd = float(facts["drive_kp"]), float(facts["drive_kd"])
         larger = kp * max(1.0, SPARE * k_share)
         return [
             limited(

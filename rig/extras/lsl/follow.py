@@ -108,7 +108,7 @@ class Follower:
         self._blind = blind
         self._reader = RowReader(ring)
         self._clock = LiveClock()
-        self._told_clock = self._begun = False
+        self._sent_clock = self._begun = False
         self._since = time.monotonic()
         self._before: NDArray[np.void] = np.zeros(0, ROW)
         self._last_ns = 0
@@ -154,8 +154,8 @@ class Follower:
         if not self._begun:
             self._begun = True
             yield Marker(int(times[0]), {"mark": "begin", **first, **self._about()})
-        if not self._told_clock:
-            self._told_clock = True
+        if not self._sent_clock:
+            self._sent_clock = True
             bound = self._clock.bound_ns
             bound_s = None if bound is None else bound * 1e-9
             yield Marker(int(times[0]), {"mark": "clock", **first, "bound_s": bound_s})

@@ -108,7 +108,7 @@ class Steps:
 
     def __init__(self, *, quiet: bool) -> None:
         self._quiet = quiet or not output.on_terminal()
-        self._said_s = 0.0
+        self._printed_s = 0.0
 
     def __enter__(self) -> Steps:
         return self
@@ -120,8 +120,8 @@ class Steps:
     def watch(self, what: str, done: int, total: int) -> None:
         """Show a step, a few times a second at most."""
         now = time.monotonic()
-        if not self._quiet and (done in (0, total) or now - self._said_s >= _OFTEN_S):
-            self._said_s = now
+        if not self._quiet and (done in (0, total) or now - self._printed_s >= _OFTEN_S):
+            self._printed_s = now
             click.echo(f"\r\033[K{what}: {done} of {total}", nl=False, err=True)
 
 

@@ -95,7 +95,7 @@ def thresholds_of(given: Iterable[str]) -> dict[str, float]:
     return found
 
 
-def refuse_nobody(person: Person, protocol: Protocol) -> None:
+def check_person(person: Person, protocol: Protocol) -> None:
     """Raise `ConfigError` for numbers that no person of this study can have."""
     names = [one.name for one in protocol.condition]
     for name, stiffness in person.thresholds.items():

@@ -44,7 +44,7 @@ from rig.session.engine._place import (
     software,
 )
 from rig.session.engine._protocol_changes import changed_keys, refuse_changed, walls_in
-from rig.session.engine._rehearsal import Day, Person, RealDay, RehearsalDesk, refuse_nobody
+from rig.session.engine._rehearsal import Day, Person, RealDay, RehearsalDesk, check_person
 from rig.session.engine._runner import TrialRunner
 from rig.session.engine._state import SessionState
 from rig.session.engine._telling import outcome
@@ -186,7 +186,7 @@ def run_session(
     if not other_protocol:
         refuse_changed(changes, place.parent)
     if person is not None:
-        refuse_nobody(person, protocol)
+        check_person(person, protocol)
         if again:
             clear_rehearsal(place)
     refuse_begun(protocol, place, code)
@@ -202,7 +202,7 @@ def run_session(
         refuse_unarmable(walls, runner)
         refuse_lossy(walls, runner)
         with (
-            desk(protocol, mapping, runner) as somebody,
+            desk(protocol, mapping, runner) as operator,
             _streams(protocol, mapping, marks) as streams,
             begin(
                 place,
@@ -218,7 +218,7 @@ def run_session(
                 clock=_clock(person, runner),
             ) as session,
         ):
-            return _conduct(session, runner, somebody, walls, on_event, streams)
+            return _conduct(session, runner, operator, walls, on_event, streams)
 
 
 def compare_with_study(walls: Walls, code: str, study: Path | None, person: Person | None) -> None:
@@ -282,11 +282,11 @@ def _resume(
     marks: str | None,
 ) -> SessionResult:
     with (
-        desk(state.protocol, state.experiment, runner) as somebody,
+        desk(state.protocol, state.experiment, runner) as operator,
         _streams(state.protocol, state.experiment, marks) as streams,
         resume(directory, at=at, clock=_clock(person, runner)) as session,
     ):
-        return _conduct(session, runner, somebody, walls, on_event, streams)
+        return _conduct(session, runner, operator, walls, on_event, streams)
 
 
 def read_person(directory: Path) -> Person | None:
@@ -396,13 +396,13 @@ def _clock(person: Person | None, runner: TrialRunner) -> SessionClock:
 def _conduct(
     session: Session,
     runner: TrialRunner,
-    somebody: Desk,
+    operator: Desk,
     walls: Walls,
     on_event: OnEvent | None,
     streams: Streams | None,
 ) -> SessionResult:
     try:
-        conduct(session, runner, somebody, walls=walls, on_event=on_event, marks=streams)
+        conduct(session, runner, operator, walls=walls, on_event=on_event, marks=streams)
     finally:
         if streams is not None:
             sent = streams.close()

@@ -451,7 +451,7 @@ class SessionState:
         return DoTrial(self._presented(block, run, probe, attempt))
 
     def _before(self, block: Block) -> Step | None:
-        """Return the step that must precede the next trial of a block; None if there is none."""
+        """Return the step that must precede the next trial of a block; None without one."""
         begun = block.number in self.begun
         between = self.protocol.rest.between_blocks_s if self.trials and not begun else 0.0
         if between > 0.0 and self._rested.get("block") != self.newest:

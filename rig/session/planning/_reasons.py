@@ -14,7 +14,7 @@ RIG_LIMIT = "rig limit"
 HIDDEN = "for a reason that is hidden from a blinded operator"
 AS_IT_IS = ""
 # Beginning of a reason: what a blinded operator reads.
-_TOLD = {
+_ADVICE = {
     "from contact on, ": AS_IT_IS,  # samples lost, late ticks
     "the wall was never touched": AS_IT_IS,
     "the wall was touched at ": AS_IT_IS,  # in the baseline, in older logs
@@ -51,5 +51,5 @@ def summarise_reasons(reasons: Iterable[str], *, blind: bool) -> str:
 
 
 def _hide(reason: str) -> str:
-    found = next((said for start, said in _TOLD.items() if reason.startswith(start)), HIDDEN)
+    found = next((advice for start, advice in _ADVICE.items() if reason.startswith(start)), HIDDEN)
     return reason if found is AS_IT_IS else found

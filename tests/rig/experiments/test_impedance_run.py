@@ -125,12 +125,12 @@ def test_what_is_fitted_to_a_voltage_driven_rig_is_its_own_damping_and_mass(chan
     }  # fmt: skip
     x = config.override(presets.load("koul-rigid"), fine)
     bench = ExcitedRig(x)
-    free = measuring.concluded(x, [bench.excite(0.0, 0.0)])
+    free = measuring.conclude(x, [bench.excite(0.0, 0.0)])
     assert free.fitted is not None
     assert free.fitted.values["damping"] == pytest.approx(3e-3, rel=0.01)
     assert free.fitted.values["inertia"] == pytest.approx(3.2e-4, rel=1e-3)
     wall = config.override(x, {"wall.stiffness": 50.0})
-    fidelity = measuring.concluded(wall, [bench.excite(50.0, 0.0)]).fidelity
+    fidelity = measuring.conclude(wall, [bench.excite(50.0, 0.0)]).fidelity
     assert fidelity is not None
     assert fidelity.stiffness_percent == pytest.approx(100.0, abs=0.5)
     lag = -50.0 * (0.5 * 5e-5 + x.rig.amplifier.lag_s)  # what hold and lag take off a spring's damping

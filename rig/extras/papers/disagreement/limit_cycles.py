@@ -196,16 +196,16 @@ class LimitCycles(Shown):
 
 
 def _row(tally: Tally) -> Row:
-    def said(errors: Errors, what: str) -> str:
+    def in_words(errors: Errors, what: str) -> str:
         (a, worst_a), (f, worst_f) = errors.amplitude, errors.frequency
         return (
             f"{errors.walls} {what}: amplitude {percent(a)} off (at most {percent(worst_a)}), "
             f"frequency {percent(f)} (at most {percent(worst_f)})"
         )
 
-    parts = [said(tally.sinusoids, "sinusoids")] if tally.sinusoids.walls else []
-    parts += [said(tally.others, "that are not sinusoidal")] if tally.others.walls else []
-    parts += [said(tally.alone, "of these whose cycle is alone")] if tally.alone.walls else []
+    parts = [in_words(tally.sinusoids, "sinusoids")] if tally.sinusoids.walls else []
+    parts += [in_words(tally.others, "that are not sinusoidal")] if tally.others.walls else []
+    parts += [in_words(tally.alone, "of these whose cycle is alone")] if tally.alone.walls else []
     parts += [f"{tally.both_rest} rest, as predicted (friction can hold them)"] if tally.both_rest else []
     parts += [f"{tally.only_predicted} rest although a cycle is predicted"] if tally.only_predicted else []
     parts += [f"{tally.only_simulated} cycle although none is predicted"] if tally.only_simulated else []
