@@ -17,7 +17,7 @@ from rig.config import controller, presets
 from rig.core.sample import Phase, RowFlag
 from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault
 from rig.devices.framed import FramedDevice
-from rig.loop import _exchange as exchange
+from rig.experiments.trials import _trial as running_trial
 from rig.recording.reader import open_recording
 from sim_backend.bare.trial import UNSEEN, run_trial
 from sim_backend.board.device import SimulatedDevice
@@ -78,7 +78,7 @@ def first_frame(experiment: Any, directory: Path) -> int:
 def test_a_trial_without_bytes_is_the_one_over_a_link_that_loses_and_delays(
     experiment: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(exchange, "EVERY_NS", 0)  # each frame to the host then is a STATE
+    monkeypatch.setattr(running_trial, "EVERY_NS", 0)  # each frame to the host then is a STATE
     rate = experiment.controller.position_rate
     clean = without_bytes(experiment, np.zeros(0, np.int64))
     begin = int(np.flatnonzero(clean.phases == Phase.TRIAL)[0])

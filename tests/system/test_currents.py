@@ -203,8 +203,7 @@ def test_a_current_too_small_beside_the_noise_is_not_observed_and_no_agreement(t
     judgement = judge(recording, experiment)
     assert judgement.verdict.current_observed == 0
     assert any(
-        row.label == "motor current" and "not observed" in str(row.value)
-        for row in judgement.rows(experiment)
+        row.label == "motor current" and "not checked" in str(row.value) for row in judgement.rows(experiment)
     )
 
 

@@ -128,4 +128,4 @@ def test_where_effort_or_friction_are_not_known_nothing_is_decided(tmp_path: Pat
     ):  # fmt: skip
         assert judge(recording, unknown).motion is None
     rows = [row for row in judge(recording, unknown).rows(unknown) if row.label == "encoder scale"]
-    assert "not observed" in str(rows[0].value)
+    assert "not checked" in str(rows[0].value)

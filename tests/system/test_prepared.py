@@ -18,6 +18,7 @@ from pathlib import Path
 from rig import config
 from rig.config import presets
 from rig.devices.framed import FramedDevice
+from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
 from rig.realtime.kernel import Kernel
 from rig.loop._run import LoopThread
@@ -42,7 +43,7 @@ Kernel.prepare, FramedDevice.arm, LoopThread.finish = noted, arming, finished
 experiment = presets.load("koul-rigid")
 changes = {"controller.loop": sys.argv[1], "controller.estimator": "fdm-butterworth-fixed", "trial.duration_s": 0.6}
 request = HitRequest(experiment=config.override(experiment, changes, "test"), output=Path(sys.argv[2]))
-assert len(list(hit(request))) == 1
+assert len(list(hit(request, admit))) == 1
 print(late, "scipy.linalg" in sys.modules)
 """
 

@@ -27,6 +27,7 @@ from tests.conformance.tiers import first_by_default
 PROGRAM = """
 import asyncio, os, signal, sys, threading, time
 import rig
+from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -42,7 +43,7 @@ def watch(number, experiment):
 
 def run():
     twice = rig.load("koul-compliant", duration_s=60.0, changes={"trial.repeats": 2})
-    list(hit(HitRequest(experiment=twice, realtime=REALTIME, output=OUTPUT), watch))
+    list(hit(HitRequest(experiment=twice, realtime=REALTIME, output=OUTPUT), admit, watch))
 
 """
 TO_THREAD = """

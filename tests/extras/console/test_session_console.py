@@ -85,8 +85,8 @@ from rig.core import program; program.begin()
 import sys
 from rig.doctor import pace
 from rig.cli import run as rig
-from rig.experiments import trial
-from rig.session.terminal import child
+from rig.experiments.trials import _trial as trial
+from rig.session.terminal import _child as child
 
 pace.SECONDS = 0.1
 child.END_S = 0.2  # of a console that is stopped

@@ -208,7 +208,7 @@ def test_every_template_is_part_of_the_package() -> None:
     wheel = project.partition("[tool.hatch.build.targets.wheel]")[2].partition("\n[")[0]
     assert '"rig"' in wheel
     assert "exclude" not in wheel
-    assert len(names()) == 6
+    assert len(names()) == 7
     assert all(template._text(name) for name in names())
 
 

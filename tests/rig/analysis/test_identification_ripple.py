@@ -82,5 +82,5 @@ def test_without_a_load_ripple_looks_like_friction_that_varies_and_bends_the_map
 
 
 def test_a_load_that_is_lost_in_the_friction_is_refused() -> None:
-    with pytest.raises(IdentificationError, match="lost in the friction"):
+    with pytest.raises(IdentificationError, match="masked by the friction"):
         found(RIPPLES, load=1e-7)

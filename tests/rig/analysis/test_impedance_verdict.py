@@ -267,7 +267,7 @@ def test_what_cannot_be_meant_is_refused() -> None:
         passive(rig_with_wall(0.0, 0.0), (500.0, 600.0))
     with pytest.raises(ConfigError, match="terms"):
         fit(rig_with_wall(0.0, 0.0), ())
-    with pytest.raises(ConfigError, match="1 lines for 3"):
+    with pytest.raises(ConfigError, match="only 1 lines are usable to fit 3"):
         fit(rig_with_wall(0.0, 0.0), ("inertia", "damping", "stiffness"), band=(5.0, 5.0))
     with pytest.raises(ConfigError, match="subtract"):
         fit(rig_with_wall(0.0, 0.0), subtract=np.zeros(3))

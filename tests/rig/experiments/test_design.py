@@ -42,6 +42,7 @@ from rig.experiments.mapping import _maps as maps
 from rig.experiments.mapping._ranges import search_for
 from rig.experiments.mapping._rendering import RENDERED, rendered_damping, rendered_share
 from rig.experiments.mapping.zwidth import MapPlan
+from rig.experiments.sweep import _coordinator as coordinator
 from rig.firmware.tick_budget import CALLS
 from tests.conformance.made_links import link
 from tests.conformance.maps import SHORT, short_map
@@ -302,7 +303,7 @@ def test_a_design_that_was_stopped_resumes_and_is_the_same(
         design(REQUEST, tmp_path, watch=stop_in_the_second_round)
     assert told[0] == "linear theory"
     ran: list[str] = []
-    monkeypatch.setattr(sweep.coordinator, "perform", _counted(sweep.coordinator.perform, ran))
+    monkeypatch.setattr(coordinator, "perform", _counted(coordinator.perform, ran))
     again = design(REQUEST, tmp_path)
     assert again.as_mapping() == whole.as_mapping()
     assert not any("linear" in one for one in ran), "what was done is not done again"
@@ -340,10 +341,13 @@ def test_a_wall_that_must_be_stable_decides_before_the_goal() -> None:
 @pytest.mark.parametrize(
     ("wishes", "said"),
     [
-        (Wishes(fidelity_hz=4000.0), r"none of \d schemes.*4000 \(`fidelity_to`\) binds.* of it"),
-        (Wishes(noise=1e-9), r"1e-09 \(`most_noise`\) binds"),
-        (Wishes(cost=1.0), r"1 \(`most_cost`\) binds"),
-        (Wishes(wall=(470.0, 30.0)), r"K = 470 with B = 30 \(`must_be_stable`\) binds; .* comes to 0 of it"),
+        (Wishes(fidelity_hz=4000.0), r"none of \d schemes.*4000 \(`fidelity_to`\).* of it"),
+        (Wishes(noise=1e-9), r"limiting one is 1e-09 \(`most_noise`\)"),
+        (Wishes(cost=1.0), r"limiting one is 1 \(`most_cost`\)"),
+        (
+            Wishes(wall=(470.0, 30.0)),
+            r"limiting one is K = 470 with B = 30 \(`must_be_stable`\); .* reaches 0 of it",
+        ),
     ],
 )
 def test_a_wish_that_nothing_fulfils_is_named_with_how_far_one_comes(wishes: Wishes, said: str) -> None:

@@ -246,7 +246,7 @@ def test_whoever_calls_the_public_face_is_told_to_let_go_too(
 def test_a_real_rig_whose_motor_is_dead_is_not_armed_for_a_person(real: None, tmp_path: Path) -> None:
     with framed(drive=0.0) as device:
         # The device's own check of a large effort without an edge may come first.
-        with pytest.raises((IdentificationError, DeviceFaultError), match=r"motor is dead|no encoder edge"):
+        with pytest.raises((IdentificationError, DeviceFaultError), match=r"encoder is dead|no encoder edge"):
             tuple(hit(HitRequest(experiment=PERSON, device=device, verified=True, output=tmp_path), admit))
         assert not device.moved_as_described
         assert device.connection.state != State.RUNNING

@@ -85,7 +85,10 @@ def test_with_a_coarse_encoder_the_softest_wall_still_holds_the_push_in_the_wind
 @pytest.mark.parametrize(
     ("bounds", "text"),
     [
-        ({"highest": 1e9}, r"1e\+09 \(`stiffness`\): in walls above 477.* 2 counts deep.*at most 477"),
+        (
+            {"highest": 1e9},
+            r"1e\+09 \(`stiffness`\) is too high: in walls above 477.* 2 counts deep.*at most 477",
+        ),
         ({"lowest": 0.0}, r"from 0 to .*`stiffness`"),
         ({"highest": 0.0}, r"to 0 is not a range.*`stiffness`"),
         ({"lowest": 50.0, "highest": 20.0}, r"from 50 to 20 is not a range"),

@@ -183,9 +183,9 @@ def test_invalid_hits_are_counted_by_their_reason() -> None:
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"schemes": ()}, r"no schemes \(`scheme`\)"),
+        ({"schemes": ()}, r"schemes \(`scheme`\): the list is empty"),
         ({"schemes": (DUAL, Scheme.parse("dual:20000/2000"))}, r"dual:20k/2k is given twice"),
-        ({"dampings": ()}, r"no dampings \(`damping`\)"),
+        ({"dampings": ()}, r"dampings \(`damping`\): the list is empty"),
         ({"dampings": (0.0, -1.0)}, r"dampings \(`damping`\): -1 is out of range.*at least 0"),
         ({"dampings": (math.nan,)}, r"nan is out of range"),
         ({"dampings": (0.5, 0.5)}, r"0.5 is given twice"),

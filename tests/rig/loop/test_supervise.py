@@ -600,7 +600,7 @@ def test_a_device_that_never_answers_a_commit_does_not_hold_up_the_rows_for_ever
 
 
 def test_too_many_parameters_for_an_update_are_refused() -> None:
-    with pytest.raises(ConfigError, match="do not fit"):
+    with pytest.raises(ConfigError, match="too many for a running loop"):
         update_of(1, bytes(102), [0.0])
-    with pytest.raises(ConfigError, match="do not fit"):
+    with pytest.raises(ConfigError, match="too many for a running loop"):
         update_of(1, bytes(12), [0.0] * 60)

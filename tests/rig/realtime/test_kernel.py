@@ -311,10 +311,12 @@ def test_the_key_follows_what_kernels_depend_on_and_nothing_else(
 
 
 def test_compiled_code_lies_in_its_rooms() -> None:
-    """Control, realtime, loop, devices, recording, doctor and the simulation; nowhere else."""
+    """Control, realtime, loop, devices, recording, doctor, testing and the simulation; nowhere else."""
     rooms = {".".join(name.split(".")[:2]) for name, path in source_files().items() if is_compiled(path)}
     simulation = {room for room in rooms if room.startswith("sim_backend.")}
-    allowed = {f"rig.{room}" for room in ("control", "realtime", "loop", "devices", "recording", "doctor")}
+    allowed = {
+        f"rig.{room}" for room in ("control", "realtime", "loop", "devices", "recording", "doctor", "testing")
+    }
     assert rooms - simulation <= allowed
 
 

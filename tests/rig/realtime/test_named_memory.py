@@ -22,7 +22,8 @@ from tests.conformance.started import started
 WAIT_S = 30.0
 LOOP = """
 import sys, time
-from rig.realtime import control_words, memories, named_memory, ring, running
+from rig.realtime import control_words, memories, ring, running
+from rig.realtime import _named_memory as named_memory
 memories.place = ring.place = running.place = named_memory
 named_memory.user_cache = lambda: sys.argv[1]
 block = ring.Ring.allocate(100, info={"url": "serial://COM3"}, shared=True)

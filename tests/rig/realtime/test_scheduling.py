@@ -355,7 +355,7 @@ def test_the_report_is_json_and_says_asked_obtained_refused_and_what_the_kernel_
 CHILD = """
 import json, os, resource, sys, threading
 from rig.core.errors import RealtimeError
-from rig.realtime.scheduling import calls, facts, obtained
+from rig.realtime.scheduling import _calls as calls, facts, obtained
 from rig.realtime.scheduling._thread import ThreadState
 from tests.rig.realtime.test_scheduling import Asked, all_threads, in_thread, is_as, state
 

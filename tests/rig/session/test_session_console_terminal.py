@@ -187,7 +187,7 @@ def test_a_session_without_a_terminal_is_refused(place: str, tmp_path: Path) -> 
 PROGRAM = """
 import sys
 from rig.core.errors import RigError
-from rig.session.terminal import child
+from rig.session.terminal import _child as child
 from rig.session.terminal.desk import ConsoleDesk
 from rig.session.engine._desk import DeskView, Question
 
