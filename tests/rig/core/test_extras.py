@@ -19,6 +19,8 @@ from rig.core import extras, plugins
 from rig.core.errors import ConfigError, RigError
 from rig.core.shown import Drawn, plot
 from rig.experiments.sweep._executors import executor_for
+from rig.realtime.control_words import STOP
+from rig.realtime.ring import Ring
 
 Install = Callable[..., Path]
 
@@ -168,11 +170,14 @@ def test_help_works_beside_broken_extras_and_names_them(install: Install, tmp_pa
 
 
 def test_stop_waits_for_no_extra(install: Install, tmp_path: Path) -> None:
-    """Not for its table, should that take forever to read, and not for its modules."""
+    """Not for its table, should that take forever to read, and not for its modules; of this process alone."""
     hang = "import time; extras.tables = lambda: time.sleep(1e9)"
-    stopped = run(tmp_path, "stop", "--json", before=hang)
-    assert stopped.returncode == 0, stopped.stderr
-    assert json.loads(stopped.stdout)["loops"] == []
+    ring = Ring.allocate(10, info={"url": "sim://"}, shared=True)
+    try:
+        stopped = run(tmp_path, "stop", str(os.getpid()), "--json", before=hang)
+        assert ring.peek(STOP) != 0, stopped.stderr
+    finally:
+        ring.close()
 
 
 # ---------------------------------------------------------------------- the tables of this tree
