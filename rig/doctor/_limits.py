@@ -7,11 +7,12 @@ import sys
 
 from rig.core.answers import ok, question, refused, warning
 from rig.core.check import Check, Outcome
-from rig.realtime.scheduling import IDLE_DEVICE, refusals
+from rig.realtime.scheduling import refusals
 from rig.realtime.scheduling.facts import rt_period_us, rt_runtime_us, status_kilobytes, text_of
 
 if sys.platform == "linux":
     from rig.doctor._subject import Machine
+    from rig.realtime.scheduling import IDLE_DEVICE
 
 assert sys.platform == "linux"
 
