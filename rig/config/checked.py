@@ -3,6 +3,9 @@
 Experiments, protocols of studies and descriptions of boards are such files; each kind declares its dataclass as a
 `FileKind`. Types and ranges of every key are checked here, each by itself; rules that tie keys together belong to the
 kind of file.
+
+`rig.config`, sessions, the boards of `rig.firmware`, the data sheets of `rig.experiments` and the console call it. It
+must not know any kind of file.
 """
 
 from __future__ import annotations

@@ -3,6 +3,9 @@
 One place turns configured quantities into ticks, counts and quanta: the host's law
 (`for_experiment`) and the device's parameters (`device_parameters`) come from the same values. `prepared` makes both
 once for a run: a plan shows, checks and executes that object.
+
+Plans, trials, hits, maps, the design, `rig.doctor.gate` and self tests of boards call it. It must not open a device,
+nor write to one.
 """
 
 from __future__ import annotations

@@ -1,6 +1,9 @@
 """The homing servo of a rig: where friction can hold the handle, whether the servo is stable, and one that is.
 
 Computed from the description alone, without linear theory's libraries, so that every hit can be checked.
+
+Plans, predictions of `rig.doctor`, identification and `rig.experiments.new_rig` call it. It must not import scipy or
+`rig.analysis.theory`.
 """
 
 from __future__ import annotations

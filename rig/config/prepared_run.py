@@ -2,6 +2,8 @@
 
 Data alone. `rig.config.controller.prepared` makes it; who runs it need not know how a law or a device's parameters are
 designed.
+
+Trials, hits and motions of `rig.experiments` receive it. It must not import what makes it.
 """
 
 from __future__ import annotations

@@ -13,6 +13,8 @@ Unless a scheme states its cut-off, a filter keeps its share of the velocity rat
 200 Hz at 2 kHz has 2 kHz at 20 kHz. Koul et al. compare their schemes so (200 Hz at 2 kHz, "10 % Nyquist" for other
 rates), which is why it is the default; it compares rates and filters at once. With `controller.scheme_cutoff` = "same"
 all schemes have the experiment's cut-off, and differ in their rates alone. `describe_cutoffs` says where they differ.
+
+Theory, maps, comparisons, the design, sessions and the console call it. Nothing here runs a scheme or judges one.
 """
 
 from __future__ import annotations

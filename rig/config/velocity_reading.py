@@ -2,6 +2,9 @@
 
 One count is a pulse of the estimate whose area over time is the count. Behind a fast filter a coarse encoder's single
 count reads as a speed that no handle has.
+
+Plans, predictions of `rig.doctor`, maps, identification and `rig.experiments.new_rig` call it. It must not simulate a
+run or read a recording.
 """
 
 from __future__ import annotations

@@ -3,6 +3,9 @@
 A wall with a free side is not linear, so a measurement is made about a point inside a wall that also pulls. The rig's
 own motor may play an excitation on top: one period of efforts in the law's parameters, played by elapsed ticks and
 not by a clock, so that the same law runs without bytes, over the byte link, in real time and in a replay.
+
+Excited runs and identification of `rig.experiments`, the reproductions of papers and the simulation call it. Kernels
+here must not allocate, and must not know what moves the bytes.
 """
 
 from __future__ import annotations

@@ -14,6 +14,9 @@ the limit bounds the effort whatever the map says; guard, window and energy watc
 It is off unless a law is wrapped in it, and works where that law does: in trial and release, inside the wall and
 outside, not in homing. It is part of the law's effort in a recording's columns, wanted before the guard and sent behind
 it; the recording names it in the law, and its parameters are the first of that.
+
+`rig.config.controller` wraps a law in it, and the simulation pushes its plant with the same map. Kernels here must not
+allocate.
 """
 
 from __future__ import annotations

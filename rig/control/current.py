@@ -23,6 +23,9 @@ mirrors this): the simulated device and both loops of the host call this one.
 
 Source: R·i + L·i′ = V − k_e·ω, and a current loop as a first-order lag; the thresholds are ours, and
 `rig/docs/explanation/verdicts.md` has the false alarms and the power that follow.
+
+It must not use floating point in a tick or allocate there, and must not change without the firmware: both have to find
+the same.
 """
 
 from __future__ import annotations

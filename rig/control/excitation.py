@@ -10,6 +10,8 @@ phases give a small crest factor; random ones, a new draw for each realisation, 
 that looks like impedance into a scatter that averages out.
 
 Efforts are in N·m or N, times in s, frequencies in Hz. No simulation and no clock here.
+
+Identification, measurements of impedance and excited laws (`rig.control.bilateral`) call it.
 """
 
 from __future__ import annotations

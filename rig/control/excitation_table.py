@@ -8,6 +8,8 @@ phases.
 
 How good the approximation is: see `ExcitationTable.error`. It begins with a raised cosine of
 `ramp` ticks.
+
+Excited runs of `rig.experiments` call it. It must not differ from the firmware by a bit, and sends nothing.
 """
 
 from __future__ import annotations

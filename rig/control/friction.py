@@ -14,6 +14,8 @@ on and its own friction: take levels of the motor side if the link has much fric
 
 It is off unless a law is wrapped in it, and it works wherever that law does: in trial and release, inside the wall
 and outside. A recording shows it in the name of the law and in its parameters, the first four of which are its own.
+
+`rig.config.controller` wraps a law in it. Kernels here must not allocate.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 A verdict uses only what a rig records, so that a simulated and a real trial are judged by the same text; in
 simulation the same function runs a second time on the truth. All signals are cut to the trial, uniformly sampled.
+
+Trials and maps of `rig.experiments` and the simulation call it. It must not open a recording or run a trial.
 """
 
 from __future__ import annotations

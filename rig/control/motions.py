@@ -3,6 +3,9 @@
 Both are laws like a wall (`rig.realtime.plugs.LAW`), so that they run without bytes, over the byte link, in real time
 and in a replay. They know no wall: the wall's position is the point from which they count, its side the direction. Time
 is counted in ticks since the law began, lost ones included.
+
+Identification and the pushes of a board in `rig.experiments` call it. Kernels here must not allocate, and read no
+clock.
 """
 
 from __future__ import annotations

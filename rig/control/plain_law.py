@@ -3,6 +3,8 @@
 @rig.law(parameters={"quadratic": 1e5})
 def stiffening(penetration: float, velocity: float, p: rig.Parameters) -> float:
 return p.stiffness * penetration + p.quadratic * penetration**2 + p.damping * velocity
+
+People call it as ``rig.law``, and `rig.testing.laws` checks such laws. It must not run a law: a trial or a replay does.
 """
 
 from __future__ import annotations

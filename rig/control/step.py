@@ -18,6 +18,10 @@ same bits.
 
 `Control` (what is wanted) and `Memory` (what is remembered, and what the row shows) are length-1 structured
 arrays: fields have names in compiled code and in plain Python alike.
+
+`rig.config.controller` fills its arguments; the loop, simulated devices and replays call it. Compiled code here must
+not allocate or wait, and the order must not change: a device runs the same law in firmware/law, and an old recording
+has to replay to the same bits.
 """
 
 from __future__ import annotations

@@ -25,6 +25,9 @@ A velocity from counts has a floor: one toggling count of size Δ at f Hz is a s
 reads 2√2·f·Δ rms, and each of its odd harmonics in the band as much again. It is reported for the frequency at which
 the count toggles in the tail (`rig.control._measure`), and when it exceeds the threshold *felt* is not measurable and
 is ignored.
+
+Trials, maps, sessions, the console and the analysis of studies use it. It must not open a recording or filter a signal:
+it decides on numbers alone.
 """
 
 from __future__ import annotations

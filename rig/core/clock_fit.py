@@ -27,6 +27,9 @@ which the residuals then show.
 
 References: D. L. Mills, RFC 5905 (minimum filter); P. K. Sen, J. Am. Stat. Assoc. 63 (1968) 1379 (median slope);
 R. T. Birge, Phys. Rev. 40 (1932) 207 (uncertainties from the residuals).
+
+Devices, trials, the timing of recordings and the extra for Lab Streaming Layer call it. It must not read a clock or
+exchange anything itself.
 """
 
 from __future__ import annotations

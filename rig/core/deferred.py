@@ -2,6 +2,8 @@
 
 `from rig.core.deferred import signal` at the top of a file costs nothing; `signal.csd(…)` loads scipy.signal, which
 takes most of a second. A command pays for what it uses, and every import stands at the top of its file.
+
+Files of all rooms import heavy libraries from it. It must not import one of them before a name of it is used.
 """
 
 from __future__ import annotations

@@ -2,6 +2,9 @@
 
 An error has a message (what is wrong) and a remedy (what to do about it); commands print both on one line and exit
 with `exit_code`.
+
+Every room raises them, and commands and pages show them. This file must not import another module of the package, so
+that any module can import it.
 """
 
 from __future__ import annotations

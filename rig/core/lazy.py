@@ -2,6 +2,9 @@
 
 A stub (``__init__.pyi``) is what a type checker and an editor read; here its lines ``from module import name as alias``
 are the table from which the package answers. So the two cannot differ, and importing the package loads nothing.
+
+`rig` and `rig.testing` answer by it, and the builder of documents reads the tables. It must not import anything that
+``import rig`` would have to pay for.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""Lock open files between processes; a lock ends with its process: flock(2), or LockFile on Windows."""
+"""Lock open files between processes; a lock ends with its process: flock(2), or LockFile on Windows.
+
+Devices, recordings, shared memory of `rig.realtime` and scratch directories call it. It must not wait for a lock, nor
+write to or remove the file.
+"""
 
 from __future__ import annotations
 

@@ -14,6 +14,9 @@ Inputs, in this order: commanded effort, external effort on the link, then one C
 each mass; with a person then the intended position, the intended velocity and the press on the hand. Friction
 enters as an input because its value follows from the velocity in each step, not from a matrix; saturation,
 gravity and computation delay are no part of the matrices either.
+
+Theory, identification, experiment files, devices, firmware, drives and the simulation read it. Nothing here may change
+the order of states or inputs alone: all of them index the matrices by it.
 """
 
 from __future__ import annotations

@@ -5,6 +5,8 @@ hand of 150 g on 300 N/m, a press of about 0.4 N·m at 0.1 m with a slow swell o
 a buzz behind Coulomb friction). *Relaxed* and *firm* span what the literature gives for hands: 50 to 800 N/m, 1 to 10
 N·s/m, 5 to 40 g at the handle; stiffness and damping rise with grip force while inertia hardly does (Hasser and
 Cutkosky), and so does the force of tremor (Sutton and Sykes 1967). Tremor of 15, 166 and 254 µm rms: PMC3032442.
+
+Theory, experiment files, `rig.doctor`, the design and sessions take them. Nothing here simulates a hand.
 """
 
 from __future__ import annotations

@@ -2,6 +2,9 @@
 
 A program can temporarily register a part of its own under a name: within this process it is then found like an
 installed one.
+
+Devices, `rig.control`, commands and `rig.experiments.lab` look parts up here. It must not import a part before that
+part is asked for by name.
 """
 
 from __future__ import annotations

@@ -5,6 +5,8 @@ marked `reported`. What the dataclass keeps out of its ``repr`` (traces, raw row
 
 To people a result offers a list of `Item` in reading order: headings, rows of label, value and unit, tables and checks.
 The terminal (`rig.cli.output.show`) shows that list; pages (``items.html.j2`` in `rig.views.report`) show its tables.
+
+Results of every room are made with it; commands and pages show them. It must not print, draw, or know any result.
 """
 
 from __future__ import annotations

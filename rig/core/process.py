@@ -3,6 +3,8 @@
 It gets no Ctrl-C, which is for the host: a device that died of it could not be brought to rest. It settles that before
 it loads what it serves. It is started with its own command line and descriptors alone, so that nothing of the caller's
 program changes, even for a moment: not the environment, not ``__main__``, and several threads may start some at a time.
+
+`rig.devices.local`, the bridge of drives and the simulation call it. It must not know what a process serves.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
 """Files that a user or a page names: regular ones only, opened without waiting, and read up to a bound.
 
 A FIFO would wait for its writer, a device would never end, and a serial port that is opened resets its board.
+
+Experiment files, maps, journals, recordings, studies and images of firmware are read through it. It must not write.
 """
 
 from __future__ import annotations

@@ -9,6 +9,9 @@ execution time) is as old as that.
 
 Units that depend on the motion of the rig are written by quantity (``position``, ``effort``, …) and
 resolved by `unit_of`; counts and times are 64-bit integers.
+
+The loop, recordings, judging, experiments, sessions, the console and pictures read it. Do not change names, order or
+types of columns in passing: the layout of the ring and of every recording depends on them.
 """
 
 from __future__ import annotations

@@ -2,6 +2,9 @@
 
 A backend is a function ``open_link(url: DeviceUrl, model: RigModel | None) -> Link``. Extras add schemes by their
 tables (`rig.core.extras`), third parties by the entry-point group ``rig.devices``; neither can replace a built-in one.
+
+Commands, `rig.doctor`, `rig.experiments`, `rig.firmware`, sessions and `rig.testing` open devices here. It must not
+load a backend before a URL names its scheme, and opening a device must not arm it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""Bytes by read(2), write(2) and poll(2) on an open descriptor, which the compiled loop and Python share."""
+"""Bytes by read(2), write(2) and poll(2) on an open descriptor, which the compiled loop and Python share.
+
+Serial ports, the local socket of a simulated device and the bridge of drives inherit from it, on Linux alone. It must
+not open a descriptor: a subclass does.
+"""
 
 from __future__ import annotations
 

@@ -3,6 +3,9 @@
 A backend is one function ``open(url, model, options) -> Link``; `rig.devices` finds it by the scheme of the
 URL. The link carries the frames of `firmware_protocol` and nothing else, so that everything above it is the
 shipped code, whether a board, a process behind a pseudo-terminal or the simulation in this process answers.
+
+Backends inherit from it; the loop, `rig.doctor`, `rig.experiments`, `rig.firmware`, sessions and drives use it. This
+file must not import a backend.
 """
 
 from __future__ import annotations

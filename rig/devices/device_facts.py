@@ -1,4 +1,8 @@
-"""What a device is: from its dictionary, wherever that was read, and from the open device itself."""
+"""What a device is: from its dictionary, wherever that was read, and from the open device itself.
+
+`rig device`, `rig firmware` and the examination before a hit call it. It only reads: it must not set a parameter or arm
+anything.
+"""
 
 from __future__ import annotations
 

@@ -5,6 +5,8 @@ where a link can break.
 
 It has what happens on USB and serial lines: noise (corrupt), full buffers (drop, truncate), retries of a hub
 (duplicate, delay), a dead cable (silence), a pulled plug.
+
+`rig.testing` writes such scripts. Nothing here breaks a link itself, and a real device has no script.
 """
 
 from __future__ import annotations

@@ -3,6 +3,9 @@
 `firmware_protocol.connection` knows what may be sent; this file does the waiting: each transaction is sent
 again after 20, 40 and 80 ms and then given up with a typed error. Streams (COMMAND, STATE) belong to the
 compiled loop while it runs (`rig.loop`), which hands them back through `take_back`.
+
+`rig.doctor`, `rig.experiments`, self tests of `rig.firmware`, sessions and `rig.testing` call it. It must not decide
+whether a wall may be armed: `rig.doctor.gate` and `rig.experiments.hits.admission` do, before they let a caller arm.
 """
 
 from __future__ import annotations

@@ -2,6 +2,9 @@
 
 The process communicates through a socket (`rig.devices._local_socket`); everything above the link is as with a real
 rig. `rig serve rig` communicates through a pseudo-terminal, which exercises pyserial too.
+
+`rig serve rig`, hits, trials, identification, `rig.doctor`, sessions and `rig.testing` call it. It must not give
+real-time scheduling to the process before the device has been compiled.
 """
 
 from __future__ import annotations

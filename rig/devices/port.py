@@ -1,4 +1,8 @@
-"""What the compiled loop needs of a link: its plug functions, as one group of arguments."""
+"""What the compiled loop needs of a link: its plug functions, as one group of arguments.
+
+Links of `rig.devices` and of the simulation make it; kernels of `rig.loop` and the ping of `rig.doctor` take it. It
+must not hold anything that compiled code cannot use.
+"""
 
 from __future__ import annotations
 

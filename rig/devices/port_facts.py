@@ -2,6 +2,8 @@
 
 `port_facts` reads sysfs and, for an open port, the line itself; it opens and changes nothing, because opening a port
 moves its modem lines and may reset the board behind it.
+
+`rig.doctor` and the links to serial ports call it.
 """
 
 from __future__ import annotations

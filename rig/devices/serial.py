@@ -13,6 +13,9 @@ which the compiled loop and Python share. What a port answers is set, and read b
   hold in reset is opened with ``?dtr=off``, which takes both back in one step right after opening.
 
 What could not be obtained is in `SerialLink.messages`, with its remedy.
+
+`rig.devices` loads it for ``serial://`` on Linux, and the bus of the drives opens its adapters by it. It must not move
+DTR or RTS to find something out: a board would reset.
 """
 
 from __future__ import annotations

@@ -1,6 +1,9 @@
 """What a backend that simulates offers beside a link.
 
 A rig to hit without bytes, thousands of times a minute; and a link that fails on command, with its far end in sight.
+
+The simulation offers these; `rig.devices`, hits of `rig.experiments` and `rig.testing` ask for them. This file must not
+import `sim_backend`.
 """
 
 from __future__ import annotations

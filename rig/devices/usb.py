@@ -5,6 +5,9 @@ alike (`rig.devices._usb_queue`), or by pyusb's own calls where those cannot be 
 rig is an interface of vendor class (0xFF) with one bulk endpoint each way; the bytes are the frames of any other link.
 
 ``?transfers=plain`` forces pyusb's own calls, ``?transfers=queued`` refuses them.
+
+`rig.devices` loads it for ``usb://``, and `rig.doctor` lists devices by it. A list must not claim a device, which may
+be another program's.
 """
 
 from __future__ import annotations

@@ -15,6 +15,9 @@ within the lifetime of that loop, which is longer.
 
 Linear theory leaves out Coulomb friction, which stabilises walls that it finds unstable; the gate does not count on it.
 Passivity is reported and not required. A simulated device is never refused.
+
+Hits, identification, motions, the design, `rig.doctor` and sessions call it. It must not move anything: a refusal comes
+before the device is armed.
 """
 
 from __future__ import annotations

@@ -5,6 +5,9 @@ the usual filtered difference at the same rates stands in, and every result comp
 the estimator has no effect, and with damping an adaptive one has at best a little less lag than this filter, which was
 designed for the same noise. Two velocity rates that alternate are computed one by one. A law that is not a spring and
 damper is not computed.
+
+The gate, the examination of a machine, sessions and the console call it. It must not measure a link, nor decide whether
+a wall may be armed.
 """
 
 from __future__ import annotations

@@ -4,6 +4,8 @@ Clock stamps are exchanged at the loop's own rate, in a thread scheduled like th
 by a period, or by the link's own time where that is longer. A reply that is late by whole periods means that a loop
 would have missed the samples of these periods, or received them late where the device paused as well; the measurement
 does not distinguish the two. The same replies show what a lower rate would lose.
+
+Identification and sessions call it, between runs. It must not move anything, and in virtual time it measures nothing.
 """
 
 from __future__ import annotations

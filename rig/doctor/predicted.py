@@ -2,6 +2,8 @@
 
 `rig experiment plan`, a hit and the arming gate call this one function. Each check that does not hold names the keys
 and the values with which it would. Predictions are those of one rigid mass, which friction and weight hold back.
+
+It must not open a device.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 Values are computed at the handle. Start, push, wall and homing are chosen so that `rig experiment plan` passes and a
 hit reaches the wall; what the plan still refuses is changed as its checks state.
+
+`rig experiment new` calls it. It opens no device, and it must not invent a number without stating it as an assumption.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""Memory of the compiled loop besides the ring: settings, its state of the link, its buffers."""
+"""Memory of the compiled loop besides the ring: settings, its state of the link, its buffers.
+
+The files of the loop, trials, motions and the console's and LSL's followers import it. The numbers of `EndReason`
+stand in the shared memory of running loops: add new ones at the end, and do not change one.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Replay: the law over recorded rows, without a link."""
+"""Replay: the law over recorded rows, without a link.
+
+`rig.experiments.trials.replay` and the comparison of schemes call it. It must not compute a row in another way than the
+loop does.
+"""
 
 from __future__ import annotations
 

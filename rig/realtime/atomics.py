@@ -2,6 +2,9 @@
 
 Plain stores are ordered on x86 by luck and not at all on ARM, and a compiler may hoist a plain load out of
 a loop, which then never stops. Both sides, Python's too, go through these functions.
+
+The loop, the recorder, the ring, the mailbox, stop requests and USB transfers call it. A word that two sides share must
+not be read or written in any other way.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 Both carry what the compiled loop needs (`handle` and `now_plug`), so that the same loop runs in real and in
 virtual time.
+
+Devices and their ports use it. It must not read the time of day, which can be set back.
 """
 
 from __future__ import annotations

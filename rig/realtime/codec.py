@@ -10,6 +10,8 @@ numbers for errors; buffers belong to the caller and must have at least the docu
 
 `STATE`, `COMMAND`, `GET_TIME` and so on name the places in an array of field values (``values[STATE.count]``), `HEAD`
 those in an array of header values, `SAMPLE` those in a row of a batch; all can be used inside kernels.
+
+The loop, the recorder and the ping of `rig.doctor` call it. Kernels here allocate nothing.
 """
 
 from __future__ import annotations

@@ -1,6 +1,9 @@
 """Who wants to know that machine code is being made: a command, which would otherwise be silent for half a minute.
 
 Knows nothing of the compiler, so that a command that compiles nothing does not load it.
+
+`rig.cli` and the console's workers listen; `rig.realtime.kernel` and `rig.realtime.parts` report to it. Nothing here
+may import numba.
 """
 
 from __future__ import annotations

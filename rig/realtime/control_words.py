@@ -3,6 +3,9 @@
 Loop, recorder, supervisor and other processes address them by these numbers. Every word has one writer. Words 0 to 3
 and 7 keep their places in all versions, so that a run of any version can be stopped. Imports nothing: `rig stop` reads
 it before all else.
+
+The loop, the recorder, `rig stop`, `rig set`, the console and LSL use it. The number of a word must not change unless
+`LAYOUT_VERSION` does.
 """
 
 from __future__ import annotations

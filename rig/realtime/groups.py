@@ -4,6 +4,9 @@ Among thirty positional arguments, two of one type are easily swapped unnoticed.
 `NamedTuple` with the mark `group`. Each is a type of its own to numba, so that two in each other's place are a typing
 error, and it is made by keyword alone. A field is annotated with the numba type of its values; a plug point
 (`rig.realtime.plugs`) may hold whatever fits it. A call costs what it would cost with the members one by one.
+
+Laws, ports and the loop make their groups with it, and `rig.realtime.kernel` compiles them. It must not know a
+particular group or what its members mean.
 """
 
 from __future__ import annotations

@@ -4,6 +4,9 @@ The file holds the wish (a sequence number, a position, a press) and a ring of t
 each with its CRC. Writer and reader need no lock and no memory order: a half-written entry fails its CRC and is read
 again. A sequence number that stands still means that the hand has let go, so a driving program writes the wish several
 times a second even where nothing changes.
+
+The console and sessions write to it, simulated rigs of `rig.devices` read it. It must not load the loop or wait for the
+other side.
 """
 
 from __future__ import annotations

@@ -2,6 +2,9 @@
 
 Inlined helpers, no counted references and predictable branches (no division in a tick without an edge) make a whole
 simulated tick cost what hand-written C costs (`tests/benchmarks/test_trial.py`).
+
+Laws, estimators, devices, doctor, the loop and the recorder decorate their functions with it. Kernels allocate nothing
+and raise nothing, and this file must not know what one of them computes.
 """
 
 from __future__ import annotations

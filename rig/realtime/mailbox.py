@@ -16,6 +16,9 @@ filled, which is never read: the word is the only shared state, so there is noth
 Layout from the address of the mailbox: that word and 56 bytes of padding, then three slots of `SLOT_BYTES`: number
 and length (bytes) as int64, `MOST_BYTES` bytes, padding. What the bytes mean is between writer and reader; a set of
 parameters is float64s (`set_bytes`).
+
+The loop and the ring use it; `rig set` and the console reach it through the ring. Kernels here allocate nothing and
+never wait.
 """
 
 from __future__ import annotations

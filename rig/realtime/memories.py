@@ -2,6 +2,8 @@
 
 Imports only modules that an interpreter has loaded anyway, and a few constants, because stopping a rig must not wait:
 `rig.__main__` writes the stop word before it parses the rest of its command line.
+
+`rig.__main__`, `rig stop`, the console and the ring call it. Nothing here may import numba or numpy.
 """
 
 from __future__ import annotations

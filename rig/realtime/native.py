@@ -3,6 +3,9 @@
 `rig.realtime.system` names its functions, which the linker must find when the code is compiled. A library such as
 libusb is found later, and perhaps not at all; its functions are numbers in a block of memory then, the compiled code
 stays the same, and numba can keep it on disk.
+
+The USB queue of `rig.devices` and stop requests call it. It must not put an address into compiled code as a constant:
+the cache would keep it for another process.
 """
 
 from __future__ import annotations

@@ -6,6 +6,9 @@ once: of 135 kernels that a hit reaches, 15 are entered from outside. The first 
 cache took 14 to 15 s of processor time, without this file 23 to 24 s (numba 0.68.1, koul-compliant, 2026-11-29).
 
 This file extends numba's own code libraries and disk cache; `rig.realtime.kernel` decides what is a part.
+
+`rig.control.plain_functions` and `rig.testing` use it besides `rig.realtime.kernel`. It must not change what a kernel
+computes.
 """
 
 from __future__ import annotations

@@ -5,6 +5,9 @@ A plug point is a numba first-class function type. The loop is compiled once aga
 function costs about 2 ns a call, a ctypes callback about 0.1 µs. Pass a function made by
 `rig.realtime.kernel.kernel` with the signature (an exception in it then reaches the caller of the loop), or a
 `NativeFunction` for an address.
+
+Laws, estimators, ports and test laws take their signatures from it. A signature must not change without the laws of
+third parties and the functions in C that are made for it.
 """
 
 from __future__ import annotations

@@ -17,6 +17,9 @@ must never delay a tick) or waits for room (virtual time: nothing is ever lost, 
 
 Shared, the block is a file that other processes of the user find (`rig.realtime._anonymous_memory`; off Linux
 `rig.realtime._named_memory`).
+
+Trials, the recorder, `rig set`, the console, LSL and the terminal of a session open it. It must not import numba before
+a loop is built, and the layout must not change without a new `LAYOUT_VERSION`.
 """
 
 from __future__ import annotations

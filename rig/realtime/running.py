@@ -3,6 +3,9 @@
 A loop in real time keeps its ring in shared memory (`rig.realtime.ring`), which shows among the open files of its
 process. So there is no registry that could be wrong: only living processes are listed. Nothing here loads compiled
 code, since a command that must stop a rig has no second to lose.
+
+`rig stop`, `rig set`, `rig recording recover`, the console, LSL and sessions call it. It must not end a process: it
+writes the stop word and waits for the loop.
 """
 
 from __future__ import annotations

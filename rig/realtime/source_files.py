@@ -5,6 +5,8 @@ A kernel freezes what it finds when it is compiled: the code of the helpers that
 changed that holds a kernel or that such a file imports, directly or not. Editing anything else compiles nothing.
 
 Read as text, without importing anything, and quickly: each process asks when it starts.
+
+The cache of machine code, sweeps, sessions and papers call it. It must not import a file that it examines.
 """
 
 from __future__ import annotations

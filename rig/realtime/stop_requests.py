@@ -6,6 +6,9 @@ one load, needs no GIL, and reaches any number of loops in whichever threads the
 Python runs signal handlers in the main thread alone, sets them there alone, and runs them late where that thread waits
 in C. So a handler in machine code stands before the one that is there (on Linux): it counts, and then calls that one.
 Python's own table of handlers, its wake-up descriptor and what `asyncio` keeps there stay as they are.
+
+Trials, the loop, sweeps, hits and motions call it. It must not end a loop itself: each compares the word and ends by
+its own rules.
 """
 
 from __future__ import annotations

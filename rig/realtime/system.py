@@ -4,6 +4,9 @@ Symbols are named through `numba.types.ExternalFunction` (a ctypes pointer would
 cache off) and looked up before anything is compiled, because compiling against a missing symbol ends the
 interpreter. clock_nanosleep, ppoll and __errno_location exist on Linux alone under these names: elsewhere
 Python stands in for all of them (`rig.realtime._stand_ins`).
+
+Clocks, descriptors and USB transfers of `rig.devices`, the loop, the recorder and `rig.doctor` call it. No kernel may
+name a symbol that was not looked up before.
 """
 
 from __future__ import annotations

@@ -3,6 +3,9 @@
 Keys are sorted, no blanks, UTF-8. Floats are written with the shortest digits that read back to the same
 bits; the three values that JSON lacks are the strings ``"NaN"``, ``"Infinity"`` and ``"-Infinity"``, which
 `float` understands.
+
+Every writer of recordings, trials and the console call it. Do not change the spelling: headers of old recordings would
+no longer be equal byte for byte.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 Such a recording has no rig, wall or trial: what it does not know is NaN or 0, and `rig.recording.origin.counts_facts`
 has what it knows.
+
+`rig recording import` and `rig recording show` call it. It must not fill in a lost sample with a guessed count.
 """
 
 from __future__ import annotations

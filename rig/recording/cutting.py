@@ -2,6 +2,9 @@
 
 That one is named with its digest. All columns at full rate: a cut is a recording like others, only shorter. Its trailer
 says that it is cut, not how the trial ended; what judges a trial judges the whole.
+
+`rig.experiments.trials.cutting` alone calls it, which makes the cut replay. It must not change the recording that it
+cuts.
 """
 
 from __future__ import annotations

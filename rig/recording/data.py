@@ -1,4 +1,8 @@
-"""A recording in memory: the one type that every reader returns and every writer takes."""
+"""A recording in memory: the one type that every reader returns and every writer takes.
+
+Trials, verdicts, replays, maps, sessions, pictures, studies and `rig.testing` take it. It must not read or write a
+file, nor judge what it holds.
+"""
 
 from __future__ import annotations
 

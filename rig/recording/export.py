@@ -2,6 +2,9 @@
 
 CSV is for anything, X-Y is force over penetration, Parquet for data frames, MAT for MATLAB and Octave, MCAP for
 Foxglove and PlotJuggler.
+
+`rig recording export`, `rig recording import`, the console and studies call it. It must not change the recording, and
+overwrites a file only when asked to.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""Files that are whole or absent (written under another name, synced, renamed), and errors in plain words."""
+"""Files that are whole or absent (written under another name, synced, renamed), and errors in plain words.
+
+Every room that writes files calls it. It must not know what a file contains, and no half-written file may have the
+final name.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,9 @@
 """The header of a recording: everything that is known before its first row.
 
 The same seed, experiment and versions give the same header but for the keys in `VOLATILE`.
+
+Trials, writers and readers of recordings, studies and sessions call it. It must not put anything of the machine or of
+the moment under a key outside `VOLATILE`.
 """
 
 from __future__ import annotations

@@ -4,6 +4,8 @@
 
 The CRC is that of zlib. What follows the last newline was being written when the process died, and is no line. One
 process writes at a time: the file is locked while it is open.
+
+The journal of sweeps and the log of sessions are such files. It must not change a line once it is written.
 """
 
 from __future__ import annotations

@@ -14,6 +14,8 @@ trial_out, inside_out
 ========  =============================================================================================
 
 Device times are on the scale of the column device_time; host times come from the clock fit: None if it is missing.
+
+Sealing, the MCAP export, `rig recording show` and studies call it. It must not change the recording that it is given.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
 """What kind of recording one is, by its header: of a whole trial, a cut of one, or counts of another logger.
 
 Who judges, replays or shows a recording calls it, without what cuts and imports (`rig.recording.cutting`, `counts`).
+
+It must not read a row: the header alone decides.
 """
 
 from __future__ import annotations

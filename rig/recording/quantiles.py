@@ -3,6 +3,9 @@
 The r-th smallest of n independent values lies above the q-quantile of the distribution unless at least r of them lie
 below it, and how many do is binomial. No tail is fitted. With too few values there is no bound: an upper bound of p99.9
 with 95 % confidence takes 2995 of them. Values that come in bursts are not independent, and their bounds are too tight.
+
+`rig.doctor` and the summary of a recording's timing call it. It must not assume a distribution, nor say whether a value
+is good.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""Open any recording, whatever its format; the first bytes decide, not the name."""
+"""Open any recording, whatever its format; the first bytes decide, not the name.
+
+Commands, trials, `rig.experiments.lab`, the console, studies and pictures call it. It must not write, repair or judge:
+what is damaged is stated in the recording that it returns.
+"""
 
 from __future__ import annotations
 

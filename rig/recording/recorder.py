@@ -6,6 +6,9 @@ file, starts it and waits for its end.
 
 A row reaches the file within `flush_s` in real time. In virtual time, where a wall clock would make every
 file different, only whole blocks are written before the end.
+
+Trials start it, and `rig.experiments.trials.recover` reads from it how much a crash may cost. It must not make a loop
+in real time wait, and its kernels take no GIL.
 """
 
 from __future__ import annotations

@@ -2,6 +2,9 @@
 
 The capture goes only after the sealed file is on disk, has been read back and is equal to the last bit.
 Sealing can be repeated: when a crash left both files, the next call compares them and finishes.
+
+Trials, `rig recording recover`, maps, cuts and the console call it. It must not remove a capture that it has not
+compared.
 """
 
 from __future__ import annotations

@@ -19,6 +19,8 @@ sampled to applied, is free of its offset.
 Where the law ran on the device (`Ledger.loop`) no COMMAND answers a sample: the device applied its effort in the tick
 of the sample itself, and `execution_ns` bounds how long after it. Only sampled and received are known then, and how
 late a batch brought the sample; no tick is late, because nothing waited for it.
+
+Sealing, marks, the summaries of timing and the clock of LSL call it. It must not judge a run or read a file.
 """
 
 from __future__ import annotations

@@ -12,6 +12,9 @@ who annotate them::
     def test_a_pulled_plug_is_harmless(rig_hit: Hits, rig_faults: FaultWords) -> None:
         rig_faults.link("unplug", tick=400)
         assert_safe(rig_hit("mine.toml"), within_ms=20.0)
+
+Labs import it in their own tests, and the pages of `rig.docs` show it. Nothing here may import its parts at once, and
+no other room may need it.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 Sphinx executes the gallery, so it runs in a process of its own, on a copy of the sources: nothing is written into the
 installed package, and nothing is asked of a network.
+
+`rig serve docs` and `rig.docs.made` call it. It must not import Sphinx into this process.
 """
 
 from __future__ import annotations

@@ -1,6 +1,9 @@
 """Profiles of amplifiers: how a set-point reaches them, and the settings for their makers' tools.
 
 A TOML file here is a profile. The firmware gives the set-point of an external amplifier and closes no current loop.
+
+Predictions of `rig.doctor`, `rig firmware`, builds of images and `rig.experiments.new_rig` read it. It must not set up
+an amplifier: a person does that with the maker's tool.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""The rigs of the two papers and rigs that people own: experiment files whose comments say where numbers are from."""
+"""The rigs of the two papers and rigs that people own: experiment files whose comments say where numbers are from.
+
+Commands, theory, `rig.doctor`, sessions, the reproductions of papers and `rig.testing` load them. Nothing here writes a
+file or opens a device.
+"""
 
 from __future__ import annotations
 

@@ -5,6 +5,9 @@ Gains are written without the Lipschitz constant C: α = μ1·C, λ = μ2·√C,
 region. `half_cycle_contraction` says how far from convergence a pair truly is.
 
 Source: Chawda et al., equations (10), (11), (14) and Fig. 1; the contraction is derived for this project.
+
+The design of Levant's estimator and the reproduction of Chawda et al. call it. Nothing here runs an estimator or
+simulates a rig.
 """
 
 from __future__ import annotations

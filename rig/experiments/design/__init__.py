@@ -13,6 +13,9 @@ rigs that differ from the described one.
 * `whole`: all of the listed set against the schemes of a rig's own paper
 * `result`: what comes out
 * `search`: all of it in order
+
+`rig design` and ``rig.design`` call it, and pictures draw the result. It must not move a rig: of a device that is named
+it measures the link alone.
 """
 
 from rig.experiments.design import _rules as rules

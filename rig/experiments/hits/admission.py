@@ -3,6 +3,9 @@
 Every caller of `rig.experiments.hits.hit.hit` passes `admit`, behind which nothing but a trial stands between a wall
 and a motor: checks of the run and the device, the arming gate of the measured link, and before a person the torque
 pulse.
+
+`rig hit`, the console, sessions and `rig.testing` pass it. It must not run the trial itself, and must not move anything
+but for that pulse.
 """
 
 from __future__ import annotations

@@ -6,6 +6,8 @@ the estimate: the law is in the phase of the trial from its first tick on. Each 
 against the simulated plant, without bytes, at several places of the encoder's cells: one place alone can be anything.
 
 Source: Koul et al., Fig. 7 and section III ("depth of penetration … after the first impact").
+
+`rig compare`, `rig.experiments.lab`, papers and pictures call it. It opens no device and writes no recording.
 """
 
 from __future__ import annotations

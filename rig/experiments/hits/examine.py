@@ -1,4 +1,8 @@
-"""Everything that `rig doctor` examines: machine, ports, and the link to a device, as one function."""
+"""Everything that `rig doctor` examines: machine, ports, and the link to a device, as one function.
+
+`rig doctor` and the console's page of devices call it. It must not move the handle, and an error of the device becomes
+part of the answer.
+"""
 
 from __future__ import annotations
 

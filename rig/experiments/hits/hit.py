@@ -1,6 +1,9 @@
 """The main job: an automated wall hit with a constant effort, on a rig or on its simulation, recorded and judged.
 
 Whether a device may be armed is decided before, by what the caller must pass: `rig.experiments.hits.admission.admit`.
+
+`rig hit`, `rig.experiments.lab`, maps on a device, sessions, the console and `rig.testing` call it. It must not import
+`admission`, which imports it, nor start a run that the caller did not admit.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 Everything that does not change from hit to hit is prepared once (plant, filters, scratch memory); a hit then costs what
 its ticks cost. The trajectory of a hit is that of the loop over the byte link, to the last bit.
+
+Maps, papers and the simulated hand of a session's plan call it. It opens no device and records nothing.
 """
 
 from __future__ import annotations

@@ -3,6 +3,9 @@
 The order is one of trust. Pushes need no sign to be known: they end by themselves after a few counts. Strokes need the
 sign, and show the friction that the excitation has to exceed. The same code runs on the simulated rig behind its byte
 link and on a real one.
+
+`rig identify` and `rig.experiments.measure` call it. It must not change or write an experiment file: `identified_file`
+makes the one that an identification leaves.
 """
 
 from __future__ import annotations

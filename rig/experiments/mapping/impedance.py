@@ -5,6 +5,9 @@
 
 One wall under one scheme is one `ImpedanceResult`: what was measured, whether it is passive, how faithful it is, and
 what stopped it if something did. Runs without bytes are independent of each other and hold no GIL.
+
+`rig impedance measure`, maps of impedances, `rig.experiments.measure`, papers and pictures call it. It must not fit
+anything itself (`rig.analysis.impedance`), nor load the other kinds of map.
 """
 
 from __future__ import annotations

@@ -9,6 +9,9 @@ They need no sensor of the current, no known sign, and no more energy than `ener
 reversed, an encoder that is dead or swapped, one dead channel of it, and a scale that is wrong by a factor show in
 whether, where to, how much and when the handle moves. What they cannot tell from a dead motor is friction beyond what a
 push may use: then nothing was observed, and the rig is not armed for a person either.
+
+`rig device check`, the admission of a hit, identification, the search for a reference and sessions call it. It must not
+take a motion that it did not observe for a passed check.
 """
 
 from __future__ import annotations

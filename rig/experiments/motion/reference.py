@@ -12,6 +12,8 @@ index pulse; here homing is the servo that takes the handle to the start of a tr
 A search with a wrong sign runs away, so that it begins with a torque pulse (`rig.experiments.motion.pulse`) and is
 bounded: by the speed and effort of homing, by a window of the travel and a margin, and by time. Each ends with zero
 effort and a reason. The index is always passed in the same direction, since its pulse has a width.
+
+`rig device reference` calls it. It must not begin a search without the torque pulse, nor run one without its bounds.
 """
 
 from __future__ import annotations

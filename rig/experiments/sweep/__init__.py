@@ -6,6 +6,9 @@
 * `coordinator`: hands tasks out, keeps what comes back, counts
 * `executors`, `cluster`: threads here, a Dask cluster elsewhere
 * `journal`: what is done, on disk
+
+Maps, designs, papers and the console run their tasks with it. It must not import an experiment or a
+result: a task is any function of a module.
 """
 
 from rig.experiments.sweep._coordinator import Progress, Task

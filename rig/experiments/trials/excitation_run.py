@@ -12,6 +12,9 @@ later.
 **What the position is.** A recording has positions at the loop's own rate only, and the motor moves the handle between
 them: samples at 1 kHz show a free mass at 250 Hz 3 % too little motion. The share is known from the rig alone, whatever
 the wall: sampled answer over true answer of the rig to an effort that is held (`seen_at_ticks`). It is undone.
+
+Identification, measured impedances, their maps and papers call it. It opens no device, and it must not fit an impedance
+(`rig.analysis.impedance`).
 """
 
 from __future__ import annotations

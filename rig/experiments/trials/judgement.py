@@ -1,4 +1,8 @@
-"""From a recording to its verdicts: the recorded one, and in simulation the true one."""
+"""From a recording to its verdicts: the recorded one, and in simulation the true one.
+
+Hits, replays, maps, estimator comparisons, sessions, `rig recording show` and `rig.testing` call it. It must not change
+a recording or its recorded verdict, and opens no device.
+"""
 
 from __future__ import annotations
 

@@ -4,6 +4,9 @@ What may change is the wall: stiffness, damping, place, and how it pulls and dam
 an experiment before it starts, the arming gate's included, becomes the same numbers (`rig.config.controller`), and
 reaches the loop through its mailbox as one set: wall position, then the parameters of the law. The loop takes it over
 while the handle is outside the wall, so that no effort jumps.
+
+`rig set` and the console call it. It must not write a parameter into the loop's memory but through the mailbox, nor
+post one that a check refused.
 """
 
 from __future__ import annotations

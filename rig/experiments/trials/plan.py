@@ -2,6 +2,9 @@
 
 No device is touched here. The predictions are those of one rigid mass without damping, which errs on the hard
 side: a real hit is slower and softer.
+
+`rig experiment plan`, the commands that run something, designs, admission and sessions call it. It must not open a
+device or change the experiment that it checks.
 """
 
 from __future__ import annotations

@@ -3,6 +3,8 @@
 A capture that is still being written is left alone: its writer holds a lock on it, and a loop in real time names its
 recording in its shared memory until it has sealed it. Nothing is overwritten, and a capture goes only after its sealed
 file has been read back and is equal (`rig.recording.seal`).
+
+`rig recording recover` calls it. It must not remove a capture itself: sealing does, after its comparison.
 """
 
 from __future__ import annotations

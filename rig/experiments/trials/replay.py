@@ -3,6 +3,9 @@
 Replay is open loop: the handle moved as it moved, whatever the other law would have done to it. With the
 recorded settings it is bit-exact, also over gaps, because the rows and the header hold every input of
 `rig.control.step`.
+
+`rig recording replay`, `rig.experiments.lab`, cuts, the console and pictures call it. It opens no device and must not
+change the recording.
 """
 
 from __future__ import annotations

@@ -2,6 +2,9 @@
 
 The table has a unit for each column and the plan in its metadata. Rows are streamed, so that it may be longer than the
 memory is wide.
+
+Maps, designs, measured impedances, studies and papers write their results with it. It must not hold all rows in memory,
+nor know what a column means.
 """
 
 from __future__ import annotations

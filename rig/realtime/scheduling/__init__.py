@@ -12,6 +12,9 @@
 * `calls`: the C library
 
 Nothing here loads numba. Off Linux nothing is asked for (`elsewhere`).
+
+The loop, trials, `rig.doctor`, `rig serve rig` and the simulated drives request it. It must not keep what it obtained
+after the context ends.
 """
 
 import sys
