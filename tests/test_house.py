@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from rig.realtime.source_files import source_files
+from tests.conformance.tree import imports_of, modules
 
 ROOT = Path(__file__).parents[1]
 RIG = ROOT / "rig"
@@ -90,18 +91,6 @@ def test_a_room_says_the_same_of_itself_in_the_readme_and_in_the_design(room: An
     assert f"* **{room}**: {sentence[0].lower()}{sentence[1:]} " in design
 
 
-def imported(module: str) -> set[str]:
-    """Modules of ours that a module imports anywhere in it, other than itself."""
-    found: set[str] = set()
-    for node in nodes()[module]:
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            parts = {f"{node.module}.{alias.name}" for alias in node.names}
-            found |= {part if part in nodes() else node.module for part in parts}
-    return found & set(nodes()) - {module}
-
-
 def test_no_file_is_part_of_a_cycle() -> None:
     state: dict[str, int] = {}
     way: list[str] = []
@@ -109,14 +98,14 @@ def test_no_file_is_part_of_a_cycle() -> None:
     def visit(module: str) -> None:
         state[module] = 1
         way.append(module)
-        for other in sorted(imported(module)):
+        for other in sorted(imports_of(module)):
             assert state.get(other) != 1, " -> ".join([*way[way.index(other) :], other])
             if other not in state:
                 visit(other)
         way.pop()
         state[module] = 2
 
-    for module in nodes():
+    for module in modules():
         if module not in state:
             visit(module)
 

@@ -33,7 +33,7 @@ KINDS = {
 _REMEDY = "install haptic-rig again"
 
 
-class Row(NamedTuple):
+class ExtraRow(NamedTuple):
     """Entry that an extra adds under a name, with the other keys of its row."""
 
     name: str
@@ -42,19 +42,19 @@ class Row(NamedTuple):
     more: Mapping[str, Any]
 
 
-class Table(NamedTuple):
+class ExtraTable(NamedTuple):
     """The rows of an extra or a room by kind and name, or the reason why they cannot be read."""
 
     owner: str
     folder: str
-    rows: Mapping[str, Mapping[str, Row]] = {}
+    rows: Mapping[str, Mapping[str, ExtraRow]] = {}
     broken: str = ""
 
 
 @cache
-def tables() -> tuple[Table, ...]:
+def tables() -> tuple[ExtraTable, ...]:
     """Return the tables of rooms and of all extras, broken ones included."""
-    found: list[Table] = []
+    found: list[ExtraTable] = []
     for folder in _folders():
         table = _read(folder)
         twice = [
@@ -64,11 +64,11 @@ def tables() -> tuple[Table, ...]:
             for name in rows
             if name in other.rows.get(kind, ())
         ]
-        found.append(Table(table.owner, folder, broken=twice[0]) if twice else table)
+        found.append(ExtraTable(table.owner, folder, broken=twice[0]) if twice else table)
     return tuple(found)
 
 
-def added(kind: str) -> dict[str, Row]:
+def added(kind: str) -> dict[str, ExtraRow]:
     """Return all rows of a kind by their names; those of broken extras are missing."""
     return {name: row for table in tables() for name, row in table.rows.get(kind, {}).items()}
 
@@ -78,7 +78,7 @@ def broken() -> dict[str, str]:
     return {table.owner: table.broken for table in tables() if table.broken}
 
 
-def find(kind: str, name: str, extra: str = "") -> Row:
+def find(kind: str, name: str, extra: str = "") -> ExtraRow:
     """Return the row of a name; raise `ConfigError` when no extra has it, with `extra` as the one that should."""
     rows = added(kind)
     if name in rows:
@@ -113,19 +113,19 @@ def _folders() -> Iterator[str]:
                 yield folder
 
 
-def _read(folder: str) -> Table:
+def _read(folder: str) -> ExtraTable:
     owner, path = os.path.basename(folder), os.path.join(folder, TABLE)
     if not os.path.isfile(path):  # nor is a pipe opened, which would wait for a writer
-        return Table(owner, folder, broken=f"{path} is missing")
+        return ExtraTable(owner, folder, broken=f"{path} is missing")
     try:
         with open(path, encoding="utf-8") as file:
             content = json.load(file)
-        return Table(owner, folder, {kind: _rows(kind, rows, owner) for kind, rows in content.items()})
+        return ExtraTable(owner, folder, {kind: _rows(kind, rows, owner) for kind, rows in content.items()})
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        return Table(owner, folder, broken=f"{path}: {error!r}")
+        return ExtraTable(owner, folder, broken=f"{path}: {error!r}")
 
 
-def _rows(kind: str, rows: Mapping[str, Any], owner: str) -> dict[str, Row]:
+def _rows(kind: str, rows: Mapping[str, Any], owner: str) -> dict[str, ExtraRow]:
     if kind not in KINDS:
         raise ValueError(f"unknown kind {kind!r}, known are {', '.join(KINDS)}")
     found = {}
@@ -134,5 +134,5 @@ def _rows(kind: str, rows: Mapping[str, Any], owner: str) -> dict[str, Row]:
         target = more.pop("target")
         if not isinstance(target, str) or ":" not in target:
             raise ValueError(f"the target of {name!r} is {target!r}, not module:attribute")
-        found[name] = Row(name, target, owner, more)
+        found[name] = ExtraRow(name, target, owner, more)
     return found

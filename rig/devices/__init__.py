@@ -95,14 +95,14 @@ def load_backend(url: str) -> Callable[[DeviceUrl, RigModel | None], Link]:
     return cast("Callable[[DeviceUrl, RigModel | None], Link]", opener)
 
 
-def _row_of_extra(scheme: str) -> extras.Row | None:
+def _row_of_extra(scheme: str) -> extras.ExtraRow | None:
     """Return the row of a scheme that an extra has; raise `ConfigError` where it should have it but does not."""
     if scheme in RESERVED or scheme in extras.added("schemes"):
         return extras.find("schemes", scheme, RESERVED.get(scheme, ""))
     return None
 
 
-def _is_of_this_system(row: extras.Row) -> bool:
+def _is_of_this_system(row: extras.ExtraRow) -> bool:
     return bool(row.more.get("platform", sys.platform) == sys.platform)
 
 

@@ -131,7 +131,7 @@ static float number(const struct can_frame_bytes *frame, unsigned at)
     return value;
 }
 
-/* Whether the drive's set-point is none of those commanded recently. */
+/* True if the drive's set-point differs from all that were commanded recently. */
 static bool differs(const struct drive *drive, float target)
 {
     for (unsigned i = 0; i < DRIVE_TOLD; i++)

@@ -8,6 +8,7 @@ from typing import Any
 
 from rig.cli import output
 from rig.core.present import Table
+from rig.experiments.trials.results import make_directory
 from rig.extras.papers.koul import compare as koul
 from rig.extras.papers.koul import impact_pictures
 from rig.extras.papers.koul.compare import Panel, Profiles, WordLength
@@ -37,7 +38,7 @@ def show_impacts(directory: Path, *, plot: str, as_json: bool) -> None:
 
 
 def _draw(path: Path, draw: Callable[[Any, Path], Path], what: Any) -> str | None:
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_directory(path.parent)
     return output.drawn_by(lambda: draw(what, path))
 
 

@@ -183,7 +183,7 @@ def test_stop_waits_for_no_extra(install: Install, tmp_path: Path) -> None:
 # ---------------------------------------------------------------------- the tables of this tree
 
 
-def rows() -> list[tuple[str, extras.Row]]:
+def rows() -> list[tuple[str, extras.ExtraRow]]:
     return [
         (kind, one) for table in extras.tables() for kind in table.rows for one in table.rows[kind].values()
     ]
