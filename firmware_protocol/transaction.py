@@ -68,9 +68,8 @@ def after_answer(t: Transaction, nonce: int, request: int, status: int, detail: 
 
     `nonce`, `request`, `status` and `detail` are as an ACK has them.
     """
-    late = (
-        t.step == CHUNK and status == _OK and detail != t.offset
-    )  # to the chunk before, which was sent twice
+    # an OK for the chunk before, which was sent twice
+    late = t.step == CHUNK and status == _OK and detail != t.offset
     if t.step < 0 or nonce != t.nonce or request != t.step or late:
         return t
     step, offset = DONE, t.offset

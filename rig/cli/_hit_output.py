@@ -13,10 +13,8 @@ from rig.cli import output
 from rig.config import Experiment, describe, push_s
 from rig.core.sample import phase_name, unit_of
 
-_BRINGS = {
-    "operator.grip": "operator.",
-    "controller.estimator": "controller.parameters",
-}  # key → keys that follow it
+# key → beginning of the keys that are listed with it
+_BRINGS = {"operator.grip": "operator.", "controller.estimator": "controller.parameters"}
 
 
 def push_text(experiment: Experiment) -> str:

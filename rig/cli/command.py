@@ -13,12 +13,8 @@ from typing import Any
 
 import click
 
-EXPERIMENT, OWN, DEVICE, RESULT = (
-    "Experiment",
-    "Options",
-    "Device",
-    "Result",
-)  # groups; others stand before DEVICE
+# Groups of the help page; groups of one command stand before DEVICE.
+EXPERIMENT, OWN, DEVICE, RESULT = "Experiment", "Options", "Device", "Result"
 _QUIET = "rig.cli.quiet"  # where a context keeps it
 
 

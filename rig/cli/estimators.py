@@ -232,9 +232,15 @@ def export(
         case = _recording_case(recording, experiment.controller.velocity_rate)
     with output.StatusLine(quiet=as_json) as status:
         made = export_estimator(
-            Variant.parse(estimator), experiment, target, case=case, signal=signal, costs=costs, overwrite=overwrite,
+            Variant.parse(estimator),
+            experiment,
+            target,
+            case=case,
+            signal=signal,
+            costs=costs,
+            overwrite=overwrite,
             on_progress=status.on_progress,
-        )  # fmt: skip
+        )
     if as_json:
         output.print_json(made)
     else:

@@ -215,12 +215,15 @@ def _cogging_pairs(found: Identification) -> list[tuple[str, str]]:
     least, most = map_.stiffness
     position = unit_of("position", found.experiment.rig.motion)
     return [
-        ("cogging", f"at most {map_.peak:.3g} ± {map_.ci95:.2g} {unit['effort']}, harmonics "
-         f"{', '.join(map(str, map_.orders))} of {map_.period:.4g} {position}"),
+        (
+            "cogging",
+            f"at most {map_.peak:.3g} ± {map_.ci95:.2g} {unit['effort']}, harmonics "
+            f"{', '.join(map(str, map_.orders))} of {map_.period:.4g} {position}",
+        ),
         ("  from, to", f"{map_.minimum:.4g}, {map_.maximum:.4g} {position}"),
         ("  stiffness", f"{least:.3g} to {most:.3g} {unit['stiffness']}"),
         ("  friction there", map_.friction.text(unit["effort"])),
-    ]  # fmt: skip
+    ]
 
 
 def _ripple_pairs(found: Identification) -> list[tuple[str, str]]:

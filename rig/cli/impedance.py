@@ -95,8 +95,12 @@ def measure(
             remedy="add --url, or drop these options",
         )
     shared: dict[str, Any] = {
-        "walls": walls, "schemes": parsed, "method": method, "judging": judging, "watch": _progress(as_json)
-    }  # fmt: skip
+        "walls": walls,
+        "schemes": parsed,
+        "method": method,
+        "judging": judging,
+        "watch": _progress(as_json),
+    }
     if device is None:
         results = measuring.measure_impedance(experiment, signal=signal, **shared)
     else:

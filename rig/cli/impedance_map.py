@@ -153,9 +153,15 @@ def _width_cells(width: FrequencyWidth) -> tuple[str, ...]:
 def _search_line(name: str, search: GridSearch, found: FrequencyMap) -> tuple[str, ...]:
     highest = found.plan.stiffnesses[search.highest] if search.highest >= 0 else 0.0
     return (
-        name, str(len(search.path)), str(search.cells), _number(highest),
-        str(search.above), str(search.below), str(search.unseen), search.ending,
-    )  # fmt: skip
+        name,
+        str(len(search.path)),
+        str(search.cells),
+        _number(highest),
+        str(search.above),
+        str(search.below),
+        str(search.unseen),
+        search.ending,
+    )
 
 
 def _print_common(table: TableOne) -> None:

@@ -108,6 +108,10 @@ def _prompt(name: str, question: DataSheetQuestion) -> Any:
 
 def _print(made: NewRig) -> None:
     click.echo(f"{made.path}: {made.experiment.headline()}")
-    output.show([Row("assumed" if number == 0 else "", f"{one.key} = {one.value}: {one.reason}")
-                 for number, one in enumerate(made.assumed)])  # fmt: skip
+    output.show(
+        [
+            Row("assumed" if number == 0 else "", f"{one.key} = {one.value}: {one.reason}")
+            for number, one in enumerate(made.assumed)
+        ]
+    )
     click.echo("  Replace the assumed values by known ones; rig identify measures most of them.")

@@ -132,11 +132,16 @@ def scheme_option(default: str, group: str = EXPERIMENT) -> Callable[[F], F]:
     """Sampling schemes to compare, by `default` if none is given, and the cut-off of those that state none."""
     return added(
         option(
-            "--scheme", "schemes", group=group, multiple=True, metavar="SCHEME", type=values.SCHEME,
+            "--scheme",
+            "schemes",
+            group=group,
+            multiple=True,
+            metavar="SCHEME",
+            type=values.SCHEME,
             help=f"dual:20k/2k; uniform:20k,cutoff_hz=1000; dual:20k/2k,estimator=kalman …; repeat it. [{default}]",
         ),
         cutoff_option,
-    )  # fmt: skip
+    )
 
 
 def operator_option(help: str) -> Callable[[F], F]:
@@ -146,9 +151,13 @@ def operator_option(help: str) -> Callable[[F], F]:
 
 effort_option = keyword_options(CommandSettings, "effort")
 set_option = option(
-    "--set", "sets", group=EXPERIMENT, multiple=True, metavar="KEY=VALUE",
+    "--set",
+    "sets",
+    group=EXPERIMENT,
+    multiple=True,
+    metavar="KEY=VALUE",
     help="Set any other key of the experiment: --set wall.pull=allow.",
-)  # fmt: skip
+)
 
 
 def seed_option(help: str, group: str = EXPERIMENT, **more: Any) -> Callable[[F], F]:
@@ -167,11 +176,12 @@ def signal_option(*names: str, help: str, **more: Any) -> Callable[[F], F]:
 
 
 judge_option = option(
-    "--judge", "judged", type=click.Choice(["true", "recorded"]),
-    help=
-        "Signals that are judged: those that a rig records, or the true ones of the simulation. "
-        "[recorded; impedance maps of a rig with two masses: true]",
-)  # fmt: skip
+    "--judge",
+    "judged",
+    type=click.Choice(["true", "recorded"]),
+    help="Signals that are judged: those that a rig records, or the true ones of the simulation. "
+    "[recorded; impedance maps of a rig with two masses: true]",
+)
 
 
 # ------------------------------------------------------------------ the device
@@ -180,9 +190,11 @@ judge_option = option(
 def url_option(default: str) -> Callable[[F], F]:
     """Which device; the text says what is done without one."""
     return option(
-        "--url", group=DEVICE, type=values.URL,
+        "--url",
+        group=DEVICE,
+        type=values.URL,
         help=f"serial:///dev/ttyACM0, usb://1209:0001, sim://. [{default}]",
-    )  # fmt: skip
+    )
 
 
 def realtime_option(help: str) -> Callable[[F], F]:
@@ -236,9 +248,13 @@ overwrite_option = option("--overwrite", group=RESULT, is_flag=True, help="Repla
 def expect_option(verdicts: tuple[str, ...]) -> Callable[[F], F]:
     """For scripts: end with a code of its own unless the verdict is this one; several can be given."""
     return option(
-        "--expect", "expected", group=RESULT, multiple=True, type=click.Choice(verdicts),
+        "--expect",
+        "expected",
+        group=RESULT,
+        multiple=True,
+        type=click.Choice(verdicts),
         help="End with exit code 17 unless the verdict is this one (repeat the option to accept several).",
-    )  # fmt: skip
+    )
 
 
 VERDICTS = ("stable", "limit-cycle", "unstable", "invalid")  # rig.control.verdict.Kind, without its imports
@@ -252,9 +268,14 @@ def _plot_option(help: str, default: bool) -> Callable[[F], F]:
 def format_option(help: str = "Of the picture.", default: str | None = _DEFAULT_ENDING) -> Callable[[F], F]:
     """Add --format, the file format of pictures."""
     return option(
-        "--format", "ending", group=RESULT, type=click.Choice(tuple(FORMATS)), default=default,
-        show_default=True, help=help,
-    )  # fmt: skip
+        "--format",
+        "ending",
+        group=RESULT,
+        type=click.Choice(tuple(FORMATS)),
+        default=default,
+        show_default=True,
+        help=help,
+    )
 
 
 def plot_options(help: str = "Draw a picture.", *, default: bool = True) -> Callable[[F], F]:

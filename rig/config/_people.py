@@ -11,9 +11,8 @@ from dataclasses import replace
 from rig.config._derive import press_for, push_at_rest
 from rig.config._sections import OSCILLATIONS, Experiment
 
-PRESS_SHARE = (
-    0.6  # of the effort limit: a press swells by a fifth, and a count deeper must not reach the limit
-)
+# of the effort limit: a press swells by a fifth, and a count deeper must not reach the limit
+PRESS_SHARE = 0.6
 HARD = 1e12  # N·m/rad or N/m: nothing gives but the hand, so the press holds for every wall
 
 
@@ -28,9 +27,8 @@ def with_human_limits(experiment: Experiment, meant: Collection[str]) -> Experim
         return experiment
     if "trial.kind" in meant:
         effort = limits.effort
-        stalls = (
-            limits.override_stall and "rig.limits.override_stall" not in meant
-        )  # its file has an effort for that
+        # The file that these limits come from has an effort that overrides a stall.
+        stalls = limits.override_stall and "rig.limits.override_stall" not in meant
         if not stalls and "rig.limits.effort" not in meant:
             effort = min(effort, limits.nominal_effort)
         limits = replace(limits, human=True, effort=effort)

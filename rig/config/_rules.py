@@ -20,9 +20,8 @@ from rig.core.sample import Motion, unit_of
 
 LARGEST_CURRENT = 32767  # quanta; a command carries the current as i16
 SHORTEST_HEARTBEAT_S = 0.1  # five times `rig.loop._run.POLL_S`
-LEAST_INDEX_COUNTS = (
-    16  # between two indices: fewer, and one count is too large a share to judge where one lies
-)
+# between two indices: fewer, and one count is too large a share to judge where one lies
+LEAST_INDEX_COUNTS = 16
 # Magnitudes of any quantity in SI units; a place may be what rounding left, such as 0.1 + 0.2 - 0.3.
 LEAST, GREATEST = 1e-30, 1e15
 MOST_ORDER = 1000  # of cogging; no motor has as many slots

@@ -30,9 +30,8 @@ from rig.core.board import moved_mechanics
 from rig.core.errors import PlanError
 
 LIFETIME_PERIODS = 5
-CONFIRM_S = (
-    1.0  # beyond the duration of a trial: for so long a person may hold the handle without an encoder edge
-)
+# beyond the duration of a trial: for so long a person may hold the handle without an encoder edge
+CONFIRM_S = 1.0
 SHORTEST_LIFETIME_S, LONGEST_LIFETIME_S = 0.003, 0.02
 SUPERVISE_LIFETIME_S = 0.02  # of a command to a law on the device; the host repeats it every 5 ms
 FEWEST_PERIODS = 2  # a loop that needs more than the longest lifetime for these is too slow, and refused

@@ -16,10 +16,8 @@ import numpy as np
 from rig.config._sections import Experiment
 
 ABOVE_FRICTION = 1.25  # over what friction, weight and cogging can hold: tolerance and effort leave so much
-LARGEST_SHARE, USUAL_SHARE = (
-    0.75,
-    0.25,
-)  # of the way to the wall that may separate start and home: at most, as designed
+# Share of the way to the wall that may separate start and home: at most, and as designed.
+LARGEST_SHARE, USUAL_SHARE = 0.75, 0.25
 USUAL_CUTOFF = 0.1  # of a velocity filter without a described cut-off, over its rate
 FILTER_DELAY = 0.225  # of a second-order Butterworth filter: its delay times its cut-off, √2/(2π)
 USUAL_TOLERANCE = 4.0  # counts
@@ -29,10 +27,8 @@ SPARE_TICKS = 2  # of delay that a designed servo bears besides: what a link may
 # presets.
 CORNER, CORNER_IN_HAND = 0.6, 0.45
 DAMPING_RATIO = 0.7
-FRICTIONS, NOMINAL_SHARE = (
-    5.0,
-    0.3,
-)  # effort of a designed servo: over what holds the handle, and of the nominal one
+# Effort of a designed servo: multiple of the holding effort, and share of the nominal effort.
+FRICTIONS, NOMINAL_SHARE = 5.0, 0.3
 # Slew: time from no effort to all of it, over 1/ω of the servo. Above 2 homing can oscillate for ever, as an actuator
 # with a limited rate does; a designed servo has a quarter.
 SLOWEST_RISE, USUAL_RISE = 2.0, 0.25

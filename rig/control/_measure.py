@@ -74,10 +74,8 @@ NUMBERS = np.dtype(
         ("heard_in_stay", "<f8"),
         ("moved_in_stay", "<f8"),
         ("tail_begins_s", "<f8"),  # NaN for a trial too short to be measured
-        (
-            "settling_in_tail_s",
-            "<f8",
-        ),  # how long settling lasted into the tail; 0 when it ended before or never
+        # how long settling lasted into the tail; 0 when it ended before or never
+        ("settling_in_tail_s", "<f8"),
     ],
     align=True,
 )

@@ -26,10 +26,8 @@ from rig.realtime.plugs import LAW_CLAMPED, LAW_SIGNATURE
 Floats = NDArray[np.float64]
 
 STIFFNESS, DAMPING = range(2)  # parameters of both laws
-RAMP_TICKS, TABLE = (
-    2,
-    3,
-)  # further ones of the excited wall: length of its beginning, then one period of reactions
+# further places of the excited wall: length of the ramp, then one period of reactions
+RAMP_TICKS, TABLE = 2, 3
 PLAYED = 1  # state of the excited wall: tick of the excitation, plus one; 0 before the first
 EXCITED_STATE = 2
 TOUCHED = 1  # state of the clinging wall: 1 from the first contact on

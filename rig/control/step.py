@@ -143,10 +143,8 @@ MEMORY = np.dtype(
         ("rest_ticks", "<i8"),  # ticks within the homing tolerance
         ("contact_ticks", "<i8"),  # ticks of the trial before the first contact; 0: none yet
         ("setpoint", "<f8"),  # of the homing servo
-        (
-            "velocity",
-            "<f8",
-        ),  # what the law sees: held since the last velocity sample, or extrapolated from it
+        # what the law sees: held since the last velocity sample, or extrapolated from it
+        ("velocity", "<f8"),
         ("velocity_sampled", "<f8"),  # the estimate itself
         ("velocity_slope", "<f8"),  # its change per tick between the last two samples
         ("velocity_ticks", "<i8"),  # ticks since the last velocity sample

@@ -86,9 +86,8 @@ def current_sensor(model: RigModel) -> CurrentSensor:
 
 def peak_current(model: RigModel) -> int:
     """Most current that the rig's amplifier gives (quanta)."""
-    whole = (
-        model.amplifier.effort_limit / model.amplifier.effort_quantum * (1.0 + 1e-12)
-    )  # 11 quanta, not 10.999…
+    # The factor makes 10.999… quanta 11: the quotient of two decimals is rounded.
+    whole = model.amplifier.effort_limit / model.amplifier.effort_quantum * (1.0 + 1e-12)
     return int(min(whole, CURRENT_QUANTA_LIMIT))
 
 

@@ -519,9 +519,15 @@ def _rigid(mechanics: Mechanics, amplifier: Amplifier, link: float) -> StateSpac
     b[1, 1] = b[1, 2] = 1.0 / inertia
     _connect_effort(a, b, amplifier, effort=2, inertia=inertia)
     return StateSpace(
-        a, b, sensed_position=0, handle_position=0, effort=2, friction=(coulomb,), friction_velocity=(1,),
+        a,
+        b,
+        sensed_position=0,
+        handle_position=0,
+        effort=2,
+        friction=(coulomb,),
+        friction_velocity=(1,),
         back_emf=amplifier.back_emf,
-    )  # fmt: skip
+    )
 
 
 def _two_mass(mechanics: Mechanics, amplifier: Amplifier, link: float) -> StateSpace:
@@ -535,9 +541,15 @@ def _two_mass(mechanics: Mechanics, amplifier: Amplifier, link: float) -> StateS
     _connect_effort(a, b, amplifier, effort=4, inertia=motor)
     coulomb = (mechanics.motor_coulomb, mechanics.link_coulomb)
     return StateSpace(
-        a, b, sensed_position=0, handle_position=2, effort=4, friction=coulomb, friction_velocity=(1, 3),
+        a,
+        b,
+        sensed_position=0,
+        handle_position=2,
+        effort=4,
+        friction=coulomb,
+        friction_velocity=(1, 3),
         back_emf=amplifier.back_emf,
-    )  # fmt: skip
+    )
 
 
 def _held(free: StateSpace, operator: Operator, radius: float, handle_inertia: float) -> StateSpace:

@@ -35,9 +35,8 @@ class FaultKind(Enum):
     CORRUPT = "corrupt"  # bit `bit` of byte `byte` flips; a 0x00 may appear or vanish
     DUPLICATE = "duplicate"
     REORDER = "reorder"  # it comes after the next frame of its direction
-    TRUNCATE = (
-        "truncate"  # only its first `byte` bytes come, without a delimiter: it runs into the next frame
-    )
+    # only its first `byte` bytes come, without a delimiter: it runs into the next frame
+    TRUNCATE = "truncate"
     DELAY = "delay"  # it, and all behind it, wait for `ticks` ticks
     SILENCE = "silence"  # it and all that follow are lost
     UNPLUG = "unplug"  # the line is gone in both directions, and both ends are notified

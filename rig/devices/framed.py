@@ -95,14 +95,12 @@ class FramedDevice:
         self._known: dict[str, Value] = {}  # the last values that were seen active
         self.cleared_fault: FaultReport | None = None  # what an earlier run had left latched
         self.moved_as_described = False  # under the last torque pulse (`rig.experiments.motion.pulse`)
-        self.reference_count: int | None = (
-            None  # position zero by its index (`rig.experiments.motion.reference`)
-        )
+        # position zero by its index (`rig.experiments.motion.reference`)
+        self.reference_count: int | None = None
         self._session = 0  # used last
         self._answers = True  # unless the last transaction was given up
-        self._sent_ns = self._received_ns = (
-            0  # host time of the last request's first frame, and of the last bytes read
-        )
+        # host time of the last request's first frame, and of the last bytes read
+        self._sent_ns = self._received_ns = 0
 
     # ------------------------------------------------------------------ who is there
 

@@ -24,11 +24,8 @@ extensions = [
     "sphinx_gallery.gen_gallery",
     "sphinx_design",
 ]
-exclude_patterns = [
-    "gallery/*",
-    "notebooks/*",
-    "**/recordings",
-]  # sphinx-gallery makes pages of the scripts there
+# sphinx-gallery makes pages from the scripts there.
+exclude_patterns = ["gallery/*", "notebooks/*", "**/recordings"]
 root_doc = "index"
 smartquotes = False  # an option begins with two hyphens
 default_role = "code"  # docstrings write names between single backticks

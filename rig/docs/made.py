@@ -90,9 +90,8 @@ def _linked(text: str, page: Path, origin: Path, pages: Mapping[Path, Path], pla
     def link(match: re.Match[str]) -> str:
         image, words, target = match.groups()
         name, hash_, anchor = target.partition("#")
-        if (
-            "://" in target or not name or name.endswith(".rst")
-        ):  # elsewhere, on this page, or made of a script
+        # Links to other sites, within this page and to a generated page have no file here.
+        if "://" in target or not name or name.endswith(".rst"):
             return match[0]
         file = (origin.parent / name).resolve()
         if file in pages:

@@ -34,9 +34,8 @@ POLL_S = 0.05
 WARM_UP = 8  # first exchanges, which touch memory and code for the first time and are not counted
 LARGEST_TABLE = 200_000
 FASTEST_HZ = 50_000.0  # of questions, when no rate is asked: nothing on a wire is faster
-HONEST = (
-    1.01  # a device cannot keep a question longer than the whole trip, but for its clock's drift and steps
-)
+# a device cannot keep a question longer than the whole trip, but for its clock's drift and steps
+HONEST = 1.01
 
 Progress = Callable[[float], None]
 

@@ -180,9 +180,8 @@ def _homing_resolution(x: Experiment, ticks: int) -> Check:
 
 def _homing_offset(x: Experiment, ticks: int) -> Check:
     """Where friction may hold the handle, against the way to the wall."""
-    if (
-        x.trial.kind != "constant-effort"
-    ):  # a person brings the handle to its start; an excitation has no approach
+    # A person brings the handle to its start; an excitation has no approach.
+    if x.trial.kind != "constant-effort":
         return Check("homing offset", Outcome.OK, "not relevant: no push begins at trial.start")
     delta, unit = x.rig.encoder.resolution, unit_of("position", x.rig.motion)
     offset, tolerance, largest = servos.resting_offset(x), home_tolerance(x), servos.largest_offset(x)

@@ -98,8 +98,12 @@ def impedance(
         changes = {"excitation.channel": "motor", **changes}
     loaded = config.override(load(experiment, **settings), changes, "the excitation")
     shared: dict[str, Any] = {
-        "walls": walls, "schemes": _schemes(schemes), "method": method, "judging": judging, "watch": watch
-    }  # fmt: skip
+        "walls": walls,
+        "schemes": _schemes(schemes),
+        "method": method,
+        "judging": judging,
+        "watch": watch,
+    }
     if url is None:
         return measuring.measure_impedance(loaded, signal=signal, **shared)
     if signal != "count":

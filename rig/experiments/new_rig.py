@@ -424,8 +424,9 @@ def _rates(draft: _Draft, board: str, peak_a: float) -> None:
         )
     draft.set(source, {"controller.position_rate": rate, "controller.velocity_rate": velocity})
     draft.set("[chosen]", {"controller.estimator": "fdm-butterworth"})
-    draft.set("[chosen] a tenth of the velocity rate",
-              {"controller.parameters.cutoff_hz": CUTOFF_SHARE * velocity})  # fmt: skip
+    draft.set(
+        "[chosen] a tenth of the velocity rate", {"controller.parameters.cutoff_hz": CUTOFF_SHARE * velocity}
+    )
 
 
 # ------------------------------------------------------------------ the first hit
@@ -480,10 +481,13 @@ def _set_push(draft: _Draft, push: float, held: float) -> bool:
         wall = _stable_wall(seen)
         holds &= wall.stiffness > wall.least
         settles_s = max(settles_s, SETTLES * 2.0 * inertia / (wall.damping + x.rig.mechanics.motor_damping))
-        draft.set("[chosen] within linear theory, what the push shows and the motor gives", {
-            f"{before}wall.stiffness": _digits(max(wall.stiffness, wall.least)),
-            f"{before}wall.damping": _digits(wall.damping),
-        })  # fmt: skip
+        draft.set(
+            "[chosen] within linear theory, what the push shows and the motor gives",
+            {
+                f"{before}wall.stiffness": _digits(max(wall.stiffness, wall.least)),
+                f"{before}wall.damping": _digits(wall.damping),
+            },
+        )
     duration_s = max(1.0, 1.5 * speed * inertia / net + 0.9, speed * inertia / net + settles_s + 0.4)
     draft.set("[chosen]", {"trial.duration_s": _digits(min(duration_s, LONGEST_S), math.ceil)})
     return holds
@@ -567,9 +571,8 @@ class _ChosenWall:
 def _stable_wall(x: Experiment) -> _ChosenWall:
     """Return a wall well within linear theory, what the push shows, and the effort limit."""
     delta, push, limits = x.rig.encoder.resolution, motor_push(x), x.rig.limits
-    gained = (
-        2.0 * (push - homing.holding_effort(x)) * (x.wall.position - x.trial.start)
-    )  # twice the kinetic energy
+    # twice the kinetic energy
+    gained = 2.0 * (push - homing.holding_effort(x)) * (x.wall.position - x.trial.start)
     cutoff = float(x.controller.parameters["cutoff_hz"])
     damping = min(OF_B_MAX * theory.b_max(x).damping, NOISE_SHARE * push / (COUNT_PEAK * cutoff * delta))
     strongest = PEAK_SHARE * limits.effort

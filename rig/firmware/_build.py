@@ -52,9 +52,8 @@ LINK = (
 )
 SHARED = ("core", "law")  # directories whose C files belong to every image
 DEVICE = "device"  # the program that is the firmware
-PORT_CHECK = (
-    "port_check"  # the one that tries the device's port out, in place of the core: every board has it
-)
+# the one that tries the device's port out, in place of the core: every board has it
+PORT_CHECK = "port_check"
 COARSE_STEP = 2.0  # quanta of the rig's commands in one step of the output, from which on a build warns
 PORT_CHECK_SOURCES = ("port_check/port_check.c", "core/frame.c", "core/protocol.c")
 

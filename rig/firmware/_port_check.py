@@ -33,11 +33,8 @@ QUESTION, ANSWER, COUNTED = 0x3C, 0x3D, 0x3F
 UNITS_PER_US = 1_000 / m.TIME_UNIT_NS
 UNITS_A_SECOND = 1e6 * UNITS_PER_US
 UNDOABLE_RATE = 0xFFFF_FFFF
-TICKS_LEAST, TICKS_S, TICKS_SHARE = (
-    20,
-    0.1,
-    0.1,
-)  # counted at a rate: at least; for so long, or of the time watched
+# Tolerance of counted ticks: at least so many, those of TICKS_S, or this share of the time watched.
+TICKS_LEAST, TICKS_S, TICKS_SHARE = 20, 0.1, 0.1
 ODD_RATE = 7_001  # a prime: no timer has it by chance
 RATE_SHARE, CLOCKS_PPM = 0.01, 300.0  # of two rates that are the same; of two clocks of one crystal
 GRID_SHARE = 0.05  # of a period, as in the self test

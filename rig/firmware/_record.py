@@ -16,9 +16,8 @@ from firmware_protocol import dictionary as dictionaries
 from firmware_protocol.errors import RemoteProtocolError
 from rig.core.errors import ConfigError
 
-MAGIC = bytes.fromhex(
-    "6861 7074 6963 2d72 6967 0d0a 1a00 fe01"
-)  # "haptic-rig", what a text transfer breaks, version 1
+# "haptic-rig"; line ends and control characters that a transfer as text changes; version 1.
+MAGIC = bytes.fromhex("6861 7074 6963 2d72 6967 0d0a 1a00 fe01")
 _LENGTHS = struct.Struct("<3I")
 HEAD_BYTES = len(MAGIC) + _LENGTHS.size
 

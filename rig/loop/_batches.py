@@ -40,9 +40,8 @@ from rig.realtime.codec import BATCH, HEAD, SAMPLE, STATE
 from rig.realtime.kernel import kernel
 
 _DONE = int(Phase.DONE)
-assert (
-    min(sum(int(c[1:]) // 8 for c in layout) for layout in BATCH_LAYOUTS.values()) == 3
-)  # SAMPLES_A_READING
+# SAMPLES_A_READING counts on samples of at least 3 bytes.
+assert min(sum(int(c[1:]) // 8 for c in layout) for layout in BATCH_LAYOUTS.values()) == 3
 
 
 @kernel(types.boolean(SUPERVISION_TYPE))

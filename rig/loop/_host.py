@@ -116,9 +116,8 @@ def _receive(port: LoopPort, settings: Any, buffers: Buffers, words: int) -> int
     until_ns = port.now(port.clock_handle)
     if s["host_paced"] != 0:
         _sleep_to_the_grid(port, settings, buffers.progress, words)
-        until_ns = port.now(
-            port.clock_handle
-        )  # a link in virtual time brings its device to here; nothing is waited for
+        # A link in virtual time advances its device to this time; the loop does not wait.
+        until_ns = port.now(port.clock_handle)
     else:
         until_ns += min(max(s["period_ns"], SHORTEST_WAIT_NS), LONGEST_WAIT_NS)
     ready = port.wait(port.handle, until_ns)
@@ -186,9 +185,8 @@ def run(
         renew_parameters(controller, shared, buffers, tick)
         edge_age_s = edge_age_ns(buffers.progress, state, settings) * 1e-9
         current = step(controller, state[STATE.count], edge_age_s, elapsed)
-        if (
-            load_word(words + WORD * control_words.STOP) == control_words.ABANDONED
-        ):  # the law took too long, and the caller no longer waits
+        # The law took too long and the caller has given up waiting.
+        if load_word(words + WORD * control_words.STOP) == control_words.ABANDONED:
             store_word(words + WORD * control_words.END_REASON, STOPPED)
             return STOPPED
         computed_ns = port.now(port.clock_handle)

@@ -162,9 +162,8 @@ class LoopThread:
         self._realtime = realtime
         self._heartbeat_ns = 0 if link.clock.virtual else round(heartbeat_s * 1e9)
         self._error: BaseException | None = None
-        self._memory: NDArray[np.uint8] | None = (
-            ring.buffer
-        )  # lives as long as the thread runs, also after the ring is closed
+        # The thread writes into this memory: a reference here keeps it alive after the ring is closed.
+        self._memory: NDArray[np.uint8] | None = ring.buffer
         self._buffers = Buffers.allocate()
         self._buffers.progress["nonce"] = nonce
         if sensor is not None:

@@ -219,9 +219,8 @@ def _run_law(
             begin_set(controller, buffers, tick, words)
             v["step"] = IDLE
         current = step(controller, sample[COUNT], 0.0, elapsed)
-        if (
-            load_word(words + WORD * control_words.STOP) == control_words.ABANDONED
-        ):  # the caller no longer waits
+        # The caller has given up waiting.
+        if load_word(words + WORD * control_words.STOP) == control_words.ABANDONED:
             return _ABANDONED
         v["sent"] = current
         v["comparable"] = 1 if v["stop_sequence"] < 0 else 0

@@ -28,14 +28,11 @@ from rig.realtime.codec import STATE
 # wall elsewhere has filters of its own: its difference is reported, without a limit.
 BOUNDS = {"fixed": 1, "float32": 2}
 NO_BOUND = 1 << 16
-MANY_SHARE, MANY_TICKS = (
-    0.001,
-    10,
-)  # ticks beyond the bound that are too many: of those compared, and at least
+# Too many ticks beyond the bound: more than this share of those compared, and at least so many.
+MANY_SHARE, MANY_TICKS = 0.001, 10
 
-Live = Callable[
-    [Sequence[float]], Mapping[str, Value]
-]  # numbers of a parameter set → live parameters of the device
+# numbers of a parameter set → live parameters of the device
+Live = Callable[[Sequence[float]], Mapping[str, Value]]
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,9 +45,8 @@ class EndReason(IntEnum):
     DEVICE_CONTRADICTS = 17  # what the device says cannot be (rig.loop._contradictions)
     DEVICE_RESTARTED = 18  # the device counts its samples anew
     LIMIT_SWITCH = 19  # the end of the travel was reached, or the switch's wire is broken
-    LINK_DELAYED = (
-        20  # nothing but commands older than their lifetime came, for a lifetime (rig.loop._link_delay)
-    )
+    # nothing but commands older than their lifetime came, for a lifetime (rig.loop._link_delay)
+    LINK_DELAYED = 20
     UNMOVED = 21  # the motor must have moved the rig by itself, and the count stands still
 
 
@@ -73,10 +72,8 @@ SETTINGS = np.dtype(
         ("exchange_every_ns", "<i8"),  # time between clock exchanges, or 0 for none
         ("supervise_every_ns", "<i8"),  # law on the device: time between two COMMANDs; 0: the law runs here
         ("batch_samples", "<i8"),  # law on the device: most samples in a BATCH
-        (
-            "agreement_quanta",
-            "<i8",
-        ),  # law on the device: by how much its current may differ from the host's law
+        # law on the device: by how much its current may differ from the host's law
+        ("agreement_quanta", "<i8"),
     ],
     align=True,
 )

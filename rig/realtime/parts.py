@@ -160,10 +160,16 @@ class PartCompiler(dispatcher._FunctionCompiler):  # type: ignore[misc,name-defi
         library = kind(target.target_context.codegen(), self.py_func.__qualname__)
         library.enable_object_caching()
         result = compiler.compile_extra(
-            target.typing_context, target.target_context, self.py_func,
-            args=args, return_type=return_type, flags=flags, locals=self.locals, library=library,
+            target.typing_context,
+            target.target_context,
+            self.py_func,
+            args=args,
+            return_type=return_type,
+            flags=flags,
+            locals=self.locals,
+            library=library,
             pipeline_class=self.pipeline_class,
-        )  # fmt: skip
+        )
         compiling.counted()
         interrupts_now()
         return result

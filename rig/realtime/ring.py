@@ -49,7 +49,7 @@ from rig.realtime.control_words import (
     LAYOUT_VERSION,
     ROW_BYTES,
     VERSION,
-)  # fmt: skip
+)
 from rig.realtime.memories import place
 
 if TYPE_CHECKING:

@@ -75,9 +75,8 @@ def _on_signal(number: int, info: int, context: int) -> int:
     add_word(table + 8 * _REQUESTS, 1)
     displaced = load_word(table + 8 * (_DISPLACED + number))
     if displaced == _SIG_DFL:
-        store_word(
-            table + 8 * _DEFERRED, number
-        )  # before the look at the runs: one of the two sides sees the other
+        # Stored before the runs are read: of a request and a new run, one then sees the other.
+        store_word(table + 8 * _DEFERRED, number)
         if load_word(table + 8 * _RUNS) == 0 or load_word(table + 8 * _PROCESS) != _getpid():
             _set_handler(number, _SIG_DFL)
             _raise(number)  # delivered when this returns

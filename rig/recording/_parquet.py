@@ -29,9 +29,8 @@ from rig.recording.header import check_version, dtype_of, schema_of
 KEYS = (b"rig.header", b"rig.trailer", b"rig.complete", b"rig.lost")
 CHECKSUM_KEY = b"rig.crc32"
 GROUP_ROWS = 1 << 17  # of a row group: what is held twice while a recording is written
-READ_BYTES = (
-    1 << 25
-)  # of columns that are decoded at once: those of a short recording together, a long one's singly
+# Columns of at most this size are decoded together; those of a long recording one by one.
+READ_BYTES = 1 << 25
 
 
 def has_pyarrow() -> bool:

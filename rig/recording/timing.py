@@ -162,9 +162,8 @@ def ledger(rows: NDArray[np.void], fit: ClockFit | None, period_ns: float, loop:
         known = shown_at >= 0
         applied[known] = fit.host_of(_became_active(rows, device, shown_at[known], period_ns))
         doubt_ns = 3.0 * clock_sd + fit.asymmetry_bound_ns
-        early = (
-            known & (applied < sent) & (sent - applied <= period_ns + doubt_ns)
-        )  # else the clocks are wrong
+        # The clocks' fit may place the effect up to a period before its command; further apart, the clocks are wrong.
+        early = known & (applied < sent) & (sent - applied <= period_ns + doubt_ns)
         applied[early] = sent[early]
         within_tick = int(np.count_nonzero(early))
     return Ledger(

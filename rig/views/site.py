@@ -78,9 +78,8 @@ def build_site(output: Path, *, strict: bool = False) -> Site:
             f"cannot write {error.filename or output}: {error.strerror or error}",
             remedy="choose another `output`",
         ) from error
-    commands = os.pathsep.join(
-        [str(Path(sys.executable).parent), os.environ.get("PATH", "")]
-    )  # longer examples run ours
+    # Longer examples run the `rig` of this environment.
+    commands = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
     strictly = ["-n", "-W", "--keep-going"] if strict else []
     built = subprocess.run(
         [sys.executable, "-P", "-m", "sphinx", "-q", "-E", *strictly, str(sources), str(pages)],

@@ -253,10 +253,8 @@ class FirmwareDevice:
         until = (2 * (until_ns - self._epoch_ns) + 1) // _NS_NUMERATOR  # the last unit that is not later
         ticks, output = 0, b""
         if most > 0 and self._seen.due <= until:
-            ticks, output = (
-                1,
-                self.tick(),
-            )  # to call a compiled run takes as long as three ticks by their parts
+            # One call of a compiled run takes as long as three single ticks.
+            ticks, output = 1, self.tick()
         self._words[INPUTS] = self.inputs
         self._words[DUE] = self._seen.due
         while ticks < most and len(output) < enough:

@@ -95,9 +95,8 @@ def sense(words: Words, count: int, wires: Wires) -> None:
     before, first, every = words[TRUE_COUNT], wires.index_first, wires.index_counts
     words[TRUE_COUNT] = count
     if every and count != before:
-        back = (
-            1 if count < before else 0
-        )  # from above an index begins with its own count, from below behind the last
+        # From above an index begins with its own count, from below after the last one.
+        back = 1 if count < before else 0
         place, left = (count - back - first) // every, (before - back - first) // every
         if place != left:
             words[INDEX_EDGES] = (words[INDEX_EDGES] + abs(place - left)) & _U32

@@ -256,9 +256,8 @@ def check(
         if not is_in_window(rules, count):
             faults |= _WINDOW
     high = 1 if abs(measured) > rules[AT.peak] else 0
-    if (
-        high + (rules[AT.peaks] & 1) + (rules[AT.peaks] >> 1) >= 2
-    ):  # of three: one alone is a spike of the converter
+    # Two of three samples: a single one is a spike of the converter.
+    if high + (rules[AT.peaks] & 1) + (rules[AT.peaks] >> 1) >= 2:
         faults |= _OVER_CURRENT
     rules[AT.peaks] = (rules[AT.peaks] << 1 | high) & 3
     if compare(currents, count, current, measured) == DISAGREES:

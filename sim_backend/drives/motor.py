@@ -34,9 +34,8 @@ Words = NDArray[np.float64]
 LAW = types.float64(types.float64[::1], types.int64, types.float64)
 
 SCRIPT_HZ = 1000  # rows a second of what a hand wants
-COUNT, ROW, ROW_LEFT, SLIP = range(
-    4
-)  # the encoder's count; row of the script, ticks it lasts; counts gained or lost
+# the encoder's count; row of the script, ticks it lasts; counts gained or lost
+COUNT, ROW, ROW_LEFT, SLIP = range(4)
 PLACES = 4
 
 

@@ -279,9 +279,8 @@ class SimulatedOdrive:
             return bytes((PROTOCOL, *HARDWARE, *self._options.firmware, 0))
         if command is CanSimpleCommand.HEARTBEAT:
             done = int(w[W.control_mode] >= POSITION_CONTROL)
-            errors = int(w[W.active_errors]) | int(
-                w[W.disarm_reason]
-            )  # assumed: the page was not read on this
+            # Assumed: not checked against ODrive's page.
+            errors = int(w[W.active_errors]) | int(w[W.disarm_reason])
             return HEARTBEAT.pack(errors, int(w[W.state]), self._outcome(), done)
         if command is CanSimpleCommand.GET_ERROR:
             return ERRORS.pack(int(w[W.active_errors]), int(w[W.disarm_reason]))

@@ -53,9 +53,8 @@ from sim_backend.mechanics.plant import PLANT_TYPE, PlantArguments
 SLICE_NS = 10_000_000  # in which a signal or a wish to stop is heard
 LONGEST_PAUSE_NS = 1_000_000_000
 LATE_NS = 50_000  # beyond what it takes to wake
-SHORTEST_STEP_NS = (
-    250_000  # of faster ticks several pass at once: a process that is woken more often does little else
-)
+# of faster ticks several pass at once: a process that is woken more often does little else
+SHORTEST_STEP_NS = 250_000
 PENDING_BYTES = 1 << 16  # that the host has not read yet: BATCH of 100 ms and more
 OUTPUT_BYTES = 1 << 16  # that a device says in one go at most
 RECEIVED_BYTES = 1 << 12  # that are taken from the host in one go

@@ -394,9 +394,8 @@ def _spectra(run: ExcitedRun, sliding: Sliding | None) -> tuple[Complexes, Compl
     n = run.period_samples
     whole = np.fft.rfft(run.level_position().reshape(run.periods, n).mean(axis=0))
     frequency = np.asarray(np.fft.rfftfreq(n, 1.0 / run.rate_hz), dtype=np.float64)
-    excited = frequency <= run.lines_hz[-1] * (
-        1.0 + 1e-9
-    )  # above it there is noise, which would turn friction round
+    # Above the last line there is only noise, which would reverse the sign of friction.
+    excited = frequency <= run.lines_hz[-1] * (1.0 + 1e-9)
     velocity = np.fft.irfft(np.where(excited, run.velocity_gain(frequency) * whole, 0.0), n)
     effort = np.fft.rfft(run.effort.reshape(run.periods, n).mean(axis=0))
     rubbing = np.zeros(n)

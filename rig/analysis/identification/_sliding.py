@@ -25,10 +25,8 @@ from rig.core.present import reported
 
 Floats = NDArray[np.float64]
 
-SETTLE_S, SETTLE_SHARE = (
-    0.2,
-    0.6,
-)  # the beginning of a stroke is left out: this long, or this share if that is less
+# The beginning of a stroke is excluded: this long, or this share of it if that is shorter.
+SETTLE_S, SETTLE_SHARE = 0.2, 0.6
 END_S = 0.01  # so is its end
 PIECES = 3  # of each stroke
 LEAST_COUNTS = 10.0  # of way in a piece

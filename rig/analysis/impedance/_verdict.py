@@ -158,9 +158,8 @@ def passive(
     worst = int(np.argmin(room))
     size = np.abs(part.z)
     share = np.divide(tolerance, size, out=np.full(len(size), 2.0), where=size > tolerance)
-    wider = np.where(
-        share > 1.0, 180.0, np.degrees(np.arcsin(np.minimum(share, 1.0)))
-    )  # or any phase will do
+    # Where the uncertainty exceeds the value, any phase is compatible with it.
+    wider = np.where(share > 1.0, 180.0, np.degrees(np.arcsin(np.minimum(share, 1.0))))
     turned = np.where(np.isfinite(part.z), 90.0 + wider - np.abs(part.phase_deg), -math.inf)
     return Passivity(
         passive=not failed.any(),

@@ -43,10 +43,8 @@ from rig.core.model import state_space
 Vector = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-LOWEST_HZ, POINTS = (
-    1.0,
-    6000,
-)  # of the frequencies that are looked at, in equal ratios up to half the position rate
+# Grid of frequencies, in equal ratios up to half the position rate.
+LOWEST_HZ, POINTS = 1.0, 6000
 ITERATIONS, SETTLED = 300, 1e-6  # of the amplitude, and its relative change at the end
 TURNS = 12  # of the phase of the second mass's friction
 LARGEST = 1e3  # counts: beyond that it is no matter of the quantum

@@ -232,9 +232,8 @@ def _sampling(loop: LinearLoop, position: Vector, plant: int) -> Matrix:
     matrix[held], matrix[slope] = estimate, 0.0
     if loop.extrapolate:
         matrix[slope] = estimate / loop.divider
-        matrix[slope, held] -= (
-            1.0 / loop.divider
-        )  # the velocity in use less what was extrapolated on top of it
+        # The extrapolation starts from the velocity in use, without the part that was extrapolated before.
+        matrix[slope, held] -= 1.0 / loop.divider
         matrix[slope, slope] += (loop.divider - 1) / loop.divider
     return matrix
 

@@ -18,9 +18,8 @@ from rig.core.errors import ConfigError
 NARROWEST, WIDEST = 2, 64  # bits of a counter
 ESTIMATOR_BITS = 32  # an update takes the difference of two counts modulo 2^32
 LARGEST_COUNT = 2.0**62
-OLDEST_EDGE_S = (
-    134.0  # age of an edge that was never seen: the longest that the wire's 32-bit time can express
-)
+# age of an edge that was never seen: the longest that the wire's 32-bit time can express
+OLDEST_EDGE_S = 134.0
 NARROW_BYTES = 2  # integers of so few bytes are those of a counter of that width
 LEAST_JUMP = 127  # counts in a sample that may be a wrap: half of the narrowest counter that is common
 

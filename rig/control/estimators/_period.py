@@ -54,13 +54,11 @@ OLDEST_EDGE_S = 134.0  # what the wire's 32-bit time can say; also stands for an
 GRACE = 0.01  # periods: an edge so shortly after the previous sample is the one that that sample saw
 
 GAP = COMMON  # parameters: widest gap between two lines (counts)
-PREVIOUS, STARTED, KNOWN, UPWARDS = range(
-    OWN_INTS, OWN_INTS + 4
-)  # state_i: the last edge's boundary and direction
+# state_i: the last edge's boundary and direction
+PREVIOUS, STARTED, KNOWN, UPWARDS = range(OWN_INTS, OWN_INTS + 4)
 INTS = OWN_INTS + 4
-AGE, SPAN, SPEED = range(
-    3
-)  # state_f: age of the last edge at the last sample; the slope's time (s) and value (counts/s)
+# state_f: age of the last edge at the last sample; the slope's time (s) and value (counts/s)
+AGE, SPAN, SPEED = range(3)
 FLOATS = 3
 
 

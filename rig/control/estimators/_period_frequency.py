@@ -42,9 +42,8 @@ from rig.realtime.plugs import ESTIMATOR_SIGNATURE
 GATE = GAP + 1  # parameters: the window in velocity periods
 LONGEST = 256
 SLOTS = LONGEST + 2  # edges in memory: one for each period of the window, and the one before it
-NOW, PLACE, OLDEST, NEWEST = range(
-    period.INTS, period.INTS + 4
-)  # state_i: periods, counts since the start; edges
+# state_i: periods, counts since the start; edges
+NOW, PLACE, OLDEST, NEWEST = range(period.INTS, period.INTS + 4)
 SAMPLES = NEWEST + 1  # state_i: for each slot the period in which its edge was seen …
 BOUNDARIES = SAMPLES + SLOTS  # … and its boundary
 AGES = period.FLOATS  # state_f: and its age then (s)

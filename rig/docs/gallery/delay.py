@@ -18,10 +18,12 @@ for damping in (0.0, 0.5):
     limits = [
         theory.k_max(
             rig.load("koul-compliant", changes={"rig.simulation.computation_delay_ticks": ticks}),
-            "dual:20k/2k", damping, operator="normal",
+            "dual:20k/2k",
+            damping,
+            operator="normal",
         ).stiffness
         for ticks in TICKS
-    ]  # fmt: skip
+    ]
     axes.plot([ticks / 20 for ticks in TICKS], limits, "o-", label=f"B = {damping:g} N·m·s/rad")
 axes.set(xlabel="computation delay (ms)", ylabel="stiffest stable wall (N·m/rad)", ylim=(0, None))
 axes.legend()

@@ -20,8 +20,11 @@ counts = rig.quantise(position, RESOLUTION)
 figure, axes = plt.subplots(figsize=(8, 4))
 axes.plot(1e3 * time_s, truth, color="black", label="truth")
 for name, settings in {
-    "fdm": {}, "fdm-butterworth": {"cutoff_hz": 250.0}, "foaw-best": {}, "kalman": {"bandwidth_hz": 130.0},
-}.items():  # fmt: skip
+    "fdm": {},
+    "fdm-butterworth": {"cutoff_hz": 250.0},
+    "foaw-best": {},
+    "kalman": {"bandwidth_hz": 130.0},
+}.items():
     velocity = rig.estimate(name, counts, 1 / RATE, resolution=RESOLUTION, **settings)
     axes.step(1e3 * time_s, velocity, where="post", linewidth=0.9, label=name)
 axes.set(xlabel="time from contact (ms)", ylabel="velocity (m/s)")

@@ -15,9 +15,14 @@ LINES = (250, 350, 500, 700, 1_000, 2_000, 4_000, 8_000)
 heard = []
 for lines in LINES:
     result = rig.hit(
-        "koul-rigid", stiffness=200.0, damping=0.6, effort=0.8, duration_s=0.6, minimum_rest_counts=0.5,
+        "koul-rigid",
+        stiffness=200.0,
+        damping=0.6,
+        effort=0.8,
+        duration_s=0.6,
+        minimum_rest_counts=0.5,
         changes={"rig.encoder.counts_per_revolution": lines, "homing.tolerance_counts": lines / 100.0},
-    )  # fmt: skip
+    )
     heard.append(result.verdict.heard)
 threshold = result.experiment.verdict.heard_force * result.experiment.rig.mechanics.handle_radius
 

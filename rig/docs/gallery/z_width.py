@@ -9,9 +9,13 @@ Hits climb a ladder of stiffnesses at each damping, and so find the stiffest wal
 import rig
 
 found = rig.zwidth(
-    "koul-compliant", ["dual:20k/2k", "uniform:20k"], dampings=[0.0, 0.25, 0.5, 1.0, 2.0, 3.0], ratio=1.15,
-    offsets=[0.3], workers=1,
-)  # fmt: skip
+    "koul-compliant",
+    ["dual:20k/2k", "uniform:20k"],
+    dampings=[0.0, 0.25, 0.5, 1.0, 2.0, 3.0],
+    ratio=1.15,
+    offsets=[0.3],
+    workers=1,
+)
 print(found)
 
 # %%

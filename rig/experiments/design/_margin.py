@@ -34,6 +34,7 @@ RATIO = 1.1  # between rungs
 BEYOND = 1.2  # highest over the limit on the described rig
 OFFSETS = (0.1, 0.6)
 DELAY = "rig.simulation.computation_delay_ticks"
+# Keys that `rig.experiments.identification._identified_values` sets.
 IDENTIFIED = (
     *(
         f"rig.mechanics.{name}"
@@ -49,7 +50,7 @@ IDENTIFIED = (
         )
     ),
     "rig.amplifier.lag_s",
-)  # what `rig.experiments.identification._identified_values` puts
+)
 
 
 @dataclass(frozen=True, slots=True)

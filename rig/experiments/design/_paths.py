@@ -26,9 +26,8 @@ from rig.firmware.tick_budget import named_budget
 
 AMPLITUDE = 32.0  # counts
 SAMPLES = 2048
-PERIODS = tuple(
-    int(n) for n in np.unique(np.geomspace(2, SAMPLES // 5, 24).round())
-)  # of the sines in SAMPLES
+# Periods of the sines in SAMPLES.
+PERIODS = tuple(int(n) for n in np.unique(np.geomspace(2, SAMPLES // 5, 24).round()))
 ERROR = 0.5
 SEED = 0
 

@@ -35,10 +35,8 @@ from rig.experiments.mapping._rendering import RENDERED
 from rig.experiments.mapping._searches import StiffnessSearch, Way
 from rig.experiments.mapping.zwidth import ZWidth
 
-OCTAVES = (
-    -5,
-    3,
-)  # dampings of the linear stage, and of the first hits: the own scheme's range times powers of 2
+# Dampings of the linear stage and of the first hits: the scheme's own range times these powers of 2.
+OCTAVES = (-5, 3)
 FRICTION = 2.0  # most by which Coulomb friction raises a limit of theory (`rig.analysis.theory._loop`)
 HELD_OUT_OFFSETS = (0.225, 0.475, 0.725, 0.975)
 HELD_OUT_SEED, HELD_OUT_REPEATS = 1_000, 2  # added to the seed of the trial; series of each offset

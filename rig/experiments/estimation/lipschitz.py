@@ -26,9 +26,8 @@ from rig.recording.data import Recording
 Floats = NDArray[np.float64]
 
 DEFAULT_SINES = 6
-MOST_SAMPLES = (
-    1000  # of the fit; more are thinned by averaging neighbours, which costs no bandwidth that matters
-)
+# of the fit; more are thinned by averaging neighbours, which costs no bandwidth that matters
+MOST_SAMPLES = 1000
 BEFORE_CONTACT_S, AFTER_CONTACT_S = 0.02, 0.06  # impact and first rebound: a long record drowns them
 MARGIN = 0.05  # of the time at either end where the fit is unsupported on one side: no part of the maximum
 _PADDING = 8  # of the spectrum in which a first guess is looked for

@@ -223,9 +223,8 @@ class _TuningWalk:
         self.known: dict[tuple[tuple[str, float | str], ...], float] = {}
         self.axes: list[_Axis] = []
         self.start = given
-        self.reference = estimates(
-            case, Variant(estimator.name, self.start)
-        )  # raises what is wrong with them
+        # Raises if the start values are not realisable.
+        self.reference = estimates(case, Variant(estimator.name, self.start))
 
     def value(self, settings: Settings) -> float:
         """Objective at these settings; infinite where they cannot be realised."""
@@ -272,14 +271,8 @@ class _TuningWalk:
         start = self.begin(setting)
         for whole in (False, True):
             axis = _Axis.around(setting, start, whole)
-            for place in (
-                0.37,
-                0.23,
-                0.51,
-                0.77,
-                0.09,
-                0.93,
-            ):  # most settings are realisable in a part of their range
+            # Most settings are realisable in a part of their range only: try points spread over it.
+            for place in (0.37, 0.23, 0.51, 0.77, 0.09, 0.93):
                 other = {**self.start, setting.name: axis.value(place)}
                 try:
                     velocity = estimates(self.case, Variant(self.estimator.name, other))

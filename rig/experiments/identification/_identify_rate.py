@@ -18,9 +18,8 @@ from rig.experiments.trials._identify_motions import RATE_STEP, still
 from rig.realtime.scheduling import obtained
 
 LEAST_RATE_HZ = 10  # of any loop, by the rules of `controller.position_rate`
-LOST_MARGIN = (
-    0.5  # of the share that may be filled in: what the next minute loses is not what the last seconds lost
-)
+# of the share that may be filled in: what the next minute loses is not what the last seconds lost
+LOST_MARGIN = 0.5
 RATES = ("controller.position_rate", "controller.velocity_rate")
 
 

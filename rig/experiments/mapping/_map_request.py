@@ -52,8 +52,9 @@ class MapRequest:
         Keyword(
             "Signals that are judged: those that a rig records, or the true ones of the simulation. "
             "[recorded]",
-                names=("--judge",)),
-    ] = None  # fmt: skip
+            names=("--judge",),
+        ),
+    ] = None
 
     def plan(self, x: Experiment, *, on_device: bool = False) -> MapPlan:
         """Return the plan; errors as `hit_plan` and `search_for`."""

@@ -32,9 +32,8 @@ from rig.experiments.trials.plan import make_plan, predict_impact
 T = TypeVar("T")
 
 SPAN = 100.0  # highest stiffness over the lowest, at least
-BELOW = (
-    4.0  # the linear limit without damping over the lowest: friction raises a limit, the quantum lowers it
-)
+# the linear limit without damping over the lowest: friction raises a limit, the quantum lowers it
+BELOW = 4.0
 COLUMNS = 17  # dampings
 BEYOND = 1.1  # of the largest damping that the linear theory allows any of the schemes
 CURVE_POINTS = 60  # of a theoretical curve

@@ -106,9 +106,13 @@ class Judging:
         tuple[float, float] | None,
         Keyword(
             "Band of the lines used for verdict and fidelity (Hz). [all]",
-            "", ("--judged-band",), _JUDGEMENT, "band", "LOW:HIGH",
+            "",
+            ("--judged-band",),
+            _JUDGEMENT,
+            "band",
+            "LOW:HIGH",
         ),
-    ] = None  # fmt: skip
+    ] = None
     z_score: Annotated[
         float,
         Ge(0.0),

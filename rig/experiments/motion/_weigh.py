@@ -41,9 +41,8 @@ from rig.realtime import stop_requests
 from rig.recording.files import free_name, plain_errors
 
 STANDARD_GRAVITY = 9.80665  # m/s², by definition; places differ by 0.3 % each way
-STILL_SHARE = (
-    0.2  # of rig.limits.effort: above it a device takes a handle that stands still for a dead encoder
-)
+# of rig.limits.effort: above it a device takes a handle that stands still for a dead encoder
+STILL_SHARE = 0.2
 
 Ask = Callable[[str], None]
 

@@ -49,13 +49,11 @@ from rig.loop.layout import EndReason
 from rig.realtime import stop_requests
 from rig.recording.files import free_name, plain_errors
 
-MARGIN = (
-    0.1  # of the travel, that a search goes beyond it; of the window, that the handle keeps from its ends
-)
+# of the travel, that a search goes beyond it; of the window, that the handle keeps from its ends
+MARGIN = 0.1
 LEAVE = 1 / 16  # of the distance of two indices, in which the switch has to open
-NEAR = (
-    0.1  # of that distance: an index so near to the switch may be the one before it or behind it another day
-)
+# of that distance: an index so near to the switch may be the one before it or behind it another day
+NEAR = 0.1
 SAME_COUNTS = 2  # by which the distance of two indices may be wrong: each is latched within a count
 BOTH = 2.25  # distances that a travel must hold for a second index behind the switch
 FOLLOWS = 0.05  # of a way, by which the handle may end short of it

@@ -170,9 +170,8 @@ def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np
     if end.reason == EndReason.FINISHED:
         return None
     kind, message, remedy = ENDINGS[end.reason]
-    named = (
-        fault if fault is not None and fault.code != Fault.NONE else None
-    )  # a device may report that it has no fault
+    # A device may report a fault NONE.
+    named = fault if fault is not None and fault.code != Fault.NONE else None
     errno = end.counters["errno"]
     loss = failure(errno, url)
     if end.reason == EndReason.LINK_CLOSED:

@@ -31,9 +31,8 @@ from rig.experiments.trials.planned import Plan, Step, limited
 Floats = NDArray[np.float64]
 
 SLOW_RATE = 2000  # Hz: pushes and strokes need no more
-RATE_STEP = (
-    50  # Hz, of rates that are named: the usual period of the excitation, 0.5 s, is whole samples of each
-)
+# Hz, of rates that are named: the usual period of the excitation, 0.5 s, is whole samples of each
+RATE_STEP = 50
 NO_PUSH = 1e-12  # of the effort limit: a trial must push, and this is less than any quantum
 MARGIN_COUNTS = 1.0  # a trial starts that far before its wall
 
@@ -43,12 +42,10 @@ PUSHES, PUSH_COUNTS, PUSH_SHARE, PUSH_S, REST_S = 6, 30, 0.3, 1.5, 0.2
 COARSE_ROOM, LEAST_PUSH_COUNTS = 3.0, 8
 PUSH_RISE_S = 0.05  # gentle: without friction the way takes that long
 PUSH_COULOMB = 5.0  # but it may grow to this multiple of the described friction in `PUSH_S`
-UNSEEN_SPEED = (
-    0.92  # share of the speed limit that a handle may have when a push gives up; the rest is for its end
-)
-PUSH_END_S = (
-    0.01  # of a push by a board: until this computer ends it; its effort falls as slowly as it has grown
-)
+# share of the speed limit that a handle may have when a push gives up; the rest is for its end
+UNSEEN_SPEED = 0.92
+# of a push by a board: until this computer ends it; its effort falls as slowly as it has grown
+PUSH_END_S = 0.01
 PUSH_WINDOW, PUSH_SPEED = 20.0, 200.0  # window (ways of a push) and speed (ways a second) that end the run
 BRAKE_S = 0.02  # time constant of the brake after a push
 # Most effort of a push over the described friction: below it a dead motor and friction look alike.
@@ -80,12 +77,8 @@ EXCITATION_SETTLE_S, LEAST_SETTLE, PERIODS = 1.0, 2, 2
 LINES_PER_OCTAVE = 16
 EVEN_FROM_HZ = 25.0  # below it amplitudes fall with the frequency: the motion would grow
 CENTRING_HZ = 2.5  # of the soft spring that keeps an excited handle near the middle
-EFFORT_SHARE, RMS_SHARE, POSITION_SHARE, SPEED_SHARE = (
-    0.6,
-    0.9,
-    0.5,
-    0.5,
-)  # of the limits, that the excitation may use
+# Shares of the limits that the excitation may use.
+EFFORT_SHARE, RMS_SHARE, POSITION_SHARE, SPEED_SHARE = 0.6, 0.9, 0.5, 0.5
 HARD = 5.0  # rms effort of the excitation over Coulomb friction from which friction biases by below half a per cent
 
 
@@ -145,11 +138,13 @@ def identification_plan(
         sweeps = cogging_sweeps(x, cogging)[1]
         way, most = sweeps[0].velocity * (sweeps[0].end_s - sweeps[0].begin_s), abs(sweeps[0].velocity)
         settings += (
-            Step("sweeps",
+            Step(
+                "sweeps",
                 f"{len(sweeps)} slow sweeps of {way:.3g} {position} at {most:.3g} {speed} or less, in "
                 "both directions",
-                 sweeps[-1].end_s + SWEEP_REST_S),
-        )  # fmt: skip
+                sweeps[-1].end_s + SWEEP_REST_S,
+            ),
+        )
         checks += (_repeatable(x), _whole_period(x, way - 2.0 * SETTLE_S * most))
     return Plan(x.rig.name, 1, settings, checks)
 
@@ -227,9 +222,11 @@ def _whole_period(x: Experiment, measured: float) -> Check:
     """Check that the sweeps cover a whole period, which is needed to separate its harmonics."""
     period, unit = cogging_period(x), _unit(x, "position")
     return limited(
-        "period of cogging", period <= measured, f"{period:.3g} {unit}, the sweeps measure {measured:.3g}",
+        "period of cogging",
+        period <= measured,
+        f"{period:.3g} {unit}, the sweeps measure {measured:.3g}",
         "widen the window of positions, or give rig.cogging.period if it is shorter",
-    )  # fmt: skip
+    )
 
 
 def cogging_period(x: Experiment) -> float:

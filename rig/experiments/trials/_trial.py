@@ -58,15 +58,13 @@ from rig.recording.seal import seal
 BLACK_BOX_ROWS = 100
 LOST_AFTER_S = 0.05  # silence that ends a run: the device has ramped down long before
 LOST_AFTER_PERIODS = 3
-BOUNCE_S = (
-    0.02  # a limit switch that is left counts as open after this: contacts bounce for some milliseconds
-)
+# a limit switch that is left counts as open after this: contacts bounce for some milliseconds
+BOUNCE_S = 0.02
 RING_SECONDS = 5.0
 RING_ROWS_MINIMUM = 4096
 REFERENCES = ("where the handle was put", "an index of the encoder")  # values of the parameter `reference`
-SPIN_SHARE = (
-    0.6  # of a period; a thread that never sleeps is throttled by the kernel, for tens of milliseconds
-)
+# of a period; a thread that never sleeps is throttled by the kernel, for tens of milliseconds
+SPIN_SHARE = 0.6
 
 Progress = Callable[[int, int], None]
 
@@ -80,9 +78,8 @@ class TrialRequest:
     seed: int
     progress: Progress | None = None
     judge: Callable[[Recording], Judgement] | None = None
-    leaves_switch: bool = (
-        False  # it may begin at the limit switch, which ends it only when it is reached again
-    )
+    # it may begin at the limit switch, which ends it only when it is reached again
+    leaves_switch: bool = False
     sealed: bool = True  # False leaves the capture as it is, for callers that run thousands of trials
     extra: dict[str, Any] = field(default_factory=dict)
     blinded: bool = False  # passed to observers of the loop, see `rig.experiments.hits.hit.HitRequest`
@@ -353,9 +350,8 @@ def _conclude(
     rows = loop.ring.last_rows(BLACK_BOX_ROWS)
     exchanges.append(as_exchanges(loop.exchanges()))
     fault: FaultReport | None = None
-    with suppress(
-        Exception
-    ):  # the far end may be gone, or the simulation broken: what ended the run is known
+    # The device may be disconnected or the simulation may fail here: the reason for the end is known already.
+    with suppress(Exception):
         if end.reason == EndReason.DEVICE_FAULT:
             fault = device.explain_fault(loop.fault)  # from STATE, in case the device does not reply now
             report = device.fault_report()

@@ -40,9 +40,8 @@ from rig.core.sample import Phase, RowFlag
 from rig.recording.data import Recording
 
 ACQUISITION_HZ = 4000.0  # Chawda et al., section VI: velocity and force at 4 kHz
-SETTLING_SHARE = (
-    0.5  # of the settling periods in which the excitation rises; in the rest what that stirred dies away
-)
+# of the settling periods in which the excitation rises; in the rest what that stirred dies away
+SETTLING_SHARE = 0.5
 LONGEST_DELAY = 20  # ticks between a command and its effort that are looked for
 
 _BOUND = int(RowFlag.SATURATED | RowFlag.SLEW_BOUND)

@@ -20,10 +20,14 @@ from rig.realtime.row_reader import RowReader
 from rig.realtime.running import RunningLoop, running
 
 _COUNTERS = {
-    "dropped": control_words.DROPPED, "lost": control_words.LOST, "late": control_words.LATE,
+    "dropped": control_words.DROPPED,
+    "lost": control_words.LOST,
+    "late": control_words.LATE,
     "skipped": control_words.SKIPPED,
-    "bad_frames": control_words.BAD_FRAMES, "stale": control_words.STALE, "overruns": control_words.OVERRUNS,
-}  # fmt: skip
+    "bad_frames": control_words.BAD_FRAMES,
+    "stale": control_words.STALE,
+    "overruns": control_words.OVERRUNS,
+}
 
 
 class Followed:

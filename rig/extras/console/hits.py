@@ -21,9 +21,12 @@ from rig.recording.canonical import canonical_json
 
 EVERY_S = 0.05  # between two words on the progress
 PLAY = {  # a person's trial that judges nothing of how the wall is met; a simulated winding does not burn
-    "trial.kind": "human", "trial.hold_s": 0.0, "trial.baseline_s": 0.0, "trial.foreperiod_s": 0.0,
+    "trial.kind": "human",
+    "trial.hold_s": 0.0,
+    "trial.baseline_s": 0.0,
+    "trial.foreperiod_s": 0.0,
     "rig.limits.thermal_time_constant_s": 8000.0,
-}  # fmt: skip
+}
 SIMULATED = "sim://"
 
 

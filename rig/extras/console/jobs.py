@@ -45,9 +45,8 @@ class Job:
         self.name, self.content, self.is_detached, self.asks = name, content, is_detached, asks
         self._process = process
         self._interrupted = False
-        self._complaint = asyncio.create_task(
-            self._complaints()
-        )  # read at once: a full pipe stops its writer
+        # Read from the start: a full pipe stops its writer.
+        self._complaint = asyncio.create_task(self._complaints())
 
     @property
     def pid(self) -> int:

@@ -60,9 +60,8 @@ class Terminal:
         loop, terminal = asyncio.get_running_loop(), sys.stdin.fileno()
         self._asked = loop.create_future()
         if sys.platform != "win32":
-            termios.tcflush(
-                terminal, termios.TCIFLUSH
-            )  # what was typed before this was shown is no answer to it
+            # Keys that were pressed before the question appeared do not answer it.
+            termios.tcflush(terminal, termios.TCIFLUSH)
         click.echo(
             f"\nrig: a page wants to arm {f'{chr(10)}rig:   '.join(_printable(line) for line in lines)}\n"
             f"rig: are all hands clear of the handle? type {WORD} to arm, or Enter to refuse: ",

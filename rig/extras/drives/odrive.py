@@ -320,10 +320,13 @@ def find(talk: OdriveConversation) -> OdriveFacts:
     error = _error_at_rest(talk)
     values = {path: talk.parameter(path) for path in READ}
     refuse(
-        (f"{talk.name} has {path} = {values[path]:g}: {why}", f"set odrv0.{path} = {wanted}, then save_configuration()")
+        (
+            f"{talk.name} has {path} = {values[path]:g}: {why}",
+            f"set odrv0.{path} = {wanted}, then save_configuration()",
+        )
         for path, right, wanted, why in REQUIRED
         if not right(values)
-    )  # fmt: skip
+    )
     if error & ~WATCHDOG_EXPIRED:
         raise DeviceRefusedError(
             f"{talk.name} has stopped with the error 0x{error:08x}",

@@ -23,11 +23,8 @@ from rig.views.report import data_uris, fill, provenance_lines
 
 OnFailure = Callable[[Exception, str], None]
 CLAIMS, PAGE = "claims.j2", "page.html.j2"  # templates of a paper
-MARKS = {
-    ClaimStatus.REPRODUCED: "yes",
-    ClaimStatus.ONLY_WITH: "only",
-    ClaimStatus.NOT: "no",
-}  # classes of the style sheet
+# Classes of the style sheet.
+MARKS = {ClaimStatus.REPRODUCED: "yes", ClaimStatus.ONLY_WITH: "only", ClaimStatus.NOT: "no"}
 
 
 class ReproductionPlan(Protocol):

@@ -32,9 +32,8 @@ from rig.session.search import FLOATING, is_resolved, unresolved_words
 
 Floats = NDArray[np.float64]
 
-LEAST_VALUES = (
-    3  # participants or repeats, for an interval over them: two say next to nothing of their scatter
-)
+# participants or repeats, for an interval over them: two say next to nothing of their scatter
+LEAST_VALUES = 3
 RESAMPLES = 9999
 
 ENOUGH_REPEATS = 10  # for a bootstrap

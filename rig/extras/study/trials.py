@@ -31,6 +31,7 @@ from rig.session.search import (
 )
 
 PEOPLE = ("person", "simulated")  # who may have judged, besides the automatic verdict
+# Numbers of the automatic verdict in tables.
 NUMBERS = (
     "felt",
     "heard",
@@ -40,7 +41,7 @@ NUMBERS = (
     "impact_velocity",
     "press",
     "saturated_fraction",
-)  # of the automatic verdict, in tables
+)
 
 AMENDED = "trials were amended after the search rule had used them; it would have chosen other walls"
 

@@ -79,12 +79,8 @@ AS_DESCRIBED, NOT_AS_DESCRIBED = (
 WAIT, STAY = "Wait for the signal; do not move yet.", "Stay there."
 SEE_TO_IT = "release the handle; `rig device check` shows the details"
 _ALWAYS: tuple[Action, ...] = ("note", "abort")
-_ASKED = (
-    GuardError,
-    LinkLostError,
-    OverrunError,
-    StoppedError,
-)  # after these the operator decides how to continue
+# After these the operator decides how to continue.
+_ASKED = (GuardError, LinkLostError, OverrunError, StoppedError)
 # Errors that a blinded operator may read: nothing in their texts comes from a wall.
 _PLAIN = (DeviceNotFoundError, LinkLostError, OverrunError, RealtimeError, RecordingError)
 
@@ -302,9 +298,8 @@ class _Engine:
     def _trial(self, presented: Presented) -> None:
         if self._pulsed != presented.block and not self._runner.simulated and not self._pulse(presented):
             return
-        again = (
-            "Again. " if presented.attempt > 1 else ""
-        )  # why it comes again is not the participant's matter
+        # The participant is not given the reason for the repetition.
+        again = "Again. " if presented.attempt > 1 else ""
         self._show("ready", presented, say=again + self._state.protocol.trial.say)
         actions: tuple[Action, ...] = ("go", "pause", "skip")
         if self._redoable() is not None:

@@ -316,9 +316,9 @@ def _set_aside(session: Session) -> list[dict[str, str]]:
         with plain_errors("move", aside):
             for path in loose:
                 os.rename(path, _free(aside, path))
-    if (
-        aside.is_dir()
-    ):  # also what a process moved that died then; the new name first, or a power cut takes both
+    # Also a directory that a killed process moved aside. The new name is synced first: a power cut could
+    # lose both otherwise.
+    if aside.is_dir():
         sync_directory(aside)
         sync_directory(trials)
     known = {

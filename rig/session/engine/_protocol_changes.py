@@ -33,11 +33,8 @@ NEUTRAL = (
     *("trial.say", "trial.ready_s", "trial.verdict_s", "trial.fastest_verdict_s", "trial.attempts"),
     *("keys", "question", "rest", "stop", "practice"),
     *("experiment.rig.description", "experiment.rig.source", "experiment.excitation"),
-    *(
-        "experiment.wall.stiffness",
-        "experiment.wall.damping",
-        "experiment.trial.seed",
-    ),  # the protocol replaces them
+    # the protocol replaces them
+    *("experiment.wall.stiffness", "experiment.wall.damping", "experiment.trial.seed"),
 )
 _LONGEST_VALUE = 60  # characters of a value in a message
 _LISTED = 5  # names in a message

@@ -57,9 +57,8 @@ from rig.session.planning._schedule import rows_of, schedule
 from rig.session.planning._simulated_hand import reach_for
 
 OnEvent = Callable[[Event], None]
-DeskFor = Callable[
-    [Protocol, Mapping[str, Any], TrialRunner], Desk
-]  # the experiment is the study's, as a mapping
+# the experiment is the study's, as a mapping
+DeskFor = Callable[[Protocol, Mapping[str, Any], TrialRunner], Desk]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

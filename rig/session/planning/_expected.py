@@ -21,13 +21,11 @@ from rig.session.planning._protocol import Protocol, Search
 from rig.session.planning._schedule import Block, asking, levels_of
 from rig.session.search._observer import Observer, run
 
-FRICTION_RAISES = (
-    2.5  # K_max of the papers' rigs over that of the linear loop, at most (`rig.analysis.theory._loop`)
-)
+# K_max of the papers' rigs over that of the linear loop, at most (`rig.analysis.theory._loop`)
+FRICTION_RAISES = 2.5
 USUALLY_RAISES = 1.2  # in the simulated hand on koul-compliant at B = 0: 620 over 519 N·m/rad
-ENCODER_LEAVES = (
-    0.35  # of a damped wall's: there uniform 20 kHz at B = 0.25, 458 of 1300 N·m/rad; others far more
-)
+# of a damped wall's: there uniform 20 kHz at B = 0.25, 458 of 1300 N·m/rad; others far more
+ENCODER_LEAVES = 0.35
 SPREAD = 0.05  # of an observer, over K50: verdicts turn within some 20 % of stiffness
 LAPSE_RATE = 0.02
 OBSERVERS = 5  # simulated for each expected limit

@@ -31,18 +31,8 @@ MACHINE = ("rig.mechanics.", "rig.amplifier.", "rig.encoder.")  # keys that no c
 # A pattern of codes that takes one of these takes names, or anything else that a code must not be.
 NAMES = ("Anna", "Li Wei", "Jean-Paul", "Müller", "anna.k", "a.k@lab.org", "../anna", "")
 LETTERS = tuple(word for n in range(3, 17) for word in ("a" * n, "A" * n, "A" + "a" * (n - 1)))
-BEFORE = (
-    "",
-    "P",
-    "P-",
-    "P01",
-    "P01-",
-    "P01_",
-    "1",
-    "01",
-    "01-",
-    "01_",
-)  # … and what such a pattern may want around it
+# Prefixes and suffixes that such a pattern may require around a name.
+BEFORE = ("", "P", "P-", "P01", "P01-", "P01_", "1", "01", "01-", "01_")
 AFTER = ("", "1", "-1", "01", "-01", "_01", "85", "001", "1985")
 _FREE = re.compile(r"[^\W\d_]{3,}")
 # Of a pattern, what is no text of its own: escapes, classes, heads of groups.

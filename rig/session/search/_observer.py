@@ -12,9 +12,8 @@ import numpy as np
 from rig.session.search._psychometric import share_stable
 from rig.session.search._rule import JudgedProbe, Rule
 
-Making = Callable[
-    ..., Rule
-]  # makes a rule from `seed=`, like `functools.partial(rig.session.search.make, "psi", levels=…)`
+# makes a rule from `seed=`, like `functools.partial(rig.session.search.make, "psi", levels=…)`
+Making = Callable[..., Rule]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

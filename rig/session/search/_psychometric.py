@@ -29,9 +29,8 @@ from rig.session.search._rule import Censored
 Floats = NDArray[np.float64]
 
 LEAST_THRESHOLDS, MOST_THRESHOLDS = 121, 241  # values of K50
-FINENESS = (
-    0.4  # of the smallest step, from value to value: coarser ones miss steep observers between two levels
-)
+# of the smallest step, from value to value: coarser ones miss steep observers between two levels
+FINENESS = 0.4
 SPREADS = 10
 LAPSE_RATES = (0.0, 0.01, 0.02, 0.04, 0.08)
 LEAST_SPREAD = 0.25  # of the smallest step

@@ -25,9 +25,15 @@ _TILDE = {
     "21": "f10", "23": "f11", "24": "f12",
 }  # fmt: skip
 _CONTROL = {
-    13: "enter", 10: "enter", 9: "tab", 27: "escape", 127: "backspace", 8: "backspace", 32: "space",
+    13: "enter",
+    10: "enter",
+    9: "tab",
+    27: "escape",
+    127: "backspace",
+    8: "backspace",
+    32: "space",
     0: "space",  # with ctrl
-}  # fmt: skip
+}
 _SPACE = re.compile(r"32(;[\d:]*)*u|27;\d+;32~")  # with a modifier, from terminals that tell it
 
 

@@ -22,9 +22,8 @@ from rig.core.sample import unit_of
 from rig.experiments.mapping.interface import FrequencyMap, FrequencyWidth, trace_grid
 from rig.views.plots import style
 
-Curves = tuple[
-    Sequence[float], Sequence[float], Sequence[float]
-]  # dampings, stable stiffness, passive stiffness
+# Dampings, stable stiffness, passive stiffness.
+Curves = tuple[Sequence[float], Sequence[float], Sequence[float]]
 COLUMNS = 2  # panels beside each other, unless there are more than four
 COLOURS = "viridis"
 ACTIVE, ENDED = "#ececec", "#bdbdbd"
@@ -110,9 +109,14 @@ def frequency_figure(
 
 
 def _draw_cells(
-    axes: Any, dampings: Sequence[float], stiffnesses: Sequence[float], passive: Any, fidelity: Any,
-    low: float, high: float,
-) -> Any:  # fmt: skip
+    axes: Any,
+    dampings: Sequence[float],
+    stiffnesses: Sequence[float],
+    passive: Any,
+    fidelity: Any,
+    low: float,
+    high: float,
+) -> Any:
     edges = _edges(dampings), _edges(stiffnesses)
     axes.set_facecolor(ACTIVE)
     ended = np.where(np.isnan(fidelity), 0.0, math.nan)
@@ -152,10 +156,15 @@ def _draw_search(axes: Any, dampings: Sequence[float], stiffnesses: Sequence[flo
     if ends:
         axes.plot(*zip(*ends, strict=True), "o", color=SEARCH, markersize=3.0)
     axes.text(
-        0.02, 0.98, f"search: {len(path)} of {found.cells} walls, {found.ending}",
-        transform=axes.transAxes, fontsize=7, va="top", color=SEARCH,
+        0.02,
+        0.98,
+        f"search: {len(path)} of {found.cells} walls, {found.ending}",
+        transform=axes.transAxes,
+        fontsize=7,
+        va="top",
+        color=SEARCH,
         bbox={"facecolor": "white", "alpha": 0.85, "linewidth": 0.0, "pad": 1.5},
-    )  # fmt: skip
+    )
 
 
 def _scale(values: Floats) -> tuple[float, float]:

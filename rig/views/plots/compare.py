@@ -50,10 +50,8 @@ def draw_penetration(axes: Any, outcomes: Sequence[SchemeImpacts], offset: int) 
     """Draw the penetration in counts of each outcome at one encoder offset, with the wall's surface."""
     for i, outcome in enumerate(outcomes):
         impact, wide = outcome.impacts[offset], 3.0 - 2.0 * min(1.0, i / max(1, len(outcomes) - 1))
-        look = {
-            "color": COLOURS[i % len(COLOURS)],
-            "linewidth": wide,
-        }  # equal curves stay visible under each other
+        # Equal curves remain visible under each other: widths differ.
+        look = {"color": COLOURS[i % len(COLOURS)], "linewidth": wide}
         axes.plot(impact.time_s, impact.counts, **look, label=outcome.label)
     axes.axhline(0.0, color=style.WALL, linewidth=0.8)
     style.tidy(axes, "penetration (counts)")

@@ -59,10 +59,11 @@ def impedance_figure(results: Sequence[ImpedanceResult]) -> Any:
     excitation, count = first.experiment.excitation, first.impedance.realisations if first.impedance else 0
     who = "own motor" if excitation.channel == "motor" else "second actuator"
     figure.suptitle(
-        f"{first.experiment.rig.name}, excited by its {who}" if excitation.channel == "motor"
+        f"{first.experiment.rig.name}, excited by its {who}"
+        if excitation.channel == "motor"
         else f"{first.experiment.rig.name}, excited by a {who}",
         fontsize=11,
-    )  # fmt: skip
+    )
     size.set_title(
         f"{first.method}, {count} × {excitation.periods} periods of {excitation.period_s:g} s; bands: {Z_SCORE:g} "
         "standard deviations; thin: closed form; dashed: K/(jω) + B",

@@ -48,9 +48,8 @@ FORMATS: Mapping[str, Mapping[str, Any]] = {
     "svg": {"metadata": {"Date": None, "Creator": None}},
     "pdf": {"metadata": {"CreationDate": None, "Creator": None, "Producer": None}},
 }
-_alone = (
-    threading.RLock()
-)  # settings are the process's: of two contexts that overlap, one would leave its own behind
+# matplotlib's settings are global: of two overlapping contexts, one would leave its settings behind.
+_alone = threading.RLock()
 _AS_TEXT = {"svg.hashsalt": "haptic-rig", "svg.fonttype": "none", "pdf.fonttype": 42}
 
 
@@ -173,9 +172,8 @@ def png(figure: Any) -> bytes:
 @own_style()
 def _write(figure: Any, target: Path | BinaryIO, ending: str) -> None:
     for text in figure.findobj(lambda artist: hasattr(artist, "set_text")):
-        text.set_text(
-            text.get_text().encode("utf-8", "backslashreplace").decode()
-        )  # a file's name need not be text
+        # A file's name need not be valid UTF-8.
+        text.set_text(text.get_text().encode("utf-8", "backslashreplace").decode())
     layout = figure.get_layout_engine()
     try:
         if layout is not None:

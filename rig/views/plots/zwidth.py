@@ -96,10 +96,8 @@ def kmax_figure(found: KMax, *, theory: Curve | None = None, paper: Mapping[str,
     for number, criterion in enumerate(("felt", "heard")):
         colour = style.SERIES[number]
         curve = found.curve(criterion)
-        label, width = (
-            f"stable and not {criterion}",
-            (4.5, 1.2)[number],
-        )  # equal curves stay visible under each other
+        # Equal curves remain visible under each other: widths differ.
+        label, width = f"stable and not {criterion}", (4.5, 1.2)[number]
         draw_boundaries(axes, found.rates, curve, colour, label, width=width)
     if theory is not None:
         axes.plot(*theory, color="#333333", marker="_", **_THEORY, label="linear theory, no friction")

@@ -77,9 +77,13 @@ def draw_levant_regions(computed: LevantRegions, picture: str | Path) -> Path:
         axes.fill_between(computed.mu2[inside], lower, LARGEST_MU1, color=colour, alpha=0.25, linewidth=0)
         axes.plot(computed.mu2[inside], bound[inside], color=colour, linewidth=1.2, label=label)
     axes.plot(
-        computed.worst_case_mu2, computed.mu1,
-        color=style.SENT, linewidth=1.0, linestyle="--", label="numeric: converges to the right and above",
-    )  # fmt: skip
+        computed.worst_case_mu2,
+        computed.mu1,
+        color=style.SENT,
+        linewidth=1.0,
+        linestyle="--",
+        label="numeric: converges to the right and above",
+    )
     _mark(axes, *regions.crossing(), "crossing", "o", (6, 6))
     for i, (name, (mu1, mu2)) in enumerate(regions.NAMED_GAINS.items()):
         _mark(axes, mu1, mu2, name, "s", (6, -14 if i % 2 == 0 else 6))

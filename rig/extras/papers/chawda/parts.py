@@ -26,6 +26,7 @@ from rig.extras.papers.chawda.readings import read
 from rig.extras.papers.chawda.rigs import FIGURE_3_RATE, FILTERED_SCHEME, Reading, pushed_rig
 
 # A rig as linear theory sees it: no friction, next to no quantum.
+# The protocol has 16 bits for a current, which limits the efforts.
 IDEAL = {
     "rig.mechanics.motor_coulomb": 0.0,
     "rig.encoder.quantum": 1e-12,
@@ -38,7 +39,7 @@ IDEAL = {
     "trial.effort": 0.1,
     "trial.minimum_rest_counts": 0.0,
     "excitation.rms": 0.02,
-}  # the wire has 16 bits for a current, so that all efforts are small
+}
 LIPSCHITZ_OFFSET = 0.1  # of the encoder
 LIPSCHITZ_S = 0.5  # of the hit: the fit takes the first 60 ms of contact
 CONTROL_SETTLING = 40  # periods

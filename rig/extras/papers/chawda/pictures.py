@@ -210,8 +210,12 @@ def _readings(chawda: Chawda, path: Path) -> None:
                     rigs.HIGHEST_HZ,
                     [one.mean / scale for one in found],
                     [np.nan_to_num(one.deviation) / scale for one in found],
-                    color=style.SERIES[number], linewidth=1.2, marker=".", capsize=2, label=label,
-                )  # fmt: skip
+                    color=style.SERIES[number],
+                    linewidth=1.2,
+                    marker=".",
+                    capsize=2,
+                    label=label,
+                )
         panels[0, column].axhline(rigs.PRINTED[name].stiffness / 1e3, color="k", linewidth=1.0, linestyle=":")
         panels[1, column].axhline(rigs.PRINTED[name].worst_fidelity, color="k", linewidth=1.0, linestyle=":")
         panels[1, column].plot(
@@ -238,9 +242,13 @@ def _theory(chawda: Chawda, path: Path) -> None:
         axes.plot(chawda.linear_dampings, np.array(of["stable"]) / 1e3, "k", linewidth=1.6, label="stable")
         for number, (high, passive) in enumerate(zip(rigs.HIGHEST_HZ, of["passive"], strict=True)):
             axes.plot(
-                chawda.linear_dampings, np.array(passive) / 1e3, "--",
-                color=style.SERIES[number], linewidth=1.2, label=f"passive up to {high:g} Hz",
-            )  # fmt: skip
+                chawda.linear_dampings,
+                np.array(passive) / 1e3,
+                "--",
+                color=style.SERIES[number],
+                linewidth=1.2,
+                label=f"passive up to {high:g} Hz",
+            )
         _by_damping(axes, name, STIFFNESS)
     panels[0].set_ylim(0.0, 1.05e-3 * max(max(of["stable"]) for of in chawda.linear.values()))
     panels[0].legend(fontsize=8)

@@ -35,11 +35,8 @@ from rig.extras.papers.parts import Part, Parts, part
 from rig.extras.papers.reproduction import Paper
 from rig.extras.papers.rules import MOST
 
-WALLS = (
-    (20_000.0, 60.0),
-    (50_000.0, 60.0),
-    (100_000.0, 100.0),
-)  # at which C is identified, the nominal one first
+# Walls at which C is identified, the nominal one first.
+WALLS = ((20_000.0, 60.0), (50_000.0, 60.0), (100_000.0, 100.0))
 SHOWN_WALL = (20_000.0, 60.0)  # of figures 4 and 6: inside the main reading's region of three estimators
 CONTROL_SEARCH = StiffnessSearch(way="bisection", lowest=13_000.0, highest=53_000.0, ratio=1.005)
 

@@ -31,7 +31,9 @@ def rulings(koul: Koul) -> dict[str, Ruling]:
         ),
         "level": rules.near(
             {name: curve[at_fast] for name, curve in k_max.items()},
-            rules.LEVEL, rules.LEVEL_FACTOR * koul.scale.kmax_ratio, unfitted=rigs.NAMES[rigs.RIGID],
+            rules.LEVEL,
+            rules.LEVEL_FACTOR * koul.scale.kmax_ratio,
+            unfitted=rigs.NAMES[rigs.RIGID],
         ),
         "same-range": _same_range(koul),
         "same-range-plants": rules.same_of_plants(_of_plants(koul, rigs.DUAL, rigs.SLOW)),
@@ -51,7 +53,7 @@ def rulings(koul: Koul) -> dict[str, Ruling]:
         ),
         "null-late": _null_late(koul),
         "null-late-only": _null_late_only(koul),
-    }  # fmt: skip
+    }
 
 
 def by_cutoff(names: Sequence[str]) -> list[tuple[str, list[str]]]:

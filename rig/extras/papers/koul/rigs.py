@@ -23,19 +23,18 @@ SCHEMES = {
     FAST_1K: Scheme.parse("uniform:20k,cutoff_hz=1000"),
     SLOW: Scheme.parse("uniform:2k"),
 }
+# Labels: the rates, and the cut-off of the filter.
 LABELS = {
     DUAL: "dual-rate 20/2 kHz, 200 Hz",
     FAST: "uniform 20 kHz, 2 kHz",
     FAST_1K: "uniform 20 kHz, 1 kHz",
     SLOW: "uniform 2 kHz, 200 Hz",
-}  # rates, and the cut-off of the filter
+}
 
 LOWEST_STIFFNESS = 15.0  # N·m/rad, of every map; ranges of damping are those of this wall
 HIGHEST_STIFFNESS = 2500.0  # N·m/rad, of fine encoders, which could show more
-PUSH_EFFORT, PUSH_START = (
-    0.4,
-    -0.004,
-)  # N·m, as hard as the hand; rad, so close that the motor does not saturate
+# N·m, as hard as the hand; rad, so close to the wall that the motor does not saturate.
+PUSH_EFFORT, PUSH_START = 0.4, -0.004
 PUSH = {"trial.kind": "constant-effort", "trial.effort": PUSH_EFFORT, "trial.start": PUSH_START}
 SEED = 0
 
