@@ -8,6 +8,7 @@ from rig.session.planning._keymap import STOP, VERDICTS, KeyMap
 from rig.session.terminal import _words as words
 from rig.session.terminal._asking import SILENCE_S, AskingDesk
 from rig.session.terminal._conversation import LATER, Conversation
+from rig.session.terminal._participant import instruct
 from rig.session.terminal._pointer import START_SHARE, WALL_SHARE, HandKind
 from rig.session.terminal._seat import Seat, SeatHand, full_press, keymap_for, refuse_a_hand
 
@@ -25,6 +26,7 @@ __all__ = [
     "Seat",
     "SeatHand",
     "full_press",
+    "instruct",
     "keymap_for",
     "refuse_a_hand",
     "words",

@@ -74,7 +74,7 @@ def test_every_text_stands_out_and_every_control_says_its_name(
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "at 1280 × 720"
         check_readable(page)
     page.goto(page.url + (page.locator("a[href^=participant]").get_attribute("href") or ""))
-    page.get_by_text("please wait").wait_for()
+    page.get_by_text("Please wait").wait_for()
     check_readable(page)
 
 

@@ -76,7 +76,7 @@ def test_a_short_blind_session_by_keys(console_page: Any, tmp_path: Path) -> Non
     with page.context.expect_page() as opened:
         page.get_by_text("participant's screen").click()
     participant = opened.value
-    participant.locator(".cue:text-is('ready')").wait_for()
+    participant.locator(".cue:text-is('Get ready')").wait_for()
     for one in (page, participant):
         check_readable(one)
     page.bring_to_front()

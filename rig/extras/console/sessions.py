@@ -34,13 +34,13 @@ from rig.session.page import (
     Conversation,
     Seat,
     SeatHand,
+    instruct,
     words,
 )
 
 JOB = "session"
 PARTICIPANTS = ("session_key", "session_line", "stop")  # what a participant's screen may ask for
-OPERATORS = ("starting", "stopped", "trouble", "ready to end")  # states that are no participant's matter
-PLEASE_WAIT = "please wait"
+MOVING = ("go", "hold")  # states in which the participant moves the handle
 ROUND_S = 0.08  # between two looks at a loop that runs
 
 
@@ -290,10 +290,12 @@ def _participant(seat: Seat) -> dict[str, Any]:
     talk, view = seat.talk, seat.talk.view
     verdict = talk.question is not None and talk.question.kind == "verdict"
     item = _item(talk)
+    cue, text = instruct(view)
     return {
         "asked": talk.asked,
-        "state": PLEASE_WAIT if view.state in OPERATORS else view.state,
-        "saying": view.say,
+        "cue": cue,
+        "saying": text,
+        "moves": view.state in MOVING,
         "left_s": math.ceil(talk.left_s(time.monotonic())),
         "verdicts": talk.keymap.verdicts if verdict else [],
         "item": item,

@@ -409,7 +409,7 @@ class _Engine:
             verdict = "stable" if passes else "unstable" if trial.automatic == Kind.UNSTABLE else "buzz"
             self._record_verdict(trial, verdict, "automatic", 0.0)
             return
-        self._show("verdict?", trial, say="How was it: stable, a buzz, unstable, or are you unsure?")
+        self._show("verdict?", trial, say="How was the wall: stable, a buzz, unstable, or are you unsure?")
         reply = self._ask(
             Question(
                 kind="verdict",
@@ -430,7 +430,7 @@ class _Engine:
         self._last = outcome(trial, blind=self._blind)
 
     def _rest(self, seconds: float, reason: str) -> None:
-        words = "The motor cools." if reason == "heat" else "Let go of the handle and rest."
+        words = "Let go of the handle and rest" + ("; the motor cools." if reason == "heat" else ".")
         self._show("rest", say=words)
         actions: tuple[Action, ...] = ("go", "redo") if self._redoable() is not None else ("go",)
         reply = self._ask(Question(kind="rest", text=words, actions=(*actions, *_ALWAYS), seconds=seconds))

@@ -249,5 +249,5 @@ class Conversation:
         item = (self.question.item if self.question is not None else None) or {"kind": "text"}
         value = parse_answer(item, text)
         if value is None:
-            self.notice = describe_answer(item)
+            self.notice = f"please give {describe_answer(item)}"
         return None if value is None else str(value)

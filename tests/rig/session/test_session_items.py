@@ -69,7 +69,7 @@ def test_the_console_takes_what_the_engine_takes(text: str, kept: str | None) ->
     assert words.list_offered(told)[0] == ("enter", "answer")
     answers = [answer for key in (*text, "enter") for answer in told.press(key)]
     assert answers == ([] if kept is None else [Answer("answer", kept)])
-    assert (told.notice == describe_answer(SCALE)) is (kept is None)
+    assert (told.notice == f"please give {describe_answer(SCALE)}") is (kept is None)
 
 
 def test_what_is_wanted_names_the_choices() -> None:

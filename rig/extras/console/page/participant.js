@@ -4,6 +4,7 @@ import { Answering, nameOf } from "./desk.js";
 import { make, setText } from "./dom.js";
 import { Link } from "./link.js";
 
+const WAIT = "Please wait";
 const link = new Link("participant");
 const answering = new Answering(link, { participant: true });
 const cue = make("p", { className: "cue", role: "status", ariaLive: "assertive" });
@@ -27,10 +28,11 @@ addEventListener("keydown", (event) => {
 addEventListener("keyup", (event) => { if (event.key === " " && !event.target.closest("input")) event.preventDefault(); });
 
 link.addEventListener("participant", ({ detail: told }) => {
-  const there = told.state !== undefined;
-  setText(cue, !there ? "please wait" : told.left_s > 0 ? `${told.state}: ${told.left_s} s` : told.state);
-  setText(saying, there ? told.saying : "");
-  cue.dataset.moving = ["go", "hold"].includes(told.state);
+  const text = told.cue ?? WAIT; // no session has begun
+  setText(cue, told.left_s > 0 ? `${text}: ${told.left_s} s` : text);
+  setText(saying, told.saying ?? "");
+  cue.dataset.moving = Boolean(told.moves);
   answering.show({ asked: told.asked ?? 0, text: "", offered: told.runs ? told.verdicts ?? [] : [], entry: told.runs && told.item ? "item" : null, item: told.item, notice: told.notice ?? "", moving: false });
 });
-link.addEventListener("closed", ({ detail }) => { setText(cue, "please wait"); setText(saying, detail ?? ""); });
+// The reason names tokens and the console: that is for the operator's page.
+link.addEventListener("closed", () => { setText(cue, WAIT); setText(saying, "This screen lost its connection. Please call the operator."); });
