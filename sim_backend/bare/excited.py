@@ -1,13 +1,6 @@
-"""Excite a rig about a point without bytes, in one compiled call: a measurement of its impedance consists of these.
+"""Excite a rig about a point in one compiled call, without bytes: the runs of an impedance measurement.
 
-The law runs as it does everywhere, `rig.control.step.step` once a tick. Between its ticks the plant takes inner steps,
-and in each of them a second actuator may push the link. Its effort is that of the step's middle: a value taken at the
-beginning and held would be late by half a step, which is negligible in a hit and visible in a phase (at 4 kHz it is 11°
-at 250 Hz). The positions are recorded at a higher rate than the law's, as a separate instrument would.
-
-The run begins in the trial's own phase, at rest: nothing has to be homed. With the rig's own motor as the actuator,
-which is the law's affair (`rig.control.bilateral`), the counts are those of the same trial over the byte link, to the
-last bit.
+`rig.devices.simulated` builds it; the law is `rig.control.step.step`, once a tick, as everywhere. It homes nothing.
 """
 
 from __future__ import annotations
@@ -33,7 +26,8 @@ from sim_backend.board.safety import UNITS_PER_SECOND
 from sim_backend.mechanics.inner import Vector
 from sim_backend.mechanics.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
 
-SLOWEST_INNER_HZ = 16_000.0  # an excitation of some 100 Hz is well sampled
+# At an excitation of 100 Hz a period then has 160 steps.
+SLOWEST_INNER_HZ = 16_000.0
 
 _BOUND = int(RowFlag.SATURATED | RowFlag.SLEW_BOUND)
 _NONFINITE = int(RowFlag.NONFINITE)
@@ -85,11 +79,14 @@ def excite(
         if m["flags"] & _BOUND != 0:
             kept.bound[0] += 1
         for _ in range(ratio):
+            # A separate instrument samples faster than the law: `every` inner steps, not a tick.
             if row * every == j:
                 kept.counts[row] = count
                 kept.positions[row] = state[plant.handle_position]
                 kept.velocities[row] = state[plant.handle_position + 1]
                 row += 1
+            # The excitation's value is that of the middle of the step. Taken at its beginning it would be late by half
+            # a step, which is 11° at 250 Hz with steps of 250 µs: negligible in a hit, visible in a phase.
             push = excitation[phase]
             if j < ramp_steps:
                 push *= ramp(j, ramp_steps)
@@ -106,7 +103,9 @@ class ExcitedPlant:
 
     def __init__(self, model: RigModel, tick_s: float, acquisition_hz: float, most_ticks: int) -> None:
         inner_s = min(model.simulation.inner_step_s, 1.0 / SLOWEST_INNER_HZ)
+        # Minus 1e-9: a quotient that rounding left just above a whole number must not add a step.
         self._ratio = max(1, math.ceil(tick_s / inner_s - 1e-9))
+        # The plant's tick is now an inner step, so the same delay in seconds is more of its ticks.
         delay = model.simulation.computation_delay_ticks * self._ratio
         finer = replace(model, simulation=replace(model.simulation, computation_delay_ticks=delay))
         self._plant = DiscretePlant.build(finer, tick_s / self._ratio)
@@ -134,6 +133,8 @@ class ExcitedPlant:
         plant = self._plant
         state = plant.at_rest(position)
         memory = controller.memory
+        # The run begins at rest in the trial's phase, so nothing is homed. With the rig's own motor as the actuator
+        # (`rig.control.bilateral`) the counts equal those of the same trial over the byte link to the last bit.
         memory["phase"], memory["phase_ticks"] = int(Phase.TRIAL), -1
         bound = np.zeros(1, np.int64)
         kept = ExcitedTrace(

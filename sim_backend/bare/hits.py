@@ -1,8 +1,6 @@
-"""Hits without bytes, one compiled call each: the trial, and the measuring of what was recorded and what is true.
+"""Run and measure one hit in one compiled call, without bytes: what maps of thousands of walls consist of.
 
-A map of thousands of walls consists of these calls. They allocate nothing and do not hold the GIL, so a thread for each
-core keeps it busy, and memory does not grow with the number of hits. What comes out is what
-`rig.control.judging.judge` gives for the recording of the same trial over the byte link.
+The result equals that of `rig.control.judging.judge` for the recording of the same trial over the byte link.
 """
 
 from __future__ import annotations
@@ -53,6 +51,8 @@ def hit(
     The arguments of `sim_backend.bare.trial.run_ticks` with every sample in time, room for `SIGNALS` signals, the
     meter, and a record of `rig.control._measure.NUMBERS` for what the rig records and for what is true.
     """
+    # Nothing here allocates or takes the GIL: a thread for each core stays busy, and memory does not grow with the
+    # number of hits.
     ticks = run_ticks(controller, plant, script, ages, external_effort, start_units, tick_units, trace)
     states, counts, phases, flags = trace.states, trace.counts, trace.phases, trace.flags
     c = controller.control[0]
@@ -121,7 +121,7 @@ class RigOfHits:
                 f"is not finite, {ticks * plant.tick_s:.4g} s into the hit",
                 remedy="correct the law, or check its settings",
             )
-        # What trips in the release leaves the verdict of the push alone.
+        # A guard that trips in the release must not change the verdict of the push before it.
         pushed = ticks > 1 and trace.phases[ticks - 2] == Phase.RELEASE
         thrown_out = bool(ended & THROWN_OUT) and not pushed
         return SimulatedHit(

@@ -1,13 +1,7 @@
-"""A whole trial in one compiled call: plant, sensors and the law, without bytes, frames or clocks.
+"""Run a whole trial in one compiled call: plant, sensors and the law, without bytes, frames or clocks.
 
-The same `rig.control.step.step`, the same `advance`, the same quantisers as the simulated device behind its link. Both
-ways therefore give the same trajectory, to the last bit, and a map of thousands of trials may be computed this way. Of
-what can go wrong in between there is one thing: samples that come late or never (`ages`). The law then computes no
-command, and the device holds the last one; that its watchdog would end this after a command's lifetime is left to who
-asks for it.
-
-Device time appears only as the age of the last encoder edge, which the wire carries in units of 1/16 µs; it is rounded
-here as it is there.
+It shares `step`, `advance` and the quantisers with the simulated device behind its link, so both give the same
+trajectory to the last bit. It has no watchdog: a caller that delays samples (`ages`) must account for it.
 """
 
 from __future__ import annotations
@@ -83,6 +77,7 @@ def run_ticks(
     link all along; `start_units` and `tick_units` are device time of the first sample and length of a tick (1/16 µs).
     """
     m, state, edge_age = controller.memory[0], plant.state, plant.edge_age
+    # The device moves one tick under zero effort between ARM and its first sample.
     row = want(state, edge_age, script.rows, 0, script.again)
     count = advance(plant, 0.0, external_effort)
     seen = -1
@@ -93,9 +88,12 @@ def run_ticks(
         trace.phases[k], trace.flags[k] = UNSEEN, 0
         age = ages[k] if k < len(ages) else 0
         sample = k - age
+        # No newer sample has come: the law computes no command, and the device holds the last one.
         if sample > seen:
             elapsed = 1 if seen < 0 else sample - seen
             seen = sample
+            # The wire carries the age of the last edge in units of 1/16 µs: round here as there, or the velocity
+            # estimates differ in their last bits. An edge that never happened looks as old as the device's clock.
             units = min(
                 trace.states[sample, edge_age] * UNITS_PER_SECOND,
                 float(start_units + sample * tick_units),
@@ -105,6 +103,7 @@ def run_ticks(
             current = step(controller, trace.counts[sample], edge_age_ns * 1e-9, elapsed)
             ends = m["phase"] == DONE
             trace.phases[sample] = m["phase"]
+            # With DONE the loop sends STOP in place of the law's current.
             trace.currents[sample] = 0 if ends else current
             trace.flags[sample] = m["flags"] | (_LATE if age > 1 else 0) | (_GAP if elapsed > 1 else 0)
             if ends:

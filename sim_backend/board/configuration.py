@@ -104,12 +104,14 @@ class Configuration:
         try:
             values = decode_block(block)
             self._check_ranges(values)
+            # The order of these checks is the firmware's: a refusal names the first parameter that fails.
             grave = [name for name in values if name not in LIVE]
             if armed and grave:
                 detail = BY_NAME[grave[0]].id
                 raise ParameterError(
                     Status.NOT_LIVE, f"{grave[0]} of an armed device", detail=detail, name=grave[0]
                 )
+            # Any other parameter may change which way the motor pushes, so the device asks for verification again.
             cleared = {"verified": 0} if grave else {}
             self._activate({**self.values, **cleared, **values})
         except ParameterError as error:
@@ -126,6 +128,7 @@ class Configuration:
                 raise ParameterError(Status.OUT_OF_RANGE, message, detail=info.id, name=info.name)
 
     def _activate(self, values: dict[str, Value]) -> None:
+        # All that can raise comes before the first assignment: a refused block leaves the active one untouched.
         block = encode_block(values)
         check_together(values)
         self._apply(values)

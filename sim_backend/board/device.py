@@ -1,21 +1,7 @@
-"""The simulated device: a whole rig that speaks the protocol, without I/O and without a clock.
+"""Simulate the readable device: a whole rig that speaks the wire protocol, without I/O and without a clock.
 
-`receive` takes the host's bytes and returns the answers; `tick` lets one period pass and returns the STATE that
-follows. The owner of bytes and time (`link` in virtual time, `pty` in real time) calls the two in turn. Tick
-k covers the time from sample k − 1 to sample k:
-
-1. the current for the tick: the active command, faded by the watchdog, cut by the limits;
-2. the plant moves;
-3. sample k: count, time of the last edge, measured current;
-4. the monitors look at it; a fault cuts the current from here on;
-5. STATE k has sample k and the current that led to it.
-
-So a command that arrives between samples k and k + 1 acts at once, without any delay but the plant's own.
-
-It mirrors the device of PROTOCOL.md: a microcontroller with a quadrature counter that captures edge times, a
-current amplifier with an enable input, and two switches. The law on the device (mode SUPERVISE) is not part
-of it: such a command feeds the watchdog and gives no current. After ARM and after STOP there is no effort that a
-silent host could leave behind, so the watchdog waits longer then (`IDLE_LIFETIME_S`) before it reports LINK_LOST.
+The owner of bytes and time (`link` in virtual time, `pty` in real time) calls `receive` and `tick` in turn. It mirrors
+the device of PROTOCOL.md but has no law of its own: a command of mode SUPERVISE feeds the watchdog, without current.
 """
 
 from __future__ import annotations
@@ -95,7 +81,7 @@ class DeviceWord:
 
 
 class SimulatedDevice:
-    """A rig behind the wire protocol; see the module's text for the order of a tick.
+    """A rig behind the wire protocol; `tick` has the order of a tick.
 
     Parameters
     ----------
@@ -238,7 +224,9 @@ class SimulatedDevice:
     # ------------------------------------------------------------------ the tick
 
     def tick(self) -> bytes:
-        """Let one period pass; return the STATE frame that is due then, or nothing."""
+        """Let one period pass, from sample k − 1 to sample k; return the STATE frame that is due then, or nothing."""
+        # The order is that of a board: current, motion, sample, monitors, report. So a command that arrives between
+        # two samples acts at once, without any delay but the plant's own.
         board, words, hardware = self.board, self.board.words, self.hardware
         current = drive(board)
         if words[OWN.found] or words[CUTS]:
@@ -246,6 +234,7 @@ class SimulatedDevice:
         hardware.advance(current)
         hardware.sense(words)
         words[COUNT], words[MEASURED] = hardware.count, hardware.measured
+        # Before the first edge its age is infinite: the counter has captured nothing since boot, at time 0.
         words[EDGE_AGE] = round(min(hardware.edge_age_s * UNITS_PER_SECOND, words[DUE]))
         sample(board)
         if words[OWN.found]:
@@ -321,6 +310,7 @@ class SimulatedDevice:
         if command.mode not in MODES:
             self.connection.statistics.malformed += 1
             return
+        # A COMMAND that waited in a buffer for longer than its lifetime must not act.
         to_come = self.connection.sequence_to_send(m.State)
         if is_too_old(self.board, command.mode, command.lifetime_us, to_come, command.state_sequence):
             self.connection.statistics.reordered += 1
@@ -381,6 +371,7 @@ class SimulatedDevice:
 
     def _arm(self, request: m.Arm) -> tuple[Status, int]:
         configuration = self._configuration
+        # The order of these refusals is the firmware's: hosts and tests compare the first one.
         if (request.dictionary_hash, request.parameters_crc) != (configuration.hash, configuration.crc):
             return Status.HASH_MISMATCH, 0
         if not configuration.homed:
@@ -397,6 +388,7 @@ class SimulatedDevice:
         return Status.OK, 0
 
     def _disarm(self) -> tuple[Status, int]:
+        # A device without a latched fault may always be disarmed, even with the emergency stop pressed.
         present = self._present_fault() if self.fault else Fault.NONE
         if present:
             return Status.FAULT_PRESENT, present
@@ -473,6 +465,7 @@ class SimulatedDevice:
     def inject_fault(self, fault: Fault) -> None:
         """Let the device find a fault: zero effort from here on, FAULT latched."""
         if fault is Fault.ENCODER:
+            # Counts were lost: the position is unknown until it is homed again.
             self._configuration.homed = False
         self._latch(1 << fault)
 

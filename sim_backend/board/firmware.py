@@ -1,12 +1,7 @@
-"""The firmware as a simulated device: the C code of a board, with the plant of the simulation behind it.
+"""Run the firmware's C code as a simulated device, with the plant of the simulation behind it.
 
-`Core` is the software alone, in its port to a computer: bytes, and a world that is set from outside. `FirmwareDevice`
-gives it a rig. It offers what `device.SimulatedDevice` does, tick by tick (`tick`), and the same in one compiled call
-until there is something to say (`run`); a law that runs on the device needs no more of the host than that.
-
-It mirrors a board by being its software. What is simulated is its hardware layer: counter, amplifier, timer, switches.
-A port's own `device_tick` takes the sample and drives the current that follows from it at once; here the two halves
-stand apart, and the plant moves in between. So a current acts from its sample on, without any delay but the plant's.
+`Core` is the software alone; `FirmwareDevice` gives it a rig and offers what `device.SimulatedDevice` does. It must not
+repeat what the C code decides: only the hardware layer (counter, amplifier, timer, switches) is simulated here.
 """
 
 from __future__ import annotations
@@ -289,6 +284,8 @@ class FirmwareDevice:
     def tick(self) -> bytes:
         """Let one period pass; return what is due then: the same as `run` does, by its parts."""
         library, address = self.core.library, self.core.address
+        # A port's `device_tick` takes the sample and drives the current that follows from it at once. Here the halves
+        # stand apart and the plant moves in between, so a current acts from its sample on.
         library.host_set_inputs(address, self.inputs)
         current = library.host_drive(address)
         self._act()
@@ -359,6 +356,7 @@ class FirmwareDevice:
 
         The port says so to the software, as `WATCHDOG_RESET`.
         """
+        # The handle stays where it is while the counter restarts: the difference becomes slip.
         self.hardware.slip -= self.hardware.count
         self.hardware.count = 0
         self.reset()
@@ -380,6 +378,7 @@ class FirmwareDevice:
 
     def _show_world(self) -> None:
         hardware, words, library = self.hardware, self._words, self.core.library
+        # Before the first edge its age is infinite; the C code has unsigned time since boot.
         edge_age = round(min(hardware.edge_age_s * UNITS_PER_SECOND, self.time))
         library.host_set_world(
             self.core.address, self.time, hardware.count, self.time - edge_age, hardware.measured, self.inputs

@@ -1,7 +1,7 @@
-"""The simulated board's hardware: encoder counter, current amplifier and sensor, and the rig that hangs on them.
+"""Simulate the board's hardware: encoder counter, current amplifier and sensor, and the rig that hangs on them.
 
-The seam between `device`, which is software, and the physics: a current goes in for one tick; a count, the age of
-its last edge and a measured current come out. It mirrors the hardware layer of a firmware.
+Devices (software) call it once a tick: a current goes in; a count, the age of its last edge and a measured current come
+out. It must not decide anything: it mirrors the hardware layer of a firmware.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ from sim_backend.mechanics.plant import PLANT_TYPE, DiscretePlant, PlantArgument
 from sim_backend.mechanics.sensors import CURRENT_QUANTA_LIMIT, current_quanta, encoder_count
 from sim_backend.mechanics.truth import TruthLog
 
+# Drawn in blocks: one draw at a time costs a microsecond, as much as a compiled tick.
 _NOISE_BLOCK = 4096
 _PEAK = int(CURRENT_QUANTA_LIMIT)
 NO_END = 1 << 62  # ticks
@@ -50,7 +51,8 @@ _put, _at = group_at(PlantArguments)
 
 @kernel(types.void(types.int64, PLANT_TYPE))
 def _keep(handle: int, plant: PlantArguments) -> None:
-    """Let a handle stand for a plant: to take its group apart costs Python as much as a whole tick."""
+    """Let a handle stand for a plant."""
+    # To take the group of arguments apart at each call costs Python as much as a whole tick.
     _put(handle, plant)
 
 
@@ -118,16 +120,15 @@ class Hardware:
         self.measured = 0
 
     def set_rate(self, rate: int) -> None:
-        """Tick at another rate (Hz) from here on; the motion continues. Raises `ConfigError` and changes nothing.
-
-        A set-point's delay is another number of ticks then. No current is on its way: rates change on a device at rest.
-        """
+        """Tick at another rate (Hz) from here on; the motion continues. Raises `ConfigError` and changes nothing."""
         self._plant = DiscretePlant.build(self._model, 1.0 / rate)
+        # The delay is another number of ticks at another rate. No current is on its way: rates change only at rest.
         self._state = np.concatenate(
             [self._state[: self._plant.commands.start], np.zeros(self._plant.delay_ticks)]
         )
         self._let_move()
-        self._script = OperatorScript.silent()  # of other ticks; the person at the handle stays
+        # A script is written for one length of tick. The person stays at the handle and wants nothing new.
+        self._script = OperatorScript.silent()
         self._hand_driven = False
 
     def _let_move(self) -> None:
@@ -178,6 +179,7 @@ class Hardware:
         count = _advance(self._handle, effort, self.external_effort)
         self.count = count + self.slip
         measured_a = (
+            # The sensor shows the effort behind the amplifier's lag, as a shunt in the motor's lead does.
             state.item(self._plant.effort) * (self._ampere_per_effort * self.gain) + self._noise.next()
         )
         self.measured = current_quanta(measured_a, self._quantum_a)
@@ -231,6 +233,7 @@ class Hardware:
 
     def power_up(self, words: Words) -> None:
         """Forget the index that was seen, as a port does that starts anew, and look where the handle stands."""
+        # Marks are where the steel is: they follow the true count, not the one that lost counts.
         words[TRUE_COUNT] = self.count - self.slip
         words[INDEX_EDGES] = words[INDEX_COUNT] = 0
         self.sense(words)
@@ -276,6 +279,7 @@ def marks_of(model: RigModel) -> dict[str, int]:
     The switch closes half the way between two indices before the first one, which is where it should be mounted.
     """
     encoder, reference = model.encoder, model.reference
+    # A limit switch half way between two indices leaves the most room to either side.
     every = reference.index_counts(encoder)
     first = encoder_count(reference.position, encoder.resolution, encoder.offset, encoder.sign)
     way = -encoder.sign * reference.away
@@ -288,7 +292,7 @@ def marks_of(model: RigModel) -> dict[str, int]:
 
 
 class Noise:
-    """Gaussian noise of the current sensor (A), drawn in blocks: one draw at a time costs a microsecond.
+    """Gaussian noise of the current sensor (A), drawn in blocks.
 
     Attributes
     ----------

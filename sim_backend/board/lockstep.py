@@ -1,9 +1,7 @@
-"""Many ticks of a device that is compiled too, in one compiled call: plant and sensors here, the device by address.
+"""Run many ticks of a compiled device in one compiled call: plant and sensors here, the device by address.
 
-The order of a tick is that of `sim_backend.board.device`: the current, the plant, the sample. A law that runs on the
-device needs nothing of the host in between, so that ticks pass until the device has something to say.
-
-It mirrors the wires between a board and its rig, and knows neither frames nor states of the protocol.
+The order of a tick is that of `sim_backend.board.device`. It mirrors the wires between a board and its rig, and must
+not depend on frames or states of the protocol.
 """
 
 from __future__ import annotations
@@ -36,6 +34,7 @@ ROW, NOISE_LEFT, TRUTH_ROWS = range(3)
 PLACES = 3
 
 _PEAK = int(CURRENT_QUANTA_LIMIT)
+# Counters of the C code wrap at 2³²; ours are 64 bits wide.
 _U32 = 0xFFFFFFFF
 _SWITCH = int(Input.LIMIT_SWITCH)
 
@@ -101,6 +100,7 @@ def sense(words: Words, count: int, wires: Wires) -> None:
         if place != left:
             words[INDEX_EDGES] = (words[INDEX_EDGES] + abs(place - left)) & _U32
             words[INDEX_COUNT] = first + every * (place + back) + wires.slip
+    # The switch is a level: it follows the position, while an index is latched.
     words[INPUTS] &= ~_SWITCH
     if wires.switch_way and wires.switch_way * (count - wires.switch_count) >= 0:
         words[INPUTS] |= _SWITCH
@@ -157,11 +157,13 @@ def run_ticks(
     noise, places, indices = supplies.noise, supplies.places, supplies.indices
     ticks = 0
     noisy, kept = len(noise) > 0, len(indices) > 0
+    # Supplies are checked before the tick: a tick that has begun must be able to end.
     while ticks < most and words[DUE] <= until:
         if noisy and places[NOISE_LEFT] == 0:
             break
         if kept and places[TRUTH_ROWS] == len(indices):
             break
+        # The device decides with what it received up to now; the plant moves under that decision.
         quanta = _call(software.drive, software.device, software.address)
         if words[CUTS] != 0:
             cut(plant)

@@ -1,13 +1,7 @@
-"""What keeps the simulated device safe whatever its host does: watchdog, limits, monitors.
+"""Keep the simulated device safe whatever its host does: watchdog, limits, monitors, fault memory.
 
-Functions for each question of a tick. Which current does the host want, now that it has been silent for so long? How
-much of that may flow? Does the motion that follows mean that the motor must be cut? What was the first thing to go
-wrong, and what happened before it?
-
-All of it is integer counts, current quanta and device time, as in a firmware; `ticks` calls it, and nothing
-here knows a frame, a clock or the plant. What is remembered lies in flat memory (`Safety`), as in the firmware.
-
-It mirrors the safety rules of PROTOCOL.md ("Safety duties of the device"), which hold for every device.
+`ticks` calls it. It mirrors the "Safety duties of the device" of PROTOCOL.md in integer counts, current quanta and
+device time, as a firmware does, and must not depend on frames, clocks or the plant.
 """
 
 from __future__ import annotations
@@ -137,21 +131,23 @@ def feed(rules: Ints, now: int, current: int, lifetime: int, ramp: int) -> None:
 def compute_wanted(rules: Ints, until: int) -> int:
     """Return the current for a tick that ends at `until`: that of the command, which fades when its lifetime is over.
 
-    Effort is held over a tick, so everything is judged at the tick's end: the current is exactly zero when the
-    ramp ends, not a tick later. The ramp begins at what the limits left of the command, so that it falls in every
-    tick.
+    `until` is device time.
     """
+    # Effort is held over a tick, so judge at the tick's end: the current is exactly zero when the ramp ends, not a tick
+    # later.
     if until <= rules[AT.expires]:
         rules[AT.applied] = 1
         return int(rules[AT.wanted])
     if not rules[AT.ramping]:
         rules[AT.ramping] = 1
+        # The ramp begins at the limited current, not at the command: else it would not fall until it reached the limit.
         rules[AT.ramp_from] = rules[AT.current] if rules[AT.applied] else rules[AT.wanted]
     begin, ramp = rules[AT.ramp_from], rules[AT.ramp]
     left = rules[AT.expires] + ramp - until
     if left <= 0:
         rules[AT.lost] = 1
         return 0
+    # Rounds towards zero on both sides; Python's // alone rounds a negative current to a larger one.
     return int(begin * left // ramp if begin > 0 else -(-begin * left // ramp))
 
 
@@ -169,21 +165,17 @@ def is_overheated(heat: Floats) -> bool:
 
 
 def configure_heat(heat: Floats, continuous_current: float, time_constant_s: float, rate: float) -> None:
-    """Set the budget, and the lag for `rate` ticks a second.
-
-    `continuous_current` squared, the rise that this current gives in the end, is the budget. A motor does not cool
-    by being configured: only the budget changes then.
-    """
+    """Set the budget, and the lag for `rate` ticks a second."""
+    # Only the budget changes: a motor does not cool by being configured. The budget is the steady rise under the
+    # continuous current, which is its square in these units.
     heat[BUDGET] = float(continuous_current) ** 2
     heat[DECAY] = -math.expm1(-1.0 / (rate * time_constant_s))
 
 
 def _fade_unconfirmed(rules: Ints, wanted: int) -> int:
-    """Fade an effort that has lasted for longer than any trial holds a handle, with the count on two neighbours.
-
-    On two channels a dead encoder and a hand that holds still look alike, and where one channel is dead, the other one
-    toggles the count, whatever the handle does. The effort comes back when none was wanted.
-    """
+    """Fade an effort that has lasted for longer than any trial holds a handle, with the count on two neighbours."""
+    # A dead encoder and a hand that holds still look alike on two channels; with one channel dead the other one toggles
+    # the count between two neighbours, whatever the handle does. The effort returns after a wanted effort of zero.
     if wanted == 0 or rules[AT.confirm] == 0:
         rules[AT.unmoved] = 0
     faded = rules[AT.unmoved] - rules[AT.confirm]
@@ -209,6 +201,7 @@ def limit_current(rules: Ints, heat: Floats, wanted: int) -> int:
     if heat[HEAT] >= heat[BUDGET] and abs(current) > continuous:
         current = continuous if current > 0 else -continuous
         rules[AT.flags] |= _THERMAL
+    # Last, so that the current never jumps, whichever limit acted before.
     change = current - rules[AT.current]
     if not -slew <= change <= slew:
         current = rules[AT.current] + (slew if change > 0 else -slew)
@@ -249,6 +242,7 @@ def check(
         rules[AT.flags] |= _SPEED
         if abs(moved) > rules[AT.fastest]:
             faults |= _OVER_SPEED
+            # Too fast after a whole window of effort along the motion: the motor drives it. Else a hand does.
             if rules[AT.driven] >= ticks:
                 faults |= _RUNAWAY
     if not rules[AT.near_first] <= count <= rules[AT.near_last]:
@@ -275,13 +269,15 @@ def is_in_window(rules: Ints, count: int) -> bool:
 def _runaway(rules: Ints, current: int, moved: int, stood: bool) -> int:
     """Count the ticks of large effort along the motion, and those on two neighbouring counts; say when these are many.
 
-    A dead channel leaves no more of any motion.
+    The second counter finds a dead encoder channel, which shows any motion as two neighbouring counts.
     """
+    # LARGEST_SHARE times the threshold in whole quanta: no rounding, as in the firmware.
     if LARGEST_SHARE * abs(current) <= rules[AT.large]:
         rules[AT.driven] = rules[AT.still] = 0
         return 0
     push = 1 if current > 0 else -1
     rules[AT.driven] = rules[AT.driven] + 1 if push * rules[AT.sign] * moved > 0 else 0
+    # A push whose sign alternates drives the handle nowhere: counting begins anew.
     rules[AT.still] = rules[AT.still] + 1 if stood and push == rules[AT.pushed] else 0
     rules[AT.pushed] = push
     return _RUNAWAY if rules[AT.still] > rules[AT.stall_ticks] else 0
@@ -358,6 +354,7 @@ def remember(
     rules: Ints, ring: Ints, index: int, count: int, current: int, measured: int, flags: int
 ) -> None:
     """Put a tick (the values of a `FaultEntry`) into the ring, unless it is frozen."""
+    # Frozen at the first fault: what came before it is worth more than what followed.
     if rules[AT.fault] == 0:
         at = rules[AT.remembered] % RING_TICKS * _ENTRY
         ring[at], ring[at + 1], ring[at + 2] = index, count, current
@@ -445,8 +442,7 @@ def stall_time(model: RigModel, current: float) -> float:
     """Time (s) after which a free rig under a steady current (quanta) must have shown an encoder edge; ∞ if never.
 
     Friction and weight are taken off the effort, then the whole inertia is moved by `rig.core.board.STALL_COUNTS`;
-    viscous and electrical lag add their times. With `hold_to_run` a person has the handle and can hold it still, so the
-    device asks no such question then.
+    viscous and electrical lag add their times. Not meant for `hold_to_run`: a person can hold the handle still.
     """
     m = moved_mechanics(model)
     effort = min(current * m.effort_quantum, m.effort_limit) - m.friction

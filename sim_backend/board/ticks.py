@@ -1,8 +1,7 @@
-"""A tick of the simulated device in its parts, over flat memory: what a microcontroller does without its host.
+"""Compute a tick of the simulated device in its parts, over flat memory: what a microcontroller does without its host.
 
-The order is that of `device`: `drive`, then the plant moves, then `sample`, and `report` if a STATE is due; between two
-ticks `obey` takes a COMMAND. The functions work on memory views, which Python reads and writes twice as fast as arrays,
-and leave the faults that they find in a word.
+`device` calls `drive`, moves the plant, calls `sample`, and `report` if a STATE is due; between two ticks `obey` takes
+a COMMAND. Nothing here raises or calls back: found faults go into a word.
 """
 
 from __future__ import annotations
@@ -73,6 +72,7 @@ _SHOWN = tuple(  # `Sync` bits → `Input` bits
 )
 
 
+# Memory views: Python reads and writes their numbers twice as fast as those of an array.
 class DeviceMemory(NamedTuple):
     """The memory of a device.
 
@@ -135,6 +135,7 @@ def sample(board: DeviceMemory) -> None:
     words[DUE] = time_of(words, words[SAMPLE_INDEX] + 1)
     warm(board.heat, measured)
     faults = check(rules, board.heat, board.counts, board.currents, count, current, measured)
+    # Without a session the motor is off: motion by hand, however fast, is no fault.
     words[OWN.found] = faults if words[SESSION] else 0
     flags = rules[AT.flags]
     rules[AT.flags] = 0
@@ -185,11 +186,13 @@ def lifetime_of(words: Ints, mode: int, lifetime_us: int) -> int:
 def is_too_old(board: DeviceMemory, mode: int, lifetime_us: int, to_come: int, answered: int) -> bool:
     """Return True if a COMMAND was under way for longer than its lifetime, by the STATEs since the one that it answers.
 
-    `to_come` is the sequence of the next STATE. Before the first one a host answers that. STOP is never too old.
+    `to_come` is the sequence of the next STATE. Before the first one a host answers that.
     """
     words = board.words
+    # Sequences have 16 bits and wrap after 65 s at 1 kHz, far beyond any lifetime.
     ticks = ((to_come - answered) & _U16) - 1
     return bool(
+        # A STOP is obeyed however old: an unwanted stop is safe, a lost one is not.
         mode != _STOP
         and ticks * (UNITS_PER_SECOND // words[OWN.rate]) > lifetime_of(words, mode, lifetime_us)
     )

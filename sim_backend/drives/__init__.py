@@ -1,14 +1,8 @@
-"""Drives that people own, simulated: a moteus behind a serial port and an ODrive on a CAN bus, each with our plant.
+"""Simulate drives that people own: a moteus behind a serial port and an ODrive on a CAN bus, each with our plant.
 
 ``python -m sim_backend.drives moteus --rig koul-rigid`` prints what a host opens and serves until it is ended;
-`simulated_drive` does the same for a block of Python, in a process that dies with the one that started it.
-
-* A moteus is behind a pseudo-terminal, as its own serial port or as the maker's USB adapter (`fdcanusb`), or on a bus
-  with CAN FD; an ODrive is on a CAN bus.
-* A bus is an interface of SocketCAN, or a Unix socket that passes the same frames (`outlets`).
-
-Each behaviour names the page of the maker's documentation that it mirrors, in the module that has it. The makers' own
-libraries, unchanged, drive these drives in the tests. What goes wrong on command stands in `faults`.
+`simulated_drive` does the same for a block of Python, in a process that dies with the one that started it. The tests
+drive both with the makers' own libraries, unchanged; each module names the page that it mirrors.
 """
 
 import sys

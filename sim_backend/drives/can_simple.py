@@ -1,8 +1,7 @@
-"""ODrive's CAN Simple, firmware 0.6: what the messages are called and where their fields lie.
+"""Name the messages of ODrive's CAN Simple, firmware 0.6, and where their fields lie. All numbers are little-endian.
 
-It mirrors docs.odriverobotics.com, manual/can-protocol, read there in part; the fields are those of the maker's own
-library for Arduino (odriverobotics/ODriveArduino at f52eef5, src/can_simple_messages.hpp). A message's identifier is
-``node << 5 | command``; all numbers are little-endian.
+Source: docs.odriverobotics.com, manual/can-protocol, read in part; the fields are those of the maker's library for
+Arduino (odriverobotics/ODriveArduino at f52eef5, src/can_simple_messages.hpp).
 """
 
 from __future__ import annotations
@@ -10,6 +9,7 @@ from __future__ import annotations
 import struct
 from enum import IntEnum
 
+# An identifier is ``node << 5 | command``.
 NODE_BITS = 5
 
 

@@ -1,10 +1,9 @@
-"""What goes wrong, in words: ``drop to=host frame=12``, ``fault value=33 tick=300``.
+"""Parse what goes wrong from words: ``drop to=host frame=12``, ``fault value=33 tick=300``.
 
-The first word is a kind of `rig.devices.fault_script.FaultKind`, which strikes a unit of the line (a line of text, a
-CAN frame); or an event of a drive (`SimulatedMoteus.happen`, `SimulatedOdrive.happen`); or ``stale``: it answers
-with what it answered before; or ``host-bus-off``: the host's own CAN controller says that it has left the bus, and
-nothing comes or goes any more. `frame` counts units of a direction from 0, for an event those that the host sent;
-`tick` counts milliseconds since the host's first one.
+The first word is a `rig.devices.fault_script.FaultKind`, which strikes a unit of the line (a line of text, a CAN
+frame), an event of a drive (`SimulatedMoteus.happen`, `SimulatedOdrive.happen`), or one of the two below. `frame`
+counts units of a direction from 0, for an event those that the host sent; `tick` counts milliseconds since the host's
+first one.
 """
 
 from __future__ import annotations
@@ -15,6 +14,8 @@ from dataclasses import dataclass, replace
 from rig.core.errors import ConfigError
 from rig.devices.fault_script import Direction, FaultKind, FrameFault
 
+# stale: the drive repeats its previous answer. host-bus-off: the host's own CAN controller reports that it has left the
+# bus, and nothing is transferred any more.
 STALE, HOST_BUS_OFF = "stale", "host-bus-off"
 EVENTS = (
     *(STALE, HOST_BUS_OFF),

@@ -1,9 +1,8 @@
-r"""Lines of text that carry CAN frames: ``can send 8001 01000A… BF *5C`` to the drive, ``OK`` and ``rcv …`` back.
+"""Carry CAN frames in lines of text: ``can send 8001 01000A… BF *5C`` to the drive, ``OK`` and ``rcv …`` back.
 
-Two devices use them. The board's own serial port (`Uart`; docs/integration/uart.md of mjbots/moteus at db1a762, and
-fw/uart_fdcanusb_micro_server.h): a checksum is allowed on a command, and once one came, each needs one and each answer
-has one; no flags on what is received. The USB adapter (`Fdcanusb`; README.md of mjbots/fdcanusb at f18c1d6, and
-fw/can_manager.cc): no checksums, flags, and data filled up with NOP to a length that CAN FD has.
+`Uart` is the board's own serial port (docs/integration/uart.md of mjbots/moteus at db1a762,
+fw/uart_fdcanusb_micro_server.h), `Fdcanusb` the USB adapter (README.md of mjbots/fdcanusb at f18c1d6,
+fw/can_manager.cc).
 """
 
 from __future__ import annotations
@@ -97,6 +96,7 @@ class Uart:
             raise _RefusedError(b"invalid hex in id") from None
         if not space:
             raise _RefusedError(b"missing data")
+        # In silence: on a shared bus a frame with another prefix belongs to another drive.
         if identifier >> 16 & 0x1FFF != self._prefix:
             return None
         data = _hex(rest.partition(b" ")[0])
@@ -113,6 +113,7 @@ class Uart:
         """Return a line without its checksum, which may be missing until a first line has had one."""
         text, star, digits = line.rpartition(b"*")
         claimed = _hex(digits) if star and len(digits) == 2 else None
+        # A checksum is optional until one has come; from then on each command needs one and each answer has one.
         if claimed is None and not self._checked:
             return line
         if claimed is None or checksum(text) != claimed[0]:
@@ -163,6 +164,7 @@ class Fdcanusb:
     def close(self, frame: Frame) -> list[bytes]:
         """Say a frame in a line."""
         identifier = b"%X" % frame.identifier
+        # The adapter prints whole bytes: an even number of hexadecimal digits.
         identifier = identifier.zfill(len(identifier) + len(identifier) % 2)
         kind = b"E" if frame.identifier > STANDARD_IDS else b"e"
         return [

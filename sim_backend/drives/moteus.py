@@ -1,9 +1,7 @@
-"""A simulated moteus: frames in, frames out, a rig behind its shaft.
+"""Simulate a moteus: frames in, frames out, a rig behind its shaft.
 
-It mirrors docs/protocol/{can,registers,diagnostic}.md of mjbots/moteus at db1a762 (2026-06), and what its firmware does
-there (fw/moteus_controller.cc, mjlib/multiplex/micro_server.cc): a frame of another id is passed over, the broadcast
-one is taken; the mode must be written first, and a frame without it commands nothing; a frame whose source has the
-highest bit is answered, in the order in which it asks. `moteus_law` has what happens in a control cycle,
+It mirrors docs/protocol/{can,registers,diagnostic}.md of mjbots/moteus at db1a762 (2026-06) and its firmware there
+(fw/moteus_controller.cc, mjlib/multiplex/micro_server.cc). `moteus_law` has what happens in a control cycle,
 `moteus_registers` the registers, `moteus_settings` configuration and console.
 """
 
@@ -216,6 +214,7 @@ class SimulatedMoteus:
         for part in subframes(frame.data):
             if isinstance(part, WriteRegisters):
                 answer += self._write(part)
+                # The mask of another board's UUID: the whole frame does nothing, its answer included.
                 if registers.NOT_MEANT in self._writes:
                     return []
             elif isinstance(part, ReadRegisters):
@@ -224,6 +223,7 @@ class SimulatedMoteus:
                 answer += self._receive_console(part, wanted)
             elif wanted:
                 answer += self._polled(part)
+        # The mode must be written first; a frame without it commands nothing.
         if registers.MODE in self._writes:
             self._obey(self._writes, self._writes[registers.MODE])
         return [Frame(self._id << 8 | source & 0x7F, bytes(answer))] if wanted else []
@@ -237,6 +237,7 @@ class SimulatedMoteus:
                 continue
             register, value = found
             if register == registers.MODE:
+                # A command is a whole: writing the mode begins one with the defaults of all others.
                 self._writes = registers.fresh_command()
                 self._writes[registers.MODE] = value
             elif register in registers.UUID_MASK:
@@ -315,6 +316,7 @@ class SimulatedMoteus:
         most = min(part.most, STREAM_BYTES)
         if part.acknowledged is None:
             return bytes((SERVER_TO_CLIENT,)) + varuint(part.channel) + self._sized(self._console.say(most))
+        # An unacknowledged packet is repeated unchanged: the poll or its answer was lost.
         if part.acknowledged == self._packet:
             self._sent = self._console.say(most)
             self._packet = (self._packet + 1) & 0xFF
@@ -375,12 +377,14 @@ class SimulatedMoteus:
 
     def _obey(self, command: dict[int, float], mode: float) -> None:
         """Let a whole command act, unless its mode cannot be commanded."""
+        # Fault, enabling and calibrating are entered by the drive alone.
         if mode in range(FAULT, 5):
             return
         words, values = self._words, self.settings.values
         self._command = command
         for register, (word, _, _) in registers.COMMAND.items():
             words[word] = command[register]
+        # 0 means the default time-out; NaN means the default limit below, and a negative one no limit.
         if words[W.timeout_left] == 0.0:
             words[W.timeout_left] = values["servo.default_timeout_s"]
         for word, name in (
@@ -394,6 +398,7 @@ class SimulatedMoteus:
         if not math.isnan(command[registers.STOP_POSITION]) and limited:
             words[W.mode], words[W.fault] = FAULT, STOP_POSITION_DEPRECATED
         if words[W.mode] == STOPPED and mode != STOPPED:
+            # The simulated person begins when the drive is switched on, as with a board after ARM.
             self.motor.begin_session()
         words[W.command] = mode
 
@@ -431,6 +436,7 @@ class SimulatedMoteus:
         source = values["motor_position.output.source"]
         words[W.source_valid] = values.get(f"motor_position.sources.{source}.type", 0) == self._kind
         words[W.sign] = values["motor_position.sources.0.sign"] * values["motor_position.output.sign"]
+        # Braking shorts the phases: torque = −(k_t · ω) · k_t / R, at the output through the ratio twice.
         resistance = 1.5 * values["motor.resistance_ohm"]  # of one phase, as the q current sees it
         per_turn = 2.0 * math.pi * self._kt * assumed / resistance
         words[W.brake_damping] = per_turn / values["motor_position.rotor_to_output_ratio"] ** 2

@@ -1,12 +1,9 @@
-"""What a moteus does in each control cycle, compiled: encoder filter, modes, watchdog, limits, torque.
+"""Compute what a moteus does in each control cycle, compiled: encoder filter, modes, watchdog, limits, torque.
 
-It mirrors, of mjbots/moteus at db1a762 (2026-06): the modes and fault codes of docs/protocol/registers.md; the control
-law, limits and time-out of docs/reference/configuration.md (`servo.*`, `servopos.*`); the order of a cycle and the
-changes of mode of fw/bldc_servo_control.h; the trajectory of fw/bldc_servo_position.h; the encoder's filter of
-fw/motor_position.h; the times of enabling of fw/drv8323.cc and fw/bldc_servo.cc.
-
-Left out: the modes that set voltages (5 to 8, 14), which drive nothing here; field weakening, flux braking and the
-limits of power and bus voltage; single-precision arithmetic, except for the grid of the position.
+It mirrors mjbots/moteus at db1a762 (2026-06): docs/protocol/registers.md for modes and fault codes,
+docs/reference/configuration.md (`servo.*`, `servopos.*`) for law, limits and time-out. Left out: the modes that set
+voltages (5 to 8, 14), which drive nothing here; field weakening, flux braking and the limits of power and bus voltage;
+single-precision arithmetic, except for the grid of the position.
 """
 
 from __future__ import annotations
@@ -166,6 +163,7 @@ def _starts_outside(w: Words) -> bool:
 @kernel(types.void(_V), no_refcount=True)
 def _change_mode(w: Words) -> None:
     """Follow the command: out of a fault or a time-out only to stopped, out of stopped by enabling the driver."""
+    # Changes of mode follow fw/bldc_servo_control.h.
     command, mode = w[W.command], w[W.mode]
     if command == STOPPED:
         w[W.mode] = STOPPED
@@ -212,6 +210,7 @@ def _heed_faults(w: Words) -> None:
 @kernel(_F(_F, _F, _F, _F, _F), no_refcount=True)
 def _acceleration(dx: float, velocity: float, goal: float, accel: float, top: float) -> float:
     """Towards a moving target as fast as both limits allow, and no faster than it can stop there."""
+    # Trajectory of fw/bldc_servo_position.h; `ahead` is the speed one cycle later, which must still be stoppable.
     if abs(velocity) > top:
         return math.copysign(accel, -velocity)
     relative = velocity - goal
@@ -309,6 +308,7 @@ def _limited(w: Words, torque: float, most: float) -> float:
             torque *= max(0.0, 1.0 - beyond / w[W.position_derate])
             _limit(w, POSITION_BOUNDS)
     most = w[W.max_current] * w[W.torque_constant] / w[W.rotor_to_output]
+    # Only torque along the motion is reduced: braking above the limit must work.
     over = abs(w[W.velocity]) - w[W.max_velocity]
     code = MAX_CURRENT
     if over > 0.0 and w[W.velocity] * torque > 0.0:
@@ -343,12 +343,10 @@ def _out_of_time(w: Words) -> float:
 
 @kernel(_F(_V), no_refcount=True)
 def _stay_within(w: Words) -> float:
-    """Inside the bounds feed-forward alone; outside the controller around the bound that is violated.
-
-    docs/protocol/registers.md, 0x040 and 0x041, and ISR_DoStayWithinBounds (fw/bldc_servo_control.h): no clamp, no
-    trajectory, feed-forward on both sides, the limit of the command last. The scales are not limited, as in fw/pid.h;
-    the page says of kd's (0x024) that it is, to kp's.
-    """
+    """Inside the bounds feed-forward alone; outside the controller around the bound that is violated."""
+    # docs/protocol/registers.md, 0x040 and 0x041, and ISR_DoStayWithinBounds (fw/bldc_servo_control.h): no clamp, no
+    # trajectory, feed-forward on both sides, the limit of the command last. The scales are not limited, as in fw/pid.h;
+    # the page claims a limit for kd's (0x024).
     bound = math.nan
     if w[W.position] < w[W.lower]:
         bound = w[W.lower]
@@ -398,6 +396,7 @@ def law(w: Words, count: int, measured: float) -> float:
     w[W.torque] = measured * share
     if w[W.timeout_left] > 0.0:
         w[W.timeout_left] = max(0.0, w[W.timeout_left] - _DT)
+    # The order of a cycle is that of fw/bldc_servo_control.h: a fault found now acts in this cycle.
     if w[W.command] != w[W.mode]:
         _change_mode(w)
     _start(w)

@@ -1,7 +1,7 @@
-"""The registers of a moteus: what each stands for, and its scale (docs/protocol/registers.md of mjbots/moteus).
+"""List the registers of a moteus: what each stands for, and its scale (docs/protocol/registers.md of mjbots/moteus).
 
-A command is a whole: writing the mode begins one with the defaults of all others, and it acts when the frame ends.
-Registers of commands that drive nothing here (PWM and voltages, GPIO) are kept and read back.
+`moteus` reads and writes through them. Registers of commands that drive nothing here (PWM and voltages, GPIO) are
+stored and read back.
 """
 
 from __future__ import annotations
@@ -107,6 +107,7 @@ _NEVER_WRITTEN |= {0x100, 0x101, 0x102, 0x110, 0x120, 0x121, 0x122, 0x140, 0x141
 _NEVER_WRITTEN -= {MODE}
 
 
+# Built once: every frame with a mode begins a command.
 _FRESH = {register: default for register, (_, default) in _WRITTEN.items()}
 
 

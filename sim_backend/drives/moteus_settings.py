@@ -1,12 +1,7 @@
-"""Configuration of a moteus by name, and the console through which it is read and set.
+"""Store the configuration of a moteus by name, with the console through which it is read and set.
 
 It mirrors docs/reference/configuration.md and docs/protocol/diagnostic.md of mjbots/moteus (`conf …`, `tel …`, `d …`),
-with the answers of mjlib/micro/persistent_config.cc. The defaults are those of the firmware
-(fw/bldc_servo_structs.h at db1a762) but for what calibration finds (motor, encoder) and what the maker has set by hand
-for a drive that turns freely: no bounds of position.
-
-Names that no behaviour here follows are not there: `conf get` of one answers an error, as for a name that a firmware
-does not know.
+with the answers of mjlib/micro/persistent_config.cc. A name that no behaviour here follows is an unknown name.
 """
 
 from __future__ import annotations
@@ -29,6 +24,8 @@ def defaults(counts_per_turn: int, torque_constant: float) -> dict[str, Value]:
     An encoder of 2¹⁴ counts is the board's own; another one is a quadrature encoder on aux1. A sign that is changed
     counts as calibrated anew: a positive torque turns towards greater positions.
     """
+    # Defaults of the firmware (fw/bldc_servo_structs.h at db1a762) but for what calibration finds (motor, encoder) and
+    # what the maker sets by hand for a drive that turns freely: no bounds of position.
     onboard = counts_per_turn == ONBOARD_COUNTS
     return {
         "id.id": 1,

@@ -1,12 +1,6 @@
-"""The rig behind a drive: `sim_backend.mechanics.plant`, moved by what the drive's law requests, tick by tick.
+"""Move the rig behind a drive: `sim_backend.mechanics.plant` under what the drive's law requests, tick by tick.
 
-A drive knows its own shaft: revolutions of its encoder, N·m at it. The rig's model knows the link. Between them lies
-the encoder's ratio: a shaft that turns `ratio` times for one turn of the link puts `ratio` times its torque there. A
-drive that was calibrated turns the way its encoder counts when it is asked for a positive torque; where the rig's
-encoder counts the other way (sign −1), so does the drive.
-
-The drive's current loop is the rig's amplifier: its lag and its limit are those of the model, and it is a current drive
-whatever the model's is. What a drive reports as torque is the effort behind that lag, without the noise of its sensor.
+The simulated drives call it. A drive has its own shaft (revolutions of its encoder, N·m), the rig's model the link.
 """
 
 from __future__ import annotations
@@ -89,6 +83,7 @@ def run(handle: int, ticks: int) -> None:
     plant, script, shaft = moving.plant, moving.script, moving.shaft
     places = shaft.places
     for _ in range(ticks):
+        # What a drive reports as torque is the effort behind the current loop's lag, without sensor noise.
         measured = plant.state[plant.effort] / shaft.effort_per_torque
         torque = shaft.law(shaft.words, places[COUNT] + places[SLIP], measured)
         if not math.isfinite(torque):
@@ -135,10 +130,14 @@ class Motor:
         model = replace(
             model,
             simulation=replace(model.simulation, computation_delay_ticks=0),
+            # The drive's current loop is the rig's amplifier, with its lag and limit, whatever drives the model. The
+            # drive and the bus have delays of their own.
             amplifier=replace(model.amplifier, drive="current"),
         )
         self._model = model
         self.counts_per_turn = encoder.counts_per_revolution * encoder.decoding
+        # A shaft that turns `ratio` times for one turn of the link puts `ratio` times its torque there. A calibrated
+        # drive turns the way its encoder counts under a positive torque: hence the sign.
         self.effort_per_torque = encoder.sign * encoder.ratio
         self._law, self._words = law, words
         self._plant = DiscretePlant.build(model, 1.0 / rate_hz)

@@ -1,8 +1,8 @@
-"""The register protocol of a moteus: sub-frames in a frame, as docs/protocol/can.md of mjbots/moteus lists them.
+"""Parse and build the register protocol of a moteus: sub-frames in a frame (docs/protocol/can.md of mjbots/moteus).
 
 What cannot be read ends the frame; what came before it counts. The tunnelled stream (0x40 to 0x42) and its errors are
-those of mjlib/multiplex/format.h, to which that page points; the form with packet numbers (0x43, 0x44), with which the
-maker's library asks first, is read off that library (1.1.1, `moteus/multiplex.py`).
+those of mjlib/multiplex/format.h; the form with packet numbers (0x43, 0x44), with which the maker's library asks first,
+is read off that library (1.1.1, `moteus/multiplex.py`).
 """
 
 from __future__ import annotations
@@ -152,13 +152,11 @@ def scale(raw: float, kind: int, steps: tuple[float, float, float]) -> float:
 
 
 def unscale(value: float, kind: int, steps: tuple[float, float, float]) -> float:
-    """Convert a value to a frame's integer, limited to ± the largest one; NaN becomes the most negative one.
-
-    An integer is truncated towards zero, as fw/moteus_controller.cc converts.
-    """
+    """Convert a value to a frame's integer, limited to ± the largest one; NaN becomes the most negative one."""
     if kind == FLOAT:
         return value
     if not math.isfinite(value):
         return _NO_NUMBER[kind]
     most = -_NO_NUMBER[kind] - 1
+    # Truncated towards zero, as fw/moteus_controller.cc converts.
     return int(min(max(value / steps[kind], -most), most))

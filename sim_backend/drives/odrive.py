@@ -1,13 +1,7 @@
-"""A simulated ODrive: CAN Simple in and out, a rig behind its shaft.
+"""Simulate an ODrive: CAN Simple in and out, a rig behind its shaft.
 
-It mirrors the page manual/can-protocol of docs.odriverobotics.com for firmware 0.6, and where that page was not to be
-read, the maker's own programs: messages that are sent every so often, by whole milliseconds, and on request (a remote
-frame, or one without data); the order of an arbitrary parameter access (odriverobotics/ODriveResources,
-examples/can_param_access.py) with its confirmation from 0.6.11 on; that a request for a state and a new input feed the
-watchdog (examples/can_watchdog.py; here nothing else does). `odrive_law` has what happens in a control cycle.
-
-The numbers of endpoints differ from one firmware to the next, and the maker publishes them as ``flat_endpoints.json``:
-those here are this simulation's own, in a file of the same form (`SimulatedOdrive.flat_endpoints`).
+It mirrors the page manual/can-protocol of docs.odriverobotics.com for firmware 0.6, and where that page could not be
+read, the maker's programs in odriverobotics/ODriveResources. `odrive_law` has what happens in a control cycle.
 """
 
 from __future__ import annotations
@@ -89,6 +83,8 @@ _PARAMETERS: dict[str, tuple[str, Value, int | None]] = {
     "inc_encoder0.config.cpr": ("uint32", 8192, None),
 }
 _SAVE = "save_configuration"
+# The numbers of endpoints differ between firmwares, and the maker publishes them as ``flat_endpoints.json``: these are
+# the simulation's own, in a file of the same form (`SimulatedOdrive.flat_endpoints`).
 _IDS = {path: number for number, path in enumerate((*_PARAMETERS, _SAVE), start=1)}
 _PATHS = {number: path for path, number in _IDS.items()}
 _ENCODER, _COUNTS = "axis0.config.load_encoder", "inc_encoder0.config.cpr"
@@ -261,6 +257,7 @@ class SimulatedOdrive:
         except ValueError:
             return []
         if command in _ANSWERED:
+            # A request is a remote frame, or a data frame without data; with data it is an answer.
             return [self._reply(command)] if frame.remote or not frame.data else []
         if command is CanSimpleCommand.RX_SDO:
             return self._access(frame.data)
@@ -375,6 +372,7 @@ class SimulatedOdrive:
     def _access(self, data: bytes) -> list[Frame]:
         if len(data) < SDO.size:
             return []
+        # Order of an access: examples/can_param_access.py of odriverobotics/ODriveResources.
         opcode, number, _ = SDO.unpack_from(data)
         path = _PATHS.get(number)
         if path is None or opcode not in {READ, WRITE}:
@@ -424,6 +422,7 @@ class SimulatedOdrive:
 
 
 _ANSWERED = {*_CYCLIC, CanSimpleCommand.GET_VERSION, CanSimpleCommand.ADDRESS, CanSimpleCommand.GET_POWERS}
+# What feeds the watchdog: examples/can_watchdog.py of odriverobotics/ODriveResources; nothing else does here.
 _FEEDS = {
     CanSimpleCommand.SET_AXIS_STATE,
     CanSimpleCommand.SET_INPUT_POS,

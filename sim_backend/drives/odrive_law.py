@@ -1,12 +1,8 @@
-"""What an ODrive does in each control cycle, compiled: encoder estimates, controller, limits, watchdog.
+"""Compute what an ODrive does in each control cycle, compiled: encoder estimates, controller, limits, watchdog.
 
 It mirrors odriverobotics/ODrive at f9b5419 (firmware 0.5.6 of the open boards), whose names the closed firmware 0.6
-kept: Firmware/MotorControl/encoder.cpp (the estimator), controller.cpp (setpoints, position, velocity and torque
-control, the velocity limit in torque mode, overspeed). Errors and their bits are those of 0.6 (`can_simple.Error`).
-That 0.6 works alike inside was not read: its source is closed. The watchdog runs while the motor is driven: the
-maker's example for 0.6 (odriverobotics/ODriveResources, examples/can_watchdog.py) clears no error before it begins.
-
-Left out: trajectories, mirroring, tuning, anticogging, spin-out detection and the calibrations.
+kept: Firmware/MotorControl/encoder.cpp and controller.cpp; that 0.6 works alike inside could not be checked. Left out:
+trajectories, mirroring, tuning, anticogging, spin-out detection and the calibrations.
 """
 
 from __future__ import annotations
@@ -118,9 +114,11 @@ def _estimate(w: Words, count: int) -> None:
     if w[W.snapped] == 0.0:
         w[W.snapped], w[W.counts], w[W.counts_velocity] = 1.0, float(count), 0.0
     w[W.counts] += _DT * w[W.counts_velocity]
+    # Whole counts: the detector of encoder.cpp compares counters, so the estimate dithers within one.
     error = count - math.floor(w[W.counts])
     w[W.counts] += _DT * kp * error
     w[W.counts_velocity] += _DT * ki * error
+    # encoder.cpp: less than half a step of the integrator is zero, or a shaft at rest would dither for ever.
     if abs(w[W.counts_velocity]) < 0.5 * _DT * ki:
         w[W.counts_velocity] = 0.0
     w[W.pos_estimate] = w[W.counts] / w[W.counts_per_turn] + w[W.shift]
@@ -182,6 +180,7 @@ def _control(w: Words) -> float:
     if mode < VELOCITY_CONTROL:
         w[W.vel_integrator] = 0.0
     elif held != torque:
+        # Anti-windup of controller.cpp: a saturated output lets the integrator decay.
         w[W.vel_integrator] *= 0.99
     else:
         bound = w[W.vel_integrator_limit]
@@ -206,6 +205,8 @@ def _heed(w: Words) -> None:
         _fail(w, _HOT)
     if w[W.encoder_valid] == 0.0:
         _fail(w, _MISSING)
+    # Only while the motor is driven: the maker's example for 0.6 (odriverobotics/ODriveResources,
+    # examples/can_watchdog.py) clears no error before it begins.
     if w[W.enable_watchdog] != 0.0 and w[W.state] == CLOSED_LOOP:
         w[W.watchdog_left] -= _DT
         if w[W.watchdog_left] <= 0.0:

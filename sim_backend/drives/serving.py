@@ -1,8 +1,7 @@
-"""A simulated drive in real time: bytes of a line in, bytes out, and the drive's time kept beside the clock.
+"""Serve a simulated drive in real time: bytes of a line in, bytes out, and the drive's time beside the clock.
 
-A request concerns the present, so the drive is advanced to it, in compiled code, when a unit arrives, when it has to
-send unrequested, and now and then. Where this process was kept from a processor, the simulated world stood still
-(`held_up_ns`): a watchdog of the drive does not expire because this computer was late.
+`process` runs it. A request concerns the present, so the drive is advanced to it when a unit arrives, when it has to
+send unrequested, and every `IDLE_NS`.
 """
 
 from __future__ import annotations
@@ -105,6 +104,7 @@ class Serving:
         deadline = self._seen_ns + IDLE_NS
         due = self._drive.next_due
         if due is not None:
+            # Rounded up: woken before the tick, the loop would find nothing due and spin.
             after_ns = -((self._first_tick - due) * _SECOND // self._drive.rate_hz)  # rounded up
             deadline = min(deadline, self._started_ns + self.held_up_ns + after_ns)
         if self._failing is not None and (late := self._failing.next_due()) is not None:
@@ -114,6 +114,8 @@ class Serving:
     def _keep_up(self) -> None:
         """Let the drive's time pass to now."""
         now = self._clock()
+        # This process was kept from a processor: the simulated world stood still, so that no watchdog of the drive
+        # expires because this computer was late.
         self.held_up_ns += max(0, now - self._seen_ns - LONGEST_STEP_NS)
         self._seen_ns = now
         passed_ns = now - self._started_ns - self.held_up_ns

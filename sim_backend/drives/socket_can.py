@@ -1,7 +1,6 @@
-"""CAN frames as Linux has them on a raw socket: one a message, of 16 bytes (classic) or 72 (CAN FD).
+"""Convert CAN frames as Linux has them on a raw socket: one a message, of 16 bytes (classic) or 72 (CAN FD).
 
-Inside the simulation each has the 72 bytes of ``struct canfd_frame`` (include/uapi/linux/can.h), and the flag of that
-header gives its format: a byte stream must be split into frames without message boundaries.
+Layout: ``struct canfd_frame`` of include/uapi/linux/can.h.
 """
 
 from __future__ import annotations
@@ -29,6 +28,8 @@ def pad(data: bytes, padding: int = 0) -> bytes:
 
 def from_wire(message: bytes) -> bytes:
     """A message of a socket as a unit; nothing for what is no frame."""
+    # Inside the simulation every frame has 72 bytes, and a flag gives its format: a byte stream without message
+    # boundaries could not be split otherwise.
     if len(message) == CLASSIC_BYTES:
         return message[:5] + bytes(3) + message[8:] + bytes(FD_DATA_BYTES - CLASSIC_DATA_BYTES)
     if len(message) == FD_BYTES:

@@ -1,21 +1,7 @@
-"""Real time for a device whose ticks are compiled: a board's timer and main loop, without Python and without its lock.
+"""Run a device whose ticks are compiled in real time: a board's timer and main loop, without Python and its lock.
 
-One compiled call does what a board does: it waits for bytes or for the next tick, hands bytes to the device as soon as
-they come, lets the ticks pass that are due, and writes what the device sends. The call returns to Python, which calls
-again, where a supply is used up, where the device changed its rate or was armed, where the host hung up, and every
-`SLICE_NS` to check the stop request: then Python also handles its signals.
-
-Time keeps its grid: deadlines follow from the device's own clock, so lateness never adds up. A board's timer is never
-late, a process is. No tick is left out and each has its sample: what is late is made up at twice the pace and no
-faster, so that a host which was there all the time can answer each of them and is not found silent. After a pause
-longer than `LONGEST_PAUSE_NS` (a suspended process) the grid restarts, because the simulated world stood still too.
-
-The answer to STATE k acts from sample k + 1 on: one tick of delay at least, as behind any real port. A process that is
-late lets a host that stood still with it answer first, and hands over what came before the late tick passes, so that
-the watchdog is fed first.
-
-It mirrors a board behind a USB serial port: that stays when a host exits, even by kill -9, and its watchdog detects
-that only by the missing messages.
+`pty` calls it. It mirrors a board behind a USB serial port, which stays when a host exits, even by kill -9, and whose
+watchdog detects that only by the missing messages. The answer to STATE k acts from sample k + 1 on.
 """
 
 from __future__ import annotations
@@ -51,6 +37,7 @@ from sim_backend.mechanics.operator import OperatorScript
 from sim_backend.mechanics.plant import PLANT_TYPE, PlantArguments
 
 SLICE_NS = 10_000_000  # in which a signal or a wish to stop is heard
+# After a longer pause (a suspended process) the grid restarts: the simulated world stood still too.
 LONGEST_PAUSE_NS = 1_000_000_000
 LATE_NS = 50_000  # beyond what it takes to wake
 # of faster ticks several pass at once: a process that is woken more often does little else
@@ -77,7 +64,8 @@ _put, _at = group_at(LoopPort)
 
 @kernel(types.void(types.int64, PORT_TYPE))
 def _keep(line: int, port: LoopPort) -> None:
-    """Let a number stand for a port: to take its five functions apart at each call takes Python most of a tick."""
+    """Let a number stand for a port."""
+    # To take its five functions apart at each call costs Python most of a tick.
     _put(line, port)
 
 
@@ -142,10 +130,11 @@ def keep_time(
     """Tick and move bytes until `end_ns` on the port's clock, or until Python has to look; say why it returned.
 
     `line` stands for the port (`_keep`).
-    Output buffer: `SAID_BYTES` behind the `PENDING_BYTES` that wait to be sent; input buffer: `HEARD_BYTES`.
+    Output buffer: `OUTPUT_BYTES` behind the `PENDING_BYTES` that wait to be sent; input buffer: `RECEIVED_BYTES`.
     """
     words, port = software.words, _at(line)
     while True:
+        # Deadlines follow from the device's own clock, so lateness never adds up.
         step_ns = grid[STEP_NS]
         due_ns = grid[BOOT_NS] + words[DUE] * _UNITS_NS // _UNITS
         deadline_ns = max(due_ns, grid[PASSED_NS] + step_ns)
@@ -169,6 +158,8 @@ def keep_time(
             return GONE
         if words[RATE_CHANGED] != 0 or words[SWITCHED_ON] != 0:
             return ASK
+        # A board's timer is never late, a process is. A host that stood still with it answers first, and what came
+        # before the late tick is handed over before it passes, so that the watchdog is fed first.
         if late_ns > LATE_NS and grid[WAITED] == 0:  # a host that stood still too answers first
             grid[WAITED], grid[PASSED_NS] = 1, now_ns - step_ns + step_ns // 4
         elif late_ns >= 0:
@@ -176,6 +167,8 @@ def keep_time(
             if now_ns - due_ns > LONGEST_PAUSE_NS:
                 grid[BOOT_NS] += now_ns - due_ns
                 due_ns = now_ns
+            # No tick is left out. Late ones are made up at twice the pace and no faster, so that a host that was there
+            # all the time can answer each and is not found silent.
             since_boot_ns = min(now_ns, due_ns + 2 * step_ns - 1) - grid[BOOT_NS]
             until = (_UNITS * since_boot_ns + 1) // _UNITS_NS  # the last unit that is not later
             while words[DUE] <= until and grid[MOST] > 0:

@@ -81,6 +81,7 @@ class ScriptedLine:
         """Faults of a frame: those of its number, and those that have waited for one since their tick."""
         waiting = self._waiting[direction]
         now = [fault for fault in waiting if fault.tick is not None and fault.tick <= tick]
+        # A fault at a tick strikes the first frame after it, once.
         self._waiting[direction] = [fault for fault in waiting if fault not in now]
         return [*self._faults.get((direction, number), ()), *now]
 

@@ -1,10 +1,7 @@
-"""The far end of a link in virtual time, compiled: the plug functions of the loop, for a device that is compiled too.
+"""Compile the far end of a link in virtual time: the plug functions of the loop, for a device that is compiled too.
 
-A tick of the loop then runs no Python: `wait` lets ticks pass until the device has sent something, `write` passes the
-host's bytes to it, `read` takes its output. Python is called (`serve`) where a supply is used up, where the device
-changed its rate or was armed, and before the first tick after Python itself had the device.
-
-It mirrors `sim_backend.ends.link.MemoryLink`, whose callbacks do the same where frames or the device fail on command.
+`sim_backend.ends.link` opens it. A tick of the loop then runs no Python, except where a supply is used up, the device
+changed its rate or was armed, or Python had the device before (`serve`).
 """
 
 from __future__ import annotations
@@ -158,6 +155,7 @@ def _catch_up(handle: int) -> int:
     """Bring the device to the clock's time, which the host may have moved by sleeping: 0, or a negative errno."""
     end = _at(handle)
     now_ns = load_word(end.clock)
+    # A host that sleeps on the link's clock finds the device as late as a slow host would.
     while _next_ns(end) <= now_ns:
         failed = _pass(handle, now_ns)
         if failed != 0:
@@ -316,6 +314,7 @@ class CompiledPort:
             self._end = self._put()
             self._progress[STALE] = 0
             return 0
+        # No exception can pass through a C callback: the loop ends with EIO, and the link raises this one.
         except BaseException as failure:
             self.failure = self.failure or failure
             return _BROKEN

@@ -1,8 +1,7 @@
-"""The device's end of a line to a host in another process: a pseudo-terminal for any serial program, or a socket.
+"""Offer the device's end of a line to a host in another process: a pseudo-terminal for serial programs, or a socket.
 
 Either is one descriptor for its whole life, so that compiled code (`loop_port`) and Python move its bytes. It stays
-when a host goes, even by kill -9, and serves the next one. After the hang-up nothing is written, for it would not be
-read; what a host does not read in time is thrown away, newest first, whole frames only.
+when a host exits, even by kill -9, and serves the next one.
 """
 
 from __future__ import annotations
@@ -88,6 +87,7 @@ class Line:
         if self._hung_up:
             return
         self._flush()
+        # What a host does not read in time is discarded, newest first, whole frames only.
         if frames and len(self._pending) + len(frames) <= PENDING_BYTES:
             self._pending += frames
             self._flush()

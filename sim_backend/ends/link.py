@@ -1,10 +1,7 @@
-"""The simulated rig in this process, in virtual time: bytes by function call, hours in seconds, every run alike.
+"""Simulate the rig in this process, in virtual time: bytes by function call, hours in seconds, every run alike.
 
-Time moves only while the host waits. A host that waits for bytes lets the device tick until it sends something, so
-the device never passes sample k before the COMMAND that answers it has been delivered: lock-step, without a delay.
-A host that sleeps on the link's clock lets the device tick that long without it, as a slow host would.
-
-It mirrors a serial port and its driver: a bounded input buffer that drops what is not read, EIO after an unplug.
+`rig.devices` opens it for ``sim://``. It mirrors a serial port and its driver: a bounded input buffer that drops what
+is not read, EIO after an unplug.
 """
 
 from __future__ import annotations
@@ -358,6 +355,7 @@ class MemoryLink:
 
     def _link_time(self, device_ns: int) -> int:
         """Time on the link's clock that is not before a time of the device's (ns since it was made)."""
+        # Rounded up: rounded down, the device would be asked to run before its tick is due and never get there.
         return -((self._start_ns - device_ns) * _BILLION // self._pace)
 
     def _device_time(self) -> int:
@@ -377,6 +375,8 @@ class MemoryLink:
         """Let time pass until something has arrived, or to the deadline; whether something is there."""
         self._check_open()
         self._catch_up()
+        # Time moves only while the host waits, and stops when the device sends: it never passes sample k before the
+        # COMMAND that answers it has been delivered.
         while not self._progress[ARRIVED]:
             if self._next_tick_ns() > deadline_ns:
                 self.clock.sleep_until(deadline_ns)

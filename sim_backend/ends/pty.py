@@ -1,10 +1,7 @@
-"""The simulated rig as a process of its own, in real time, behind a pseudo-terminal or a socket (`line`).
+"""Run the simulated rig as a process of its own, in real time, behind a pseudo-terminal or a socket (`line`).
 
-The device is the firmware, its clock that of `board_time`; where nothing compiles it, the readable device (`device`),
-by the clock of `real_time`.
-
-It mirrors a USB serial device: it stays when a host exits, even by kill -9, and its watchdog detects that only by
-the missing messages.
+The device is the firmware under the clock of `board_time`, or the readable device under that of `real_time` where
+nothing compiles it. It mirrors a USB serial device.
 """
 
 from __future__ import annotations

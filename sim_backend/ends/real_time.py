@@ -1,15 +1,7 @@
-"""The clock of the readable device in real time, and the mover of its bytes, whatever port they pass.
+"""Run the readable device in real time, whatever port its bytes pass: the reference of `board_time`.
 
-In each period: the plant moves under the active current, STATE goes out, and then the bytes that came meanwhile are
-handed to the device. So the answer to STATE k acts from sample k + 1 on: one tick of delay at least, as behind any
-real port.
-
-It is the reference of `board_time`, where no Python passes in a tick, and what runs where nothing compiles.
-
-Time keeps its grid: deadlines follow from the device's own clock, so lateness never adds up. A few ticks that are late
-run at once; what is beyond that passes without STATE and is counted in `missed_ticks`, but is no fault, because it is
-this computer that was late and the device works on each tick; after a pause longer than `LONGEST_PAUSE_S` (a suspended
-process) the grid restarts, because the simulated world stood still too.
+It runs where nothing compiles the firmware. In each period the plant moves under the active current, STATE goes out,
+and the bytes that came meanwhile are handed over: the answer to STATE k acts from sample k + 1 on.
 """
 
 from __future__ import annotations
@@ -22,6 +14,7 @@ from sim_backend.board.device import SimulatedDevice
 from sim_backend.board.safety import UNITS_PER_SECOND
 
 CATCH_UP_TICKS = 4  # late ticks that are run at once, each with its STATE
+# After a longer pause (a suspended process) the grid restarts: the simulated world stood still too.
 LONGEST_PAUSE_S = 1.0
 READ_BYTES = 4096
 
@@ -59,6 +52,7 @@ class RealTime:
         end_ns = start_ns + round(duration_s * 1e9) if duration_s is not None else None
         self._origin_ns = start_ns - self.device.elapsed_ns
         while not self._stop.is_set():
+            # Deadlines follow from the device's own clock, so lateness never adds up.
             deadline_ns = self._origin_ns + self.device.next_tick_ns
             if end_ns is not None and deadline_ns > end_ns:
                 return
@@ -91,6 +85,8 @@ class RealTime:
             self._origin_ns += late_ns
             device.missed_ticks += late_ns * device.rate // 1_000_000_000
             return
+        # More late ticks pass without STATE and are counted in `missed_ticks`, which is no fault: this computer was
+        # late, and the device works on each tick.
         for _ in range(late_ns * device.rate // 1_000_000_000 - CATCH_UP_TICKS):
             device.miss()
 

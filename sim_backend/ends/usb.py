@@ -1,13 +1,8 @@
-"""The simulated rig with the shape of a USB device: descriptors, and two bulk endpoints behind a socket.
+"""Simulate the rig with the shape of a USB device: descriptors, and two bulk endpoints behind a socket.
 
-What USB asks of a device without a cable is here: the descriptors that say "vendor class, one bulk endpoint each
-way", the answers to the standard control requests, and the packets. The part that plays the bus (an emulated usbfs, a
-USB/IP server) forwards control requests to `UsbShape.control` and moves packets through a socket that keeps their
-boundaries (SOCK_SEQPACKET): one message is one packet. The clock is that of `real_time`.
-
-A packet holds at most `packet` bytes and frames are not aligned to them: the pipe is a stream of bytes, as a serial
-line is. As on the wire, packets that the host does not fetch stay with the device: it holds a few, and throws away
-what comes then, newest first, whole frames only.
+The part that plays the bus (an emulated usbfs, a USB/IP server) forwards control requests to `UsbShape.control` and
+moves packets through a SOCK_SEQPACKET socket, one message a packet. Frames are not aligned to packets: the pipe is a
+stream.
 """
 
 from __future__ import annotations
@@ -144,6 +139,8 @@ class UsbPort:
 
     def write(self, frames: bytes) -> None:
         """Send answers, now or as the host fetches them; a host that leaves kilobytes there loses them."""
+        # As on the wire, packets that the host does not fetch stay with the device: it holds a few and discards what
+        # follows, newest first, whole frames only.
         if self.unplugged or len(self._pending) + len(frames) > PENDING_BYTES:
             return
         self._pending += frames

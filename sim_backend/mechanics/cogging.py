@@ -1,17 +1,7 @@
-"""A rig whose motor cogs, stepped: `sim_backend.mechanics.plant` with an effort that the motor's position decides.
+"""Step a rig whose motor cogs: `sim_backend.mechanics.plant` with an effort that depends on the motor's position.
 
-One kernel serves all structures, held or not, because a plant is first written in the states of the largest
-(`expand_states`): motor, link, motor effort, hand, and what the hand wants. What a rig does not have moves nothing.
-
-**Cogging.** Over an inner step it is held, like friction, at its value in the middle of the way that the motor's
-velocity would take it. On a free motor that is drift, kick, drift: the leapfrog, which is symplectic, so that cogging
-stores energy and makes none. A motor at rest has no such way: stuck means stuck here too.
-
-**Ripple.** The motor makes 1 + r(x) times its effort of it, k_t times the current: what that adds is held over the step
-like cogging, at the same place, of the effort's mean over the step. Back-EMF under voltage drive has no ripple here.
-
-What it mirrors: slots against magnets of an iron-cored motor, and a torque constant that differs from place to place;
-`rig.core.model.Cogging` has the harmonics of both.
+It mirrors the slots of an iron-cored motor and a torque constant that varies with the position
+(`rig.core.model.Cogging`). Back-EMF under voltage drive has no ripple here.
 """
 
 from __future__ import annotations
@@ -50,6 +40,8 @@ COMMAND, EXTERNAL, RUBS_MOTOR, RUBS_LINK, INPUTS = 0, 1, 2, 3, 7
 _FLOAT, _MATRIX = types.float64, types.float64[:, ::1]
 
 
+# One kernel serves all structures, held or not: a plant is first written in the states of the largest, and what a rig
+# does not have moves nothing.
 def expand_states(rig: StateSpace) -> StateSpace:
     """Write a rig in the states of two masses in a hand; a link of its own that a rigid rig lacks rests at zero."""
     held, rigid = rig.hand_position is not None, len(rig.friction) == 1
@@ -135,6 +127,9 @@ def advance(
     for _ in range(int(parameters[STEPS])):
         stretch, reach, far = y - x, h - x, goal - x  # as seen from the motor, and the same from the link
         kept = _carry(phi, 4, 0.0, v, stretch, w, effort, reach, g, far)
+        # Held over the step at its value half way: on a free motor that is drift, kick, drift (leapfrog), which is
+        # symplectic, so cogging stores energy and makes none. A motor at rest stays there: stuck means stuck here too.
+        # What ripple adds belongs to the effort's mean over the step, at the same place.
         mean, halfway = effort + last * (kept + push_e - effort), x + 0.5 * step_s * v
         cogs = effort_at(halfway, harmonics) + mean * effort_at(halfway, ripple)
         free_v = _carry(phi, 1, 0.0, v, stretch, w, effort, reach, g, far) + push_v + gamma[1, 2] * cogs

@@ -1,12 +1,7 @@
-"""A rig in a person's hand, stepped exactly: `sim_backend.mechanics.plant` with a hand mass and its intention.
+"""Step a rig in a person's hand exactly: `sim_backend.mechanics.plant` with a hand mass and its intention.
 
-States in order (see `rig.core.model.state_space`): those of the rig, hand position and velocity, then intended
-position, intended velocity and press. The last three keep their values until a script writes others into them
-(`sim_backend.mechanics.operator`); so the hand needs no other argument.
-
-A position acts on a body only through its distance from that body: moving all of them alike changes nothing
-else, and without an intention nothing moves, to the last bit. Friction and edges are those of the other
-plants (`sim_backend.mechanics.inner`).
+States: those of the rig, hand position and velocity, then intended position, velocity and press, which keep their
+values until a script writes others (`sim_backend.mechanics.operator`). Friction and edges are those of `inner`.
 """
 
 from __future__ import annotations
@@ -86,6 +81,7 @@ def advance_rigid(
     push_g = _push(phi, gamma, 4, command, external, goal_velocity, press)
     count = cell(x, resolution, offset)
     for _ in range(int(parameters[STEPS])):
+        # Only distances enter the products: shifting all positions alike changes nothing else, to the last bit.
         grip, wish, want = h - x, goal - x, goal - h
         free = (
             phi[1, 1] * v + phi[1, 2] * effort + phi[1, 4] * g + phi[1, 3] * grip + phi[1, 5] * wish + push_v

@@ -1,16 +1,7 @@
-"""A simulated hand that is driven interactively during a run: by a mouse, by keys, by a program.
+"""Simulate a hand that is driven interactively during a run: by a mouse, by keys, by a program.
 
-While the rig homes, the hand goes along as the scripted one does (`sim_backend.mechanics.operator`), whatever is
-wished: a hand that pulls elsewhere would keep the handle from its start. From the beginning of the trial on it follows
-the wishes.
-
-A mouse moves in jerks and an arrow key in steps, a hand does not: it follows as a critically damped system of
-`FOLLOW_HZ`, without overshoot, and stays within what a person can reach and press. What it follows moves at
-`REACH_M_S` at most, and so the hand is never faster either. Press and tremor are those of the script: the press swells
-and ebbs, and tremor arrives with the effort. Without a new wish for `SILENT_S` the hand stays where it is, and presses
-no more.
-
-Intentions are made in short blocks of ticks, so that the compiled run of many ticks plays them as it plays a script.
+`sim_backend.board.hardware` asks it for short blocks of intentions, which play as a script does. It must not follow
+wishes before the trial begins, nor leave what a person can reach and press.
 """
 
 from __future__ import annotations
@@ -26,8 +17,10 @@ from rig.realtime.hand import Wish
 from sim_backend.mechanics.coupled_hand import INTENTIONS
 from sim_backend.mechanics.operator import PRESS_HZ, REPEAT_S, OperatorScript, Rows, tremor
 
+# A mouse moves in jerks and an arrow key in steps, a hand does not: it follows critically damped, without overshoot.
 FOLLOW_HZ = 3.0  # chosen: a step of 10 mm then goes at 7 cm/s at most, about as fast as the scripted reach
 BLOCK_S = 0.002  # a wish acts after this time at most
+# After this time without a new wish the hand stays where it is and presses no more: its page may have been closed.
 SILENT_S = 1.0
 REACH_M_S = 0.1  # at the handle, chosen: what a step of 14 mm reaches by itself; a longer one goes no faster
 BACK_M = 0.05  # at the handle: how far behind its start a hand goes
@@ -94,11 +87,14 @@ class DrivenHand:
         """The next ticks; to be asked for when the last ones are over. `hand` is where the hand is (rad or m)."""
         if not self._leads:
             self._leads = True
+            # While the rig homes the hand goes along, whatever is wished: one that pulls elsewhere would keep the
+            # handle from its start.
             return OperatorScript(rows=self._along())
         times = self._times
         places = (self._tick + np.arange(len(times))) % self._tremor.shape[1]
         self._tick += len(times)
         wanted, press = self._wanted(hand)
+        # What the hand follows moves at this speed at most, so the hand is never faster either.
         most = REACH_M_S / self._radius * float(times[-1])
         goal = self._led = self._led + min(max(wanted - self._led, -most), most)
         at, rate = follow(self._at - goal, self._rate, times)
@@ -106,6 +102,7 @@ class DrivenHand:
         at, pressed = at + goal, pressed + press
         self._at, self._rate = float(at[-1]), float(rate[-1])
         self._press, self._press_rate = float(pressed[-1]), float(press_rate[-1])
+        # Tremor grows with the effort, as in the script (Sutton and Sykes 1967).
         share = self._share()
         swell = 1.0 + self._operator.press_modulation * np.sin(
             2.0 * math.pi * PRESS_HZ * self._tick_s * places
@@ -141,6 +138,7 @@ class DrivenHand:
         self._alone = False
         reach, operator = self._reach, self._operator
         stiff = operator.hand_stiffness
+        # A stiff hand that is far ahead of the handle would press through its own spring, beyond `PRESS_N`.
         ahead = AHEAD_M if stiff == 0.0 else min(AHEAD_M, AHEAD_N / stiff)
         ends = (
             reach.start - self._side * BACK_M / self._radius,

@@ -46,7 +46,8 @@ def rub_one(free: float, gain: float, coulomb: float) -> tuple[float, float]:
 
     `free` is the velocity at the end of the step without this friction, `gain` what a unit of it adds.
     """
-    friction = free * (-1.0 / gain)  # the quotient leaves the loop, a division by gain would not
+    # The quotient does not depend on the loop's variables and leaves it; a division by gain would not.
+    friction = free * (-1.0 / gain)
     if abs(friction) <= coulomb:
         return friction, 0.0
     friction = clip(friction, coulomb)
@@ -65,15 +66,16 @@ def rub_both(
 ) -> tuple[float, float, float, float]:
     """Friction efforts on motor and link, and the velocities they leave; see `rub_one`.
 
-    The pair solves a box-constrained linear complementarity problem whose matrix of gains is symmetric and
-    positive definite, so there is exactly one. If the pair that stops both masses is admissible, it is that.
-    Else one of the efforts that exceed their level lies at its level, and the other follows as for one mass.
+    The pair solves a box-constrained linear complementarity problem. Its matrix of gains is symmetric and positive
+    definite (`plant._check_friction`), so there is exactly one solution.
     """
     shrink = -1.0 / (gain_motor * gain_link - gain_cross * gain_cross)
     motor = shrink * (gain_link * free_motor - gain_cross * free_link)
     link = shrink * (gain_motor * free_link - gain_cross * free_motor)
+    # Both masses come to rest: admissible, and therefore the solution.
     if abs(motor) <= coulomb_motor and abs(link) <= coulomb_link:
         return motor, link, 0.0, 0.0
+    # Else one effort that exceeds its level lies at its level, and the other follows as for one mass.
     if abs(motor) > coulomb_motor:
         rub = clip(motor, coulomb_motor)
         rub_link, link_velocity = rub_one(free_link + gain_cross * rub, gain_link, coulomb_link)
@@ -96,7 +98,9 @@ def encode(
     """
     new = cell(after, resolution, offset)
     if new == old:
-        return old, age + step_s  # old: a law that runs on it need not wait for the division behind new
+        # `old`, not `new`: a law that runs on it need not wait for the division behind `new`.
+        return old, age + step_s
+    # Of several edges in a step the last counts: a counter's capture register keeps only that.
     edge = new if new > old else new + 1
     left = (after - (edge - offset) * resolution) / (after - before)
     return new, min(max(left, 0.0), 1.0) * step_s

@@ -1,13 +1,8 @@
-"""What a simulated person wants, tick by tick: the script that moves the hand of `rig.core.model.Operator`.
+"""Write what a simulated person wants, tick by tick: the script that moves the hand of `rig.core.model.Operator`.
 
-The hand goes along with the homing servo to the start, waits there, reaches into the wall on a raised cosine,
-and stays, pressing. Press and tremor arrive with the reach; the press swells and ebbs slowly, because a hand that
-is quite still would hide a buzz behind Coulomb friction. That the tremor arrives with the press is the finding
-that its force grows with the force exerted (Sutton and Sykes 1967).
-
-A script is computed once, before the session, from numbers alone; the simulated device and the trial without bytes play
-the same one, from the tick after arming on. When it ends, its last two seconds repeat, without a seam: a sum of sines
-whose frequencies are multiples of half a hertz. So it lasts forever and stays small.
+The hand goes along with homing, waits, reaches into the wall on a raised cosine and stays, pressing. A script is
+computed once, before the session; the device and the trial without bytes play the same one from the tick after arming
+on.
 """
 
 from __future__ import annotations
@@ -27,6 +22,7 @@ Rows = NDArray[np.float64]
 
 PRESS_HZ = 2.0  # slow modulation of the press: the reproduction's; voluntary force hardly goes beyond 10 Hz
 TREMOR_HZ = np.arange(8.0, 12.25, 0.5)  # physiological tremor of the hand, 8 to 12 Hz (PMC3032442)
+# A script repeats its last two seconds without a seam, so it lasts forever and stays small.
 REPEAT_S = 2.0  # all of these frequencies have a whole number of periods in it
 
 
@@ -81,10 +77,12 @@ def _write(
     part, part_rate = _raised_cosine((t - begin_s) / operator.reach_s)
     part_rate = part_rate / operator.reach_s
     tremble, tremble_rate = tremor(t, operator.tremor / radius, np.random.default_rng([reach.seed, session]))
+    # A hand that is quite still would hide a buzz behind Coulomb friction: the press swells and ebbs slowly.
     swell = 1.0 + operator.press_modulation * np.sin(2.0 * math.pi * PRESS_HZ * (t - begin_s))
 
     travel = reach.target - reach.start
     rows = np.empty((len(t), INTENTIONS))
+    # Tremor arrives with the press: its force grows with the force exerted (Sutton and Sykes 1967).
     rows[:, 0] = reach.start + homing + travel * part + tremble * part
     rows[:, 1] = homing_rate + travel * part_rate + tremble_rate * part + tremble * part_rate
     rows[:, 2] = math.copysign(operator.press * radius, travel) * swell * part
@@ -101,6 +99,7 @@ def tremor(t: Rows, rms: float, generator: np.random.Generator) -> tuple[Rows, R
     """Band-limited displacement of this rms: lines of equal size with random phases, and its rate."""
     omega = 2.0 * math.pi * TREMOR_HZ
     phase = generator.uniform(0.0, 2.0 * math.pi, len(omega))
+    # n lines of equal size with random phases: the squares of their rms values add up to rms².
     line = rms * math.sqrt(2.0 / len(omega))
     value, rate = np.zeros_like(t), np.zeros_like(t)
     for w, shift in zip(omega, phase, strict=True):

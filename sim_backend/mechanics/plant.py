@@ -1,27 +1,11 @@
-"""The simulated mechanics of a rig: exact between inner steps, Coulomb friction implicit, one kernel a tick.
+"""Simulate the mechanics of a rig: exact between inner steps, Coulomb friction implicit, one kernel a tick.
 
-`DiscretePlant.build` integrates the continuous matrices of `rig.core.model` once, with a matrix exponential, over
-an inner step that divides the tick. `advance` then moves a plant by one tick: delay line, saturation, inner
-steps, last encoder edge. The simulated device calls it from Python and the sweep from compiled code, with the
-same arrays and so to the same bits.
+Devices call `advance` from Python, sweeps from compiled code, with the same arrays and so to the same bits. All that
+changes lies in one flat array, so that copying it copies the plant: the states of `rig.core.model.state_space`, what a
+person who holds the handle wants, the age of the last encoder edge (s), then the commands on their way, oldest first.
 
-**State.** Everything that changes lives in one flat array, so that copying it copies the plant: the states of
-`rig.core.model.state_space`, what a person who holds the handle wants (position, velocity, press; see
-`sim_backend.mechanics.coupled_hand`), then the age of the last encoder edge (s), then the commands still on their way,
-oldest first.
-
-**Cogging** is a matter of `sim_backend.mechanics.cogging`: its effort depends on the position, which no matrix holds.
-
-**Friction.** In each inner step a friction effort is held, like the inputs, at the value that brings its mass
-to rest by the end of the step, clipped to the Coulomb level. Two masses are coupled through the capstan;
-their pair of friction efforts is found exactly. Static and kinetic friction are equal. A mass that is at rest
-and stays so keeps its position to the last bit: stuck means stuck, where a regularised law would creep. The
-price is a small error in a step in which a mass comes to rest or turns round: at most deceleration · step² / 8
-in the length of a stop.
-
-**What it mirrors.** The amplifier's limit and lag stand for stall torque and L/R of the motor's data sheet,
-the delay for the ticks that a control computer spends between encoder and amplifier. Under voltage drive the command is
-the voltage in units of effort; the effort state is what flows, k_t times the current, back-EMF included.
+The amplifier's limit and lag stand for stall torque and L/R of the motor's data sheet. Under voltage drive the command
+is the voltage in units of effort; the effort state is k_t times the current, back-EMF included.
 """
 
 from __future__ import annotations
@@ -191,7 +175,8 @@ def _discretise(model: RigModel, tick_s: float) -> DiscretePlant:
     continuous = state_space(model.mechanics, model.amplifier, model.operator)
     if model.cogging.orders:
         continuous = cogging.expand_states(continuous)
-    steps = max(1, math.ceil(tick_s / model.simulation.inner_step_s - 1e-9))  # 1e-9: 1 ms / 50 µs is 20
+    # Minus 1e-9: 1 ms / 50 µs must give 20 steps, not 21, whatever the quotient's last bit.
+    steps = max(1, math.ceil(tick_s / model.simulation.inner_step_s - 1e-9))
     phi, gamma = _exact(continuous, tick_s / steps)
     _check_friction(continuous, gamma, tick_s / steps)
     return DiscretePlant(
@@ -233,6 +218,7 @@ def energy(state: Vector, model: RigModel) -> float:
 def _exact(continuous: StateSpace, step_s: float) -> tuple[Matrix, Matrix]:
     """Zero-order-hold discretisation: exp([A B; 0 0] h) = [phi gamma; 0 1]."""
     order, inputs = continuous.b.shape
+    # Van Loan's block matrix: one exponential gives both, also where A is singular (a free mass has no spring).
     both = np.zeros((order + inputs, order + inputs))
     both[:order] = np.hstack([continuous.a, continuous.b])
     whole = expm(both * step_s)
@@ -251,11 +237,9 @@ def _exact(continuous: StateSpace, step_s: float) -> tuple[Matrix, Matrix]:
 
 
 def _check_friction(continuous: StateSpace, gamma: Matrix, step_s: float) -> None:
-    """Refuse a step over which a friction effort can return as a velocity of the wrong sign.
-
-    The gains from friction to velocity must be positive definite, for `rub_both` to have one solution. They
-    are while the step is shorter than about half a period of the capstan's mode.
-    """
+    """Refuse a step over which a friction effort can return as a velocity of the wrong sign."""
+    # `rub_both` has one solution only if the gains from friction to velocity are positive definite. They are while the
+    # step is shorter than about half a period of the capstan's mode.
     gains = gamma[list(continuous.friction_velocity), continuous.friction_inputs]
     if np.linalg.eigvalsh((gains + gains.T) / 2.0).min() <= 0.0:
         half_period_s = math.pi / float(np.abs(np.linalg.eigvals(continuous.a).imag).max())
@@ -293,8 +277,13 @@ def _advance_rigid(
     count = cell(x, resolution, offset)
     for _ in range(int(parameters[STEPS])):
         free = phi[1, 1] * v + phi[1, 2] * effort + push_v
+        # Friction is held over the step, like the inputs, at the value that brings the mass to rest by its end, clipped
+        # to the Coulomb level; static and kinetic level are equal. The price is a small error in a step in which the
+        # mass stops or turns round: at most deceleration · step² / 8 in the length of a stop.
         friction, v_next = rub_one(free, gamma[1, 2], coulomb)
         x_next = x
+        # A mass that is at rest and stays so keeps its position to the last bit: stuck means stuck, where a regularised
+        # friction law would creep.
         if v != 0.0 or v_next != 0.0:
             x_next += phi[0, 1] * v + phi[0, 2] * effort + push_x + gamma[0, 2] * friction
         count, age = encode(count, age, x, x_next, step_s, resolution, offset)
@@ -372,11 +361,8 @@ def advance(plant: PlantArguments, command_effort: float, external_effort: float
     -------
     int
         Encoder count at the end of the tick.
-
-    Notes
-    -----
-    Inlined into compiled callers: counting references to its arrays would cost more than a step.
     """
+    # Inlined into compiled callers: counting references to its arrays would cost more than a step.
     state, phi, gamma, parameters = plant.state, plant.phi, plant.gamma, plant.parameters
     order = phi.shape[0]
     active = command_effort

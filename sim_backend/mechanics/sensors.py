@@ -1,8 +1,7 @@
-"""What the simulated sensors and the amplifier's converter make of true values: counts and current quanta.
+"""Quantise true values as sensors and the amplifier's converter do: to counts and current quanta.
 
-The simulated device and the sweep without bytes call these same functions, so that both see the same
-quantisation. The encoder mirrors a quadrature counter (data sheet: cycles per revolution, times decoding);
-the current quantum mirrors the one that IDENTIFY declares.
+The simulated device and the sweep without bytes call these same functions. The encoder mirrors a quadrature counter
+(data sheet: cycles per revolution, times decoding); the current quantum is the one that IDENTIFY declares.
 """
 
 from __future__ import annotations
