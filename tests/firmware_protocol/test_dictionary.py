@@ -1,4 +1,4 @@
-"""What a device says of itself comes back; nonsense is the device's fault and nothing else happens."""
+"""The dictionary of a device: decoding returns what was encoded, and rejects anything else as the device's error."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import zlib
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.dictionary import (
@@ -60,7 +60,7 @@ def test_a_device_may_be_narrower_than_the_table() -> None:
     assert DICTIONARY.parameter("no such thing") is None
 
 
-def test_what_a_younger_device_adds_is_ignored() -> None:
+def test_unknown_keys_of_a_newer_device_are_ignored() -> None:
     assert decode(repacked(colour="red")) == DICTIONARY
 
 
@@ -93,7 +93,7 @@ def test_the_devices_own_text_comes_first_then_ours_then_a_placeholder() -> None
         {"statuses": [{"code": -1, "name": "", "text": "", "remedy": ""}]},
     ],
 )
-def test_nonsense_is_the_devices_fault(changes: dict[str, Any]) -> None:
+def test_invalid_values_are_a_remote_protocol_error(changes: dict[str, Any]) -> None:
     with pytest.raises(RemoteProtocolError):
         decode(repacked(**changes))
 
@@ -114,13 +114,14 @@ def test_nonsense_is_the_devices_fault(changes: dict[str, Any]) -> None:
     ],
     ids=["empty", "noise", "cut", "longer", "list", "object", "no text", "nan", "deep", "bomb"],
 )
-def test_what_is_no_dictionary_is_the_devices_fault(packed: bytes) -> None:
+def test_invalid_bytes_are_a_remote_protocol_error(packed: bytes) -> None:
     with pytest.raises(RemoteProtocolError):
         decode(packed)
 
 
+@settings(max_examples=25)
 @given(st.recursive(st.none() | st.booleans() | st.floats() | st.text(), st.lists, max_leaves=5))
-def test_any_value_under_any_key_is_a_dictionary_or_the_devices_fault(value: object) -> None:
+def test_arbitrary_value_is_accepted_or_a_remote_protocol_error(value: object) -> None:
     for key in ("parameters", "faults", "current_quantum_a", "device"):
         try:
             assert isinstance(decode(repacked(**{key: value})), Dictionary)

@@ -1,4 +1,4 @@
-"""One C file out of several: what is needed is there, in order, and nothing else."""
+"""One C file from several: the functions that are needed, in order, and nothing else."""
 
 from __future__ import annotations
 
@@ -95,13 +95,7 @@ def test_comments_stay_where_they_were(sources: list[Path]) -> None:
     assert "#if defined(__ARM__)\n" in text
 
 
-def test_a_function_that_needs_nothing_stands_alone(sources: list[Path]) -> None:
-    text = excerpt(sources, ["law_stay"], "mine")
-    assert "mine_go" not in text
-    assert "table" not in text
-
-
-def test_a_name_that_nobody_defines_is_an_error(sources: list[Path]) -> None:
+def test_undefined_name_is_an_error(sources: list[Path]) -> None:
     with pytest.raises(KeyError):
         excerpt(sources, ["law_come"], "mine")
 

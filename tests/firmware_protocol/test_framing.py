@@ -6,7 +6,7 @@ from itertools import pairwise
 from zlib import crc32
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.errors import LocalProtocolError
@@ -30,7 +30,7 @@ zero_rich = st.lists(
 
 
 def reference_cobs(raw: bytes) -> bytes:
-    """COBS as its paper tells it (Cheshire and Baker 1999), byte by byte, an oracle for short frames."""
+    """Encode by COBS as its paper defines it (Cheshire and Baker 1999), byte by byte; for short frames."""
     out, block = bytearray(), bytearray()
     for byte in raw:
         if byte:
@@ -58,6 +58,7 @@ def test_only_what_the_encoder_makes_is_decoded(encoded: bytes) -> None:
     assert encode_frame(raw) == encoded + b"\0"
 
 
+@settings(max_examples=25)
 @given(st.lists(st.integers(1, 255), min_size=11, max_size=60).map(bytes))
 def test_stuffing_that_does_not_add_up_is_a_frame_error(encoded: bytes) -> None:
     splitter = FrameSplitter()
@@ -146,16 +147,6 @@ def test_any_cutting_gives_the_same_frames(raws: list[bytes], cuts: list[int]) -
     splitter = FrameSplitter()
     got = [frame for a, b in pairwise(edges) for frame in splitter.feed(wire[a:b])]
     assert got == raws
-
-
-@given(st.binary(max_size=1200), raw_frames)
-def test_byte_by_byte_equals_whole(garbage: bytes, raw: bytes) -> None:
-    wire = garbage + b"\0" + encode_frame(raw)
-    whole, single = FrameSplitter(), FrameSplitter()
-    frames = whole.feed(wire)
-    assert [frame for byte in wire for frame in single.feed(bytes([byte]))] == frames
-    assert single.statistics == whole.statistics
-    assert frames[-1] == raw, "one delimiter after garbage is enough to find the way back"
 
 
 def test_without_a_delimiter_memory_stays_bounded_and_one_error_is_counted() -> None:

@@ -7,7 +7,7 @@ import sys
 from dataclasses import fields
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol import messages as m
@@ -31,6 +31,7 @@ from tests.conformance.wire_strategies import any_message, messages_of
 ALL = sorted(m.MESSAGES)
 
 
+@settings(max_examples=50)
 @given(any_message(), st.integers(0, 255), st.integers(0, 65535))
 def test_a_message_comes_back(message: m.Message, session: int, sequence: int) -> None:
     header, back = unpack(pack(message, session=session, sequence=sequence))
@@ -75,11 +76,11 @@ def test_identify_and_identity_are_fixed_for_ever() -> None:
     # If this test fails the change is wrong, not the test: any host can ask any device, whose major is the first byte.
     assert pack(m.Identify(0x1234, 0x5678)) == bytes([m.MAJOR]) + bytes.fromhex("0000000000 3412 7856")
     identity = m.Identity(0x1234, 7, 2, 0x1122334455667788, 0x0203, 0x0405, b"xyz")
-    told = bytes.fromhex("0100000000 3412 07 02 8877665544332211 0302 0504") + b"xyz"
-    assert pack(identity) == bytes([m.MAJOR]) + told
+    expected = bytes.fromhex("0100000000 3412 07 02 8877665544332211 0302 0504") + b"xyz"
+    assert pack(identity) == bytes([m.MAJOR]) + expected
 
 
-def test_ids_tell_who_sends_and_how() -> None:
+def test_type_id_encodes_sender_and_delivery() -> None:
     for type_id, cls in m.MESSAGES.items():
         first = next(iter(wire_fields(cls)))
         transaction = m.delivery_of(type_id) is m.Delivery.TRANSACTION
@@ -119,6 +120,7 @@ def test_a_batch_of_seven_samples_fits_a_usb_packet() -> None:
     assert len(pack(batch)) + CRC_BYTES <= SHORT_RAW_LIMIT
 
 
+@settings(max_examples=20)
 @given(st.lists(messages_of(m.FaultEntry), max_size=5))  # type: ignore[arg-type]
 def test_fault_entries_come_back(entries: list[m.FaultEntry]) -> None:
     data = pack_fault_entries(entries)
@@ -140,9 +142,9 @@ def test_every_code_says_what_and_what_to_do() -> None:
     assert (Input.EMERGENCY_STOP, Input.HOLD_TO_RUN) == (1, 2)
 
 
-def test_blame_is_never_left_open() -> None:
+def test_protocol_error_needs_a_side() -> None:
     with pytest.raises(TypeError):
-        ProtocolError("somebody")
+        ProtocolError("unattributed")
 
 
 def test_importing_the_package_loads_no_compiler() -> None:

@@ -1,4 +1,4 @@
-"""PROTOCOL.md says what the code does."""
+"""PROTOCOL.md describes the code."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_every_section_is_in_one_page_once() -> None:
     assert text.count("<!-- end -->") == len(codegen.SECTIONS)
 
 
-def test_a_stale_table_is_noticed_and_mended() -> None:
+def test_stale_table_is_detected_and_rewritten() -> None:
     fresh = codegen.PROTOCOL.read_text(encoding="utf-8")
     stale = fresh.replace("| `float_stiffness` | f32 |", "| `float_stiffness` | f64 |")
     assert stale != fresh

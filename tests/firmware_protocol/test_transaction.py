@@ -1,4 +1,4 @@
-"""A transaction goes on by answers to what was said, and by time alone it ends."""
+"""A transaction advances by replies to its request, repeats it after a timeout, and ends by time alone."""
 
 from __future__ import annotations
 
@@ -34,18 +34,18 @@ def answered(t: Transaction, status: int = Status.OK) -> Transaction:
     return after_answer(t, t.nonce, t.step, int(status), t.offset)
 
 
-def said_at(most_tries: int, *times_ms: int) -> list[int]:
-    """When a request that nobody answers is said, looking at these times."""
-    t, said = Transaction(NONCE, 0, BEGIN), []
+def times_sent(most_tries: int, *times_ms: int) -> list[int]:
+    """Return the times (ms) at which a request without a reply is sent, of those at which it is checked."""
+    t, sent = Transaction(NONCE, 0, BEGIN), []
     for time_ms in times_ms:
         before, t = t, after_time(t, time_ms * MS, most_tries)
         if t.tries > before.tries:
-            said.append(time_ms)
-    return said
+            sent.append(time_ms)
+    return sent
 
 
 @pytest.mark.parametrize("length", [0, 1, CHUNK_BYTES, CHUNK_BYTES + 1, 5 * CHUNK_BYTES])
-def test_an_update_begins_brings_every_byte_once_and_commits(length: int) -> None:
+def test_update_begins_sends_every_byte_once_and_commits(length: int) -> None:
     t, steps, brought = Transaction(NONCE, length, BEGIN), [], 0
     while t.step != DONE:
         steps.append(t.step)
@@ -61,14 +61,14 @@ def test_any_other_transaction_is_one_request() -> None:
     assert answered(Transaction(NONCE, 0, type_id_of(m.Arm))).step == DONE
 
 
-def test_silence_is_met_by_the_same_after_20_40_and_80_ms_and_then_by_giving_up() -> None:
-    assert said_at(MOST_TRIES, *range(1000)) == [0, 20, 60, 140]
+def test_request_without_a_reply_is_repeated_after_20_40_and_80_ms_and_then_given_up() -> None:
+    assert times_sent(MOST_TRIES, *range(1000)) == [0, 20, 60, 140]
     t = Transaction(NONCE, 0, BEGIN)
     for time_ms in range(round(1e3 * (sum(RETRY_AFTER_S) + RETRY_AFTER_S[-1]))):
         t = after_time(t, time_ms * MS, MOST_TRIES)
         assert t.step == BEGIN
     assert after_time(t, 220 * MS, MOST_TRIES).step == UNANSWERED
-    assert said_at(ENDLESS, *range(400)) == [0, 20, 60, 140, 220, 300, 380]
+    assert times_sent(ENDLESS, *range(400)) == [0, 20, 60, 140, 220, 300, 380]
 
 
 def test_an_answer_makes_the_next_request_due_at_once() -> None:
@@ -79,7 +79,7 @@ def test_an_answer_makes_the_next_request_due_at_once() -> None:
 
 
 @given(STEPS, st.integers(0, 200), STATUSES, st.integers(6, 8), STEPS, st.integers(0, 200))
-def test_only_the_answer_to_what_was_said_counts(
+def test_only_the_reply_to_the_current_request_counts(
     step: int, offset: int, status: int, nonce: int, request: int, detail: int
 ) -> None:
     t = Transaction(NONCE, 200, step, offset, 1, 5)
@@ -92,6 +92,6 @@ def test_only_the_answer_to_what_was_said_counts(
 
 
 @pytest.mark.parametrize("end", [DONE, REFUSED, UNANSWERED])
-def test_what_is_over_stays_over(end: int) -> None:
+def test_ended_transaction_stays_ended(end: int) -> None:
     t = Transaction(NONCE, 0, end)
     assert after_time(t, 10**12, MOST_TRIES) == after_answer(t, NONCE, end, 0, 0) == t
