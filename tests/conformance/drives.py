@@ -145,7 +145,7 @@ class Wire:
 
     def __init__(self, units: Iterable[tuple[int, bytes]]) -> None:
         self.now = 0
-        self.said: list[tuple[int, bytes]] = []
+        self.sent: list[tuple[int, bytes]] = []
         self.pulled = False
         self._units = deque(units)
 
@@ -165,7 +165,7 @@ class Wire:
 
     def write(self, frames: bytes) -> None:
         """Take what the drive says."""
-        self.said.append((self.now, frames))
+        self.sent.append((self.now, frames))
 
     def unplug(self) -> None:
         """Be gone."""

@@ -1,7 +1,4 @@
-"""The compiled timer of a device: what it says and when, against the readable device; lateness, hosts that go, the end.
-
-Time is a number here and the port a script: nothing waits.
-"""
+"""The compiled timer of a device against the readable device, in virtual time behind a scripted port."""
 
 from __future__ import annotations
 
@@ -31,6 +28,7 @@ from tests.conformance.firmware import need_compiler
 from tests.conformance.host import Host
 from tests.conformance.link import COMPILED
 from tests.conformance.rigs import rotary_rig
+from tests.conformance.tiers import first_by_default
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="function types need the compiler")
 
@@ -38,7 +36,7 @@ RATE = 1_000
 TICK_NS = 1_000_000_000 // RATE
 ANSWERED_NS = 300_000  # after the sample
 RIG = rotary_rig(current_noise_a=0.002)
-Said = list[tuple[int, bytes]]
+Sent = list[tuple[int, bytes]]
 
 
 @pytest.fixture(autouse=True)
@@ -47,14 +45,14 @@ def _compiler() -> None:
 
 
 class ScriptedPort:
-    """A host that says some bytes at some times, on a clock that jumps.
+    """A host that sends bytes at given times, on a clock that jumps.
 
-    `late` is by how much a wait passes its deadline (ns); in `gone` nobody is there; `full` lets the line take nothing.
+    `late` is by how much a wait passes its deadline (ns); in `gone` the port is closed; in `full` it accepts nothing.
     """
 
-    def __init__(self, script: Said, late: Callable[[int], int] = lambda deadline_ns: 0) -> None:
+    def __init__(self, script: Sent, late: Callable[[int], int] = lambda deadline_ns: 0) -> None:
         self.clock = VirtualClock()
-        self.said: Said = []
+        self.sent: Sent = []
         self.gone: range = range(0)
         self.full: range = range(0)
         self._script = list(script)
@@ -67,7 +65,7 @@ class ScriptedPort:
     def _wait(self, deadline_ns: int) -> bool:
         now_ns = self.clock.now_ns()
         if now_ns in self.gone:
-            raise OSError(errno.EIO, "nobody is there")
+            raise OSError(errno.EIO, "the port is closed")
         if self._script and self._script[0][0] <= max(now_ns, deadline_ns):
             self.clock.sleep_until(self._script[0][0])
             return True
@@ -82,24 +80,24 @@ class ScriptedPort:
         now_ns = self.clock.now_ns()
         if now_ns in self.full:
             return 0
-        self.said.append((now_ns, data))
+        self.sent.append((now_ns, data))
         return len(data)
 
     def states(self) -> list[m.State]:
-        """All STATE frames that left, each whole."""
-        found = [unpack(frame)[1] for frame in FrameSplitter().feed(b"".join(data for _, data in self.said))]
+        """Return all STATE messages that were sent, each whole."""
+        found = [unpack(frame)[1] for frame in FrameSplitter().feed(b"".join(data for _, data in self.sent))]
         return [message for message in found if isinstance(message, m.State)]
 
 
-def conversation(commands: int) -> Said:
-    """What a host says and when: it configures, arms, answers so many STATEs; each a little after a sample."""
+def conversation(commands: int) -> Sent:
+    """Return what a host sends and when: it configures, arms, answers so many STATEs, each a little after a sample."""
 
     class Noted(MemoryLink):
         def write(self, data: bytes) -> None:
             script.append((self.clock.now_ns() + ANSWERED_NS, data))
             super().write(data)
 
-    script: Said = []
+    script: Sent = []
     host = Host(Noted(SimulatedDevice(RIG, position_rate_default=RATE)))
     list(host.events(0.01))
     host.begin()
@@ -109,16 +107,16 @@ def conversation(commands: int) -> Said:
     return script
 
 
-def reference(script: Said, until_ns: int) -> Said:
-    """The readable device under the same words: what it says at which time."""
+def reference(script: Sent, until_ns: int) -> Sent:
+    """Return what the readable device sends and when, for the same input."""
     device = SimulatedDevice(RIG, position_rate_default=RATE, keep_truth=False)
-    said: Said = []
+    sent: Sent = []
     for at_ns, data in [*script, (until_ns, b"")]:
         while device.next_tick_ns <= at_ns and device.next_tick_ns <= until_ns:
-            said.append((device.next_tick_ns, device.tick()))
+            sent.append((device.next_tick_ns, device.tick()))
         if at_ns < until_ns:
-            said.append((at_ns, device.receive(data, received_at=at_ns * 2 // 125)))
-    return [(at_ns, data) for at_ns, data in said if data]
+            sent.append((at_ns, device.receive(data, received_at=at_ns * 2 // 125)))
+    return [(at_ns, data) for at_ns, data in sent if data]
 
 
 def run(port: ScriptedPort, duration_s: float, **options: Any) -> FirmwareDevice:
@@ -128,25 +126,25 @@ def run(port: ScriptedPort, duration_s: float, **options: Any) -> FirmwareDevice
     return device
 
 
-def grouped(said: Said) -> Said:
-    """Bytes by the time at which they left."""
+def grouped(sent: Sent) -> Sent:
+    """Return the bytes of each time at which some were sent."""
     found: dict[int, bytes] = {}
-    for at_ns, data in said:
+    for at_ns, data in sent:
         found[at_ns] = found.get(at_ns, b"") + data
     return list(found.items())
 
 
-@pytest.mark.parametrize("most", [1, 7, 1 << 62])
-def test_it_says_the_same_bytes_at_the_same_times_as_the_readable_device(most: int) -> None:
-    script = conversation(300)
+@pytest.mark.parametrize("most", first_by_default([7, 1, 1 << 62]))
+def test_firmware_sends_the_bytes_of_the_readable_device_at_the_same_times(most: int) -> None:
+    script = conversation(150)
     port = ScriptedPort(script)
     until_ns = script[-1][0] + 5 * TICK_NS
     device = run(port, until_ns * 1e-9, most=most)
-    assert grouped(port.said) == grouped(reference(script, until_ns))
+    assert grouped(port.sent) == grouped(reference(script, until_ns))
     assert device.state == State.RUNNING
 
 
-def test_a_process_that_is_late_now_and_then_leaves_no_tick_out_and_keeps_its_grid() -> None:
+def test_late_process_skips_no_tick_and_keeps_its_grid() -> None:
     def late(deadline_ns: int) -> int:
         return 5 * TICK_NS if deadline_ns // TICK_NS % 50 == 0 else 20_000
 
@@ -160,15 +158,15 @@ def test_a_process_that_is_late_now_and_then_leaves_no_tick_out_and_keeps_its_gr
     assert abs(device.elapsed_ns - port.clock.now_ns()) < 6 * TICK_NS
 
 
-def test_what_is_late_is_made_up_one_tick_at_a_time_with_room_for_an_answer() -> None:
+def test_late_ticks_are_caught_up_singly_with_time_for_a_reply() -> None:
     script = conversation(100)
     stopped_ns = script[-50][0] // TICK_NS * TICK_NS
     port = ScriptedPort(script[:-50], lambda deadline_ns: 8 * TICK_NS if deadline_ns == stopped_ns else 0)
     run(port, stopped_ns * 1e-9 + 0.02)
-    after = [at_ns for at_ns, _ in port.said if at_ns > stopped_ns]
+    after = [at_ns for at_ns, _ in port.sent if at_ns > stopped_ns]
     assert len(after) >= 20
     assert min(b - a for a, b in itertools.pairwise(after)) >= TICK_NS // 2
-    assert after[0] > stopped_ns + 8 * TICK_NS, "whoever stood still with it has its turn first"
+    assert after[0] > stopped_ns + 8 * TICK_NS, "a host that was stopped at the same time runs first"
 
 
 def test_a_long_pause_passes_in_neither_world() -> None:
@@ -181,7 +179,7 @@ def test_a_long_pause_passes_in_neither_world() -> None:
     assert 90 * TICK_NS < device.elapsed_ns < 110 * TICK_NS
 
 
-def test_a_host_that_goes_is_lost_and_the_next_one_begins_with_an_empty_line() -> None:
+def test_closed_port_is_a_lost_link_and_the_next_host_finds_an_empty_line() -> None:
     script = conversation(100)
     gone_ns = script[-1][0] + ANSWERED_NS
     port = ScriptedPort(script)
@@ -191,40 +189,40 @@ def test_a_host_that_goes_is_lost_and_the_next_one_begins_with_an_empty_line() -
     assert len(hung_up) == 1
     assert device.fault == Fault.LINK_LOST
     assert device.current == 0
-    assert not [at_ns for at_ns, _ in port.said if gone_ns + TICK_NS < at_ns < port.gone.stop]
-    after = [at_ns for at_ns, _ in port.said if at_ns >= port.gone.stop]
+    assert not [at_ns for at_ns, _ in port.sent if gone_ns + TICK_NS < at_ns < port.gone.stop]
+    after = [at_ns for at_ns, _ in port.sent if at_ns >= port.gone.stop]
     assert len(after) >= 40
 
 
-def test_what_nobody_reads_is_thrown_away_newest_first_and_whole() -> None:
+def test_unread_frames_are_dropped_whole_and_newest_first() -> None:
     script = conversation(10)
     full_ns = script[-1][0]
     port = ScriptedPort(script)
     port.full = range(full_ns, full_ns + 4000 * TICK_NS)
     run(port, full_ns * 1e-9 + 4.1)
-    at_once = next(data for at_ns, data in port.said if at_ns >= port.full.stop)
+    at_once = next(data for at_ns, data in port.sent if at_ns >= port.full.stop)
     assert PENDING_BYTES - 100 < len(at_once) <= PENDING_BYTES
     splitter = FrameSplitter()
     indices = [unpack(frame)[1].sample_index for frame in splitter.feed(at_once)]
     assert indices == list(range(indices[0], indices[0] + len(indices)))
 
 
-def test_it_stops_when_it_is_told_and_passes_on_what_has_happened() -> None:
+def test_stop_event_ends_the_timer_after_the_elapsed_ticks() -> None:
     port = ScriptedPort(conversation(10))
     stop = threading.Event()
     device = FirmwareDevice(RIG, law_maximum=0, position_rate_default=RATE, keep_truth=False)
-    told: list[int] = []
+    stopped: list[int] = []
 
     def late(deadline_ns: int) -> int:
-        if deadline_ns >= 50 * TICK_NS and not told:
-            told.append(port.clock.now_ns())
+        if deadline_ns >= 50 * TICK_NS and not stopped:
+            stopped.append(port.clock.now_ns())
             stop.set()
         return 0
 
     port._late = late
     BoardTime(device, port.loop_port(), stop).run(None)
-    assert port.clock.now_ns() <= told[0] + 12 * TICK_NS
-    assert device.elapsed_ns >= told[0] - TICK_NS
+    assert port.clock.now_ns() <= stopped[0] + 12 * TICK_NS
+    assert device.elapsed_ns >= stopped[0] - TICK_NS
 
 
 ANNOUNCED = """
@@ -250,19 +248,16 @@ print(len(announced), late, "scipy.linalg" in sys.modules)
 """
 
 
-@pytest.mark.parametrize("hand", ["free", "held"])
+@pytest.mark.parametrize("hand", first_by_default(["held", "free"]))
 def test_nothing_compiles_once_a_host_can_open_the_port(hand: str) -> None:
-    """In a process of its own: a host that is not answered for a second takes the device for dead.
-
-    Nor is linear algebra loaded, for a tenth of a second, to discretise the plant.
-    """
+    """A host without a reply for a second reports a lost link. Linear algebra takes a tenth of a second to load."""
     done = subprocess.run(
         [sys.executable, "-c", ANNOUNCED, hand], capture_output=True, text=True, timeout=100, check=False
     )
     assert (done.stdout, done.stderr) == ("1 [] False\n", "")
 
 
-def test_a_call_does_not_take_the_port_apart() -> None:
-    """Its five functions cost Python most of a tick of 1 kHz on a busy computer; a driven hand asks each third tick."""
+def test_call_passes_the_port_as_one_value() -> None:
+    # Its five functions cost Python most of a tick of 1 kHz on a busy computer; a driven hand needs each third tick.
     (signature,) = keep_time.declared
     assert PORT_TYPE not in signature.args

@@ -39,7 +39,7 @@ def cogging(rig: RigModel, *harmonics: tuple[int, float, float]) -> RigModel:
 
 
 def test_a_free_motor_that_cogs_swings_like_a_pendulum() -> None:
-    """Of one harmonic, m·x″ = −A·sin(k·x): its period is 4·K(sin²(k·x₀/2))/√(A·k/m), far from linear here."""
+    """Check m·x″ = −A·sin(k·x) for one harmonic: its period is 4·K(sin²(k·x₀/2))/√(A·k/m), far from linear here."""
     k, amplitude, start = 2.0 * math.pi / PERIODS["linear"], 1.0, 2.5
     plant = DiscretePlant.build(cogging(LINEAR, (1, 0.0, -amplitude)), 1e-3)  # of twenty inner steps
     period_s = 4.0 * ellipk(math.sin(0.5 * start) ** 2) / math.sqrt(amplitude * k / 0.52)
@@ -52,7 +52,7 @@ def test_a_free_motor_that_cogs_swings_like_a_pendulum() -> None:
 
 @pytest.mark.parametrize("rig", [LINEAR, LOSSLESS], ids=["rigid", "two-mass"])
 @pytest.mark.parametrize("hand", [None, ELASTIC], ids=["free", "held"])
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=4)
 @example(harmonics=[(1, 0.0, 0.0)], speed=9.3e-23)
 @given(
     harmonics=st.lists(
@@ -66,7 +66,7 @@ def test_a_free_motor_that_cogs_swings_like_a_pendulum() -> None:
 def test_cogging_neither_makes_energy_nor_takes_any(
     rig: RigModel, hand: Operator | None, harmonics: Any, speed: float
 ) -> None:
-    """Over a second: it goes up and down by what a step of the leapfrog costs, and drifts nowhere."""
+    """Over a second the energy varies by the error of a leapfrog step and does not drift."""
     model = cogging(rig, *harmonics).held_by(hand, None)
     plant = DiscretePlant.build(model, 0.02)  # of many inner steps
     state = plant.at_rest(0.1 * PERIODS[rig.motion])
@@ -78,7 +78,7 @@ def test_cogging_neither_makes_energy_nor_takes_any(
         at.append(energy(state, model))
     held = sum(abs(c) + abs(s) for _, c, s in harmonics) * EFFORTS[rig.motion] * PERIODS[rig.motion]
     scale = 0.5 * model.mechanics.motor_inertia * (speed / rig.mechanics.handle_radius) ** 2 + held
-    rounding = 1e-9 * EFFORTS[rig.motion] * PERIODS[rig.motion]  # all there is at rest, without harmonics
+    rounding = 1e-9 * EFFORTS[rig.motion] * PERIODS[rig.motion]  # of a rig at rest, without harmonics
     scale += rounding
     assert np.ptp(at) <= 2e-3 * scale
     assert abs(np.mean(at[-10:]) - np.mean(at[:10])) <= 1e-3 * scale

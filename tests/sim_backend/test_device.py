@@ -1,4 +1,4 @@
-"""The simulated device: its states, its physics, and above all what makes it safe."""
+"""The readable simulated device: its protocol, its physics and its safety monitors."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from firmware_protocol.framing import encode_frame
 from firmware_protocol.packing import unpack_fault_entries
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME, DEFAULTS
-from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.core.sample import TRUTH
 from sim_backend.board.device import SimulatedDevice
@@ -42,6 +41,7 @@ from sim_backend.mechanics.plant import DiscretePlant, advance
 from tests.conformance.device import check_device
 from tests.conformance.host import RUN_PARAMETERS, Host
 from tests.conformance.rigs import linear_rig, rotary_rig
+from tests.conformance.tiers import first_by_default
 
 RATE = 2_000
 TICK_S = 1.0 / RATE
@@ -95,7 +95,7 @@ def test_the_device_conforms(model: RigModel) -> None:
     check_device(lambda: MemoryLink(SimulatedDevice(model)))
 
 
-def test_the_dictionary_tells_the_rig_and_its_limits() -> None:
+def test_dictionary_contains_the_rig_and_its_limits() -> None:
     about = host_of(position_rate_default=4_000, position_rate_maximum=8_000, name="bench").identify()
     assert (about.device, about.simulated, about.current_quantum_a) == ("bench", True, 0.001)
     assert (about.position_rate_default, about.position_rate_maximum) == (4_000, 8_000)
@@ -120,7 +120,7 @@ def test_parameters_of_the_other_motion_are_refused() -> None:
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
-def test_a_host_that_believes_in_the_other_sign_of_the_encoder_is_refused(sign: Literal[-1, 1]) -> None:
+def test_other_sign_of_the_encoder_is_refused(sign: Literal[-1, 1]) -> None:
     rig = rotary_rig()
     host = host_of(replace(rig, encoder=replace(rig.encoder, sign=sign)))
     host.identify()
@@ -129,25 +129,13 @@ def test_a_host_that_believes_in_the_other_sign_of_the_encoder_is_refused(sign: 
     assert (ack.status, ack.detail) == (Status.OUT_OF_RANGE, BY_NAME["encoder_sign"].id)
 
 
-def test_a_default_rate_above_the_maximum_is_refused_at_once() -> None:
-    with pytest.raises(ConfigError, match="default rate"):
-        SimulatedDevice(rotary_rig(), position_rate_default=2_000, position_rate_maximum=1_000)
-
-
-def test_before_arming_it_shows_itself_a_hundred_times_a_second_and_not_before_identify() -> None:
+def test_device_sends_state_at_100_hz_from_identify_until_armed() -> None:
     host = host_of()
     assert host.link.read(1.0) == b""
     host.identify()
     states = silence(host, 3)
     assert [b.sample_index - a.sample_index for a, b in pairwise(states)] == [10, 10]
     assert {state.current_commanded for state in states} == {0}
-
-
-def test_it_tells_what_it_counted_on_its_link() -> None:
-    host = armed()
-    counted = host.ask(m.GetStatistics(host.nonce()))
-    assert counted.frames > 0
-    assert (counted.crc_errors, counted.lost, counted.stale_session) == (0, 0, 0)
 
 
 def test_only_live_parameters_change_while_armed() -> None:
@@ -157,16 +145,6 @@ def test_only_live_parameters_change_while_armed() -> None:
     assert device_of(host).connection.state is State.ARMED
     ack = host.configure(float_stiffness=6.0, ramp_us=0)
     assert (ack.status, ack.detail) == (Status.NOT_LIVE, BY_NAME["ramp_us"].id)
-
-
-def test_live_parameters_change_while_armed_and_leave_it_verified() -> None:
-    host = armed()
-    before = host.configure(float_stiffness=100.0)
-    after = host.configure(float_stiffness=200.0)
-    assert before.status == after.status == Status.OK
-    assert before.crc != after.crc
-    host.ask(m.Disarm(host.nonce(), 0))
-    assert host.arm(2, after.crc).status == Status.OK
 
 
 def test_the_sync_input_is_shown_with_the_time_at_which_it_rose() -> None:
@@ -194,14 +172,6 @@ def test_the_sync_input_may_rise_between_two_samples() -> None:
 PINS = Input.SYNC_TRIAL | Input.SYNC_INSIDE
 
 
-def test_the_sync_outputs_show_in_the_tick_of_a_command_what_it_says() -> None:
-    host = armed()
-    assert exchange(host, 50, flags=m.Sync.TRIAL).inputs & PINS == Input.SYNC_TRIAL
-    assert exchange(host, 50, flags=m.Sync.TRIAL | m.Sync.INSIDE).inputs & PINS == PINS
-    assert device_of(host).sync == m.Sync.TRIAL | m.Sync.INSIDE
-    assert exchange(host, 50).inputs & PINS == 0
-
-
 @pytest.mark.parametrize("end", ["stop", "silence", "fault", "disarm", "another session"])
 def test_the_sync_outputs_go_low_when_their_command_is_over(end: str) -> None:
     host = armed()
@@ -226,7 +196,7 @@ def test_the_sync_outputs_go_low_when_their_command_is_over(end: str) -> None:
         assert device.sync == 0
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25)
 @given(
     st.lists(st.tuples(st.integers(0, 0x7F), st.binary(min_size=2, max_size=40)), max_size=20), st.booleans()
 )
@@ -246,25 +216,13 @@ def test_no_well_framed_nonsense_can_make_it_raise_or_move(
 # ---------------------------------------------------------------------- time
 
 
-@pytest.mark.parametrize("rate", [1_000, 3_000, 7_777, 20_000])
+@pytest.mark.parametrize("rate", [1_000, 7_777])
 def test_a_tick_that_is_no_whole_number_of_units_does_not_drift(rate: int) -> None:
     device = SimulatedDevice(rotary_rig(), position_rate_default=rate)
     for _ in range(rate):
         device.tick()
     assert device.time == 16_000_000
     assert device.time_ns == device.elapsed_ns == 10**9
-
-
-def test_time_answers_the_device_time_of_the_last_sample() -> None:
-    host = armed()
-    state = silence(host, 5)[-1]
-    time = host.ask(m.GetTime(host.nonce(), 123))
-    assert (
-        time.device_received
-        == time.device_sent
-        == state.device_time
-        == state.sample_index * 16_000_000 // RATE
-    )
 
 
 def test_a_new_rate_keeps_time_and_motion() -> None:
@@ -280,12 +238,12 @@ def test_a_new_rate_keeps_time_and_motion() -> None:
     assert silence(host, 1)[-1].count == count == round(0.01 / model.encoder.resolution)
 
 
+@pytest.mark.exhaustive("tests/firmware/test_core.py::test_an_old_edge_never_looks_fresh")
 def test_the_32_bit_edge_time_of_a_handle_at_rest_never_looks_fresh() -> None:
-    device = SimulatedDevice(rotary_rig(), position_rate_default=50)
-    host = Host(MemoryLink(device))
+    host = host_of(position_rate_default=50)
     host.identify()
     host.link.elapse(300.0)  # beyond the 268 s after which device times repeat
-    host.link.read(0.0)  # what nobody read meanwhile
+    host.link.read(0.0)  # discard the STATEs in between
     state = host.next_state()
     assert (state.device_time - state.edge_time) & 0xFFFFFFFF == m.OLDEST_EDGE
 
@@ -327,10 +285,10 @@ def test_it_moves_as_the_plant_without_bytes_bit_for_bit() -> None:
 def test_truth_has_one_row_for_each_tick_of_a_session() -> None:
     host = armed()
     first = device_of(host).sample_index + 1
-    exchange(host, 10, ticks=5_000)
+    exchange(host, 10, ticks=1_100)
     truth = device_of(host).truth()
     assert truth.dtype == TRUTH
-    np.testing.assert_array_equal(truth["sample_index"], np.arange(first, first + 5_000))
+    np.testing.assert_array_equal(truth["sample_index"], np.arange(first, first + 1_100))
 
 
 def test_a_command_is_active_in_the_tick_after_the_state_that_it_answers() -> None:
@@ -346,7 +304,7 @@ def test_the_measured_current_lags_and_is_noisy_alike_for_the_same_seed() -> Non
     def currents(seed: int) -> list[int]:
         host = host_of(rotary_rig(lag_s=1e-3, current_noise_a=0.005), seed=seed)
         host.begin(position_rate=RATE)
-        return [exchange(host, 200).current_measured for _ in range(400)]
+        return [exchange(host, 200).current_measured for _ in range(300)]
 
     run = currents(1)
     assert run == currents(1) != currents(2)
@@ -402,8 +360,9 @@ def test_supervise_feeds_the_watchdog_and_gives_no_current() -> None:
 # ---------------------------------------------------------------------- the watchdog
 
 
-@pytest.mark.parametrize("lifetime_us", [100, 2_000, 3_333, 20_000])
-@pytest.mark.parametrize("rate", [200, 1_000, 3_000, 20_000])
+@pytest.mark.parametrize(
+    ("lifetime_us", "rate"), [(100, 3_000), (3_333, 200), (3_333, 20_000), (20_000, 1_000)]
+)
 def test_silence_brings_the_effort_to_exactly_zero_within_lifetime_and_ramp(
     lifetime_us: int, rate: int
 ) -> None:
@@ -443,6 +402,7 @@ def test_limits_stay_active_in_the_ramp_which_begins_at_what_they_left() -> None
     assert currents[-1] == 0
 
 
+@settings(max_examples=50)
 @given(st.integers(-500, 500), st.integers(0, 400), st.integers(0, 400), st.integers(1, 50))
 def test_the_ramp_never_rises_and_never_changes_sign(
     current: int, lifetime: int, ramp: int, step: int
@@ -459,8 +419,8 @@ def test_the_ramp_never_rises_and_never_changes_sign(
     assert rules[AT.lost]
 
 
-@pytest.mark.parametrize("stopped", [False, True], ids=["after-arm", "after-stop"])
-def test_without_effort_the_host_has_longer_to_say_something(stopped: bool) -> None:
+@pytest.mark.parametrize("stopped", first_by_default([True, False]), ids=["after-stop", "after-arm"])
+def test_host_timeout_is_longer_without_effort(stopped: bool) -> None:
     host = armed()
     if stopped:
         exchange(host, 200, ticks=5)
@@ -511,18 +471,9 @@ def test_the_fault_log_holds_the_ticks_before_the_fault_and_freezes() -> None:
     assert log_of(host)[0].fault == Fault.ENCODER  # still there for a host that cleared first
 
 
-def test_without_a_fault_the_log_is_empty() -> None:
-    host = armed()
-    page, entries = log_of(host)
-    assert (page.fault, page.total, entries) == (Fault.NONE, 0, [])
-
-
 def test_over_speed_cuts_when_the_limit_is_passed_and_not_by_one_count() -> None:
-    """5 rad/s² reach 1000 counts/s (0.314 rad/s) after 62.8 ms.
-
-    Over 5 ms that is 5 counts; the sixth, which either end of the window may hide, takes 12.6 ms more, and the
-    mean over the window lags by half of it.
-    """
+    # 5 rad/s² reach 1000 counts/s (0.314 rad/s) after 62.8 ms. Over 5 ms that is 5 counts; the sixth, which either end
+    # of the window may hide, takes 12.6 ms more, and the mean over the window lags by half of it.
     host = armed(speed_limit=1_000, current_limit=10_000)
     begun = host.next_state().device_time
     while not (state := exchange(host, 50)).fault:
@@ -600,7 +551,7 @@ def test_a_limit_that_friction_holds_makes_no_effort_large() -> None:
 
 
 def test_the_free_rig_shows_edges_long_before_it_is_called_stalled() -> None:
-    """The most unlucky start: the least effort that is watched, friction against it, a whole cell to cross."""
+    # The worst start: the least effort that is monitored, friction against it, a whole cell to cross.
     model = rotary_rig(coulomb=5e-3, offset=0.0)
     host = armed(model, speed_limit=100_000)
     state = exchange(host, 76, ticks=math.ceil(stall_time(model, 75) / 3 * RATE))

@@ -1,4 +1,4 @@
-"""A rig excited in one compiled call: physics of the second actuator, time of the law, and ends that are told."""
+"""A rig excited in one compiled call: physics of the second actuator, time of the law, reasons of an early end."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_a_push_rests_where_the_wall_holds_it_on_both_sides() -> None:
     ],
 )
 def test_it_is_the_plant_and_the_law_stepped_by_hand(name: str, delay: int, cogging: Any) -> None:
-    """To the last bit, with a delay that stays as many ticks of the law, and with a motor that cogs."""
+    """Compare every bit, also with a delay, which stays as many ticks of the law, and with cogging."""
     changes = {"rig.simulation.computation_delay_ticks": delay, **cogging}
     x, model, law = the_rig(name, **changes)
     _, _, other = the_rig(name, **changes)
@@ -145,7 +145,7 @@ def _broken(penetration: Any, velocity: Any, elapsed: Any, state: Any, parameter
     return penetration / (penetration - penetration)
 
 
-def test_a_law_that_gives_no_number_is_told_by_name() -> None:
+def test_law_that_returns_nan_is_named_in_the_error() -> None:
     law = Law("broken", "", _broken, 1, lambda wall: [])
     x, model, fresh = the_rig(law=law)
     with pytest.raises(LawError, match="law broken"):

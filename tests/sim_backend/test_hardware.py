@@ -10,7 +10,6 @@ from tests.conformance.rigs import rotary_rig
     ("first", "rate"), [(1_000, 1_000), (1_000, 10_000), (10_000, 1_000), (1_000, 4_000)]
 )
 def test_a_set_point_is_as_late_at_another_rate(first: int, rate: int) -> None:
-    """0.5 ms, in whole ticks of the rate that runs."""
     hardware = Hardware(rotary_rig(set_point_delay_s=5e-4), first, seed=0, initial_position=None)
     hardware.set_rate(rate)
     late = 0

@@ -24,6 +24,7 @@ from sim_backend.board.device import SimulatedDevice
 from sim_backend.ends.link import MemoryLink
 from sim_backend.mechanics.plant import DiscretePlant
 from tests.conformance.late_samples import LOST, ages
+from tests.conformance.tiers import first_by_default
 from tests.conformance.trials import CURRENTS, trial_on
 
 BRIEF = {"trial.duration_s": 0.15, "trial.release_s": 0.003, "homing.settle_s": 0.003, "verdict.tail_s": 0.05}
@@ -74,7 +75,7 @@ def first_frame(experiment: Any, directory: Path) -> int:
     return int(80 - (rows["sample_index"][after] - 1 - rows["sample_index"][0]))
 
 
-@pytest.mark.parametrize("experiment", [SLOW, DUAL], ids=["1 kHz", "20 kHz, dual-rate"])
+@pytest.mark.parametrize("experiment", first_by_default([SLOW, DUAL]), ids=["1 kHz", "20 kHz, dual-rate"])
 def test_a_trial_without_bytes_is_the_one_over_a_link_that_loses_and_delays(
     experiment: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,7 +1,6 @@
-"""Libraries that know nothing of us drive the simulated drives, in this process or in one of their own.
+"""Foreign libraries drive the simulated drives: for a moteus its maker's own, for an ODrive `odrive-can`.
 
-For a moteus it is the maker's own. The maker of ODrive has none in Python for CAN Simple: there it is `odrive-can`,
-with the maker's description of the messages (DBC, of 0.6.10).
+ODrive's maker has none in Python for CAN Simple; `odrive-can` contains the maker's description (DBC, of 0.6.10).
 """
 
 from __future__ import annotations
@@ -39,16 +38,16 @@ FREE = {
 
 
 def asked(path: str, line: bytes, enough: bytes) -> bytes:
-    """What a serial line answers, up to `enough`."""
+    """Return the reply of a serial line, up to `enough`."""
     port = os.open(path, os.O_RDWR | os.O_NOCTTY)
     try:
         tty.setraw(port)
         os.write(port, line)
-        said, until = b"", time.monotonic() + WAIT_S
-        while enough not in said and time.monotonic() < until:
+        reply, until = b"", time.monotonic() + WAIT_S
+        while enough not in reply and time.monotonic() < until:
             readable, _, _ = select.select([port], [], [], 0.1)
-            said += os.read(port, 4096) if readable else b""
-        return said
+            reply += os.read(port, 4096) if readable else b""
+        return reply
     finally:
         os.close(port)
 
@@ -76,7 +75,7 @@ async def moteus_session(moteus: Any, path: str) -> None:
         await console.command(b"conf set servo.timeout_mode 0")
         assert await console.command(b"conf get servo.timeout_mode", allow_any_response=True) == b"0"
         with pytest.raises(moteus.CommandError, match="unknown group"):
-            await console.command(b"conf get nobody.knows")
+            await console.command(b"conf get unknown.name")
 
         velocity, until = 0.0, time.monotonic() + WAIT_S
         while velocity <= 0.1 and time.monotonic() < until:
@@ -149,12 +148,10 @@ class Described:
         self.drive = drive
 
     def send(self, name: str, **fields: Any) -> None:
-        """Send a message."""
         message = self.base.get_message_by_name(f"Axis0_{name}")
         self.drive.drive.receive(Frame(message.frame_id, message.encode(fields)))
 
     def ask(self, name: str) -> dict[str, Any]:
-        """Ask for a message."""
         message = self.base.get_message_by_name(f"Axis0_{name}")
         (answer,) = self.drive.drive.receive(Frame(message.frame_id, b"", remote=True))
         return dict(message.decode(answer.data))
@@ -203,12 +200,10 @@ class Bus:
         self._end.connect(place)
 
     def send(self, message: Any) -> None:
-        """Send a message."""
         word = message.arbitration_id | (0x40000000 if message.is_remote_frame else 0)
         self._end.send(struct.pack("=IB3x8s", word, len(message.data), bytes(message.data)))
 
     def recv(self, timeout: float) -> Any:
-        """Wait for a message."""
         self._end.settimeout(timeout)
         try:
             word, size, data = struct.unpack("=IB3x8s", self._end.recv(16))
@@ -217,12 +212,10 @@ class Bus:
         return self._can.Message(arbitration_id=word, data=data[:size], is_extended_id=False)
 
     def shutdown(self) -> None:
-        """Leave."""
         self._end.close()
 
 
-def heard(host: socket.socket, identifier: int) -> bytes:
-    """The first frame of an identifier."""
+def receive(host: socket.socket, identifier: int) -> bytes:
     until = time.monotonic() + WAIT_S
     while time.monotonic() < until:
         frame = host.recv(CLASSIC_BYTES)
@@ -244,11 +237,11 @@ def test_an_odrive_is_on_a_bus_of_several_hosts_and_driven_by_a_library(tmp_path
             for host in (one, two):
                 host.settimeout(WAIT_S)
                 host.connect(place)
-            heard(two, CanSimpleCommand.HEARTBEAT)  # it is on the bus
+            receive(two, CanSimpleCommand.HEARTBEAT)  # it is on the bus
             question = struct.pack("=IB3x8s", 0x40000000 | CanSimpleCommand.GET_VERSION, 0, b"")
             one.send(question)
-            assert heard(one, CanSimpleCommand.GET_VERSION)[12:15] == bytes((0, 6, 11))
-            assert heard(two, 0x40000000 | CanSimpleCommand.GET_VERSION) == question
+            assert receive(one, CanSimpleCommand.GET_VERSION)[12:15] == bytes((0, 6, 11))
+            assert receive(two, 0x40000000 | CanSimpleCommand.GET_VERSION) == question
         odrive_can = pytest.importorskip("odrive_can")
         bus = Bus(place)
         asyncio.run(asyncio.wait_for(odrive_session(odrive_can, bus), WAIT_S))
@@ -259,7 +252,6 @@ def test_an_odrive_is_on_a_bus_of_several_hosts_and_driven_by_a_library(tmp_path
 
 
 async def odrive_session(odrive_can: Any, bus: Bus) -> None:
-    """Drive it with a torque."""
     drive = odrive_can.ODriveCAN(axis_id=0, can_bus=bus)
     await drive.start()
     drive.set_controller_mode("TORQUE_CONTROL", "PASSTHROUGH")
@@ -273,7 +265,7 @@ async def odrive_session(odrive_can: Any, bus: Bus) -> None:
     drive.stop()
 
 
-def test_what_is_no_number_stays_none_in_the_makers_eyes() -> None:
+def test_library_of_the_maker_reads_nan_as_nan() -> None:
     pytest.importorskip("moteus")
     drive = Moteus()
     drive.torque(0.0)

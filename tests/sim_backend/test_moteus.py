@@ -32,14 +32,14 @@ def test_a_register_is_read_in_every_form(form: str, step: float) -> None:
     assert Moteus(voltage=24.0).read(0x00D, form) == pytest.approx(24.0 / step)
 
 
-def test_what_is_no_number_is_the_most_negative_integer() -> None:
+def test_nan_is_the_most_negative_integer() -> None:
     drive = Moteus()
     drive.torque(0.0)
     assert [drive.read(0x020, form) for form in "bhi"] == [-(1 << 7), -(1 << 15), -(1 << 31)]
     assert math.isnan(drive.read(0x020))
 
 
-def test_what_cannot_be_read_or_written_is_answered_by_the_register_and_a_reason() -> None:
+def test_invalid_access_is_answered_with_the_register_and_a_reason() -> None:
     drive = Moteus()
     assert drive.send(bytes((0x1D, 0x60))) == bytes((0x31, 0x60, 1))
     assert drive.send(bytes((0x11, 0x81, 0x02))) == bytes((0x31, 0x81, 0x02, 1))  # the version, not as int32
@@ -47,16 +47,16 @@ def test_what_cannot_be_read_or_written_is_answered_by_the_register_and_a_reason
     assert drive.send(bytes((0x01, 0x00, 16))) == bytes((0x30, 0x00, 1))  # no such mode
 
 
-def test_only_its_own_number_and_the_broadcast_one_are_heard() -> None:
+def test_drive_accepts_its_own_number_and_broadcast_only() -> None:
     drive = Moteus(settings={"id.id": "5"})
     query = bytes((0x11, 0x00))
     assert drive.send(query, 0x8001) is None
     assert drive.send(query, 0x8005) is not None
     assert drive.send(query, 0x807F) is not None
-    assert drive.send(query, 0x0005) is None  # nobody wants an answer
+    assert drive.send(query, 0x0005) is None  # without the bit that requests a reply
 
 
-def test_it_says_who_it_is() -> None:
+def test_drive_reports_its_firmware_and_serial_number() -> None:
     drive = Moteus(firmware=0x010203, serial=(1, 2, 0xFFFFFFFF))
     assert drive.read(0x101, "i") == 0x010203
     assert drive.read(0x102, "i") == 5
@@ -95,7 +95,7 @@ def test_feed_forward_torque_accelerates_the_rig_through_its_ratios(gear: float,
 def test_a_drive_that_is_wrong_about_its_motor_is_wrong_about_torque_and_right_about_current() -> None:
     drive = Moteus()
     kv = float(drive.console("conf get motor.Kv"))
-    drive.console(f"conf set motor.Kv {kv / 2.0}")  # it believes in twice the torque of an ampere
+    drive.console(f"conf set motor.Kv {kv / 2.0}")  # half of Kv is twice the torque of an ampere
     drive.start()
     drive.torque(0.05)
     drive.wait(0.01)
@@ -207,10 +207,6 @@ def test_a_time_out_lets_go_or_damps_or_brakes_or_holds_as_configured() -> None:
     assert held.read(0) == 11
 
 
-def test_the_default_is_to_damp() -> None:
-    assert Moteus().console("conf get servo.timeout_mode") == "12\r\n"
-
-
 # ---------------------------------------------------------------------- control
 
 
@@ -315,7 +311,7 @@ def test_a_stop_position_beside_a_limit_is_a_fault() -> None:
     assert (drive.read(0), drive.read(0x00F, "b")) == (1, 45)
 
 
-def test_a_second_master_moves_it_and_is_heard() -> None:
+def test_frame_of_a_second_host_moves_the_drive_and_reaches_the_first_host() -> None:
     drive = Moteus(settings=STILL)
     drive.start()
     (frame,) = drive.drive.happen("master", 0.03)
@@ -324,7 +320,7 @@ def test_a_second_master_moves_it_and_is_heard() -> None:
     assert drive.command == pytest.approx(0.03)
 
 
-def test_somebody_who_puts_it_into_position_mode_makes_it_hold_a_position() -> None:
+def test_position_mode_of_another_host_holds_a_position() -> None:
     drive = Moteus(drive_rig(initial_position=0.3), STILL)
     drive.start()
     there = drive.read(1)
@@ -333,7 +329,7 @@ def test_somebody_who_puts_it_into_position_mode_makes_it_hold_a_position() -> N
     assert drive.command * there < 0.0  # towards position 0, by its own gains
 
 
-def test_after_a_reboot_it_is_stopped_with_what_was_stored() -> None:
+def test_drive_after_a_reboot_is_stopped_and_has_its_stored_settings() -> None:
     drive = Moteus(settings=STILL)
     drive.console("conf set servo.default_timeout_s 0.5")
     drive.console("conf write")
@@ -352,13 +348,13 @@ def test_the_console_knows_its_settings_and_refuses_others() -> None:
     drive = Moteus()
     assert drive.console("conf set servo.timeout_mode 0") == "OK\r\n"
     assert drive.console("conf get servo.timeout_mode") == "0\r\n"
-    assert drive.console("conf get nobody.knows") == "ERR unknown group\r\n"
+    assert drive.console("conf get unknown.name") == "ERR unknown group\r\n"
     assert drive.console("conf get servo.unknown") == "ERR error reading\r\n"
     assert drive.console("conf set servo.timeout_mode soon") == "ERR error setting\r\n"
-    assert drive.console("what is this") == "ERR unknown command\r\n"
-    told = drive.console("conf enumerate").splitlines()
-    assert "servo.timeout_mode 0" in told
-    assert told[-1] == "OK"
+    assert drive.console("unknown") == "ERR unknown command\r\n"
+    listed = drive.console("conf enumerate").splitlines()
+    assert "servo.timeout_mode 0" in listed
+    assert listed[-1] == "OK"
     assert drive.console("conf default") == "OK\r\n"
     assert drive.console("conf get servo.timeout_mode") == "12\r\n"
 
@@ -399,7 +395,7 @@ def test_how_time_is_cut_changes_no_bit() -> None:
     assert ran([300]) == ran([1] * 300) == ran([7] * 42 + [6])
 
 
-def test_what_is_no_number_turns_nothing() -> None:
+def test_nan_torque_moves_nothing() -> None:
     drive = Moteus()
     drive.start()
     drive.torque(NAN)

@@ -24,7 +24,7 @@ FREE = {  # nothing that alters a torque
 WATCHED = FREE | {"axis0.config.enable_watchdog": "1", "axis0.config.watchdog_timeout": "0.02"}
 
 
-def test_it_says_who_it_is_and_how_it_is() -> None:
+def test_drive_reports_its_version_and_state() -> None:
     drive = Odrive(firmware=(0, 6, 9))
     assert drive.ask(CanSimpleCommand.GET_VERSION, "8B")[4:7] == (0, 6, 9)
     assert drive.ask(CanSimpleCommand.HEARTBEAT, "IBBBx") == (0, 1, Result.SUCCESS, 1)
@@ -69,7 +69,7 @@ def test_a_drive_that_is_wrong_about_its_motor_is_wrong_about_torque_and_right_a
     assert drive.ask(CanSimpleCommand.GET_IQ, "ff")[1] == pytest.approx(0.025 / KT)
 
 
-def test_near_its_velocity_limit_torque_mode_is_altered_unless_told_otherwise() -> None:
+def test_torque_mode_is_reduced_near_the_velocity_limit_unless_disabled() -> None:
     def after(setting: str) -> float:
         drive = Odrive(settings=FREE | {"axis0.controller.config.enable_torque_mode_vel_limit": setting})
         drive.start()
@@ -138,7 +138,7 @@ def test_a_fault_ends_the_torque_with_its_bit(event: str, value: float, error: E
     assert (drive.state, drive.errors[1], drive.drive.motor.torque) == (1, error, 0.0)
 
 
-def test_off_the_bus_it_neither_hears_nor_speaks_and_its_watchdog_acts() -> None:
+def test_drive_off_the_bus_neither_receives_nor_sends_and_its_watchdog_acts() -> None:
     drive = Odrive(settings=WATCHED)
     drive.start()
     drive.send(CanSimpleCommand.SET_INPUT_TORQUE, "f", 0.05)
@@ -164,7 +164,7 @@ def test_the_other_modes_hold_a_position_or_a_velocity() -> None:
     assert drive.ask(CanSimpleCommand.GET_ENCODER_ESTIMATES, "ff")[1] == pytest.approx(1.5, rel=0.05)
 
 
-def test_a_second_master_moves_it_and_is_heard() -> None:
+def test_frame_of_a_second_host_moves_the_drive_and_reaches_the_first_host() -> None:
     drive = Odrive(settings=FREE)
     drive.start()
     (frame,) = drive.drive.happen("master", 0.03)
@@ -192,7 +192,7 @@ def test_a_parameter_is_read_and_written_by_the_number_of_its_path() -> None:
     assert Odrive(firmware=(0, 6, 10)).send(CanSimpleCommand.RX_SDO, "BHBf", 1, limit["id"], 0, 7.5) == []
 
 
-def test_what_was_saved_survives_a_reboot_and_the_torque_does_not() -> None:
+def test_saved_settings_survive_a_reboot_and_the_torque_does_not() -> None:
     drive = Odrive(settings=FREE)
     drive.send(CanSimpleCommand.SET_LIMITS, "ff", 3.0, 20.0)
     drive.send(CanSimpleCommand.REBOOT, "B", 1)

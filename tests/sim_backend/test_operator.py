@@ -1,4 +1,4 @@
-"""A simulated person: the script of what the hand wants, the held plant, and the session that it acts in."""
+"""A simulated person: the script of the hand's intentions, the held plant, and the session."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from sim_backend.board.hardware import Hardware
 from sim_backend.mechanics.operator import PRESS_HZ, REPEAT_S, TREMOR_HZ, OperatorScript
 from sim_backend.mechanics.plant import DiscretePlant, advance
 from tests.conformance.rigs import linear_rig, rotary_rig
+from tests.conformance.tiers import first_by_default
 from tests.sim_backend.test_plant import ROTARY
 
 TICK_S = 5e-4
@@ -52,7 +53,7 @@ def test_the_hand_goes_along_to_the_start_waits_and_reaches_on_a_raised_cosine()
     cosine = 0.5 - 0.5 * np.cos(math.pi * (t[reaching] - begins) / STILL.reach_s)
     assert wanted[reaching] == pytest.approx(-0.05 + 0.07 * cosine)
     assert wanted[t > ends] == pytest.approx(0.02)
-    assert not rows[t < begins, 2].any(), "nobody presses before the reach"
+    assert not rows[t < begins, 2].any(), "no press before the reach"
     assert rows[reaching, 2] == pytest.approx(4.0 * 0.1 * cosine)  # N at a radius of 0.1 m
     assert rows[t > ends, 2] == pytest.approx(0.4)
 
@@ -98,10 +99,8 @@ def test_the_tremor_lies_in_its_band_and_has_its_size_at_the_handle() -> None:
     session=st.integers(0, 5),
     seed=st.integers(0, 2**63 - 1),
 )
-@settings(max_examples=20, deadline=None)
-def test_a_script_that_is_over_goes_on_without_a_seam(
-    rate: int, position: float, session: int, seed: int
-) -> None:
+@settings(max_examples=8)
+def test_script_repeats_without_a_seam(rate: int, position: float, session: int, seed: int) -> None:
     model = held(GRIPS["firm"], replace(REACH, seed=seed))
     played = OperatorScript.of(model, 1.0 / rate, position, session)
     assert np.isfinite(played.rows).all()
@@ -120,7 +119,7 @@ def test_the_same_seed_gives_the_same_bits_and_every_session_trembles_anew() -> 
         assert other.rows[:, 2].tobytes() == first[:, 2].tobytes()
 
 
-def test_without_somebody_who_reaches_there_is_no_script() -> None:
+def test_rig_without_a_reach_has_no_script() -> None:
     assert len(OperatorScript.of(rotary_rig(), TICK_S, 0.0).rows) == 0
     assert len(OperatorScript.of(held(reach=None), TICK_S, 0.0).rows) == 0
 
@@ -129,9 +128,9 @@ def test_without_somebody_who_reaches_there_is_no_script() -> None:
 
 
 @pytest.mark.parametrize("mechanics", [RIGID, TWO_MASS], ids=["rigid", "two-mass"])
-@pytest.mark.parametrize("lag_s", [0.0, 1e-4])
+@pytest.mark.parametrize("lag_s", first_by_default([1e-4, 0.0]))
 def test_a_hand_that_does_not_touch_leaves_the_rig_as_it_is(mechanics: Mechanics, lag_s: float) -> None:
-    """The kernel of the held plant and those of the free ones are the same mechanics, friction and edges included."""
+    # The kernel of the held plant and those of the free ones are the same mechanics, with friction and edges.
     free = rotary_rig(lag_s=lag_s, computation_delay_ticks=2)
     free = replace(free, mechanics=mechanics)
     away = replace(STILL, pads_mass=0.0, pads_stiffness=0.0, pads_damping=0.0)
@@ -140,11 +139,11 @@ def test_a_hand_that_does_not_touch_leaves_the_rig_as_it_is(mechanics: Mechanics
     states[1][plants[1].intentions] = 0.5, 3.0, -1.0
     order = plants[0].edge_age
     stuck = 0
-    for k in range(3000):
-        push = 0.01 * math.sin(0.004 * k) ** 3
+    for k in range(1500):
+        push = 0.01 * math.sin(0.008 * k) ** 3
         before = states[0][:order].copy()
         counts = [
-            advance(plant.arguments(state), push, 0.003 * math.cos(0.01 * k))
+            advance(plant.arguments(state), push, 0.003 * math.cos(0.02 * k))
             for plant, state in zip(plants, states, strict=True)
         ]
         assert counts[0] == counts[1]
@@ -152,14 +151,12 @@ def test_a_hand_that_does_not_touch_leaves_the_rig_as_it_is(mechanics: Mechanics
         ages = [state[plant.edge_age] for plant, state in zip(plants, states, strict=True)]
         assert ages[1] == pytest.approx(ages[0], abs=1e-9) or math.isinf(ages[0])
         stuck += before[0] == states[0][0]
-    assert 300 < stuck < 2700, "it must stick at times and slide at others"
+    assert 150 < stuck < 1350, "it must stick at times and slide at others"
 
 
 @pytest.mark.parametrize("mechanics", [RIGID, TWO_MASS], ids=["rigid", "two-mass"])
 @pytest.mark.parametrize("coulomb", [0.0, 0.005])
-def test_where_nobody_wants_anything_nothing_moves_to_the_last_bit(
-    mechanics: Mechanics, coulomb: float
-) -> None:
+def test_hand_without_intentions_moves_nothing_to_the_last_bit(mechanics: Mechanics, coulomb: float) -> None:
     model = replace(rotary_rig(), mechanics=replace(mechanics, motor_coulomb=coulomb, link_coulomb=coulomb))
     plant = DiscretePlant.build(model.held_by(GRIPS["firm"], REACH), TICK_S)
     state = plant.at_rest(0.1234)
@@ -169,26 +166,7 @@ def test_where_nobody_wants_anything_nothing_moves_to_the_last_bit(
     assert state.tobytes() == start.tobytes()
 
 
-@pytest.mark.parametrize("mechanics", [RIGID, TWO_MASS], ids=["rigid", "two-mass"])
-def test_moving_everything_elsewhere_changes_only_positions(mechanics: Mechanics) -> None:
-    model = replace(rotary_rig(), mechanics=replace(mechanics, motor_coulomb=0.0, link_coulomb=0.0))
-    plant = DiscretePlant.build(model.held_by(STILL, None), TICK_S)
-    ends = []
-    for where in (0.0, 2.0):
-        state = plant.at_rest(where)
-        state[plant.intentions] = where + 0.02, 0.1, 0.3
-        for _ in range(200):
-            advance(plant.arguments(state), 0.05, 0.0)
-        ends.append(state[: plant.edge_age])
-    moved = ends[1] - ends[0]
-    assert plant.hand_position is not None
-    positions = [plant.sensed_position, plant.handle_position, plant.hand_position, plant.intentions.start]
-    wanted = np.zeros(plant.edge_age)
-    wanted[positions] = 2.0
-    assert moved == pytest.approx(wanted, abs=1e-10)
-
-
-def test_a_delayed_command_and_what_the_hand_wants_keep_out_of_each_others_way() -> None:
+def test_delayed_commands_and_intentions_do_not_mix() -> None:
     model = replace(rotary_rig(computation_delay_ticks=3), mechanics=RIGID).held_by(STILL, None)
     plant = DiscretePlant.build(model, TICK_S)
     state = plant.at_rest(0.0)

@@ -1,7 +1,4 @@
-"""The laws of mechanics, as the simulated plant keeps them: in a hand and out of it.
-
-What a plant does by itself is in test_plant; here are the proofs that go across structures, hands and step sizes.
-"""
+"""Laws of mechanics across structures, hands and step sizes; test_plant has those of a free plant."""
 
 from __future__ import annotations
 
@@ -40,7 +37,7 @@ def changed(rig: RigModel, inner_step_s: float = 5e-5, **mechanics: Any) -> RigM
 
 @pytest.mark.parametrize("rig", [LINEAR, CAPSTAN], ids=["rigid", "two-mass"])
 @given(start=st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6), coulomb=st.sampled_from([0.0, 0.3]))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=8)
 def test_a_rig_in_a_relaxed_hand_that_wants_nothing_creates_no_energy(
     rig: RigModel, start: list[float], coulomb: float
 ) -> None:
@@ -78,7 +75,6 @@ def test_a_rig_in_a_relaxed_hand_that_wants_nothing_creates_no_energy(
 
 @pytest.mark.parametrize("rig", [LINEAR, CAPSTAN], ids=["rigid", "two-mass"])
 def test_without_any_damping_the_energy_of_a_held_rig_stays(rig: RigModel) -> None:
-    """So the energy counts every mass and spring, and the exact step neither adds nor takes any."""
     elastic = replace(NORMAL, pads_damping=0.0, hand_damping=0.0)
     rig = changed(rig, transmission_damping_ratio=0.0).held_by(elastic, None)
     plant = DiscretePlant.build(rig, 1e-4)
@@ -161,10 +157,10 @@ def test_a_press_below_the_friction_level_moves_the_hand_and_not_the_handle(rig:
 # Linear motion
 
 
-@pytest.mark.parametrize("operator", [None, RELAXED, NORMAL], ids=["free", "relaxed", "normal"])
+@pytest.mark.parametrize("operator", [RELAXED, NORMAL], ids=["relaxed", "normal"])
 @pytest.mark.parametrize("rig", [LINEAR, CAPSTAN], ids=["rigid", "two-mass"])
-def test_the_free_response_is_that_of_one_matrix_exponential(rig: RigModel, operator: Any) -> None:
-    """Over 50 ms in one go, from the continuous matrices; the plant gets there in a thousand steps."""
+def test_the_response_in_a_hand_is_that_of_one_matrix_exponential(rig: RigModel, operator: Any) -> None:
+    """Compare a thousand steps with one exponential over 50 ms, from the continuous matrices."""
     rig = changed(rig, motor_damping=0.002, link_damping=0.001).held_by(operator, None)
     plant = DiscretePlant.build(rig, 5e-5)
     continuous = state_space(rig.mechanics, rig.amplifier, operator)
@@ -180,33 +176,6 @@ def test_the_free_response_is_that_of_one_matrix_exponential(rig: RigModel, oper
     both = np.block([[continuous.a, (continuous.b @ inputs)[:, None]], [np.zeros((1, order + 1))]])
     end = run(plant, 1000, state=state)[-1, :order]
     assert end == pytest.approx((expm(both * 0.05) @ [*start, 1.0])[:order], rel=1e-9, abs=1e-12)
-
-
-# Modes
-
-
-def peak_between(low_hz: float, high_hz: float, signal: Rows, tick_s: float) -> float:
-    """Frequency (Hz) of the strongest line in a band: parabola through the log spectrum."""
-    spectrum = np.log(np.abs(np.fft.rfft(signal * np.hanning(len(signal)), 8 * len(signal))))
-    line_hz = 1.0 / (8 * len(signal) * tick_s)
-    first, last = int(low_hz / line_hz), int(high_hz / line_hz)
-    best = first + int(np.argmax(spectrum[first:last]))
-    left, middle, right = spectrum[best - 1 : best + 2]
-    return float((best + 0.5 * (left - right) / (left - 2 * middle + right)) * line_hz)
-
-
-def test_the_two_modes_of_a_rig_in_a_hand_stand_where_the_closed_form_says() -> None:
-    """Two masses, a spring between them and one to where the hand is meant to be: ω⁴ − ω² (…) + k₁ k₂ / m₁ m₂ = 0."""
-    hand = replace(NORMAL, pads_mass=0.0, pads_damping=0.01, hand_damping=0.01)
-    plant = DiscretePlant.build(changed(LINEAR).held_by(hand, None), 1e-3)
-    state = plant.at_rest(0.0)
-    state[plant.sensed_position] = 0.01
-    rows = run(plant, 16_000, state=state)
-    m1, m2, k1, k2 = 0.52, hand.hand_mass, hand.pads_stiffness, hand.hand_stiffness
-    omega_squared = np.sort(np.roots([1.0, -(k1 / m1 + (k1 + k2) / m2), k1 * k2 / (m1 * m2)]).real)
-    low, high = (np.sqrt(omega_squared) / (2 * math.pi)).tolist()
-    assert peak_between(1.0, 8.0, rows[:, plant.sensed_position], 1e-3) == pytest.approx(low, rel=1e-3)
-    assert peak_between(8.0, 100.0, rows[:, plant.sensed_position], 1e-3) == pytest.approx(high, rel=1e-3)
 
 
 # Statics

@@ -1,4 +1,4 @@
-"""The simulated plant against closed forms, scipy's integrators and the laws of mechanics."""
+"""The simulated plant against closed forms, independent integrators and the laws of mechanics."""
 
 from __future__ import annotations
 
@@ -117,10 +117,10 @@ def test_without_friction_the_motion_is_that_of_an_independent_solver(
 @pytest.mark.parametrize("rig", [LINEAR, ROTARY], ids=["rigid", "two-mass"])
 @pytest.mark.parametrize("operator", [None, GRIPS["normal"]], ids=["free", "held"])
 @pytest.mark.parametrize("lag_s", [0.0, 2e-4])
-def test_what_flows_under_voltage_drive_is_the_command_less_the_back_emf(
+def test_effort_under_voltage_drive_is_the_command_less_the_back_emf(
     rig: RigModel, operator: Operator | None, lag_s: float
 ) -> None:
-    """Against an independent solver of the same rig, its effort by hand: lag·T′ = command − b·ω − T."""
+    """Check against an independent solver with the effort lag·T′ = command − b·ω − T."""
     emf = 0.05
     rig = with_mechanics(rig, motor_damping=0.004, **FRICTIONLESS).held_by(operator, None)
     plant = DiscretePlant.build(with_amplifier(rig, lag_s=lag_s, drive="voltage", back_emf_damping=emf), 1e-4)
@@ -183,14 +183,6 @@ def test_two_masses_ring_at_the_free_free_mode_of_the_capstan_and_decay_with_its
     assert decrement == pytest.approx(2 * math.pi * 0.035 / math.sqrt(1 - 0.035**2), rel=2e-3)
 
 
-def test_moving_a_rig_elsewhere_changes_nothing_but_its_positions() -> None:
-    plant = DiscretePlant.build(with_mechanics(ROTARY, **FRICTIONLESS), TICK_S)
-    here = run(plant, 400, state=plant.at_rest(0.0), command=0.1)
-    there = run(plant, 400, state=plant.at_rest(2.0), command=0.1)
-    assert there[:, MOTOR] - here[:, MOTOR] == pytest.approx(2.0, abs=1e-12)
-    assert there[:, LINK_VELOCITY] == pytest.approx(here[:, LINK_VELOCITY], abs=1e-10)
-
-
 def test_a_linear_and_a_rotary_rig_of_equal_numbers_move_alike_to_the_last_bit() -> None:
     rotary = with_mechanics(ROTARY, handle_radius=1.0)
     linear = replace(rotary, motion="linear", encoder=Encoder(quantum=rotary.encoder.resolution))
@@ -202,15 +194,6 @@ def test_a_linear_and_a_rotary_rig_of_equal_numbers_move_alike_to_the_last_bit()
 
 
 # Amplifier -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("rig", [LINEAR, ROTARY], ids=["rigid", "two-mass"])
-def test_the_effort_follows_a_step_as_one_minus_exp_t_over_lag(rig: RigModel) -> None:
-    rig = with_amplifier(rig, lag_s=1.1e-4)
-    plant = DiscretePlant.build(rig, 2e-5)
-    rows = run(plant, 50, state=plant.at_rest(0.0), command=0.5)
-    t = 2e-5 * np.arange(1, 51)
-    assert rows[:, plant.effort] == pytest.approx(0.5 * (1 - np.exp(-t / 1.1e-4)), rel=1e-12)
 
 
 @pytest.mark.parametrize("rig", [LINEAR, ROTARY], ids=["rigid", "two-mass"])
@@ -269,12 +252,6 @@ def test_zeroing_the_commands_on_their_way_cuts_the_effort_of_a_delayed_plant() 
 # Steady states ---------------------------------------------------------------------------------------------------
 
 
-def test_under_viscous_damping_a_push_ends_at_its_terminal_velocity() -> None:
-    plant = DiscretePlant.build(with_mechanics(LINEAR, motor_damping=10.0, link_damping=3.2), 1e-3)
-    rows = run(plant, 1000, state=plant.at_rest(0.0), command=4.0, external=2.6)
-    assert rows[-1, 1] == pytest.approx(6.6 / 13.2, rel=1e-9)
-
-
 def test_coulomb_friction_takes_its_level_off_the_push() -> None:
     rig = with_mechanics(LINEAR, motor_damping=13.2, link_coulomb=0.19)
     plant = DiscretePlant.build(rig, 1e-3)
@@ -296,13 +273,6 @@ def test_the_end_mass_falls_and_an_equal_effort_holds_it(structure: str) -> None
 
     held = run(plant, 30, state=plant.at_rest(0.0), external=-weight)
     assert held[-1, :2] == pytest.approx([0.0, 0.0], abs=1e-15)
-
-
-def test_a_push_on_the_link_against_the_motor_stretches_the_capstan_by_push_over_stiffness() -> None:
-    rig = with_mechanics(ROTARY, motor_damping=0.0, link_damping=0.0, **FRICTIONLESS)
-    plant = DiscretePlant.build(rig, 1e-3)
-    end = run(plant, 200, state=plant.at_rest(0.0), command=-0.5, external=0.5)[-1]
-    assert end[LINK] - end[MOTOR] == pytest.approx(0.5 / 2310.0, rel=1e-9)
 
 
 # Coulomb friction ------------------------------------------------------------------------------------------------
@@ -339,7 +309,7 @@ def test_a_push_above_the_friction_level_accelerates_by_the_difference() -> None
 
 
 @given(speed=st.floats(1e-4, 1.0), push=st.floats(-0.15, 0.15))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=10)
 def test_a_sliding_mass_stops_when_and_where_constant_deceleration_says(speed: float, push: float) -> None:
     coulomb, mass, step_s = 0.19, 0.52, 1e-3
     rig = with_simulation(with_mechanics(LINEAR, motor_coulomb=coulomb), inner_step_s=step_s)
@@ -371,7 +341,7 @@ def test_the_error_of_friction_falls_with_the_inner_step() -> None:
 
 def test_only_the_link_moves_when_the_push_overcomes_its_friction_but_not_the_motors() -> None:
     plant = DiscretePlant.build(ROTARY, TICK_S)
-    push = 0.004  # above 0.0017 of the link, and what is left is below 0.005 of the motor
+    push = 0.004  # above 0.0017 of the link; the remainder is below 0.005 of the motor
     rows = run(plant, 4000, state=plant.at_rest(0.0), external=push)
     assert (rows[:, MOTOR] == 0.0).all()
     at_rest = rows[-1]
@@ -380,6 +350,7 @@ def test_only_the_link_moves_when_the_push_overcomes_its_friction_but_not_the_mo
     assert (push - 0.0017) <= 2310.0 * at_rest[LINK] <= (push + 0.0017)
 
 
+@settings(max_examples=50)
 @example(free=(0.5, 1.0), gains=(2.0, 0.5, 1.0), levels=(5e-324, 0.0))
 @given(
     free=st.tuples(*[st.floats(-10.0, 10.0)] * 2),
@@ -399,30 +370,6 @@ def test_the_friction_pair_obeys_coulombs_law_on_both_masses(
         assert abs(f) <= level
         if abs(v) > 1e-10:  # sliding: full friction against the motion, unless it is too small to change it
             assert f == pytest.approx(-math.copysign(level, v), rel=0.0, abs=1e-15)
-
-
-@given(
-    start=st.tuples(*[st.floats(-1.0, 1.0)] * 4),
-    size=st.floats(1e-3, 1.0),
-    zeta=st.sampled_from([0.0, 0.035]),
-)
-@settings(max_examples=40, deadline=None)
-def test_the_passive_plant_creates_no_energy(start: tuple[float, ...], size: float, zeta: float) -> None:
-    """But for a step in which a mass stops or turns: held friction then works at most over that step's travel."""
-    passive = {"motor_damping": 0.0, "link_damping": 0.0, "transmission_damping_ratio": zeta}
-    rig = with_mechanics(ROTARY, **passive)
-    plant = DiscretePlant.build(rig, TICK_S)
-    state = plant.at_rest(0.0)
-    state[:4] = size * np.array(start) * [1e-3, 1.0, 1e-3, 1.0]
-    first = energy(state, rig)
-    for _ in range(300):
-        before, energy_before = state.copy(), energy(state, rig)
-        advance(plant.arguments(state), 0.0, 0.0)
-        allowed = 0.0
-        for position, level in ((MOTOR, 0.005), (LINK, 0.0017)):
-            if before[position + 1] * state[position + 1] <= 0.0:
-                allowed += level * abs(state[position] - before[position])
-        assert energy(state, rig) <= energy_before + allowed * (1 + 1e-6) + 1e-12 * first
 
 
 def test_energy_is_kinetic_and_elastic() -> None:
@@ -483,7 +430,7 @@ def test_stick_slip_under_a_slow_push_is_that_of_an_event_driven_solver() -> Non
 @given(
     velocity=st.floats(1e-3, 0.2), direction=st.sampled_from([-1, 1]), offset=st.sampled_from([0.0, 0.3, 0.5])
 )
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=12)
 def test_at_constant_velocity_the_last_edge_is_dated_exactly(
     velocity: float, direction: int, offset: float
 ) -> None:
@@ -561,12 +508,13 @@ def fingerprint() -> str:
         limit = rig.amplifier.effort_limit
         counts = [
             advance(plant.arguments(state), 1.2 * limit * math.sin(0.3 * k) ** 3, 0.01 * math.cos(0.2 * k))
-            for k in range(300)
+            for k in range(80)
         ]
         bits.append(state.tobytes().hex() + f"/{sum(counts)}")
     return " ".join(bits)
 
 
+@pytest.mark.exhaustive("tests/rig/control/test_step.py::test_compiled_and_plain_python_give_the_same_bits")
 def test_plain_python_gives_the_bits_of_the_compiled_kernels() -> None:
     command = "import runpy, sys; print(runpy.run_path(sys.argv[1])['fingerprint']())"
     plain = subprocess.run(

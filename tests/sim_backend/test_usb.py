@@ -1,4 +1,4 @@
-"""The USB shape of the simulated rig: descriptors that another reading of the specification accepts, and the pipes."""
+"""The USB shape of the simulated rig: its descriptors, read independently, and its pipes."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def pipe() -> Iterator[Any]:
 
 
 def descriptors(data: bytes) -> list[bytes]:
-    """Split a configuration by the lengths that each part tells."""
+    """Split a configuration by the length in each part."""
     parts = []
     while data:
         assert 2 <= data[0] <= len(data)
@@ -104,7 +104,7 @@ def test_frames_are_cut_into_packets_and_keep_their_order(pipe: Any) -> None:
 
 
 def test_a_host_that_fetches_nothing_costs_the_device_nothing(pipe: Any) -> None:
-    """A few packets wait, the newest samples are thrown away whole, and what waited comes in order afterwards."""
+    """A few packets wait, newer ones are dropped whole, and the waiting ones arrive in order."""
     ours, theirs = pipe
     port = UsbPort(ours)
     for number in range(1000):
@@ -145,7 +145,7 @@ def test_reading_ends_at_the_deadline_and_an_unplugged_bus_is_silence(pipe: Any)
     deadline_ns = time.monotonic_ns() + 20_000_000
     assert port.read(deadline_ns) == b""
     assert time.monotonic_ns() >= deadline_ns
-    port.write(b"nobody")
+    port.write(b"lost")
 
 
 def test_a_rig_answers_through_the_pipes(pipe: Any) -> None:
