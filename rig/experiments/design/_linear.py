@@ -1,12 +1,6 @@
-"""The listed set by linear theory: some dampings, some stiffnesses, and whether a toggling count would be heard.
+"""Judge the listed set by linear theory: for each damping the largest stable stiffness, with delay and lag.
 
-For each damping the largest K that is stable together with all softer ones of the grid, with delay and lag, in the hand
-that the experiment has. An estimator that is not linear has none of its own: the usual filter (a tenth of the velocity
-rate) stands in for it, as for a rig that is armed (`rig.doctor.late_loops`); noise and fidelity are its own.
-
-Theory knows no quantum, which takes nearly all of the damping of a fast uniform wall. So a second boundary counts only
-walls whose effort would not be heard if the count toggled at random at rest: √((K·Δ/2)² + (B·noise)²) at most. The one
-is too wide and the other too narrow. Schemes are kept that are good by either.
+`search` calls it for its first stage. It must not decide alone: theory knows no quantum and no friction.
 """
 
 from __future__ import annotations
@@ -30,6 +24,8 @@ from rig.experiments.mapping._rendering import RENDERED, rendered_share
 from rig.experiments.sweep import Task
 
 STAGE = "linear theory"
+# An estimator that is not linear has no boundary of its own: the usual filter (a tenth of the velocity rate) stands in
+# for it, as for a rig that is armed (`rig.doctor.late_loops`). Noise and fidelity are its own.
 STAND_IN = "fdm-butterworth"
 STIFFNESSES, CHUNK = 40, 4
 
@@ -68,6 +64,7 @@ def tasks(
 
     Returns also the place of each result in the order of the tasks' rows: candidates are sorted by estimator there.
     """
+    # Sorted by estimator: the candidates of a task share its realisation.
     order = sorted(range(len(candidates)), key=lambda i: (_estimator(candidates[i]), i))
     mapping = config.as_mapping(experiment)
     found = [
@@ -126,6 +123,9 @@ def of_estimator(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
         first = first or loop
         rendered = np.array([rendered_share(applied, float(damping)) for damping in b]) >= RENDERED
         stable = _stable(Lifted.of(loop), k, b) & rendered
+        # Theory knows no quantum, which takes nearly all of the damping of a fast uniform wall. So a second boundary
+        # counts only walls whose effort would not be heard if the count toggled at random at rest: it is too narrow as
+        # the first is too wide, and schemes are kept that are good by either.
         ripple = np.hypot(0.5 * resolution * k[:, None], noise * b)
         heard = config.verdict_thresholds(applied).heard_effort
         rows.append(
@@ -150,6 +150,7 @@ def _stable(lifted: Lifted, k: Floats, b: Floats) -> NDArray[np.bool_]:
     for some in np.array_split(np.arange(len(k)), max(1, len(k) // CHUNK)):
         found = lifted.stable(k[some, None], b[left])
         stable[np.ix_(some, left)] = found
+        # Walls stiffer than an unstable one are not asked for: a limit counts only with all softer walls.
         left = left[found.all(axis=0)]
         if not len(left):
             break

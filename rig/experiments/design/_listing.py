@@ -1,14 +1,4 @@
-"""The listed set: every scheme that a design looks at, and what link and board allow of it.
-
-Position rates are `POSITION_RATES` and the experiment's own, as far as the place where the law runs allows; velocity
-rates are whole parts of them (`DIVIDERS`), `SLOWEST` at least; velocity is held, or extrapolated where it has a rate of
-its own. The estimators:
-
-* the raw difference, and one through a Butterworth low pass of order 1 or 2, with cut-offs from `CUTOFFS_HZ` that lie
-  between a two-hundredth and two fifths of the velocity rate;
-* the Kalman filter with its steady gain, its bandwidth from the same cut-offs;
-* both adaptive windowings, of at most 8 or 16 periods; Levant's differentiator, implicit, and the bounded-error chord
-  (*optimal*), for a tenth and for all of the acceleration that the motor can give the handle.
+"""List every scheme that a design looks at, and what link and board allow of it.
 
 Not in it: estimators that need the time of an edge, the hybrid, fixed-point words, and a velocity rate that adapts to
 speed, which narrows a Z-width. A scheme that the experiment's own rules, the device or its link refuse is left out.
@@ -36,11 +26,15 @@ Loop = Literal["host", "device"]
 Settings = dict[str, float | str]
 
 POSITION_RATES = (1000, 2000, 5000, 10_000, 20_000, 50_000)  # Hz
+# Velocity rates are whole parts of position rates, and no slower than `SLOWEST`.
 DIVIDERS = (1, 2, 5, 10, 20)
 SLOWEST = 500  # Hz, of the velocity
 CUTOFFS_HZ = tuple(float(f"{50.0 * 2 ** (n / 2):.3g}") for n in range(14))
+# Cut-offs lie between these shares of the velocity rate.
 LOWEST_SHARE, HIGHEST_SHARE = 1 / 200, 2 / 5  # of the velocity rate
+# Longest windows of the adaptive windowings, in periods.
 WINDOWS = (8.0, 16.0)
+# Levant's differentiator and the bounded-error chord (*optimal*) take a bound of the acceleration.
 ACCELERATIONS = (0.1, 1.0)  # of the motor's largest
 
 
@@ -216,6 +210,7 @@ def _schemes(experiment: Experiment, rate_maximum: int) -> Iterator[Scheme]:
             return
         for slow in [fast // n for n in DIVIDERS if fast % n == 0 and fast // n >= SLOWEST]:
             for name, settings in _estimators(experiment, slow):
+                # Extrapolation has an effect only between two velocity samples.
                 for prediction in ("hold",) if slow == fast else ("hold", "extrapolate"):
                     yield Scheme(
                         position_rate=fast,

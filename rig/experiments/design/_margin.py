@@ -1,12 +1,7 @@
-"""How much of the recommended scheme's stiffness is left on other rigs than the described one, and in other hands.
+"""Measure how much of the recommended stiffness remains on other rigs than the described one, and in other hands.
 
-At one damping, the limit of K by simulated hits: on the described rig; with each identified parameter 20 % higher or
-lower alone; in each hand alone; and on `SAMPLES` rigs whose identified parameters are all drawn from ±20 %, in each
-hand. An identified parameter is one that `rig identify` measures and that is not zero. Delay is identified, too, but in
-whole ticks: one tick more stands for it. The search goes upwards from the softest wall (*ladder*): near the end of the
-range of damping a soft wall may fail first, and that spoils a scheme, too. Where the push ends before a wall fails, the
-share is a lower bound (`Left.capped`), and linear theory, which has no such end, says what share it expects
-(`Left.theory`).
+At one damping, by simulated hits: each identified parameter 20 % off alone, each hand alone, and `SAMPLES` rigs with
+all of them drawn at once. A parameter is identified if `rig identify` measures it and it is not zero.
 """
 
 from __future__ import annotations
@@ -33,6 +28,7 @@ SEED = 20_260  # of the samples
 RATIO = 1.1  # between rungs
 BEYOND = 1.2  # highest over the limit on the described rig
 OFFSETS = (0.1, 0.6)
+# Delay is identified, too, but in whole ticks: one tick more stands for it.
 DELAY = "rig.simulation.computation_delay_ticks"
 # Keys that `rig.experiments.identification._identified_values` sets.
 IDENTIFIED = (
@@ -80,7 +76,7 @@ class Left:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Margin:
-    """See the module's text.
+    """The remaining share of a scheme's stiffness at one damping.
 
     Attributes
     ----------
@@ -140,6 +136,7 @@ def margin_of(
         there, ends_early = _limit(found)
         share = there / nominal if nominal > 0.0 else 0.0
         by_theory = (
+            # Where the push ends before a wall fails, the share is a lower bound. Theory has no such end.
             _share_by_theory(candidate, variants[name], described, damping) if capped or ends_early else None
         )
         left[name] = Left(name, share, capped=capped or ends_early, theory=by_theory)
@@ -191,6 +188,8 @@ def _hands(described: Experiment) -> dict[str, dict[str, str]]:
 
 
 def _grid(experiment: Experiment, candidate: Candidate, damping: float, limit: float) -> WallGrid:
+    # Upwards from the softest wall: near the end of the range of damping a soft wall may fail first, which spoils a
+    # scheme, too, and which a bisection would not see.
     search = search_for(experiment, "ladder", ratio=RATIO, schemes=[candidate.scheme])
     if 0.0 < BEYOND * limit < search.highest:
         search = replace(search, highest=BEYOND * limit, lowest=min(search.lowest, limit / RATIO))

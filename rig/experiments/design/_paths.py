@@ -1,16 +1,6 @@
-"""Noise, fidelity and cost of a velocity path: estimator, rates, extrapolation, delay and lag, without any hit.
+"""Measure noise, fidelity and cost of a velocity path: estimator, rates, extrapolation, delay and lag, without any hit.
 
-**Noise** is the rms of the estimate while the handle rests on the edge of a count and the count toggles at random from
-sample to sample: more than any rest shows, and the same for every estimator.
-
-**Fidelity** is asked of a sine of `AMPLITUDE` counts, whose quantum hardly counts. D is the rendered velocity over the
-true one: what the estimator makes of the sine (its fundamental, at whole periods in `SAMPLES`), held or extrapolated
-until the next one, late by lag and delay. Faithful is up to the first frequency where |D − 1| exceeds `ERROR`: a phase
-of 29°, or a half too little.
-
-**Cost** is that of the estimator's longest call on the processor of the board, in cycles, over the ticks of a velocity
-period. All else in a tick is the same for all schemes. On a device the longest tick has to fit
-(`rig.firmware.tick_budget`).
+`linear` calls it for every candidate. It must not depend on a wall.
 """
 
 from __future__ import annotations
@@ -24,10 +14,12 @@ from rig.config import Controller
 from rig.control import estimators
 from rig.firmware.tick_budget import named_budget
 
+# So large that the encoder's quantum hardly counts.
 AMPLITUDE = 32.0  # counts
 SAMPLES = 2048
 # Periods of the sines in SAMPLES.
 PERIODS = tuple(int(n) for n in np.unique(np.geomspace(2, SAMPLES // 5, 24).round()))
+# Of |D − 1|, D the rendered over the true velocity: a phase of 29°, or a half too little.
 ERROR = 0.5
 SEED = 0
 
@@ -36,6 +28,8 @@ Complex = NDArray[np.complex128]
 
 def noise(controller: Controller, resolution: float) -> float:
     """Rms velocity at rest (rad/s or m/s) of a controller's estimator."""
+    # The handle rests on the edge of a count, and the count toggles at random from sample to sample: more than any rest
+    # shows, and the same for every estimator.
     toggling = np.random.default_rng(SEED).integers(0, 2, 2 * SAMPLES)
     velocity = _velocity(controller, toggling, resolution)[SAMPLES:]
     return float(np.sqrt(np.mean(np.square(velocity))))
@@ -66,6 +60,7 @@ def fidelity_hz(controller: Controller, resolution: float, lag_s: float, delay_t
 
 def cost(controller: Controller, board: str) -> float | None:
     """Cycles per tick on a board, the mean over a velocity period; None for an estimator that no board runs."""
+    # The estimator's longest call over the ticks of a velocity period; all else in a tick is the same for all schemes.
     of_a_call = _budget(board).call_cycles(controller.estimator)
     return None if of_a_call is None else of_a_call * controller.velocity_rate / controller.position_rate
 

@@ -1,7 +1,6 @@
-"""Maps of a few walls of many schemes as one sweep: the map's own series, tasks, hits and limits (`MapPlan`).
+"""Run maps of a few walls of many schemes as one sweep: the map's own series, tasks, hits and limits (`MapPlan`).
 
-Only *any* is searched for, which all measures of a design are of: the limits of felt and heard alone, which a map has
-too, would take most of its hits.
+`search`, `margin` and `whole` call it.
 """
 
 from __future__ import annotations
@@ -83,6 +82,8 @@ class Sweeper:
                 search=grid.search,
                 offsets=grid.offsets,
                 repeats=grid.repeats,
+                # All measures of a design are of *any*: the limits of felt and heard alone, which a map has too, would
+                # take most of its hits.
                 criteria=("any",),
             )
             for experiment, scheme, grid in work
@@ -109,5 +110,6 @@ class Sweeper:
 
 
 def columns_to(reach: float, columns: int) -> tuple[float, ...]:
-    """Dampings from 0 to a reach that lie closer near zero, where a boundary bends most."""
+    """Return dampings from 0 to a reach, closer near zero."""
+    # Squared: closer near zero, where a boundary bends most.
     return tuple((reach * np.linspace(0.0, 1.0, columns) ** 2).tolist())

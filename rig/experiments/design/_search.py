@@ -38,17 +38,14 @@ from rig.experiments.mapping.zwidth import ZWidth
 # Dampings of the linear stage and of the first hits: the scheme's own range times these powers of 2.
 OCTAVES = (-5, 3)
 FRICTION = 2.0  # most by which Coulomb friction raises a limit of theory (`rig.analysis.theory._loop`)
+# None of the rounds' offsets: the search has chosen by those, and would be judged by its own luck.
 HELD_OUT_OFFSETS = (0.225, 0.475, 0.725, 0.975)
 HELD_OUT_SEED, HELD_OUT_REPEATS = 1_000, 2  # added to the seed of the trial; series of each offset
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Round:
-    """One round of hits: how many schemes enter it, and how fine their maps are.
-
-    Bisection takes a wall stiffer than a failing one to fail, too, which does not hold near the largest damping. So the
-    round that decides goes upwards from the softest wall.
-    """
+    """One round of hits: how many schemes enter it, and how fine their maps are."""
 
     name: str
     enter: int
@@ -61,6 +58,8 @@ class Round:
 ROUNDS = (
     Round(name="first hits", enter=160, ratio=1.5, columns=6, offsets=(0.1,)),
     Round(name="second hits", enter=16, ratio=1.15, columns=8, offsets=(0.1, 0.6)),
+    # Bisection assumes that a wall stiffer than a failing one fails, too, which does not hold near the largest damping.
+    # So the round that decides goes upwards from the softest wall.
     Round(name="last hits", enter=4, way="ladder", ratio=1.05, columns=9, offsets=(0.1, 0.35, 0.6, 0.85)),
 )
 
@@ -153,7 +152,8 @@ class _Search:
     def design(self) -> Design:
         x, wishes = self.request.experiment, self.request.wishes
         if self.request.paper:
-            PaperSchemes.of(x.rig.name)  # refused before the search, not after it
+            # Refused before the search, not after hours of it.
+            PaperSchemes.of(x.rig.name)
         places = self.request.places or places_for(x)
         own = Candidate.own(x, places)
         others = listed(x, places, self.request.schemes)
@@ -177,6 +177,8 @@ class _Search:
             else:
                 top = max(known[one.key].measures(dampings, quiet=False).damping for one in entrants)
                 dampings = _octaves(min(2.0 * top, dampings[-1]) or dampings[-1], stage.columns)
+            # The experiment's own scheme takes part in every round, so that the last one compares both by the same
+            # walls.
             if own.key not in {one.key for one in entrants}:
                 entrants = [*entrants, own]
             rounds.append(self._hit(stage, entrants, dampings, known, own))
@@ -243,6 +245,7 @@ class _Search:
             path, shares = known[one.key], {}
             if wishes.wall is not None:
                 limit = float(np.interp(wishes.wall[1], dampings, path.stable))
+                # Generous: friction may raise the limit by this factor, and hits decide later.
                 shares["wall"] = FRICTION * limit / wishes.wall[0]
             measures = path.measures(dampings, quiet=quiet)
             return rules.key(wishes, measures, shares, own.measures(dampings, quiet=quiet).area)
@@ -305,6 +308,7 @@ class _Search:
         if wall is None:
             return finalists
         x, (stiffness, damping) = self.request.experiment, wall
+        # A ratio above the range: one rung, the wished wall itself.
         one_rung = StiffnessSearch(way="grid", lowest=stiffness, highest=1.5 * stiffness, ratio=2.0)
         offsets = (*self.request.rounds[-1].offsets, *HELD_OUT_OFFSETS)
         grid = WallGrid(dampings=(damping,), search=one_rung, offsets=offsets)

@@ -1,20 +1,6 @@
-"""Comparison of the whole listed set with a paper's own scheme, in every measure of that paper.
+"""Compare the whole listed set with a paper's own scheme, in every measure of that paper.
 
-A limit is the stiffest wall below which everything holds, so that a scheme whose wall fails at the rung that a measure
-asks for has not that measure, whatever its other walls do: **one hit rules it out**. Hits are asked for in the order in
-which they rule out most: at B = 0, where the estimator has no part in the law, one for all schemes of a position rate
-(and place); the softest wall at every damping from the one that the range has to reach on; the wall of the wished peak
-at every damping, also beyond the range. A scheme is ruled out when its walls fail at all encoder offsets; an
-invalid hit rules out nothing. Numbers to tune are counted without a hit.
-
-The remaining schemes are mapped as the paper's scheme was, rung by rung, and on a rig whose paper measures impedances
-also excited: `BATCH` at a time, in the order of theory's ranking, until one is as good. If none is, every scheme of the
-set has been either ruled out or measured.
-
-All schemes meet the same walls: the dampings of `COLUMNS`, closer near zero, up to a little beyond the linear range of
-the paper's schemes, and `BEYOND` times that for the peak alone; rungs of `RATIO`; impedances over `STIFFNESSES` rungs
-and `DAMPINGS` dampings, up to all that linear theory calls stable of an unfiltered difference. A value that reaches the
-last wall is marked ≥; as good as that is what reaches it, too, so that such a verdict is good up to that wall.
+`search` calls it with `paper`. It must not state that no scheme is as good unless each was ruled out or mapped.
 """
 
 from __future__ import annotations
@@ -49,6 +35,8 @@ from rig.experiments.mapping.table_one import PAPERS_RIG, SchemeWidths, tuned_nu
 from rig.experiments.mapping.zwidth import ZWidth
 
 KOUL = ("koul-rigid", "koul-compliant")
+# All schemes meet the same walls: dampings closer near zero up to a little beyond the linear range of the paper's
+# schemes, and these multiples for the peak alone. A value that reaches the last wall is marked ≥.
 COLUMNS, BEYOND = 12, (2.0, 4.0, 8.0)
 RATIO, OFFSETS = 1.15, (0.1, 0.6)
 BATCH = 8
@@ -236,11 +224,15 @@ class _Whole:
         name = f"whole set {number + 1}"
         left = [one for one in candidates if not one.same_law(paper.candidate, self._x)]
         listed, ruled_out = len(left), dict[str, int]()
+        # A limit is the stiffest wall below which everything holds, so one failed hit at the rung that a measure asks
+        # for rules a scheme out, whatever its other walls do. A wall must fail at all encoder offsets; an invalid hit
+        # rules out nothing.
         for measure, keep in self._sieves(name, paper.values):
             kept = keep(left)
             ruled_out[measure] = ruled_out.get(measure, 0) + len(left) - len(kept)
             left = kept
         found: list[MappedScheme] = []
+        # In batches, the most promising by theory first: it ends as soon as one is as good.
         while len(found) < len(left) and all(one.misses(paper) for one in found):
             batch = left[len(found) : len(found) + BATCH]
             found += self._measured(f"{name} from {len(found)}", batch)
@@ -259,7 +251,9 @@ class _Whole:
         """Yield each measure with a filter, which returns the schemes that may still reach that measure."""
         softest = self._search.lowest
         reach = next(b for b in self._dampings if rules.reaches("damping", b, asked["damping"], RATIO))
+        # Any wall that holds at or beyond the range shows the range.
         beyond = [b for b in self._dampings if b >= reach]
+        # In the order in which they rule out most for the fewest hits; counting numbers needs none.
         if "tuned" in asked:
             yield "tuned", lambda left: [one for one in left if self._tuned(one) <= asked["tuned"]]
         if asked["undamped"] > 0.0:  # else every scheme reaches it

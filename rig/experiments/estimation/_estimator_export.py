@@ -1,17 +1,7 @@
-"""A tuned estimator as one C99 file, and beside it a test against the motion that it was tuned on.
+"""Export a tuned estimator as one C99 file, and beside it a test against the motion that it was tuned on.
 
-The test holds counts and the velocities that the host's estimator gives for them in float64.
-
-How far float32 may be off. With e = 2^-24 (half a unit in the last place) and v the largest velocity of the motion:
-
-* a difference, and a slope over a window, are one division of whole numbers and one product with a constant, three
-  roundings: 4 e v;
-* a filter adds up what it rounded over its memory, which is longer the lower its cut-off is; 64 e v is twice the most
-  that ``tests/firmware/law/test_law_estimators.py`` allows from 20 Hz at 2 kHz on;
-* the sign in Levant's differentiator may turn at another sample for a rounding, and what follows is another path of
-  the same differentiator. How much that is depends on the motion, so it is tried: the rms difference that it makes to
-  the host's estimator when its memory is rounded to float32 after each sample, eight times that, and 64 e v;
-* integers are equal.
+`rig estimators export` calls it. The test holds counts and the velocities of the host's estimator in float64, so it
+must allow what float32 differs by.
 """
 
 from __future__ import annotations
@@ -38,6 +28,10 @@ from rig.firmware.cycles import FIXED, Cost, EstimatorC, c_float, cost_of, estim
 from rig.recording.files import refuse_existing, whole_file
 
 HALF_ULP = 2.0**-24  # of float32, relative
+# How far float32 may be off, in half units in the last place of the largest velocity. A difference, and a slope over a
+# window: one division of whole numbers and one product, three roundings. A filter adds up what it rounded over its
+# memory, longer the lower its cut-off: 64 is twice the most that tests/firmware/law/test_law_estimators.py allows from
+# 20 Hz at 2 kHz on. Integers are equal.
 ROUNDINGS = {
     "fdm": 4.0,
     "foaw-end": 4.0,
@@ -248,6 +242,8 @@ def _tolerance(prepared: Prepared, counts: Ints, elapsed: Ints, velocity: Floats
     allowed = ROUNDINGS[name] * HALF_ULP * float(np.abs(velocity).max(initial=0.0))
     if name != "levant":
         return Tolerance(allowed, unit)
+    # A rounding may turn the sign in Levant's differentiator at another sample, and what follows is another path of the
+    # same differentiator. How much that is depends on the motion, so it is tried.
     off = _with_rounded_memory(prepared, counts, elapsed) - velocity
     return Tolerance(allowed + TRIED * float(np.sqrt(np.mean(np.square(off)))), unit, rms=True)
 

@@ -100,7 +100,8 @@ class Case:
         chosen = slice(None, None, max(1, len(self.judged_time_s) // DELAY_SAMPLES))
         delays = np.arange(EARLIEST_S, LATEST_S + DELAY_STEP_S, DELAY_STEP_S)
         time_s = self.judged_time_s[chosen]
-        truths = np.array([self.truth(time_s - each) for each in delays])  # at once: ten times the memory
+        # Row by row: all delays at once would take ten times the memory.
+        truths = np.array([self.truth(time_s - each) for each in delays])
         return chosen, delays, truths, np.sum(np.square(truths), axis=1)
 
 
@@ -297,6 +298,7 @@ def _truth(recording: Recording, time_s: Floats, resolution: float) -> tuple[Cal
     grid = np.arange(time_s[0], time_s[-1] + 0.5 * tick_s, tick_s)
     position = np.interp(grid, time_s, resolution * np.unwrap(recording.column("count"), period=2**32))
     cutoff_hz = min(REFERENCE_HZ, 0.2 / tick_s)
+    # Both ways (zero phase): a reference may look into the future, an estimator may not.
     smooth = np.gradient(
         signal.sosfiltfilt(signal.butter(4, cutoff_hz, fs=1.0 / tick_s, output="sos"), position), tick_s
     )

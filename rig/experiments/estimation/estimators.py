@@ -1,11 +1,7 @@
-"""Velocity estimators side by side, on motions whose velocity is known: how wrong, how late, how noisy at rest.
+"""Score velocity estimators side by side, on motions whose velocity is known: how wrong, how late, how noisy at rest.
 
 A *case* is a row of counts with the velocity behind it (`rig.experiments.estimation.cases`), a *variant* an estimator
-with its settings. `compare` scores every variant on every case.
-
-Raw error alone ranks the least delayed estimator first whatever its noise; a corrected error alone ranks the slowest
-filter first. Hence three numbers: raw rms error, delay (by which the truth must be shifted for the least rms error),
-and the rms error that is left then.
+with its settings.
 """
 
 from __future__ import annotations
@@ -191,6 +187,8 @@ def estimates(case: Case, variant: Variant) -> Floats:
 
 def errors(case: Case, velocity: Floats) -> tuple[float, float, float]:
     """Raw rms error of velocities of shape (n,), delay (s), and rms error without that delay."""
+    # Three numbers: raw error alone ranks the least delayed estimator first whatever its noise, corrected error alone
+    # the slowest filter.
     raw, delay_s = raw_error(case, velocity), delay(case, velocity)
     if math.isnan(delay_s):
         return raw, delay_s, raw
@@ -205,10 +203,9 @@ def raw_error(case: Case, velocity: Floats) -> float:
 def delay(case: Case, velocity: Floats) -> float:
     """Return the shift of the truth (s) that leaves the least squared error; NaN when it is not identifiable.
 
-    Searched on the grid of `rig.experiments.estimation.cases`, and between its points on the parabola through the best
-    one and its neighbours: the error is smooth over many steps of the grid, which leaves microseconds. The shift is not
-    identifiable when the true velocity is constant, when the best shift is an end of the grid, or when the estimate is
-    so noisy that the standard error of the shift exceeds one step.
+    Searched on the grid of `rig.experiments.estimation.cases`, and between its points. The shift is not
+    identifiable when the true velocity is constant, when the best shift is an end of the grid, or when the estimate
+    is so noisy that the standard error of the shift exceeds one step.
     """
     if np.ptp(case.true_velocity) <= 1e-9 * case.speed_rms:
         return math.nan
@@ -218,9 +215,12 @@ def delay(case: Case, velocity: Floats) -> float:
     best = int(np.argmin(squares))
     if not 0 < best < len(delays) - 1:
         return math.nan
+    # The error is smooth over many steps of the grid: the parabola through the best point and its neighbours leaves
+    # microseconds.
     before, least, after = squares[best - 1 : best + 2]
     bend = before - 2.0 * least + after
-    if bend <= 2.0 * least / len(estimate):  # least squares: variance of the shift = 2·step²·least / (n·bend)
+    # Least squares: the variance of the shift is 2·step²·least / (n·bend).
+    if bend <= 2.0 * least / len(estimate):
         return math.nan
     return float(delays[best] + 0.5 * DELAY_STEP_S * (before - after) / bend)
 
@@ -249,7 +249,8 @@ def _rest_noise(
     for each in (counts, counts + toggle):
         prepared = estimator.prepare(dict(settings), resolution, dt)
         found.append(_rms(run(prepared, *inputs(each, dt))[0][listened]))
-    silence = SILENCE_COUNTS * abs(resolution) / dt  # the tail of a filter that decays
+    # The tail of a filter that decays is no noise.
+    silence = SILENCE_COUNTS * abs(resolution) / dt
     resting, toggling = (0.0 if rms < silence else rms for rms in found)
     return resting, toggling
 
@@ -264,6 +265,7 @@ def cost_ns(case: Case, variant: Variant) -> float:
         prepared = estimators.get(variant.estimator).prepare(variant.settings, case.resolution, case.dt)
         started = time.perf_counter_ns()
         run(prepared, *arrays)
+        # The shortest of several: other programs only ever add time.
         best = min(best, (time.perf_counter_ns() - started) / len(counts))
     return best
 

@@ -1,14 +1,10 @@
-"""The constant C of Levant's differentiator from a recorded motion: a sum of sines and its second derivative.
-
-Differentiating an encoder's counts twice gives nothing but its quantum. Chawda et al. (section IV) therefore fit
-a sum of sines to the position of a wall hit and differentiate the fit, which is exact:
+"""Compute the constant C of Levant's differentiator from a recorded motion: a sum of sines and its second derivative.
 
     f(t) = c + Σ A_i·sin(ω_i·t + φ_i),   f̈(t) = −Σ A_i·ω_i²·sin(ω_i·t + φ_i),   C = max |f̈|.
 
-How many sines, and how long a stretch, they do not say, and both decide the answer: few sines round off the impact and
-give a C that is too small, many follow the quantum. So look at `residual_rms` beside C: rounding alone leaves
-1/√12 of a count, and a residual of many counts says that the fit, and with it C, is too smooth. Take a
-short stretch around the contact, and see that C does not change much with one sine more.
+Source: Chawda et al., section IV. How many sines, and how long a stretch, they do not report, and both decide the
+answer. Rounding alone leaves a `residual_rms` of 1/√12 of a count; many counts mean that the fit, and with it C, is too
+smooth.
 """
 
 from __future__ import annotations
@@ -127,9 +123,12 @@ def identify_lipschitz(time_s: Floats, position: Floats, *, sines: int = DEFAULT
     scale = float(np.std(y)) or 1.0
     lowest, highest = 0.1 / length, 0.25 / step
     found: Floats = np.empty(0)
+    # One sine after another, each started at the peak of the residual's spectrum: all at once, the descent ends in a
+    # local minimum.
     for _ in range(sines):
         rest = y - _evaluated(found, t, _linear_part(found, t, y))
         guess = np.append(found, np.clip(_spectral_peak(rest, step), 1.01 * lowest, 0.99 * highest))
+        # Frequencies alone are free: offset and amplitudes are linear and solved within (variable projection).
         found = optimize.least_squares(
             _residual,
             guess,
@@ -212,6 +211,7 @@ def _as_fit(frequencies: Floats, time_s: Floats, position: Floats, linear: Float
     amplitudes = np.hypot(linear[1 : n + 1], linear[n + 1 :])
     phases = np.arctan2(linear[n + 1 :], linear[1 : n + 1])
     order = np.argsort(-amplitudes, kind="stable")
+    # Near an end the fit is unsupported on one side: no part of the maximum.
     inner = (t >= MARGIN * t[-1]) & (t <= (1.0 - MARGIN) * t[-1])
     return LipschitzFit(
         lipschitz=float(np.abs(second[inner]).max()),

@@ -1,15 +1,7 @@
-"""The settings of an estimator that suit one motion best, by a named objective, and how much they matter.
+"""Find the settings of an estimator that suit one motion best, by a named objective, and how much they matter.
 
-Objectives, all over the judged samples of a case (`rig.experiments.estimation.cases.Case`):
-
-- ``rms``: raw error. What a damped wall acts on; the objective to start with.
-- ``delay-corrected-rms``: error that is left when delay is forgiven. For analysis off line: it always asks for the
-  slowest filter that keeps the shape.
-- ``rms+delay``: corrected error as a share of the rms speed, plus delay as a share of `DELAY_SCALE_S`: 1 ms weighs as
-  much as an error of a tenth of the speed.
-
-An optimum belongs to its motion, rate and resolution. The range in which the objective stays within a tenth of it says
-how far it may be carried elsewhere.
+`rig estimators tune` calls it. An optimum belongs to its motion, rate and resolution: the reported range, in which the
+objective stays within a tenth, shows how far it may be carried elsewhere.
 """
 
 from __future__ import annotations
@@ -51,6 +43,9 @@ def _both(case: Case, velocity: Floats) -> float:
     return left / case.speed_rms + late / DELAY_SCALE_S
 
 
+# rms: what a damped wall acts on; the objective to start with. delay-corrected-rms: forgives delay, so it always asks
+# for the slowest filter that keeps the shape; for analysis off line. rms+delay: 1 ms weighs as much as an error of a
+# tenth of the speed.
 OBJECTIVES: dict[str, Callable[[Case, Floats], float]] = {
     "rms": raw_error,
     "delay-corrected-rms": _corrected,
@@ -295,6 +290,8 @@ class _TuningWalk:
         """Best point of the unit cube."""
         d = len(self.axes)
         start = np.array([axis.place(self.begin(axis.setting)) for axis in self.axes])
+        # A scan before the descent, which finds only the nearest minimum. Sobol without scrambling, so that a tuning
+        # repeats to the bit.
         points = [start, *stats.qmc.Sobol(d, scramble=False).random_base2(SCANNED_LOG2 + d)]
         values = [self.value(self.settings_at(point)) for point in points]
         best = np.array(points[int(np.argmin(values))])
@@ -303,6 +300,7 @@ class _TuningWalk:
         found = optimize.minimize(
             lambda point: self.value(self.settings_at(point)),
             best,
+            # No derivative: values are rounded to `DIGITS`, and unrealisable ones are infinite.
             method="Nelder-Mead",
             bounds=[(0.0, 1.0)] * d,
             options={
@@ -319,6 +317,7 @@ class _TuningWalk:
         limit = (1.0 + NEGLIGIBLE) * self.value(self.settings_at(best))
         for i, axis in enumerate(self.axes):
             start = axis.place(self.begin(axis.setting))
+            # A setting that hardly matters keeps its start: it would follow the noise of this one motion.
             if self._along(i, best, start) <= limit:
                 best = np.array(best)
                 best[i] = start

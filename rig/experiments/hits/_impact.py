@@ -1,7 +1,6 @@
-"""One hit from its first contact on: how deep, how often, how long, in encoder counts as the device counts them.
+"""Measure one hit from its first contact on: how deep, how often, how long, in encoder counts.
 
-Depth is measured in counts because that is what Koul et al. plot (Fig. 7), and because the oscillation that separates a
-peak from a toggling count is a number of counts.
+`compare` calls it. Counts because Koul et al. plot them (Fig. 7).
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ import numpy as np
 
 from rig.control.estimators import Floats
 
+# Less is a toggling count, not a peak.
 LEAST_SWING = 2.0  # counts that the handle must turn back by, for a peak to be one
 SWING_SHARE = 0.1  # and of the depth of the first peak below the rest
 REST_SHARE = 0.25  # of the trace, whose end is the rest position

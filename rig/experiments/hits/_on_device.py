@@ -1,8 +1,7 @@
-"""A device that runs one recorded trial after another, for measurements that take many.
+"""Run one recorded trial after another on a device, for measurements that take many.
 
-A real device stays open all along, so that position zero stays where it was when the measurement began; a simulated one
-is a fresh one for each trial. A trial is an ordinary hit (`rig.experiments.hits.hit`), with its checks and its
-recording.
+Maps and impedances on a device call it. A trial is an ordinary hit (`rig.experiments.hits.hit`), with its checks and
+its recording.
 """
 
 from __future__ import annotations
@@ -99,6 +98,7 @@ class Trials:
             with self.series:
                 (result,) = hit(request, admit)
         except (GuardError, DeviceFaultError) as error:
+            # Without a recording nothing moved, and the caller cannot judge it.
             left = left_by(error)
             if left is None:
                 raise
@@ -116,6 +116,7 @@ def kept_open(where: OnDevice, experiment: Experiment) -> Iterator[Trials]:
         if where.device is not None:
             yield Trials(where, where.device, where.reference_count, series)
             return
+        # A real device stays open all along, so that position zero stays where it was when the measurement began.
         with devices.open_device(where.url, config.rig_model(experiment)) as device:
             zero = position_zero(device, experiment) if where.verified else 0
             yield Trials(where, device, zero, series)

@@ -1,13 +1,7 @@
-"""The same wall under several sampling schemes: what each does to one and the same hit.
+"""Compare the same wall under several sampling schemes: what each does to one and the same hit.
 
-Every trial starts alike, so that the handle arrives alike: with the same position rate the motion before the first
-contact is the same to the last bit, whatever the velocity rate and the estimator. There is no homing, whose servo uses
-the estimate: the law is in the phase of the trial from its first tick on. Each trial runs the true `rig.control.step`
-against the simulated plant, without bytes, at several places of the encoder's cells: one place alone can be anything.
-
-Source: Koul et al., Fig. 7 and section III ("depth of penetration … after the first impact").
-
-`rig compare`, `rig.experiments.lab`, papers and pictures call it. It opens no device and writes no recording.
+`rig compare`, `rig.experiments.lab`, papers and pictures call it. It opens no device and writes no recording. Source:
+Koul et al., Fig. 7 and section III ("depth of penetration … after the first impact").
 """
 
 from __future__ import annotations
@@ -32,6 +26,7 @@ from rig.core.shown import Drawn, Shown
 from rig.experiments.hits._impact import Impact, ImpactNumbers, mean, measure
 from rig.loop.replay import NO_SETS, replay_rows
 
+# One place of the encoder's cells alone can show anything.
 OFFSETS = (0.1, 0.4, 0.7, 0.95)  # where position zero lies in its encoder cell, one trial each
 NO_DAMPING = "none"  # name of the entry without damping
 UNUSED = ("trial.repeats", "trial.seed")  # a trial without bytes has no noise: every repeat would be the same
@@ -358,18 +353,18 @@ def _controller(experiment: Experiment, start: Start) -> ControllerState:
     """Return a controller that is past its homing."""
     made = controller.for_experiment(experiment, current_quantum_a=experiment.rig.amplifier.current_quantum_a)
     made.control["constant_effort"] = start.motor_effort
+    # No homing, whose servo uses the estimate: with the same position rate the motion before the first contact is then
+    # the same to the last bit, whatever the velocity rate and the estimator.
     made.memory["phase"] = TRIAL
     return made
 
 
 def _one_tick_before(experiment: Experiment, start: Start, tick_s: float) -> tuple[float, float]:
-    """Position and velocity from which the rig, as one body, coasts to the start within one tick.
-
-    A trial without bytes begins one tick before its first sample, as the device does.
-    """
+    """Position and velocity from which the rig, as one body, coasts to the start within one tick."""
     if start.velocity == 0.0:
         return start.position, 0.0
     m = experiment.rig.mechanics
+    # A trial without bytes begins one tick before its first sample, as the device does.
     friction = math.copysign(m.motor_coulomb + m.link_coulomb, start.velocity)
     drag = config.rig_model(experiment).damping * start.velocity
     effort = start.external_effort + m.gravity_effort - friction - drag

@@ -195,7 +195,8 @@ def _with_device(
     experiment = in_effect(asked.experiment, device, asked.changes)
     admission = tuple(admission_checks(prepared_on(device, experiment), device))
     seen = replace(seen, device=facts, experiment=experiment, admission=admission)
-    if link_url.scheme != "sim":  # a rig answers, whatever a listing of ports finds
+    # A rig answers, so there is a port, whatever the listing found.
+    if link_url.scheme != "sim":
         seen = replace(seen, checks=tuple(check for check in seen.checks if check.name != NO_PORTS))
     if link_url.scheme == "serial" and all(port.url != facts.url for port in seen.ports):
         port, about = serial_port(link_url.place)
@@ -211,6 +212,7 @@ def _with_device(
         except RealtimeError as error:
             scheduling = (_not_scheduled(error),)
             seen = replace(seen, checks=(*seen.checks, *scheduling))
+            # The link is measured without the scheduling that was refused: its numbers are worth more than an error.
             plain = replace(experiment, host=replace(experiment.host, realtime="off"))
             link = _measured(device, plain, asked.seconds, shown)
     except RigError as lost:

@@ -213,6 +213,7 @@ def in_effect(experiment: Experiment, device: FramedDevice, changes: Mapping[str
     wanted = config.realtime_changes(experiment, changes)
     on_the_host = wanted.get("controller.loop", experiment.controller.loop) == "host"
     if on_the_host and not any(key in changes for key in RATES):
+        # The host answers every sample of the device: at its own rate, unless the user set another one.
         wanted |= dict.fromkeys(RATES, device.dictionary.position_rate_default)
     return config.override(experiment, wanted, "real time and command line")
 
@@ -247,6 +248,7 @@ def hit(request: HitRequest, admit: Admit, watch: Watch | None = None) -> Iterat
             output.mkdir(parents=True, exist_ok=True)
         stem = f"{experiment.rig.name}-{datetime.now():%Y%m%d-%H%M%S}"
         for repeat in range(experiment.trial.repeats):
+            # Reserved before anything moves: two programs of the same second must not share a file.
             with reserved_name(output, request.name or f"{stem}-{repeat + 1}") as recording:
                 trial = TrialRequest(
                     run=admitted.run,

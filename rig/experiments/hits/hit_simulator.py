@@ -1,9 +1,7 @@
-"""One simulated rig under one scheme, hit again and again without bytes: what maps are made of.
+"""Hit one simulated rig under one scheme again and again without bytes: what maps are made of.
 
-Everything that does not change from hit to hit is prepared once (plant, filters, scratch memory); a hit then costs what
-its ticks cost. The trajectory of a hit is that of the loop over the byte link, to the last bit.
-
-Maps, papers and the simulated hand of a session's plan call it. It opens no device and records nothing.
+Maps, papers and the simulated hand of a session's plan call it. It opens no device and records nothing. The trajectory
+of a hit is that of the loop over the byte link, to the last bit.
 """
 
 from __future__ import annotations
@@ -44,8 +42,10 @@ class HitSimulator:
         tick_s = 1.0 / experiment.controller.position_rate
         longest_s = homing.settle_s + HOMING_ALLOWANCE_S + trial.baseline_s + trial.duration_s + 2 * tick_s
         # The push is all that is judged: the ramp down after it costs time and shows nothing.
+        # The push is all that is judged: the ramp down after it costs time and shows nothing.
         experiment = replace(experiment, trial=replace(trial, release_s=tick_s))
         self._wall = experiment.wall
+        # Plant, filters and scratch memory are prepared once: a hit then costs what its ticks cost.
         self._template = controller.for_experiment(
             experiment, current_quantum_a=experiment.rig.amplifier.current_quantum_a, law=law
         )

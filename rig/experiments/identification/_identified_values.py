@@ -71,6 +71,7 @@ def identified_values(
     found.share(m, "coulomb", max(0.0, coulomb.value), levels, "sliding")
     found.put("rig.amplifier.lag_s", max(0.0, dynamics.lag_s.value), dynamics.lag_s.text("s"), "dynamics")
     rate = x.controller.position_rate
+    # A board's law has not the whole ticks of delay of the link that these motions came by.
     if not on_board:
         beside = x.rig.amplifier.set_point_ticks(1.0 / rate)  # counted by itself, at any rate
         ticks = max(0, dynamics.delay_ticks - beside)
@@ -136,6 +137,8 @@ def _put_mode(
     hung = m.end_mass * m.handle_radius**2
     described = m.motor_damping + m.link_damping
     share = m.motor_damping / described if described > 0.0 else 1.0
+    # The mode's damping ratio includes the viscous damping that the strokes have already measured: it would count
+    # twice.
     moving = link.value / (link.value + motor.value)  # of the mode's motion at the motor
     viscous = share * sliding.damping.value * moving / (4.0 * math.pi * hertz.value * motor.value)
     ratio = min(max(mode.resonance_ratio.value - viscous, 0.0), 0.99)

@@ -81,6 +81,8 @@ def judge_rate(x: Experiment, measurement: LinkMeasurement, rate_hz: int) -> Rat
     slowed = at_rate(x, rate_hz, "the link")
     lifetime_s = command_lifetime_s(slowed)
     pace = pace_of(measurement, rate_hz, x.verdict)
+    # A device ends an effort whose command has expired: half of a lifetime is the reserve for a silence that the
+    # measurement did not see.
     late_s, silence_s = measurement.late_s, max(measurement.late_s, pace.longest_gap_s)
     capacity = measurement.capacity_bytes_per_s
     reasons = []

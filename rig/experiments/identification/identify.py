@@ -1,11 +1,7 @@
 """Identify a rig: small pushes, slow strokes, excitation, each a recorded trial; then `rig.analysis.identification`.
 
-The order is one of trust. Pushes need no sign to be known: they end by themselves after a few counts. Strokes need the
-sign, and show the friction that the excitation has to exceed. The same code runs on the simulated rig behind its byte
-link and on a real one.
-
 `rig identify` and `rig.experiments.measure` call it. It must not change or write an experiment file: `identified_file`
-makes the one that an identification leaves.
+makes the one that an identification leaves. The same code runs on the simulated rig and on a real one.
 """
 
 from __future__ import annotations
@@ -296,6 +292,8 @@ def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None
             refuse(link_checks(base, device.dictionary.position_rate_maximum, device.link.bytes_per_second))
             with plain_errors("make", output):
                 output.mkdir(parents=True, exist_ok=True)
+            # A rate that carried the link a minute ago may not now: motions spoiled by timing are run again at half of
+            # it.
             session = _Session(device, base, request)
             try:
                 signs, sliding, dynamics = session.free_motions(base, say)
@@ -406,6 +404,8 @@ class _Session:
         """Pushes, sweeps if cogging is looked for, strokes, excitation."""
         request = self._request
         say(f"signs: {PUSHES} small pushes, at most {most_push(x):.3g} {_unit(x, 'effort')}")
+        # The order is one of trust: pushes need no sign to be known and end by themselves after a few counts; strokes
+        # need the sign, and show the friction that the excitation has to exceed.
         signs = self.signs(x)
         _check_signs(signs)
         if request.cogging is not None:
@@ -439,6 +439,8 @@ class _Session:
 
     def dynamics(self, x: Experiment, signs: SignCheck, sliding: Sliding) -> Dynamics:
         request = self._request
+        # The smaller of both sizes the excitation: too large an effort could leave the window, too small a one only
+        # widens the intervals.
         inertia = min(inertia_of(x), signs.inertia) if math.isfinite(signs.inertia) else inertia_of(x)
         runs, lates = [], []
         for number in range(request.realisations):
@@ -567,11 +569,9 @@ def excited_run_of(
 
 
 def acting_effort(rows: NDArray[np.void]) -> tuple[NDArray[np.float64], int]:
-    """Return the effort that acted from each sample to the next, by the device, and by how many ticks it is late.
-
-    The command that answers a sample acts from it on where nothing is late, and the next sample reports it. A link
-    whose delay varies would otherwise blur the fit. The lateness is that of most ticks.
-    """
+    """Return the effort that acted from each sample to the next, by the device, and by how many ticks it is late."""
+    # The command that answers a sample acts from it on where nothing is late, and the next sample reports it. A link
+    # whose delay varies would otherwise blur the fit. The lateness is that of most ticks.
     late = late_ticks(rows["current_sent"], rows["current_applied"])
     applied = np.append(rows["effort_applied"][1:], rows["effort_sent"][-1 - late])
     return applied, late

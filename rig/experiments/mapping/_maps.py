@@ -1,9 +1,8 @@
-"""A map of walls: a plan's tasks run as one sweep, and everything kept in one directory for one plan.
+"""Run a map of walls as one sweep, and keep everything of one plan in one directory.
 
-``plan.json`` says from the beginning on what is mapped; ``journal`` holds the finished tasks while the map grows, so
-that the same command resumes what was stopped, and others can watch; ``hits.parquet`` or ``walls.parquet`` every trial
-with its units; ``map.json`` the plan and what came out of it. A map of a device has its recordings in ``hits``. The
-plan is one of hits (`rig.experiments.mapping.zwidth`) or of impedances (`rig.experiments.mapping.zwidth_frequency`).
+``plan.json`` states from the beginning on what is mapped; ``journal`` holds the finished tasks while the map grows;
+``hits.parquet`` or ``walls.parquet`` every trial with its units; ``map.json`` the plan and the results. A map of a
+device has its recordings in ``hits``.
 """
 
 from __future__ import annotations
@@ -126,6 +125,7 @@ def directory_for(plan: Plan[Map], where: Path, name: str, device: str = "") -> 
 
     `device` names what is mapped, if not the simulation (`rig.experiments.mapping._zwidth_rig.work_of`).
     """
+    # The package's version belongs to it: a map of another version must not be resumed as this one.
     described = [sweep.code_version(), device, [[task.key, task.payload] for task in plan.tasks]]
     digest = sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()[:8]
     return where / f"{name}-{plan.experiment.rig.name}-{digest}"
@@ -181,6 +181,7 @@ def read_plan(directory: Path) -> tuple[MapPlan | FrequencyPlan, str]:
     try:
         saved = json.loads(text)
         if saved["version"] == VERSION:
+            # A plan is one of hits (`zwidth`) or of impedances (`zwidth_frequency`): the name of its work decides.
             kind = FrequencyPlan if saved["work"].endswith(f":{run_column.__name__}") else MapPlan
             return kind.from_mapping(saved["plan"], str(path)), str(saved["device"])
     except (ValueError, KeyError, TypeError, RecursionError) as error:

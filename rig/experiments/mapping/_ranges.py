@@ -1,7 +1,6 @@
-"""Default ranges of a map, and what linear theory expects of each of its schemes.
+"""Choose default ranges of a map, and compute what linear theory expects of each of its schemes.
 
-A map of hits goes up to the stiffness that the push can show, and a little beyond the largest damping of the theory;
-one of impedances to a share of what the theory calls stable.
+Commands, pages and papers call it through `interface`.
 """
 
 from __future__ import annotations
@@ -83,6 +82,7 @@ def highest_stiffness(experiment: Experiment) -> float:
         wall = replace(experiment.wall, stiffness=stiffness)
         return push_at_rest(replace(experiment, wall=wall)) / stiffness > least
 
+    # Doubled until the push no longer rests deep enough: no upper bound is known beforehand.
     low = high = 1e-9
     while rests(high):
         low, high = high, 2.0 * high

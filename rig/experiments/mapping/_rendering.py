@@ -1,9 +1,6 @@
-"""How much of a wall's damping reaches the handle where a single encoder count reads as a high velocity.
+"""Compute how much of a wall's damping reaches the handle where a single encoder count reads as a high velocity.
 
-The estimate makes a pulse of each count, whose area over time is the count. The damper multiplies it by B, and what
-lies above the effort limit is cut off: of an unfiltered difference at most limit·T/Δ is left of any B. Maps and designs
-count no wall whose damping is not rendered. Delay and the hold are not part of it: they lower no damping that a slow
-hand feels.
+Maps and designs count no wall whose damping is not rendered.
 """
 
 from __future__ import annotations
@@ -27,6 +24,9 @@ def rendered_share(experiment: Experiment, damping: float) -> float:
     damping
         B of the wall (N·m·s/rad or N·s/m).
     """
+    # The estimate makes a pulse of each count, whose area over time is the count. The damper multiplies it by B, and
+    # what lies above the effort limit is cut off: of an unfiltered difference at most limit·T/Δ is left of any B. Delay
+    # and hold are not part of it: they lower no damping that a slow hand feels.
     asked = damping * pulse_of_count(experiment)
     if not asked.sum() > 0.0:
         return 1.0
@@ -39,6 +39,7 @@ def rendered_damping(experiment: Experiment) -> float:
     high = 1.0
     while rendered_share(experiment, high) >= RENDERED:
         high *= 2.0
+        # No limit cuts anything: the search would double for ever.
         if high > 1e12:
             return float("inf")
     low = 0.0

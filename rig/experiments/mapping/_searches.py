@@ -1,13 +1,6 @@
-"""Which wall to try next, and how far the walls reach that pass: searches through one damping and through a grid.
+"""Choose which wall to try next, and how far the walls reach that pass: through one damping and through a grid.
 
 A search is a generator: it yields a wall and is sent its outcome from any source; `drive` runs one.
-
-* **ladder** (one damping): upwards from the lowest rung until everything has failed, as in Koul et al., section III.
-  It finds the end of the range that is connected with soft walls, and costs most where walls are stable.
-* **bisection** (one damping): halves the rungs between a pass and a failure. A few trials, but it assumes that a wall
-  stiffer than a failing one fails too, which does not hold near the largest damping.
-* **grid** (one damping): every rung. Shows islands: stiff walls that pass where a softer one does not.
-* **boundary search** (a whole grid): along the edge of the passive walls, Chawda et al., section V and Fig. 5.
 """
 
 from __future__ import annotations
@@ -23,6 +16,10 @@ from numpy.typing import NDArray
 
 from rig.core.errors import ConfigError, PlanError
 
+# ladder: upwards from the lowest rung until everything has failed, as in Koul et al., section III; it finds the end of
+# the range that is connected with soft walls. bisection: a few trials, but it assumes that a wall stiffer than a
+# failing one fails, too, which does not hold near the largest damping. grid: every rung; shows islands, stiff walls
+# that pass where a softer one does not.
 Way = Literal["ladder", "bisection", "grid"]
 Passes = bool | None  # None: the trial is invalid
 Outcomes = Mapping[str, Passes]  # by criterion
@@ -113,6 +110,7 @@ class StiffnessSearch:
     @property
     def rungs(self) -> list[float]:
         """All stiffnesses, ascending; the last one does not exceed the highest."""
+        # Plus 1e-9: a highest that is a whole number of ratios must be a rung, whatever its logarithm's last bit.
         steps = math.floor(math.log(self.highest / self.lowest) / math.log(self.ratio) + 1e-9)
         return [self.lowest * self.ratio**step for step in range(steps + 1)]
 

@@ -1,8 +1,7 @@
-"""A map of hits on a device: hit after hit, with homing, a person who agrees, and a motor that may cool in between.
+"""Map hits on a device: hit after hit, with homing, a person who agrees, and a motor that may cool in between.
 
-A map is what the recordings of its hits say. An invalid hit is repeated, and so is one that a moment without processor
-or link ended; when it stays invalid, or when the rig itself gives up, the session ends. Series that were finished stay
-in the journal, and the same command resumes after them.
+`_maps` and `rig zwidth --url` call it. A map is what the recordings of its hits say: an invalid hit is repeated, never
+counted. Finished series stay in the journal, and the same command resumes after them.
 """
 
 from __future__ import annotations
@@ -89,6 +88,8 @@ def zwidth_on_rig(plan: MapPlan, session: DeviceMap, *, journal: Path | None = N
     _check(plan)
     series, tasks = plan.series(), plan.tasks
     numbers = {task.key: number for number, task in enumerate(tasks)}
+    # A map looks for the walls that fail: the gate of a measured link would refuse just those. A person agrees to each
+    # hit instead.
     where = replace(session.where, arm_anyway=True)
 
     with examined(where, plan.experiment) as (device, trials):
@@ -215,6 +216,8 @@ class _Hits:
         if isinstance(done, Recorded):
             return done
         self.thrown_out = _by_the_wall(done)
+        # A wall that throws the handle out is a result; a moment without processor or link makes the hit invalid, and
+        # it is repeated. Anything else is a defect of the rig.
         if not self.thrown_out and not out_of_time(done.recorded.recording):
             raise done.error
         return done.recorded

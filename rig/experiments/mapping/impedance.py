@@ -1,10 +1,7 @@
-"""Measuring the impedance that a rig renders: at any walls, under any schemes, without bytes or on a device.
+"""Measure the impedance that a rig renders: at any walls, under any schemes, without bytes or on a device.
 
     results = measure_impedance(experiment, walls=[(0.0, 0.0), (20e3, 60.0)])
     results[1].judgement.passive, results[1].fidelity.rms
-
-One wall under one scheme is one `ImpedanceResult`: what was measured, whether it is passive, how faithful it is, and
-what stopped it if something did. Runs without bytes are independent of each other and hold no GIL.
 
 `rig impedance measure`, maps of impedances, `rig.experiments.measure`, papers and pictures call it. It must not fit
 anything itself (`rig.analysis.impedance`), nor load the other kinds of map.
@@ -306,6 +303,7 @@ def measure_impedance(
                 done += 1
                 if watch is not None:
                     watch(done, total)
+                # A wall that threw the handle out once is not passive: further realisations would not change that.
                 if runs[-1].record is None:
                     break
             results.append(conclude(one, runs, method=method, signal=signal, judging=judging))

@@ -1,19 +1,7 @@
-"""Summary of a map of impedances: widths of the connected region, its worst fidelity, Table I of Chawda et al.
+"""Summarise a map of impedances: widths of the connected region, its worst fidelity, Table I of Chawda et al.
 
-*K-width* is the largest passive stiffness that is connected with the lowest one of its damping: a stiffer wall that
-passes beyond one that fails is an island, listed and not counted, because a map in the speckle has some of them at
-any stiffness. *B-width* is the largest damping whose lowest stiffness is passive, whatever lies between; dampings
-below it that have no passive wall are its gaps. Both are numbers of the grid: true to a step, and only a lower bound
-where they reach its end.
-
-The paper's four columns compare estimators at different walls: the largest error of one that allows stiffer walls is
-larger for that alone, and where the rig's inertia dominates it is that of the softest wall for all of them. So beside
-them stands the fidelity at walls with damping (without it the estimator has no effect) that are connected under every
-scheme that has any.
-
-*Tunable numbers* are counted as the paper does: those that were chosen for this map, which are the numbers that the
-scheme or the experiment states. Levant's C, μ1 and μ2 make two gains, α = μ1·C and λ = μ2·√C, and count as two.
-Options (words) and what keeps its default do not count, although some defaults matter: FOAW's longest window does.
+*K-width* is the largest passive stiffness connected with the lowest one of its damping; *B-width* the largest damping
+whose lowest stiffness is passive. Both are numbers of the grid: true to a step, and only a lower bound at its end.
 """
 
 from __future__ import annotations
@@ -32,6 +20,8 @@ from rig.core.present import reported
 from rig.experiments.mapping._searches import Flags, GridSearch, connected, limit_of, trace_grid
 from rig.experiments.mapping.zwidth_frequency import FrequencyMap
 
+# C, μ1 and μ2 make two gains, α = μ1·C and λ = μ2·√C, and count as two, as in the paper. What keeps its default does
+# not count, although some defaults matter: FOAW's longest window does.
 LEVANT_GAINS = ("lipschitz", "mu1", "mu2")
 POINTS = 4  # common walls that are shown
 
@@ -85,6 +75,8 @@ class FrequencyWidth:
         cls, passive: Flags, fidelity: Floats, stiffnesses: Sequence[float], dampings: Sequence[float]
     ) -> FrequencyWidth:
         """Measure a grid of verdicts and errors, both of shape (dampings, stiffnesses)."""
+        # A stiffer wall that passes beyond one that fails is an island, listed and not counted: a map in the speckle
+        # has some of them at any stiffness.
         region = connected(passive)
         held = region.sum(axis=1)
         holding = np.flatnonzero(held)
@@ -269,6 +261,9 @@ def table_one(found: FrequencyMap) -> TableOne:
     regions = connected(found.passive[:, -1])  # of all realisations together
     damped = np.array(plan.dampings) > 0.0
     comparable = np.flatnonzero(regions[:, damped].any(axis=(1, 2)))
+    # The paper compares estimators at different walls: the largest error of one that allows stiffer walls is larger for
+    # that alone. So fidelity is also shown at walls that are connected under every scheme, with damping, since without
+    # it the estimator has no effect.
     held = regions[comparable].all(axis=0) & damped[:, None] & (len(comparable) > 0)
     cells = _spaced(np.argwhere(held))
     rows = []

@@ -1,15 +1,8 @@
-"""Z-width in the time domain: for which walls (K, B) a rig stays stable, scheme by scheme, by hitting them.
+"""Map the Z-width in the time domain: for which walls (K, B) a rig stays stable, scheme by scheme, by hitting them.
 
-A map is a set of independent *series*: one scheme, one damping, one encoder offset, one repeat, and a search through
-the stiffnesses (`rig.experiments.mapping._searches`). A series is decided by its description alone, so a map is the
-same to the last bit on one core, on many, or on a cluster, and a stopped one resumes where it was.
-
-A wall fails under a criterion when its hit is unstable, or when what the criterion names (felt, heard, any) exceeds its
-threshold; every map holds all three. The recorded signals decide, as for a single hit, unless a simulation's truth is
-asked for; the table has the numbers of both. Range and area count only dampings that are rendered
-(`rig.experiments.mapping._rendering`).
-
-Source: Koul et al. 2013, section III (K raised until unstable, five repeats averaged) and Fig. 6.
+A map is a set of independent *series*: one scheme, damping, encoder offset and repeat, and a search through the
+stiffnesses (`rig.experiments.mapping._searches`). Every map holds all criteria (felt, heard, any), and its table the
+numbers of recorded and true signals. Source: Koul et al. 2013, section III (five repeats averaged) and Fig. 6.
 """
 
 from __future__ import annotations
@@ -177,6 +170,8 @@ class MapPlan:
 
 def run_series(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Run one series in simulation; payload and result are JSON: a row for each hit, in the order of hits."""
+    # The payload alone decides a series, so that a map is the same to the last bit on one core, on many, or on a
+    # cluster, and a stopped one resumes.
     experiment = config.restore_experiment(payload["experiment"])
     simulator = HitSimulator(experiment)
     rows: list[dict[str, Any]] = []

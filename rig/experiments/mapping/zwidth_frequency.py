@@ -1,17 +1,10 @@
-"""Z-width in the frequency domain, with fidelity: for which walls (K, B) the impedance is passive, and how true it is.
+"""Map the Z-width in the frequency domain: for which walls (K, B) the impedance is passive, and how true it is.
 
     found = zwidth(frequency_plan(presets.load("chawda-linear")))  # rig.experiments.mapping._maps, .ranges
     table_one(found)  # rig.experiments.mapping.table_one
 
-A map is an exhaustive grid. Each wall is excited by several realisations of the excitation, and every one of them is
-judged by itself (its variance is then that between its periods, which does not see what friction does alike in each
-of them) and all together (variance between realisations). The spread of the first is the uncertainty of a single
-measurement; the second is the map. A wall that throws the handle out, or to its speed limit, is not passive.
-
-A task of the sweep is a column: one scheme and one damping. It is decided by its description alone, as in
-`rig.experiments.mapping.zwidth`, and by the same machinery: journal, resume, threads, Dask.
-
-Source: Chawda et al., section V, Figs. 5 to 8; verdict and fidelity are those of `rig.analysis.impedance._verdict`.
+A map is an exhaustive grid; a task of its sweep is a column, one scheme and one damping. Source: Chawda et al., section
+V, Figs. 5 to 8; verdict and fidelity are those of `rig.analysis.impedance._verdict`.
 """
 
 from __future__ import annotations
@@ -166,6 +159,8 @@ def wall_rows(
     runs: list[RealisationRun] = []
     for realisation in range(walled.excitation.realisations):
         runs.append(bench.excite(wall.stiffness, wall.damping, realisation))
+        # Each realisation by itself, with the variance between its periods (which does not see what friction does alike
+        # in each): its spread is the uncertainty of a single measurement. Then all together: the map.
         yield _row(conclude(walled, runs[-1:], signal=signal, judging=judging), realisation, 1)
     yield _row(conclude(walled, runs, signal=signal, judging=judging), TOGETHER, 0)
 

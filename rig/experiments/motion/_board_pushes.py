@@ -1,17 +1,10 @@
-"""Small pushes that a board makes by itself: each is a trial of the law that every board has.
+"""Let a board make small pushes by itself: each is a trial of the law that every board has.
 
     made = board_pushes(device, x, 4, Path("pulse.rigcap"), verified=True, reference_count=0, extra={})
     made.rows, made.recording
 
-Where the board runs the law (`controller.loop = "device"`) no law of this computer moves anything, and none is needed.
-A push is a constant effort without a wall (`identify_motions.single_push`): the slew limit lets it grow, and the window
-of the law on the board is the way of a push. So the board bounds it alone, in whichever direction the handle goes: in
-way, with zero effort in the very tick; in effort by the constant; in time by the length of the trial, after which this
-computer ends it: left to itself it falls as it has grown. If this computer falls silent, its effort is zero after
-`controller.supervise_lifetime_s` and the ramp, as that of any law there.
-
-The device around the law keeps the limits of all pushes: a handle that leaves its window is a fault, and under the slew
-limit of a push an end would take as long as the growth.
+`pulse` calls it where the board runs the law (`controller.loop = "device"`). It must not move anything from this
+computer.
 """
 
 from __future__ import annotations
@@ -138,6 +131,10 @@ def _prepared(
         "verified": verified or device.dictionary.simulated,
         "reference_count": zero,
     }
+    # The board bounds a push alone: in way by the window of its law, with zero effort in the very tick; in effort by
+    # the constant, which grows under the slew limit; in time by the length of the trial. If this computer falls silent,
+    # the effort is zero after `controller.supervise_lifetime_s` and the ramp. The device around the law keeps the
+    # limits of all pushes: under the slew limit of a push an end would take as long as the growth.
     around = prepared_on(device, pushes_motion(x, at).experiment, **given)
     run = prepared_on(device, single_push(x, at, way), **given)
     return replace(run, parameters={**run.parameters, **{name: around.parameters[name] for name in AROUND}})

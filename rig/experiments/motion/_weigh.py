@@ -3,14 +3,9 @@
     found = weigh(WeighRequest(experiment=x, url="usb://…", verified=True, mass_kg=0.1, arm_m=0.05), ask=input)
     found.effort_per_ampere
 
-`rig.amplifier.effort_per_ampere` is a data sheet's torque constant times a ratio; what is wrong with it is wrong with
-every stiffness that is reported. While the handle slides slowly the motor gives weight plus friction on the way up and
-weight less friction on the way down: their mean is the weight, whatever the friction is, as far as it is the same both
-ways, and what is not, or a bent cable, is in the strokes without the mass too. Friction's scatter is the uncertainty
-(`rig.analysis.identification._sliding`).
-
-The mass hangs on a string from a drum of radius `arm_m`, so that its arm does not change. On the handle itself, level
-in the middle of the window, the arm loses up to 2 % on a way of 0.2 rad (its cosine), 0.7 % on average.
+An error of `rig.amplifier.effort_per_ampere`, a data sheet's torque constant times a ratio, is an error of every
+reported stiffness. The mass hangs on a string from a drum of radius `arm_m`: on the handle itself the arm loses up to 2
+% on a way of 0.2 rad (its cosine), 0.7 % on average.
 """
 
 from __future__ import annotations
@@ -177,6 +172,8 @@ def weigh(request: WeighRequest, ask: Ask) -> Weighing:
         )
         pulled, second = _slide(device, loaded, request, zero, "loaded")
         name = device.dictionary.device
+    # Sliding slowly, the motor gives weight plus friction on the way up and weight less friction on the way down: the
+    # mean is the weight. What differs both ways, or a bent cable, is in the strokes without the mass too.
     difference = pulled.bias.value - bare.bias.value
     measured = Interval(abs(difference), math.hypot(pulled.bias.ci95, bare.bias.ci95))
     if measured.low <= 0.0:

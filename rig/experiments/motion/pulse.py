@@ -1,14 +1,7 @@
-"""A torque pulse before a person takes the handle: the rig has to move as it is described, in both directions.
+"""Send a torque pulse before a person takes the handle: the rig has to move as it is described, in both directions.
 
     found = pulse(device, experiment, recording=Path("pulse.rigcap"), verified=True, reference_count=0)
     found.ok, found.checks
-
-Four small pushes, two each way, each growing until the handle has moved a few counts: by the law that the rig's runs
-have, on this computer (`rig.control.motions.nudges`) or on the board (`rig.experiments.motion._board_pushes`).
-They need no sensor of the current, no known sign, and no more energy than `energy_of`. A motor that is dead or
-reversed, an encoder that is dead or swapped, one dead channel of it, and a scale that is wrong by a factor show in
-whether, where to, how much and when the handle moves. What they cannot tell from a dead motor is friction beyond what a
-push may use: then nothing was observed, and the rig is not armed for a person either.
 
 `rig device check`, the admission of a hit, identification, the search for a reference and sessions call it. It must not
 take a motion that it did not observe for a passed check.
@@ -78,6 +71,8 @@ __all__ = [
     "push_way",
 ]
 
+# Two each way, each growing until the handle has moved a few counts: no sensor of the current, no known sign, and no
+# more energy than `energy_of`.
 PUSHES = 4
 # The rules, written before their results (`tests/benchmarks/pulses.py`): inertia within this factor of the described
 # one is as described; the motion begins within this factor of the described friction's time, and so long after it.
@@ -167,6 +162,7 @@ def pulse(
     RigError
         Whatever ended the pushes early; the effort is zero.
     """
+    # Withdrawn first: whatever ends this function, the rig is not armed on an older pulse.
     device.moved_as_described = False
     refuse_unverified(device, verified=verified)
     refuse([check_rig(config.rig_model(still(experiment)), device.dictionary)])
@@ -254,6 +250,8 @@ def judged(x: Experiment, signs: SignCheck) -> tuple[Check, ...]:
     most, coulomb = most_push(x), coulomb_of(x)
     effort = unit_of("effort", x.rig.motion)
     moved = [push for push in signs.pushes if push.moved]
+    # Friction beyond what a push may use looks like a dead motor: nothing was observed, and the rig is not armed for a
+    # person.
     if not moved:
         return (_not_moved(x, signs, most, coulomb, effort),)
     sizes = [push.inertia for push in moved if math.isfinite(push.inertia)]

@@ -3,17 +3,9 @@
     found = find_reference(ReferenceRequest(experiment=x, url="usb://…", verified=True))
     found.reference_count
 
-An incremental encoder counts from where the handle stood at power-up. Its index comes once in a turn of the encoder, so
-that behind a limit switch the first one on the way back is always the same. Where the travel holds one index only, it
-is enough by itself. The device keeps what was found until it restarts or loses counts: walls then stand at the same
-place of the mechanism, wherever the handle was placed before (drives call this homing by limit switch and
-index pulse; here homing is the servo that takes the handle to the start of a trial).
-
-A search with a wrong sign runs away, so that it begins with a torque pulse (`rig.experiments.motion.pulse`) and is
-bounded: by the speed and effort of homing, by a window of the travel and a margin, and by time. Each ends with zero
-effort and a reason. The index is always passed in the same direction, since its pulse has a width.
-
-`rig device reference` calls it. It must not begin a search without the torque pulse, nor run one without its bounds.
+`rig device reference` calls it. It must not begin a search without the torque pulse, nor run one without its bounds:
+the speed and effort of homing, a window of the travel and a margin, and time. Drives call this homing by limit switch
+and index pulse; here homing is the servo that takes the handle to the start of a trial.
 """
 
 from __future__ import annotations
@@ -244,6 +236,7 @@ class _IndexSearch:
         refuse_unverified(device, verified=self._verified)
         with plain_errors("make", self._output):
             self._output.mkdir(parents=True, exist_ok=True)
+        # A search with a wrong sign would run away.
         self._tell("signs: a torque pulse, hands off the handle")
         signs = pulse(
             device, x, recording=self._name("pulse"), verified=self._verified, reference_count=self._zero
@@ -253,6 +246,8 @@ class _IndexSearch:
         if not self._pressed():
             self._tell(f"to the limit switch at the {self._reference.limit_switch} of the travel")
             self._seek()
+        # The index comes once in a turn of the encoder: behind a limit switch the first one on the way back is always
+        # the same. It is always passed in the same direction, since its pulse has a width.
         self._tell("back to the index")
         switch, before = self._leave()
         self._go(switch + self._away * self._every, "index")
