@@ -295,7 +295,7 @@ class FirmwareDevice:
         self.inputs = self._words.item(INPUTS)
         self._show_world()
         library.host_sample(address)
-        library.host_tell(address)
+        library.host_report(address)
         self._act()
         if self._truth is not None and self._seen.session:
             self.hardware.log(self._truth, self.sample_index)

@@ -77,7 +77,7 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "host_set_room": (None, [_P, _N]),
     "host_drive": (ctypes.c_int16, [_P]),
     "host_sample": (None, [_P]),
-    "host_tell": (None, [_P]),
+    "host_report": (None, [_P]),
     "host_tick": (None, [_P]),
     "host_tick_alone": (None, [_P]),
     "host_was_reset": (None, [_P, _U32]),

@@ -524,7 +524,7 @@ void wrong_watchdog_time__of_another_unit(struct simulated_board *spoilt)
 void wrong_reset_told(struct simulated_board *spoilt)
 {
     of(spoilt);
-    spoilt->tells_reset = false;
+    spoilt->reports_reset = false;
 }
 
 static void going_on(void *context)

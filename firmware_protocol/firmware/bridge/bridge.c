@@ -15,7 +15,7 @@
 #define GAIN 8             /* samples in which a phase is followed */
 #define SLEW 128u          /* a share of a period: less than the hundredth that a host allows a device's clock */
 #define POLLS 64u            /* of the core in a row */
-#define STALE 2u             /* samples behind a wish: the first may answer what was asked before it */
+#define STALE 2u             /* samples after an order: the first may be the reply to the order before it */
 #define ENDING_FRAMES 3u
 
 static const struct drive_kind *const KINDS[] = {
@@ -35,8 +35,8 @@ static void send(struct bridge *bridge, const struct can_frame_bytes *frame)
                                                   : fdcanusb_make(&bridge->adapter, frame, into);
 }
 
-/* Tell the drive what is wished: at the beginning of a period, or at once. */
-static void tell(struct bridge *bridge, bool asks)
+/* Send the order to the drive, at the beginning of a period (`asks`) or at once. */
+static void send_order(struct bridge *bridge, bool asks)
 {
     const struct drive_order order = {
         .wish = bridge->wish,
@@ -49,12 +49,12 @@ static void tell(struct bridge *bridge, bool asks)
     struct can_frame_bytes frames[DRIVE_FRAMES] = {0};
     if (bridge->bus_lost)
         return;
-    const size_t count = bridge->kind->tell(&bridge->drive, &order, frames);
+    const size_t count = bridge->kind->write_order(&bridge->drive, &order, frames);
     for (size_t i = 0; i < count; i++)
         send(bridge, &frames[i]);
 }
 
-static void wish(struct bridge *bridge, enum drive_wish wanted)
+static void set_wish(struct bridge *bridge, enum drive_wish wanted)
 {
     bridge->wish = wanted;
     bridge->since = 0;
@@ -94,7 +94,7 @@ static void hal_set_current(void *context, int16_t quanta)
     if (!bridge->driving && (bridge->current != 0 || bridge->rendering))
         bridge->at_once = true;
     bridge->current = quanta;
-    bridge->rendering = false; /* until the tick says again how much of it */
+    bridge->rendering = false; /* until the next tick sets it */
 }
 
 static int16_t hal_measured_current(void *context)
@@ -119,7 +119,7 @@ static void hal_enable(void *context, bool on)
     struct bridge *bridge = context;
     if (!on && bridge->wish == DRIVE_ON)
         bridge->at_once = true;
-    wish(bridge, on ? DRIVE_ON : DRIVE_OFF);
+    set_wish(bridge, on ? DRIVE_ON : DRIVE_OFF);
     bridge->current = 0;
     bridge->rendering = false;
 }
@@ -133,7 +133,7 @@ static bool hal_amplifier_ready(void *context)
         return false;
     }
     if (bridge->wish == DRIVE_OFF)
-        wish(bridge, DRIVE_PREPARE);
+        set_wish(bridge, DRIVE_PREPARE);
     bridge->wished_until = hal_time(bridge) + PREPARES;
     return bridge->drive.known && bridge->missed == 0 && bridge->since >= STALE && bridge->kind->is_on(&bridge->drive);
 }
@@ -155,7 +155,7 @@ static bool hal_set_rate(void *context, uint32_t rate)
         return false;
     const uint64_t period = UNITS_PER_SECOND / rate;
     if (bridge->cycle != 0 && (UNITS_PER_SECOND % rate != 0 || period % bridge->cycle != 0))
-        return false; /* a drive that speaks by itself is heard every so many messages */
+        return false; /* a drive that sends by itself is sampled every n-th message */
     bridge->period = period;
     return true;
 }
@@ -256,7 +256,7 @@ void bridge_start(struct bridge *bridge, uint64_t now)
     device_start(&bridge->device, &bridge->hal, &bridge->board);
 }
 
-/* ------------------------------------------------------------------ what the drive says */
+/* ------------------------------------------------------------------ replies of the drive */
 
 static void take_count(struct bridge *bridge)
 {
@@ -296,7 +296,7 @@ static void note(struct bridge *bridge)
     facts->limited += sample->limited ? 1 : 0;
 }
 
-/* Whether so many periods without a sample end an armed run: the last command but one would have outlived its life. */
+/* Return true if this many periods without a sample end an armed run: a command has expired by then. */
 static bool is_silent(const struct bridge *bridge, uint32_t periods)
 {
     return periods >= BRIDGE_SILENT || (periods > 1u && periods * bridge->period >= LONG);
@@ -305,7 +305,7 @@ static bool is_silent(const struct bridge *bridge, uint32_t periods)
 static void tick(struct bridge *bridge)
 {
     if (is_silent(bridge, bridge->sampleless) && device_is_armed(&bridge->device))
-        device_fault(&bridge->device, HR_FAULT_TICK_OVERRUN); /* this computer slept */
+        device_fault(&bridge->device, HR_FAULT_TICK_OVERRUN); /* this computer was late */
     device_tick_driven(&bridge->device, bridge->active, bridge->sampleless);
     bridge->sampleless = 0;
 }
@@ -338,14 +338,14 @@ static void take_sample(struct bridge *bridge)
     const uint8_t fault = bridge->kind->fault(&bridge->drive, bridge->wish, bridge->since);
     if (fault != HR_FAULT_NONE)
         device_fault(&bridge->device, fault);
-    if (fault == BRIDGE_DRIVE_LEFT && bridge->kind->forgot(&bridge->drive))
+    if (fault == BRIDGE_DRIVE_LEFT && bridge->kind->may_have_restarted(&bridge->drive))
         device_fault(&bridge->device, HR_FAULT_ENCODER);
     tick(bridge);
 }
 
 static void take_frame(struct bridge *bridge, const struct can_frame_bytes *frame)
 {
-    switch (bridge->kind->hear(&bridge->drive, frame, bridge->now)) {
+    switch (bridge->kind->read_frame(&bridge->drive, frame, bridge->now)) {
     case DRIVE_FOREIGN:
         bridge->facts->foreign++;
         device_fault(&bridge->device, BRIDGE_OTHER_MASTER);
@@ -358,7 +358,7 @@ static void take_frame(struct bridge *bridge, const struct can_frame_bytes *fram
         break;
     case DRIVE_SAMPLE:
         if (bridge->drive.known && bridge->now >= bridge->due)
-            bridge->facts->late++; /* this computer slept: a count of before is no sample of now */
+            bridge->facts->late++; /* this computer was late: the reply is too old to be this period's sample */
         else
             take_sample(bridge);
         break;
@@ -368,7 +368,7 @@ static void take_frame(struct bridge *bridge, const struct can_frame_bytes *fram
     }
 }
 
-static void hear_socket(struct bridge *bridge, const uint8_t *bytes, size_t count)
+static void receive_socket(struct bridge *bridge, const uint8_t *bytes, size_t count)
 {
     struct can_frame_bytes frame;
     const enum socketcan_kind kind = socketcan_take(bytes, count, &frame);
@@ -378,7 +378,7 @@ static void hear_socket(struct bridge *bridge, const uint8_t *bytes, size_t coun
         device_fault(&bridge->device, BRIDGE_BUS_LOST);
 }
 
-static void hear_adapter(struct bridge *bridge, const uint8_t *bytes, size_t count)
+static void receive_adapter(struct bridge *bridge, const uint8_t *bytes, size_t count)
 {
     struct can_frame_bytes frame;
     const uint32_t garbled = bridge->adapter.garbled;
@@ -389,16 +389,16 @@ static void hear_adapter(struct bridge *bridge, const uint8_t *bytes, size_t cou
     bridge->facts->refused = bridge->adapter.refused;
 }
 
-void bridge_hear_bus(struct bridge *bridge, const uint8_t *bytes, size_t count, uint64_t now)
+void bridge_receive_bus(struct bridge *bridge, const uint8_t *bytes, size_t count, uint64_t now)
 {
     bridge->now = now;
-    (bridge->setup.socket ? hear_socket : hear_adapter)(bridge, bytes, count);
+    (bridge->setup.socket ? receive_socket : receive_adapter)(bridge, bytes, count);
 }
 
 /* ------------------------------------------------------------------ time passes */
 
-/* Whether a drive that missed so many in succession may have started again. */
-static bool has_forgotten(const struct bridge *bridge, uint32_t missed)
+/* Return true if a drive that missed so many in succession may have started again. */
+static bool may_have_lost_turns(const struct bridge *bridge, uint32_t missed)
 {
     return is_silent(bridge, missed) && missed * bridge->period >= LONG;
 }
@@ -406,8 +406,8 @@ static bool has_forgotten(const struct bridge *bridge, uint32_t missed)
 /* Without a reply the core gets no sample, and after some its session no current. Its host is still informed of it. */
 static void miss_reply(struct bridge *bridge)
 {
-    const bool known = bridge->drive.known, forgot_before = has_forgotten(bridge, bridge->missed++);
-    const bool forgets = !forgot_before && has_forgotten(bridge, bridge->missed);
+    const bool known = bridge->drive.known, lost_before = may_have_lost_turns(bridge, bridge->missed++);
+    const bool forgets = !lost_before && may_have_lost_turns(bridge, bridge->missed);
     bridge->drive.asked = false;
     bridge->facts->lost += known ? 1 : 0;
     if (forgets || (is_silent(bridge, bridge->missed) && device_is_armed(&bridge->device)))
@@ -445,14 +445,14 @@ void bridge_tick(struct bridge *bridge, uint64_t now)
         bridge->active = bridge->current; /* which is half a message older than its sample */
     bridge->rendering = wall_now(&bridge->scales, &bridge->device, given, &bridge->wall);
     bridge->at_once = false;
-    tell(bridge, true);
+    send_order(bridge, true);
     bridge->fed -= bridge->fed > 0 ? 1u : 0u;
     bridge->drive.asked = true;
     bridge->asked_at = now;
     bridge->due = next_period(bridge);
 }
 
-void bridge_hear_host(struct bridge *bridge, const uint8_t *bytes, size_t count, uint64_t now)
+void bridge_receive_host(struct bridge *bridge, const uint8_t *bytes, size_t count, uint64_t now)
 {
     bridge->now = now;
     bridge->input = bytes;
@@ -468,7 +468,7 @@ void bridge_poll(struct bridge *bridge, uint64_t now)
     for (unsigned i = 0; i < POLLS && (device_is_sending(&bridge->device) || device_is_changing(&bridge->device)); i++)
         device_poll(&bridge->device);
     if (bridge->at_once)
-        tell(bridge, false);
+        send_order(bridge, false);
     bridge->at_once = false;
 }
 
@@ -482,9 +482,9 @@ void bridge_lose_bus(struct bridge *bridge, uint64_t now)
 
 void bridge_stop(struct bridge *bridge)
 {
-    wish(bridge, DRIVE_OFF);
+    set_wish(bridge, DRIVE_OFF);
     for (unsigned i = 0; i < ENDING_FRAMES; i++)
-        tell(bridge, false);
+        send_order(bridge, false);
 }
 
 /* ------------------------------------------------------------------ outside */

@@ -1,15 +1,14 @@
-/* The core on a computer whose encoder and amplifier are a drive on a bus: the port of a bridge, without its bus and
- * without waiting. Bytes and times go in, bytes come out; `loop.h` moves them in real time, a test as it likes.
+/* The core on a computer whose encoder and amplifier are a drive on a bus: the port of a bridge, without I/O and without
+ * waiting. Callers pass bytes and times in and take bytes out: `loop.h` in real time, a test at any pace.
  *
  * Once a period (`bridge_tick`) the set-point goes to the drive, and its sample is awaited. The tick of the core comes with
- * that sample, so that one without a reply does not exist: one lost is a missed tick of the device, and BRIDGE_SILENT in
- * succession end an armed run. A drive that is silent for longer may have lost its power, and with it the turns that it
- * counted. The drive's own watchdog is the core's hardware watchdog: it is fed by set-points, and these stop when the
- * core's tick or main loop does.
+ * that sample: a lost sample is a missed tick of the device, and BRIDGE_SILENT in succession end an armed run. A drive
+ * that is silent for longer may have lost its power, and with it the turns that it counted. The drive's own watchdog
+ * serves as the core's hardware watchdog: set-points feed it, and they stop when the core's tick or main loop stops.
  *
- * A drive that is asked (moteus) is asked in that period's frame. One that speaks by itself, every so often by its own
- * clock (ODrive), is followed: the next period begins half a message before the sample of the next one, so that neither
- * clock's drift makes a sample come twice or not at all. The half message is delay, and counts as a round trip. */
+ * A polled drive (moteus) is queried in that period's frame. The bridge synchronises to a drive that sends by itself on its
+ * own clock (ODrive): a period begins half a message interval before its sample is due, so that the drift of the clocks
+ * neither duplicates nor loses a sample. The half interval is delay, and counts as part of the round trip. */
 #ifndef HR_BRIDGE_H
 #define HR_BRIDGE_H
 
@@ -31,17 +30,17 @@
 #define BRIDGE_BINS 512u         /* of the round trips, 10 µs each; the last one has all longer ones */
 #define BRIDGE_BIN_US 10u
 
-/* Statistics of the bus: a row of numbers, so that another process can read them. */
+/* Statistics of the bus, all int64: another process reads them as an array. */
 struct bridge_facts {
     int64_t replies;
     int64_t lost;     /* periods without a sample, from the first one on */
     int64_t late;     /* replies behind their period, and second ones */
     int64_t foreign;  /* frames of another master, or to one */
-    int64_t invalid;  /* replies that lack a register, lines that are none */
+    int64_t invalid;  /* replies that lack a register, lines that are no frames */
     int64_t refused;  /* frames that the adapter refused */
     int64_t unsent;   /* frames for which there was no room */
-    int64_t skipped;  /* periods that this computer slept through */
-    int64_t limited;  /* replies that said that the drive limits its torque */
+    int64_t skipped;  /* periods in which this computer did not run the loop */
+    int64_t limited;  /* replies that report a limited torque */
     int64_t longest_us; /* round trip */
     int64_t temperature; /* °C */
     int64_t hottest;     /* °C */
@@ -125,20 +124,20 @@ void bridge_setup(struct bridge *bridge, const struct bridge_setup *setup, struc
 void bridge_narrow(struct bridge *bridge, uint8_t parameter, uint32_t minimum, uint32_t maximum);
 void bridge_start(struct bridge *bridge, uint64_t now);
 
-/* A period is over, at `due`: the set-point to the drive, and the next query. */
+/* Begin a period, at `due`: send the set-point and the next query to the drive. */
 void bridge_tick(struct bridge *bridge, uint64_t now);
 
-/* Bytes of the adapter, or a frame of the socket; of the host; what waits for them is in `bus` and `output`. */
-void bridge_hear_bus(struct bridge *bridge, const uint8_t *bytes, size_t count, uint64_t now);
-void bridge_hear_host(struct bridge *bridge, const uint8_t *bytes, size_t count, uint64_t now);
+/* Pass in bytes of the adapter or a frame of the socket; bytes of the host. What is to be sent is in `bus` and `output`. */
+void bridge_receive_bus(struct bridge *bridge, const uint8_t *bytes, size_t count, uint64_t now);
+void bridge_receive_host(struct bridge *bridge, const uint8_t *bytes, size_t count, uint64_t now);
 
-/* The main loop of the core: until it has nothing more to do. */
+/* Run the main loop of the core until it has nothing to do. */
 void bridge_poll(struct bridge *bridge, uint64_t now);
 
-/* The adapter is gone, or its bus. */
+/* Report that the adapter or its bus was lost. */
 void bridge_lose_bus(struct bridge *bridge, uint64_t now);
 
-/* The drive off, whatever the core wants: the end. */
+/* Switch the drive off, whatever the core's set-point. Call at the end. */
 void bridge_stop(struct bridge *bridge);
 
 size_t bridge_take(struct bridge *bridge, uint8_t *into, size_t capacity);     /* for the host */

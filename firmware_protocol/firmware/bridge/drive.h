@@ -1,5 +1,5 @@
-/* What a bridge needs of a drive, one file for each kind: frames that tell it what is wished, samples out of what it says,
- * and what its state means. The rules (when a set-point may go, what a lost sample costs) are the bridge's, and shared. */
+/* What a bridge needs of a drive, one file for each kind: the frames of an order, the samples in its replies, and the
+ * meaning of its state. The rules (when a set-point may be sent, what a lost sample costs) are the bridge's, and shared. */
 #ifndef HR_DRIVE_H
 #define HR_DRIVE_H
 
@@ -11,9 +11,9 @@
 
 #define DRIVE_FRAMES 4u   /* most frames to a drive in a period */
 #define DRIVE_SETTLES 50u /* samples until a drive must have executed a command */
-#define DRIVE_TOLD 3u     /* set-points that may be on their way there and back */
+#define DRIVE_IN_FLIGHT 3u     /* set-points that may be on their way there and back */
 
-/* What may be wrong with a drive: faults of the core from here on, which the dictionary explains. */
+/* Faults of a drive: codes of the core's faults from 20 on; the dictionary contains their texts. */
 enum bridge_fault {
     BRIDGE_DRIVE_SILENT = 20,
     BRIDGE_OTHER_MASTER = 21,
@@ -42,8 +42,8 @@ struct drive_wall {
 
 struct drive_order {
     enum drive_wish wish;
-    bool asks;        /* a period begins, and its sample is awaited; else a wish that could not wait for the next one */
-    bool fed;         /* the core's watchdog is: a set-point may go */
+    bool asks;        /* a period begins and a sample is requested; false: an order between two periods */
+    bool fed;         /* the core has fed its watchdog: a set-point may be sent */
     float torque;     /* N·m at the output */
     float watchdog_s; /* after which the drive gives none, unless the command is repeated */
     const struct drive_wall *wall; /* to render beside the torque, or NULL */
@@ -54,14 +54,14 @@ struct drive_sample {
     uint32_t code;     /* of its fault */
     float position;    /* turns of the output */
     float torque;      /* N·m at the output, measured */
-    float rendered;    /* N·m at the output that its own law gives, torque and wall; NaN where it does not say */
+    float rendered;    /* N·m at the output that its own law gives, torque and wall; NaN: not reported */
     float voltage;     /* V */
     float temperature; /* °C */
     uint8_t switches;  /* pins */
     bool limited;      /* it gives another torque than the commanded one */
 };
 
-enum drive_heard {
+enum drive_frame {
     DRIVE_OTHERS,  /* not about this drive */
     DRIVE_FOREIGN, /* of another master, or to one */
     DRIVE_LATE,    /* behind its period, or a second one */
@@ -77,11 +77,11 @@ struct drive {
     float kp, kd;        /* of its own law: N·m/turn, N·m·s/turn at the output; 0: it renders no wall */
     uint64_t beat;       /* device time between two heartbeats of an ODrive */
     bool asked;          /* a sample is awaited */
-    bool known;          /* there was one */
+    bool known;          /* a sample has arrived */
     struct drive_sample sample;
 
     uint8_t sender; /* of a moteus: of the last query, from 0 */
-    uint8_t modes[DRIVE_TOLD]; /* of a moteus: commanded last, the newest first; a sample may show any of them */
+    uint8_t modes[DRIVE_IN_FLIGHT]; /* of a moteus: commanded last, the newest first; a sample may show any of them */
 
     struct { /* of an ODrive */
         uint32_t error;
@@ -91,9 +91,9 @@ struct drive {
         uint32_t periods; /* of preparing, since then */
         uint32_t beats;   /* since then */
         uint64_t beat_at; /* device time of the last one; 0 before the first */
-        uint64_t heard_at;
+        uint64_t received_at;
         unsigned parts;   /* of the awaited sample */
-        float told[DRIVE_TOLD];
+        float torques[DRIVE_IN_FLIGHT];
         unsigned differs; /* samples in succession whose set-point is none of them */
         bool obeys_another;
     } odrive;
@@ -103,22 +103,22 @@ struct drive_kind {
     bool classic; /* CAN frames of eight bytes */
 
     /* Write the frames that an order takes; returns how many, at most DRIVE_FRAMES. */
-    size_t (*tell)(struct drive *drive, const struct drive_order *order, struct can_frame_bytes *frames);
+    size_t (*write_order)(struct drive *drive, const struct drive_order *order, struct can_frame_bytes *frames);
 
     /* Take a frame of the bus. */
-    enum drive_heard (*hear)(struct drive *drive, const struct can_frame_bytes *frame, uint64_t now);
+    enum drive_frame (*read_frame)(struct drive *drive, const struct can_frame_bytes *frame, uint64_t now);
 
-    /* Whether it can render a wall itself; NULL: none. */
+    /* Return true if it can render this wall itself; NULL: it can render none. */
     bool (*renders)(const struct drive *drive, const struct drive_wall *wall);
 
-    /* Whether a set-point acts at once. */
+    /* Return true if a set-point acts at once. */
     bool (*is_on)(const struct drive *drive);
 
-    /* The fault that its last sample means, given a wish that is `since` samples old; 0: none. */
+    /* Return the fault that its last sample means, `since` samples after the last order; 0: no fault. */
     uint8_t (*fault)(const struct drive *drive, enum drive_wish wish, uint32_t since);
 
-    /* Whether its power may have been gone, and with it the turns that it counted. */
-    bool (*forgot)(const struct drive *drive);
+    /* Return true if its power may have been lost, and with it the turns that it counted. */
+    bool (*may_have_restarted)(const struct drive *drive);
 };
 
 #endif

@@ -61,7 +61,7 @@ static unsigned digit(char character)
     return 16u;
 }
 
-/* Take a right checksum off the end of a line; false where there is none. */
+/* Remove a correct checksum from the end of a line; false if it is missing or wrong. */
 static bool without_checksum(const char *line, size_t *count)
 {
     if (*count < CHECKSUM_BYTES || line[*count - 3] != '*')
@@ -98,7 +98,7 @@ static bool read_frame(const char *at, const char *end, struct can_frame_bytes *
     return true;
 }
 
-/* Returns whether the line is a frame. */
+/* Return true if the line is a frame. */
 static bool read_line(struct fdcanusb *port, struct can_frame_bytes *frame)
 {
     size_t count = port->count;

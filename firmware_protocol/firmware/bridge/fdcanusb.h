@@ -4,8 +4,8 @@
  *     OK *..                              it has sent it
  *     rcv 100 21000022 E B F *..          from the bus
  *
- * The checksum is a CRC-8 (polynomial 0x97) of all that stands before its star. An adapter that was sent one wants it on
- * every line, and puts it on its own.
+ * The checksum is a CRC-8 (polynomial 0x97) of all that stands before its star. An adapter that has received one requires it on
+ * every line, and appends it to its own.
  *
  * Source: mjbots/moteus, lib/python/moteus/fdcanusb_device.py (firmware 1.1.0), opened. */
 #ifndef HR_FDCANUSB_H
@@ -26,7 +26,7 @@ struct fdcanusb {
     char line[FDCANUSB_LINE_BYTES];
     uint32_t sent;    /* lines that the adapter acknowledged */
     uint32_t refused; /* lines that it did not understand, or could not send */
-    uint32_t garbled; /* lines that are none, or whose checksum is wrong */
+    uint32_t garbled; /* malformed lines, and lines with a wrong checksum */
 };
 
 /* Take a byte of the adapter's; true when it ends a frame of the bus. */

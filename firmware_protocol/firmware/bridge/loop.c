@@ -29,23 +29,23 @@ static bool is_broken(ssize_t count)
     return count == 0 || (count < 0 && errno != EAGAIN && errno != EINTR);
 }
 
-/* Read what is there; false when the other end is gone. */
-static bool hear(struct bridge *bridge, int descriptor,
-                 void (*heard)(struct bridge *, const uint8_t *, size_t, uint64_t))
+/* Read all available bytes; false when the other end is closed. */
+static bool read_end(struct bridge *bridge, int descriptor,
+                 void (*receive)(struct bridge *, const uint8_t *, size_t, uint64_t))
 {
     uint8_t bytes[READ_BYTES];
     for (unsigned i = 0; i < READS; i++) {
         const ssize_t count = read(descriptor, bytes, sizeof bytes);
         if (count > 0)
-            heard(bridge, bytes, (size_t)count, now_units());
+            receive(bridge, bytes, (size_t)count, now_units());
         else
             return !is_broken(count);
     }
     return true;
 }
 
-/* Write what waits, as far as it is taken; a socket of a bus takes one frame each time. False when it is gone. */
-static bool say(struct bridge *bridge, int descriptor, uint8_t *from, size_t *there, size_t most,
+/* Write as many waiting bytes as the descriptor accepts; a CAN socket takes one frame a call. False when it is closed. */
+static bool write_end(struct bridge *bridge, int descriptor, uint8_t *from, size_t *there, size_t most,
                 size_t (*take)(struct bridge *, uint8_t *, size_t))
 {
     uint8_t written[SOCKETCAN_BYTES];
@@ -59,15 +59,15 @@ static bool say(struct bridge *bridge, int descriptor, uint8_t *from, size_t *th
     return true;
 }
 
-static void say_bus(struct bridge *bridge, int descriptor)
+static void write_bus(struct bridge *bridge, int descriptor)
 {
     const size_t frame = bridge->kind->classic ? SOCKETCAN_CLASSIC_BYTES : SOCKETCAN_BYTES;
     const size_t most = bridge->setup.socket ? frame : BRIDGE_BUS_BYTES;
-    if (!say(bridge, descriptor, bridge->bus, &bridge->bus_count, most, bridge_take_bus))
+    if (!write_end(bridge, descriptor, bridge->bus, &bridge->bus_count, most, bridge_take_bus))
         bridge_lose_bus(bridge, now_units());
 }
 
-/* Wait for an end or the next period; what is not there is not waited for. */
+/* Wait for an end or the next period; descriptors below zero are ignored. */
 static void wait_for(struct pollfd *ends, int64_t until_ns)
 {
     const int64_t left_ns = until_ns - now_ns();
@@ -94,26 +94,26 @@ void bridge_run(struct bridge *bridge, const struct bridge_ends *ends)
         wait_for(waited, (int64_t)(bridge->due / 2u) * UNIT_TWICE_NS);
         if (waited[HOST].fd >= 0)
             host_there = (waited[HOST].revents & POLLHUP) == 0;
-        if (waited[BUS].revents != 0 && !hear(bridge, ends->bus, bridge_hear_bus))
+        if (waited[BUS].revents != 0 && !read_end(bridge, ends->bus, bridge_receive_bus))
             bridge_lose_bus(bridge, now_units());
-        if (waited[HOST].revents != 0 && !hear(bridge, ends->host, bridge_hear_host)) {
+        if (waited[HOST].revents != 0 && !read_end(bridge, ends->host, bridge_receive_host)) {
             if (!ends->host_stays)
                 break;
             bridge->output_count = 0; /* the next host begins with an empty line */
-            waited[HOST].fd = -1;     /* a terminal without one is ready all the time: it is looked at once a period */
+            waited[HOST].fd = -1;     /* a terminal without a host is always ready: check it once a period */
         }
         bridge_poll(bridge, now_units());
         if (now_units() >= bridge->due) {
             bridge_tick(bridge, now_units());
-            say_bus(bridge, ends->bus);
+            write_bus(bridge, ends->bus);
             waited[HOST].fd = ends->host;
         }
-        say_bus(bridge, ends->bus);
+        write_bus(bridge, ends->bus);
         if (bridge->bus_lost)
             waited[BUS].fd = -1;
         if (host_there)
-            say(bridge, ends->host, bridge->output, &bridge->output_count, BRIDGE_OUTPUT_BYTES, bridge_take);
+            write_end(bridge, ends->host, bridge->output, &bridge->output_count, BRIDGE_OUTPUT_BYTES, bridge_take);
     }
     bridge_stop(bridge);
-    say_bus(bridge, ends->bus);
+    write_bus(bridge, ends->bus);
 }

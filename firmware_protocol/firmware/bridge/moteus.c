@@ -254,7 +254,7 @@ static struct moteus_wall wall_of(const struct drive *drive, const struct drive_
     return within;
 }
 
-static size_t tell(struct drive *drive, const struct drive_order *order, struct can_frame_bytes *frames)
+static size_t write_order(struct drive *drive, const struct drive_order *order, struct can_frame_bytes *frames)
 {
     struct moteus_command command = {
         .action = action_of(drive, order),
@@ -268,7 +268,7 @@ static size_t tell(struct drive *drive, const struct drive_order *order, struct 
         command.limit = order->wall->limit;
     }
     if (command.action == MOTEUS_TORQUE || command.action == MOTEUS_WALL) {
-        memmove(drive->modes + 1, drive->modes, DRIVE_TOLD - 1u);
+        memmove(drive->modes + 1, drive->modes, DRIVE_IN_FLIGHT - 1u);
         drive->modes[0] = (uint8_t)mode_of(command.action);
     }
     if (order->asks) /* the reply repeats the sender: a late one is not taken for that of this query */
@@ -278,7 +278,7 @@ static size_t tell(struct drive *drive, const struct drive_order *order, struct 
     return 1;
 }
 
-static enum drive_heard hear(struct drive *drive, const struct can_frame_bytes *frame, uint64_t now)
+static enum drive_frame read_frame(struct drive *drive, const struct can_frame_bytes *frame, uint64_t now)
 {
     struct drive_sample sample = {0};
     const uint32_t from = frame->id >> 8 & 0x7Fu, to = frame->id & 0x7Fu;
@@ -336,19 +336,19 @@ static uint8_t fault(const struct drive *drive, enum drive_wish wish, uint32_t s
         return HR_FAULT_NONE;
     if (wish == DRIVE_PREPARE && is_on(drive))
         return HR_FAULT_NONE;
-    return memchr(drive->modes, mode, DRIVE_TOLD) != NULL ? HR_FAULT_NONE : BRIDGE_DRIVE_LEFT;
+    return memchr(drive->modes, mode, DRIVE_IN_FLIGHT) != NULL ? HR_FAULT_NONE : BRIDGE_DRIVE_LEFT;
 }
 
-static bool forgot(const struct drive *drive)
+static bool may_have_restarted(const struct drive *drive)
 {
     return drive->sample.mode == MOTEUS_STOPPED;
 }
 
 const struct drive_kind moteus_kind = {
-    .tell = tell,
-    .hear = hear,
+    .write_order = write_order,
+    .read_frame = read_frame,
     .renders = renders,
     .is_on = is_on,
     .fault = fault,
-    .forgot = forgot,
+    .may_have_restarted = may_have_restarted,
 };

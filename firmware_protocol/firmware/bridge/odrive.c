@@ -55,19 +55,19 @@ static void put_torque(struct drive *drive, struct can_frame_bytes *frame, float
     uint32_t bits;
     memcpy(&bits, &torque, sizeof bits);
     put(drive, frame, SET_TORQUE, bits, 0);
-    memmove(drive->odrive.told + 1, drive->odrive.told, sizeof drive->odrive.told - sizeof torque);
-    drive->odrive.told[0] = torque;
+    memmove(drive->odrive.torques + 1, drive->odrive.torques, sizeof drive->odrive.torques - sizeof torque);
+    drive->odrive.torques[0] = torque;
 }
 
-static size_t tell_idle(struct drive *drive, struct can_frame_bytes *frames)
+static size_t write_idle(struct drive *drive, struct can_frame_bytes *frames)
 {
     put_torque(drive, &frames[0], 0.0f); /* the one that it would begin with */
     put(drive, &frames[1], SET_STATE, IDLE, 0);
     return 2;
 }
 
-/* Into closed loop, without torque; what stopped it before is cleared once, after it was reported to the host that arms. */
-static size_t tell_prepare(struct drive *drive, struct can_frame_bytes *frames)
+/* Enter closed loop without torque. Errors are cleared once, after they were reported to the host. */
+static size_t write_prepare(struct drive *drive, struct can_frame_bytes *frames)
 {
     size_t count = 0;
     const uint32_t periods = drive->odrive.periods++;
@@ -88,7 +88,7 @@ static bool has_settled(const struct drive *drive, enum state state)
     return drive->sample.mode == state && drive->odrive.beats >= FRESH_BEATS;
 }
 
-static size_t tell(struct drive *drive, const struct drive_order *order, struct can_frame_bytes *frames)
+static size_t write_order(struct drive *drive, const struct drive_order *order, struct can_frame_bytes *frames)
 {
     if (order->asks) {
         drive->odrive.parts = 0;
@@ -103,12 +103,12 @@ static size_t tell(struct drive *drive, const struct drive_order *order, struct 
     if (order->wish == DRIVE_OFF) {
         drive->odrive.woken &= !has_settled(drive, IDLE);
         const bool rests = drive->sample.mode == IDLE && !drive->odrive.woken;
-        return order->asks && rests ? 0 : tell_idle(drive, frames);
+        return order->asks && rests ? 0 : write_idle(drive, frames);
     }
     if (order->asks && !order->fed)
         return 0;
     if (order->wish == DRIVE_PREPARE)
-        return tell_prepare(drive, frames);
+        return write_prepare(drive, frames);
     put_torque(drive, frames, order->torque);
     return 1;
 }
@@ -134,8 +134,8 @@ static float number(const struct can_frame_bytes *frame, unsigned at)
 /* True if the drive's set-point differs from all that were commanded recently. */
 static bool differs(const struct drive *drive, float target)
 {
-    for (unsigned i = 0; i < DRIVE_TOLD; i++)
-        if (fabsf(target - drive->odrive.told[i]) <= SMALLEST + RELATIVE * fabsf(target))
+    for (unsigned i = 0; i < DRIVE_IN_FLIGHT; i++)
+        if (fabsf(target - drive->odrive.torques[i]) <= SMALLEST + RELATIVE * fabsf(target))
             return false;
     return true;
 }
@@ -163,8 +163,8 @@ static bool is_command(unsigned command)
            || (command >= SET_MODE && command <= LAST_SETTING) || (command >= CLEAR_ERRORS && command <= LAST_GAIN);
 }
 
-/* A sample is whole when both its parts have come, in any order; what comes before it is asked for is passed over. */
-static enum drive_heard hear(struct drive *drive, const struct can_frame_bytes *frame, uint64_t now)
+/* A sample is complete when both parts have arrived, in any order. Messages before the request are ignored. */
+static enum drive_frame read_frame(struct drive *drive, const struct can_frame_bytes *frame, uint64_t now)
 {
     const unsigned command = frame->id & ((1u << NODE_BITS) - 1u);
     if (frame->id >> NODE_BITS != drive->id)
@@ -175,7 +175,7 @@ static enum drive_heard hear(struct drive *drive, const struct can_frame_bytes *
         return DRIVE_PART;
     if (frame->count != MESSAGE_BYTES)
         return DRIVE_INVALID;
-    drive->odrive.heard_at = now;
+    drive->odrive.received_at = now;
     if (command == HEARTBEAT)
         take_beat(drive, frame, now);
     if (command == TEMPERATURE && isfinite(number(frame, 0)))
@@ -201,7 +201,7 @@ static bool is_on(const struct drive *drive)
     return has_settled(drive, CLOSED_LOOP) && drive->odrive.error == 0;
 }
 
-/* Bits of an error; the watchdog's comes with others, and says less. */
+/* Return the fault of an error's bits. The watchdog's bit comes last: it occurs together with more specific ones. */
 static uint8_t fault_of(uint32_t error)
 {
     static const struct {
@@ -230,7 +230,7 @@ static uint8_t fault(const struct drive *drive, enum drive_wish wish, uint32_t s
     const bool settled = since >= DRIVE_SETTLES;
     if (wish == DRIVE_OFF)
         return state == IDLE || !settled ? HR_FAULT_NONE : BRIDGE_DRIVE_LEFT;
-    if (drive->odrive.heard_at - drive->odrive.beat_at > LOST_BEATS * drive->beat)
+    if (drive->odrive.received_at - drive->odrive.beat_at > LOST_BEATS * drive->beat)
         return BRIDGE_DRIVE_SILENT;
     if (wish == DRIVE_PREPARE && !settled) /* the command is on its way */
         return HR_FAULT_NONE;
@@ -243,16 +243,16 @@ static uint8_t fault(const struct drive *drive, enum drive_wish wish, uint32_t s
     return HR_FAULT_NONE;
 }
 
-static bool forgot(const struct drive *drive)
+static bool may_have_restarted(const struct drive *drive)
 {
     return drive->sample.mode == IDLE && drive->odrive.error == 0;
 }
 
 const struct drive_kind odrive_kind = {
     .classic = true,
-    .tell = tell,
-    .hear = hear,
+    .write_order = write_order,
+    .read_frame = read_frame,
     .is_on = is_on,
     .fault = fault,
-    .forgot = forgot,
+    .may_have_restarted = may_have_restarted,
 };

@@ -1,8 +1,8 @@
 /* Commands to an ODrive and its messages, in CAN Simple, firmware 0.6.
  *
- * It is told nothing but states, modes and torques: whichever message feeds its watchdog, silence does not. What it tells
- * comes by itself, by its own clock; a sample is a position and the torques of the same period. No message has a number, so
- * an old one differs from a new one only by its arrival time.
+ * The bridge sends only states, modes and torques. It is not known which of them feeds the drive's watchdog; silence does
+ * not. The drive sends by itself, on its own clock; a sample is a position and the torques of the same period. Messages
+ * have no number, so an old one differs from a new one only by its arrival time.
  *
  * Source: the description of the messages of 0.6.10 (DBC) that the package odrive-can carries; odriverobotics/ODriveArduino
  * at f52eef5, src/can_simple_messages.hpp and ODriveEnums.h, opened. */

@@ -8,7 +8,7 @@
 /* Every transaction begins with its nonce. */
 #define AT_NONCE HR_HEADER_BYTES
 
-/* What the answer to ENTER_BOOTLOADER has to reach the host: 50 ms. */
+/* Delay before the reset, so that the reply to ENTER_BOOTLOADER reaches the host: 50 ms. */
 #define LEAVES_AFTER (50000u * HR_TIME_UNITS_PER_US)
 
 static uint16_t nonce_of(const uint8_t *raw)
@@ -26,9 +26,9 @@ static size_t copy_page(uint8_t *into, const uint8_t *content, size_t total, siz
     return count;
 }
 
-/* ------------------------------------------------------------------ questions */
+/* ------------------------------------------------------------------ requests that only read */
 
-static void tell_identity(struct device *device, const uint8_t *request)
+static void send_identity(struct device *device, const uint8_t *request)
 {
     struct packet packet;
     const struct board *board = device->board;
@@ -45,7 +45,7 @@ static void tell_identity(struct device *device, const uint8_t *request)
     device_send(device, &packet);
 }
 
-static void tell_parameters(struct device *device, const uint8_t *request)
+static void send_parameters(struct device *device, const uint8_t *request)
 {
     struct packet packet;
     const struct configuration *configuration = &device->configuration;
@@ -60,7 +60,7 @@ static void tell_parameters(struct device *device, const uint8_t *request)
     device_send(device, &packet);
 }
 
-static void tell_time(struct device *device, const uint8_t *request)
+static void send_time(struct device *device, const uint8_t *request)
 {
     struct packet packet;
     uint8_t *raw = connection_begin(&device->connection, &packet, HR_INDEX_TIME, HR_BYTES_TIME);
@@ -71,7 +71,7 @@ static void tell_time(struct device *device, const uint8_t *request)
     device_send(device, &packet);
 }
 
-static void tell_faults(struct device *device, const uint8_t *request)
+static void send_fault_log(struct device *device, const uint8_t *request)
 {
     struct packet packet;
     const struct faults *faults = &device->faults;
@@ -92,7 +92,7 @@ static void tell_faults(struct device *device, const uint8_t *request)
     device_send(device, &packet);
 }
 
-static void tell_statistics(struct device *device, const uint8_t *request)
+static void send_statistics(struct device *device, const uint8_t *request)
 {
     struct packet packet;
     const struct counters *counters = &device->connection.counters;
@@ -113,7 +113,7 @@ static void tell_statistics(struct device *device, const uint8_t *request)
     device_send(device, &packet);
 }
 
-static void tell_reference(struct device *device, const uint8_t *request)
+static void send_reference(struct device *device, const uint8_t *request)
 {
     struct packet packet;
     const struct hal *hal = device->hal;
@@ -130,7 +130,7 @@ static void tell_reference(struct device *device, const uint8_t *request)
     device_send(device, &packet);
 }
 
-/* ------------------------------------------------------------------ what changes the device */
+/* ------------------------------------------------------------------ requests that change the device */
 
 static struct refusal set_begin(struct device *device, const uint8_t *raw)
 {
@@ -165,7 +165,7 @@ static struct refusal set_while_idle(struct device *device, const struct candida
     return refusal;
 }
 
-/* Of a device that is not armed. */
+/* Activate a parameter block while the device is not armed. */
 static struct refusal set_commit(struct device *device, const uint8_t *raw)
 {
     struct candidate candidate;
@@ -186,7 +186,7 @@ static struct refusal set_commit(struct device *device, const uint8_t *raw)
     return refusal;
 }
 
-/* The cause of a fault that is there now and will not go by itself when the effort is zero, or NONE. */
+/* Return the fault whose cause is still present and does not disappear at zero effort, or NONE. */
 static enum hr_fault present_fault(const struct device *device)
 {
     if (device->hal->inputs(device->hal->context) & HR_INPUT_EMERGENCY_STOP)
@@ -241,7 +241,7 @@ static struct refusal disarm(struct device *device)
         refusal.detail = (uint16_t)present;
         return refusal;
     }
-    device_switch_off(device); /* first: what is packed and sent takes its time */
+    device_switch_off(device); /* before packing and sending, which take time */
     device_end_supervision(device);
     faults_clear(&device->faults);
     return refusal;
@@ -291,24 +291,24 @@ static void send_ack(struct device *device, const struct ack *ack)
     device_send(device, &packet);
 }
 
-/* ACK that names the first tick which sees the change, and the active parameters. */
-static struct ack executed(struct device *device, const uint8_t *raw, size_t count)
+/* Execute a request and return its ACK, with the first tick that uses the change and the CRC of the parameters. */
+static struct ack execute_and_report(struct device *device, const uint8_t *raw, size_t count)
 {
     const uint8_t type = raw[HR_AT_HEADER_TYPE_ID];
     const struct refusal refusal = execute(device, raw, count);
-    const bool tells_crc = type == HR_TYPE_SET_COMMIT || type == HR_TYPE_ARM;
+    const bool has_crc = type == HR_TYPE_SET_COMMIT || type == HR_TYPE_ARM;
     const struct ack ack = {
         .nonce = nonce_of(raw),
         .request = type,
         .status = (uint8_t)refusal.status,
         .detail = refusal.detail,
         .sample_index = device->sample_index + 1u,
-        .crc = tells_crc ? device->configuration.crc : 0u,
+        .crc = has_crc ? device->configuration.crc : 0u,
     };
     return ack;
 }
 
-static struct ack refused(const uint8_t *raw, const struct verdict *verdict)
+static struct ack make_refusal(const uint8_t *raw, const struct verdict *verdict)
 {
     const struct ack ack = {
         .nonce = nonce_of(raw),
@@ -340,7 +340,7 @@ static void remember(struct device *device, const struct ack *ack, uint8_t sessi
     device->remembered.ack = *ack;
 }
 
-/* A repeat moves nothing: a DISARM that was late on the line must not lead out of a fault that came since. */
+/* A repeated request is not executed again: a late DISARM must not clear a fault that was latched after the first. */
 static void acknowledge(struct device *device, const uint8_t *raw, size_t count, const struct verdict *verdict)
 {
     const uint8_t type = raw[HR_AT_HEADER_TYPE_ID], session = raw[HR_AT_HEADER_SESSION];
@@ -353,7 +353,7 @@ static void acknowledge(struct device *device, const uint8_t *raw, size_t count,
         live_change_begin(&device->live_change, &device->assembler, nonce_of(raw), session); /* answered when done */
         return;
     }
-    const struct ack ack = verdict->kind == VERDICT_REFUSE ? refused(raw, verdict) : executed(device, raw, count);
+    const struct ack ack = verdict->kind == VERDICT_REFUSE ? make_refusal(raw, verdict) : execute_and_report(device, raw, count);
     if (remembers)
         remember(device, &ack, session);
     send_ack(device, &ack);
@@ -394,39 +394,39 @@ void answer_more(struct device *device)
         answer_live_change(device);
 }
 
-/* Answer one of the questions, which have replies of their own; false for every other request. */
-static bool tell(struct device *device, const uint8_t *raw)
+/* Send the reply to a request that only reads; false for every other request. */
+static bool send_reply(struct device *device, const uint8_t *raw)
 {
     switch (raw[HR_AT_HEADER_TYPE_ID]) {
     case HR_TYPE_IDENTIFY:
-        tell_identity(device, raw);
+        send_identity(device, raw);
         return true;
     case HR_TYPE_GET_PARAMETERS:
-        tell_parameters(device, raw);
+        send_parameters(device, raw);
         return true;
     case HR_TYPE_GET_TIME:
-        tell_time(device, raw);
+        send_time(device, raw);
         return true;
     case HR_TYPE_GET_FAULT_LOG:
-        tell_faults(device, raw);
+        send_fault_log(device, raw);
         return true;
     case HR_TYPE_GET_STATISTICS:
-        tell_statistics(device, raw);
+        send_statistics(device, raw);
         return true;
     case HR_TYPE_GET_REFERENCE:
-        tell_reference(device, raw);
+        send_reference(device, raw);
         return true;
     default:
         return false;
     }
 }
 
-/* One request at a time: a host that does not wait for its answer pays with a longer poll. */
+/* One request at a time: if the host does not wait for a reply, this poll takes longer. */
 void answer(struct device *device, const uint8_t *raw, size_t count, const struct verdict *verdict)
 {
     while (device_is_changing(device))
         answer_more(device);
-    if (verdict->kind == VERDICT_REQUEST && tell(device, raw))
+    if (verdict->kind == VERDICT_REQUEST && send_reply(device, raw))
         connection_answered(&device->connection, raw[HR_AT_HEADER_TYPE_ID], raw[HR_AT_HEADER_SESSION]);
     else
         acknowledge(device, raw, count, verdict);

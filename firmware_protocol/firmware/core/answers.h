@@ -1,4 +1,4 @@
-/* Requests of the host: what executes each, and its answer. */
+/* Requests of the host: execute each and reply. */
 #ifndef HR_ANSWERS_H
 #define HR_ANSWERS_H
 
@@ -7,10 +7,10 @@
 
 #include "device.h"
 
-/* Answer a request, or its refusal. */
+/* Execute a request and send the reply, or send the refusal. */
 void answer(struct device *device, const uint8_t *raw, size_t count, const struct verdict *verdict);
 
-/* Do a piece of a change of an armed device, and answer it with the last. */
+/* Do the next step of a parameter change of an armed device, and acknowledge it after the last. */
 void answer_more(struct device *device);
 
 #endif

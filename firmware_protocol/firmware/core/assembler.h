@@ -23,14 +23,14 @@ void assembler_reset(struct assembler *assembler);
 /* Make room for a block. The same BEGIN again changes nothing, another one starts afresh. */
 enum hr_status assembler_begin(struct assembler *assembler, uint16_t nonce, uint16_t length, uint32_t crc);
 
-/* Lay a piece in its place. */
+/* Store a piece at its offset. */
 enum hr_status assembler_chunk(struct assembler *assembler, uint16_t nonce, size_t offset, const uint8_t *data,
                                size_t count);
 
-/* Whether `block`, `length` bytes of it, is whole. It is forgotten then, unless bytes are missing. */
+/* Return OK if all `length` bytes of `block` are there and their CRC fits. Unless bytes are missing, the transfer ends. */
 enum hr_status assembler_commit(struct assembler *assembler, uint16_t nonce);
 
-/* The same but for the sum of its bytes: that it is `crc` is left to the caller. */
+/* The same without the CRC, which the caller must check. */
 enum hr_status assembler_close(struct assembler *assembler, uint16_t nonce);
 
 #endif

@@ -37,7 +37,7 @@ static void begin(struct batch *batch, struct connection *connection, uint32_t i
     frame->laid = HR_RAW_AT + HR_BYTES_BATCH;
 }
 
-/* Whether the sample may be appended as a difference from the last one. */
+/* Return true if the sample may be appended as a difference from the last one. */
 static bool follows(const struct batch *batch, uint32_t index)
 {
     return batch->follows && index == batch->next;

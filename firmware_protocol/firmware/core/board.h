@@ -1,4 +1,4 @@
-/* What the core must know of its board and rig, as constants: a port fills it in, a generator the dictionary. */
+/* Constants of board and rig that the core needs. A port fills them in; the dictionary is generated. */
 #ifndef HR_BOARD_H
 #define HR_BOARD_H
 
@@ -12,7 +12,7 @@ struct narrower {
     uint32_t maximum;
 };
 
-/* What must move how fast, for the check that a large effort shows encoder edges. SI, rotary or linear. */
+/* The rig's mechanics, for the check that a large effort produces encoder edges. SI, rotary or linear. */
 struct mechanics {
     double effort_quantum; /* N·m or N a quantum of current */
     double effort_limit;   /* of the amplifier */
@@ -23,9 +23,9 @@ struct mechanics {
     double lag_s; /* of the amplifier */
 };
 
-/* What the measured current must be. */
+/* Properties of the current sensor and of the amplifier, for the comparison of measured and set current. */
 struct current_sensor {
-    double noise;    /* of a measurement and its quantisation, the count's with back-EMF (quanta, rms); negative: none */
+    double noise;    /* of a measurement with quantisation, and the count's with back-EMF (quanta, rms); negative: no sensor */
     double lag_s;    /* between the current that is set and the one that flows */
     double delay_s;  /* of the set-point, before the lag */
     double back_emf; /* current that it takes off at a count a second (quanta·s); 0 for a current amplifier */

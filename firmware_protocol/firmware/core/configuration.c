@@ -16,7 +16,7 @@ float value_as_float(uint32_t bits)
     return value;
 }
 
-/* Whether minimum <= value <= maximum, in the parameter's own type; no NaN is. */
+/* Return true if minimum <= value <= maximum, in the parameter's own type; no NaN is. */
 static bool is_between(enum hr_kind kind, uint32_t minimum, uint32_t value, uint32_t maximum)
 {
     switch (kind) {
@@ -131,7 +131,7 @@ struct refusal configuration_check(struct candidate *candidate, const struct boa
 {
     const size_t grave = first_not_live(candidate->given);
     if (grave < HR_PARAMETERS && !candidate->given[HR_PARAMETER_VERIFIED])
-        candidate->values[HR_PARAMETER_VERIFIED] = 0; /* unless the block says it again */
+        candidate->values[HR_PARAMETER_VERIFIED] = 0; /* unless the block sets it again */
     candidate->homes = candidate->given[HR_PARAMETER_REFERENCE_COUNT];
     const struct refusal refusal = check_board(board, candidate->values, candidate->given);
     if (refusal.status != HR_STATUS_OK)

@@ -19,7 +19,7 @@ static void open_session(struct connection *connection, uint8_t session)
     connection->session = session;
     if (session != 0)
         connection->last_session = session;
-    connection->heard = false;
+    connection->has_command = false;
     connection->to_send[HR_INDEX_STATE] = 0;
     connection->to_send[HR_INDEX_BATCH] = 0;
 }
@@ -49,20 +49,20 @@ static struct verdict refuse(const uint8_t *raw, size_t count, enum hr_status st
     return verdict;
 }
 
-/* Count what is missing since the newest COMMAND; whether this one is to be delivered. */
+/* Count the COMMANDs lost since the newest one; return true if this one is newer. */
 static bool is_news(struct connection *connection, uint16_t sequence)
 {
-    const uint16_t step = connection->heard ? (uint16_t)(sequence - connection->newest) : 1u;
+    const uint16_t step = connection->has_command ? (uint16_t)(sequence - connection->newest) : 1u;
     if (step == 0) {
         connection->counters.duplicated++;
         return false;
     }
-    if (step > INT16_MAX) { /* half of the circle lies behind */
+    if (step > INT16_MAX) { /* sequences wrap: the older half of them is reordered */
         connection->counters.reordered++;
         return false;
     }
     connection->counters.lost += step - 1u;
-    connection->heard = true;
+    connection->has_command = true;
     connection->newest = sequence;
     return true;
 }
@@ -89,7 +89,7 @@ static struct verdict judge_command(struct connection *connection, const uint8_t
     return deliver;
 }
 
-/* Why the state, or a rule beside the table, forbids a request; OK if nothing does. */
+/* Return the reason why the state, or a rule beside the table, forbids a request; OK if none does. */
 static struct verdict objection(const struct connection *connection, enum hr_index index, const uint8_t *raw)
 {
     const uint8_t session = raw[HR_AT_HEADER_SESSION];

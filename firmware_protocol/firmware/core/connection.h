@@ -1,4 +1,4 @@
-/* The conversation: states, sessions, sequences. Which frames are taken, and where they lead. */
+/* The protocol's state machine: states, sessions, sequences; which frames are accepted, and the state after each. */
 #ifndef HR_CONNECTION_H
 #define HR_CONNECTION_H
 
@@ -14,7 +14,7 @@ struct connection {
     uint8_t state;        /* enum hr_state */
     uint8_t session;      /* 0 outside of one */
     uint8_t last_session; /* refused by the next ARM */
-    bool heard;           /* a COMMAND of this session */
+    bool has_command;     /* a COMMAND of this session has arrived */
     uint16_t newest;      /* its sequence */
     uint16_t to_send[HR_MESSAGES];
     struct counters counters;
@@ -34,13 +34,13 @@ struct verdict {
     uint16_t detail;
 };
 
-/* As after power-up: everything is forgotten but the counters. */
+/* Reset to the state after power-up; only the counters are kept. */
 void connection_reset(struct connection *connection);
 
 /* Judge a raw frame. A COMMAND that is to be delivered has moved the state. */
 struct verdict connection_judge(struct connection *connection, const uint8_t *raw, size_t count);
 
-/* A request was answered, and not refused: move as the table says. `session` is that of its header. */
+/* Change the state after a request that was granted, by the table. `session` is that of its header. */
 void connection_answered(struct connection *connection, uint8_t type, uint8_t session);
 
 /* Latch FAULT. The session stays, so that STATE frames still reach the host that runs it. */

@@ -1,4 +1,4 @@
-/* What happened on the link: nothing that arrives is dropped without one of these rising. Modulo 2³². */
+/* Counters of the link, modulo 2³². Each dropped frame increments one of them. */
 #ifndef HR_COUNTERS_H
 #define HR_COUNTERS_H
 

@@ -1,10 +1,11 @@
-/* The active current passes through the amplifier's lag. What is left between that and the measured current is added up
- * over a window, by magnitude, so that neither an oscillation nor noise averages it away, all but the largest, which may
- * be a spike of the converter. Half the lag and twice the lag are looked at too, and half the set-point's delay and twice
- * of it, in whole ticks around each; what lies between all of these is no difference. The sum is compared with the larger
- * of the sensor's noise and a tenth of the expected current. Under voltage drive the back-EMF flows too,
- * behind the same lag: it follows from the count's own speed, smoothed, and what is left between the others is smoothed
- * alike, so that a spike lasts into the next window. The host has the same rule (rig/control/current.py), bit by bit. */
+/* The active current is filtered by the amplifier's lag. The residual, measured less filtered current, is summed over a
+ * window by magnitude, so that neither an oscillation nor noise averages it away. The largest one is left out, since it
+ * may be a spike of the converter. The filter is also run with half the lag and twice the lag, and with half the delay of
+ * the set-point and twice of it, in whole ticks around each; a measured current between all of these has no residual. The
+ * sum is compared with the larger of the sensor's noise and a tenth of the expected current. Under voltage drive the
+ * back-EMF is subtracted, behind the same lag: it is computed from the smoothed speed of the count. The residual is then
+ * smoothed in the same way, so that a spike lasts into the next window. The host has the same rule
+ * (rig/control/current.py), bit by bit. */
 #include "current.h"
 
 #include <math.h>
@@ -24,13 +25,13 @@
 #define ZERO_SHARE 16
 #define ZERO_UNIT 256
 
-/* Share of the way that a first-order lag goes in a tick. */
+/* Return the share of a step that a first-order lag follows in a tick (1/65536). */
 static uint32_t share_of(double lag_s, uint32_t rate)
 {
     return lag_s > 0.0 ? (uint32_t)floor(-expm1(-1.0 / (rate * lag_s)) * 65536.0 + 0.5) : 65536u;
 }
 
-/* How much of a change within a tick, at an even pace, a first-order lag has not seen at its end. */
+/* Return the share of a linear change within a tick that a first-order lag has not followed at its end (1/65536). */
 static uint32_t late_part(double lag_s, uint32_t rate)
 {
     const double ticks = lag_s * rate;
@@ -117,7 +118,7 @@ void current_forget(struct current_check *check)
     check->known = 0;
     check->speed = check->moved = check->left = check->before = check->smooth = 0;
     check->quick_low_left = check->quick_high_left = check->slow_low_left = check->slow_high_left = 0;
-    /* The active currents of before are not known, but still on their way; with back-EMF the first count is needed too. */
+    /* Earlier active currents are unknown and still in the delay line; with back-EMF a previous count is needed too. */
     check->awaited = (uint16_t)(check->line.reach + (check->back_emf != 0 ? 1u : 0u));
 }
 
@@ -142,7 +143,7 @@ static int32_t part(int32_t difference, uint32_t share)
     return (difference >> 16) * (int32_t)share + (int32_t)(((uint32_t)difference & 0xFFFFu) * share >> 16);
 }
 
-/* Let what is behind a lag go its share of the way to what is before it. */
+/* Advance the output of a first-order lag by one tick. */
 static int32_t follow(int32_t *behind, int32_t before, uint32_t share)
 {
     *behind += part(before - *behind, share);
@@ -163,7 +164,7 @@ static int32_t back_emf(struct current_check *check, int32_t count)
     return (check->moved > 0) == (check->encoder_sign > 0) ? size : -size;
 }
 
-/* Let what is left, back-EMF apart, and what is expected be as smooth as the speed. */
+/* Smooth the residual without back-EMF, and the expected current, with the lag of the speed. */
 static void smooth(struct current_check *check, int16_t measured)
 {
     const int32_t left = measured * CURRENT_UNIT - check->expected;
@@ -184,7 +185,7 @@ bool current_disagrees(struct current_check *check, int32_t count, int16_t activ
     if (delays)
         delay_line_put(&check->line, active);
     if (check->awaited > 0) {
-        /* These fit together at any speed: what is left follows back-EMF from here on. */
+        /* Residual and back-EMF have the same lag from here on, at any speed. */
         check->count = count;
         check->known = 1;
         check->awaited--;

@@ -1,5 +1,5 @@
-/* Whether the measured current is the one that was set: a lead that came off, a dead amplifier, a wrong sign or scale.
- * And the sensor's zero. */
+/* Compare the measured current with the set one, to detect a broken lead, a dead amplifier, a wrong sign or scale; and
+ * follow the sensor's zero. */
 #ifndef HR_CURRENT_H
 #define HR_CURRENT_H
 
@@ -27,8 +27,8 @@ struct current_check {
     /* Settings with back-EMF: share of the speed's lag in a tick; of what a lag's input changes by in a tick, how much
      * comes late (1/65536). */
     uint32_t speed_decay, late;
-    /* Memory with back-EMF: last count; speed, and behind the lag (1/16384 count a tick); what is left, smoothed and not;
-     * expected current, smoothed (1/16384 quantum); what the bounds differ by from the expected current, smoothed. */
+    /* Memory with back-EMF: last count; speed, and behind the lag (1/16384 count a tick); residual, smoothed and not;
+     * expected current, smoothed (1/16384 quantum); difference of the bounds from the expected current, smoothed. */
     int32_t count, speed, moved, left, before, smooth, quick_low_left, slow_low_left, quick_high_left, slow_high_left;
     int8_t encoder_sign;
     uint8_t known; /* counts: 0, 1 or more */
@@ -40,7 +40,7 @@ void current_configure(struct current_check *check, const struct board *board, u
 /* Begin a window: another session. */
 void current_forget(struct current_check *check);
 
-/* Take the zero off a measured current (quanta); while the amplifier is off, the zero follows it. */
+/* Return a measured current less the sensor's zero (quanta). While the amplifier is off, the zero follows the current. */
 int16_t current_zeroed(struct current_check *check, int16_t measured, bool off);
 
 /* Take one tick: the count at its end, the current that was set, the one that was measured at the end (quanta). True at

@@ -1,4 +1,4 @@
-/* The active currents that may act now where the set-point has a delay that is known to a factor of two. */
+/* Active currents that may act now, if the delay of the set-point is known to a factor of two. */
 #ifndef HR_DELAY_LINE_H
 #define HR_DELAY_LINE_H
 

@@ -9,9 +9,9 @@
 #define ARMED_BITE_TICKS 5u             /* of the hardware watchdog: 5 ms at 1 kHz */
 #define SHORTEST_BITE_US 2000u
 #define LONGEST_BITE_US 50000u
-#define LIVELY_A_SECOND 50u             /* the main loop must come by within 20 ms, or so many ticks */
+#define LIVELY_A_SECOND 50u             /* device_poll must be called within 20 ms, or LIVELY_TICKS if that is longer */
 #define LIVELY_TICKS 3u
-#define MISSED_A_SECOND 10u             /* beyond these a flag says so */
+#define MISSED_A_SECOND 10u             /* more than this sets the flag MISSED_TICKS */
 #define FAULT(name) (UINT32_C(1) << HR_FAULT_##name)
 #define COMMANDED_PINS (HR_SYNC_TRIAL | HR_SYNC_INSIDE)
 
@@ -80,7 +80,7 @@ void device_begin_session(struct device *device)
     device->limits.flags = 0;
     device->monitor.flags = 0;
     device->limits_acted = 0;
-    device->fault_told = HR_FAULT_NONE;
+    device->reported_fault = HR_FAULT_NONE;
     device->state_due = 1;
     device->command_sequence = 0;
     device->command_sync = 0;
@@ -246,7 +246,7 @@ static int16_t next_current(struct device *device)
     return limits_apply(&device->limits, &device->thermal, wanted);
 }
 
-/* What the pins show of the trial: with the current that is active from here on. */
+/* Return the sync bits of the trial, which change together with the active current. */
 static unsigned sync_of(const struct device *device)
 {
     const struct renderer *renderer = &device->renderer;
@@ -296,8 +296,7 @@ static void step_index(struct device *device)
     step_grid(device);
 }
 
-/* Faults of a tick as bits 1 << code. Faults of the motion concern an armed device alone; an encoder that
- * fails, any. */
+/* Return the faults of a tick as bits 1 << code. Faults of the motion count in a session only; encoder faults always. */
 static uint32_t faults_of(struct device *device, const struct fault_entry *tick)
 {
     uint32_t bits = monitor_check(&device->monitor, tick->count, !device->limits.moved, tick->current_commanded,
@@ -322,7 +321,7 @@ static uint32_t faults_of(struct device *device, const struct fault_entry *tick)
 void device_sample(struct device *device)
 {
     const struct hal *hal = device->hal;
-    struct told_tick *tick = &device->tick;
+    struct tick_report *tick = &device->tick;
     device->time = hal->time(hal->context);
     device->count = hal->encoder_count(hal->context);
     limits_pass(&device->limits, device->count);
@@ -346,7 +345,7 @@ void device_sample(struct device *device)
         latch(device, bits);
 }
 
-/* ------------------------------------------------------------------ telling */
+/* ------------------------------------------------------------------ reporting */
 
 static uint32_t edge_time(const struct device *device)
 {
@@ -370,7 +369,7 @@ static uint8_t pins(const struct device *device)
     return (uint8_t)bits;
 }
 
-/* Of the newest tick; it is sent in pieces. */
+/* Build the STATE of the newest tick; it is sent in pieces. */
 static void make_state(struct device *device)
 {
     const struct fault_entry *tick = &device->tick.entry;
@@ -396,10 +395,10 @@ static void make_state(struct device *device)
     device->state_left = packet->count;
     device->state_wanted = false;
     device->limits_acted = 0;
-    device->fault_told = device->faults.latched;
+    device->reported_fault = device->faults.latched;
 }
 
-/* Whether a STATE is due in a device that is not armed. */
+/* Return true if a STATE is due in a device that is not armed. */
 static bool shows_itself(const struct device *device)
 {
     const uint32_t every = device->rate / UNARMED_STATES_A_SECOND;
@@ -411,7 +410,7 @@ static bool state_is_due(struct device *device)
 {
     if (device->connection.session == 0)
         return shows_itself(device);
-    if (--device->state_due > 0 && device->faults.latched == device->fault_told)
+    if (--device->state_due > 0 && device->faults.latched == device->reported_fault)
         return false;
     device->state_due = device->state_every;
     return true;
@@ -425,7 +424,7 @@ static void send_batch(struct device *device)
         device->hal->link_write(device->hal->context, frame, count);
 }
 
-/* Let the frame that is being made wait to be sent; there is room for one that waits. */
+/* Queue the frame that is being made; the queue holds one. */
 static void finish_batch(struct device *device)
 {
     if (device->batch.samples == 0)
@@ -434,7 +433,7 @@ static void finish_batch(struct device *device)
     batch_finish(&device->batch);
 }
 
-/* Take some more bytes of STATE into its frame, and send it when it is complete. */
+/* Pack at most `most` bytes of STATE, and send the frame when it is complete. */
 static void send_state(struct device *device, size_t most)
 {
     struct builder *builder = &device->state_builder;
@@ -468,7 +467,7 @@ bool device_send_some(struct device *device, size_t most)
     if (batch_pack(&device->batch, most))
         return true;
     if (device->state_every == 1u && device_is_sending(device))
-        device_flush(device); /* no law runs here: the host waits for it */
+        device_flush(device); /* no law runs here, and the host's loop waits for this STATE */
     else if (device->batch.waiting)
         send_batch(device);
     else if (device->state_left > 0)
@@ -487,11 +486,11 @@ void device_end_supervision(struct device *device)
     device->supervised = false;
 }
 
-/* A frame is finished when it is full, before a gap, and when there is nothing to follow. */
-static void tell_batch(struct device *device)
+/* Append the tick to BATCH. A frame is finished when it is full, before a gap, and when supervision has ended. */
+static void report_in_batch(struct device *device)
 {
     struct batch *batch = &device->batch;
-    const struct told_tick *tick = &device->tick;
+    const struct tick_report *tick = &device->tick;
     if (tick->supervised) {
         if (!batch_fits(batch, tick->entry.sample_index))
             finish_batch(device);
@@ -502,28 +501,28 @@ static void tell_batch(struct device *device)
         finish_batch(device);
 }
 
-/* The ring, BATCH, and whether STATE is due; what is to be sent waits. */
-static void tell(struct device *device)
+/* Store the tick in the fault ring and in BATCH, and mark a STATE that is due. Nothing is sent here. */
+static void report_tick(struct device *device)
 {
     const struct fault_entry *entry = &device->tick.entry;
     if (device->tick.logged)
         faults_remember(&device->faults, entry);
     device->limits_acted |= entry->limits;
     if (device->renderer.there)
-        tell_batch(device);
+        report_in_batch(device);
     if (state_is_due(device))
         device->state_wanted = true;
 }
 
-void device_tell(struct device *device)
+void device_report(struct device *device)
 {
-    tell(device);
+    report_tick(device);
     device_flush(device);
 }
 
 /* ------------------------------------------------------------------ the tick of a board */
 
-/* The timer has gone on under a tick that came late. */
+/* Count ticks of the timer that were missed before a late one. */
 static void miss(struct device *device, uint32_t ticks)
 {
     if (device->missed_lately == 0 || device->sample_index - device->lately >= device->rate) {
@@ -534,7 +533,7 @@ static void miss(struct device *device, uint32_t ticks)
     device->missed_lately += ticks;
     if (device->missed_lately > MISSED_A_SECOND)
         device->limits.flags |= HR_LIMIT_MISSED_TICKS;
-    for (uint32_t i = 0; i < ticks; i++) { /* the hardware watchdog lets them be two thousand at most */
+    for (uint32_t i = 0; i < ticks; i++) { /* 2000 at most: 40 ms at 50 kHz, then the hardware watchdog resets the board */
         device->time = device->due;
         step_index(device);
         if (device->connection.session != 0 && device->state_every == 1)
@@ -542,7 +541,7 @@ static void miss(struct device *device, uint32_t ticks)
     }
 }
 
-/* Whole periods by which a tick of the timer is late. */
+/* Return the number of whole periods by which a tick is late. */
 static uint32_t missed_by(const struct device *device, uint64_t begun)
 {
     return begun > device->due ? (uint32_t)((begun - device->due) / device->period) : 0;
@@ -581,7 +580,7 @@ void device_tick(struct device *device)
         latch(device, FAULT(TICK_OVERRUN));
     device_sample(device);
     device_drive(device);
-    tell(device);
+    report_tick(device);
     end_tick(device, begun);
 }
 
@@ -589,10 +588,10 @@ void device_tick_driven(struct device *device, int16_t active, uint32_t missed)
 {
     const uint64_t begun = device->hal->time(device->hal->context);
     begin_tick(device, missed);
-    if (device_is_armed(device)) /* else it was cut */
+    if (device_is_armed(device)) /* otherwise the current was set to zero */
         device->driven = active;
     device_sample(device);
-    tell(device);
+    report_tick(device);
     end_tick(device, begun);
 }
 
@@ -611,7 +610,7 @@ static void begin_supervision(struct device *device)
         renderer_reset(&device->renderer);
 }
 
-/* The current first: what is packed and sent takes its time. */
+/* The current first: packing and sending take time. */
 static void stop(struct device *device)
 {
     device_cut(device);
@@ -621,7 +620,7 @@ static void stop(struct device *device)
     device_end_supervision(device);
 }
 
-/* The shorter of what the host wants and what the parameters allow, in device time. */
+/* Return the lifetime of a command in device time, within the cap of the parameters. */
 static uint32_t lifetime_of(const struct device *device, const uint8_t *raw)
 {
     const uint32_t wanted_us = get_u32(raw + HR_AT_COMMAND_LIFETIME_US);
@@ -630,8 +629,8 @@ static uint32_t lifetime_of(const struct device *device, const uint8_t *raw)
     return (wanted_us < cap_us ? wanted_us : cap_us) * HR_TIME_UNITS_PER_US;
 }
 
-/* Whether the STATE that a command answers was sent more than a lifetime ago, by the STATEs sent since: it was under way
- * too long. Before the first STATE a host answers the one to come. */
+/* Return true if the STATE that a command answers was sent more than a lifetime ago, counted in STATEs sent since: its
+ * transport took too long. A command before the first STATE names the first one. */
 static bool is_too_old(const struct device *device, const uint8_t *raw, uint32_t lifetime)
 {
     const uint16_t to_come = device->connection.to_send[HR_INDEX_STATE];

@@ -29,18 +29,18 @@ struct faults {
     uint32_t later;  /* bits 1 << code */
     uint64_t time;   /* device time of the first */
     struct fault_ring live;
-    struct fault_ring frozen; /* what a cleared fault leaves, until the next one */
+    struct fault_ring frozen; /* ring of a cleared fault, until the next fault */
 };
 
 void faults_reset(struct faults *faults);
 
-/* Put a tick into the ring: one that began before a fault was latched. */
+/* Store a tick in the ring. Its begin must be before the fault was latched. */
 void faults_remember(struct faults *faults, const struct fault_entry *entry);
 
-/* Take faults as bits 1 << code, at least one. The gravest is the first, if there is none yet. */
+/* Latch faults, given as bits 1 << code, at least one. If none is latched yet, the gravest becomes the first. */
 void faults_latch(struct faults *faults, uint32_t bits, uint64_t time);
 
-/* Let go of the fault. */
+/* Clear the latched fault. */
 void faults_clear(struct faults *faults);
 
 /* The ring that a host may read: of the fault that is latched, else of the last one. */

@@ -18,11 +18,11 @@ struct packet {
     uint8_t bytes[HR_RAW_AT + HR_SHORT_RAW_LIMIT + 1u];
 };
 
-/* Append the CRC, stuff, delimit; returns the bytes that go on the wire, from the beginning of `packet->bytes`. */
+/* Append the CRC, stuff, delimit. Returns the number of bytes to send, from the beginning of `packet->bytes`. */
 size_t frame_finish(struct packet *packet);
 
-/* A frame to send that is made piece by piece: CRC and stuffing of what is there so far. Its bytes lie in memory of its
- * owner, in the same places as in a packet: raw bytes may be appended from where they will be. */
+/* A frame that is packed piece by piece: CRC and stuffing of the bytes so far. Its bytes are in the owner's memory, at
+ * the same offsets as in a packet, so raw bytes may be appended in place. */
 struct builder {
     uint8_t *bytes;
     uint32_t crc;
@@ -33,10 +33,10 @@ struct builder {
 void builder_begin(struct builder *builder, uint8_t *bytes);
 void builder_append(struct builder *builder, const uint8_t *raw, size_t count);
 
-/* Append the CRC and delimit; returns the bytes that go on the wire. */
+/* Append the CRC and delimit. Returns the number of bytes to send. */
 size_t builder_finish(struct builder *builder);
 
-/* One unfinished frame of whatever comes, decoded as it comes, so that its last byte is no dearer than the others. */
+/* The frame that is being received, decoded byte by byte, so that its last byte takes no longer than the others. */
 struct splitter {
     size_t count;    /* bytes so far, with the codes */
     size_t zero;     /* where the next code will be */

@@ -9,20 +9,20 @@
 #include "configuration.h"
 #include "hal.h"
 
-/* Who computes the current: parameter `law`. */
+/* Where the current is computed: parameter `law`. */
 enum law_choice {
     LAW_OF_HOST = 0,
     LAW_IN_INTEGERS = 1,
     LAW_IN_FLOAT = 2,
-    LAW_ON_WHAT_IS_DRIVEN = 3, /* in float32, but for the wall, which what the board drives renders (hal.h) */
+    LAW_ON_WHAT_IS_DRIVEN = 3, /* in float32; the drive behind the board renders the wall (hal.h) */
 };
 
-/* Read a law that the device is to run (parameter `law` is not LAW_OF_HOST), and check it: INCONSISTENT names a parameter that
- * the objection is about. */
+/* Read and check the law of the parameters (`law` is not LAW_OF_HOST). The detail of INCONSISTENT is the parameter that
+ * was rejected. */
 struct refusal law_settings_read(const uint32_t *values, const struct board *board, const struct hal *hal,
                                  law_parameters *law);
 
-/* Read another wall, what is live alone, into a law that has passed, and check that. */
+/* Read the live parameters of a wall into a checked law, and check the result. */
 struct refusal law_settings_read_wall(const uint32_t *values, const struct hal *hal, law_parameters *law);
 
 #endif

@@ -1,5 +1,4 @@
-/* How much of a wanted current may flow: a position that nothing confirms, current limit, thermal model, slew limit, in
- * this order. */
+/* Limits of the set-point, in this order: fade of a position that is not confirmed, current, thermal model, slew. */
 #ifndef HR_LIMITS_H
 #define HR_LIMITS_H
 
@@ -14,12 +13,12 @@ struct limits {
     int32_t largest;
     int32_t continuous;
     int32_t slew; /* quanta a tick */
-    uint32_t confirm; /* ticks under effort with the count on two neighbours, after which it fades; 0: never */
+    uint32_t confirm; /* ticks under effort with the count on two neighbouring values, before the effort fades; 0: never */
     uint32_t fade;    /* ticks that this takes */
     uint32_t unmoved; /* such ticks so far; beyond `confirm` since the effort began to fade, too */
     int32_t low;      /* the lower of those two counts */
     bool moved;       /* whether the last tick left them */
-    bool beside;      /* something else is to give an effort beside this current */
+    bool beside;      /* the drive renders a wall in addition to this current */
 };
 
 struct limits_settings {
@@ -33,10 +32,10 @@ void limits_configure(struct limits *limits, const struct limits_settings *setti
 /* A tick has passed, and ended with this count. */
 void limits_pass(struct limits *limits, int32_t count);
 
-/* Put into force what is allowed of a current, and return it. */
+/* Limit a wanted current, store it as the active one, and return it. */
 int16_t limits_apply(struct limits *limits, const struct thermal *thermal, int16_t wanted);
 
-/* What is left of a wanted effort that nothing confirms. */
+/* Return the wanted current, faded if the position has not been confirmed. */
 int16_t limits_confirmed(struct limits *limits, int16_t wanted);
 
 /* Zero at once, regardless of the slew limit. */

@@ -6,7 +6,7 @@
 /* A piece: what a Cortex-M0+ does in some 1000 cycles. */
 enum { SUM_BYTES = 48, ENTRIES = 2, CRC_VALUES = 6, VALUES = 14 };
 
-static void go_on(struct live_change *change, enum live_step step)
+static void enter_step(struct live_change *change, enum live_step step)
 {
     change->step = (uint8_t)(change->refusal.status == HR_STATUS_OK ? step : LIVE_DONE);
     change->at = 0;
@@ -19,7 +19,7 @@ void live_change_begin(struct live_change *change, struct assembler *assembler, 
     change->refusal.status = assembler_close(assembler, nonce);
     change->refusal.detail = 0;
     change->crc = UINT32_MAX;
-    go_on(change, LIVE_SUM);
+    enter_step(change, LIVE_SUM);
 }
 
 static void sum_up_block(struct live_change *change, const struct live_change_of *of)
@@ -36,7 +36,7 @@ static void sum_up_block(struct live_change *change, const struct live_change_of
     else if (assembler->length % HR_PARAMETER_BYTES != 0)
         change->refusal.status = HR_STATUS_BAD_LENGTH;
     configuration_begin(of->configuration, &change->candidate);
-    go_on(change, LIVE_ENTRIES);
+    enter_step(change, LIVE_ENTRIES);
 }
 
 static void read_entries(struct live_change *change, const struct live_change_of *of)
@@ -47,7 +47,7 @@ static void read_entries(struct live_change *change, const struct live_change_of
         change->at = (uint16_t)(change->at + HR_PARAMETER_BYTES);
     }
     if (change->at >= assembler->length || change->refusal.status != HR_STATUS_OK)
-        go_on(change, LIVE_CHECK);
+        enter_step(change, LIVE_CHECK);
 }
 
 static void read_law(struct live_change *change, const struct live_change_of *of)
@@ -57,7 +57,7 @@ static void read_law(struct live_change *change, const struct live_change_of *of
         change->refusal = law_settings_read_wall(change->candidate.values, of->hal, &change->law);
     }
     change->crc = UINT32_MAX;
-    go_on(change, LIVE_CRC);
+    enter_step(change, LIVE_CRC);
 }
 
 static void sum_up(struct live_change *change)
@@ -69,7 +69,7 @@ static void sum_up(struct live_change *change)
     }
     if (change->at == HR_PARAMETERS) {
         change->crc = ~change->crc;
-        go_on(change, LIVE_WALL);
+        enter_step(change, LIVE_WALL);
     }
 }
 
@@ -88,7 +88,7 @@ static void change_wall(struct live_change *change, const struct live_change_of 
     } else if (renderer->there) {
         renderer_change(renderer, &change->law);
     }
-    go_on(change, LIVE_VALUES);
+    enter_step(change, LIVE_VALUES);
 }
 
 static void put_values(struct live_change *change, const struct live_change_of *of)
@@ -97,7 +97,7 @@ static void put_values(struct live_change *change, const struct live_change_of *
         configuration_put(of->configuration, &change->candidate, change->at++);
     if (change->at == HR_PARAMETERS) {
         of->configuration->crc = change->crc;
-        go_on(change, LIVE_DONE);
+        enter_step(change, LIVE_DONE);
     }
 }
 
@@ -112,7 +112,7 @@ bool live_change_continue(struct live_change *change, const struct live_change_o
         break;
     case LIVE_CHECK:
         change->refusal = configuration_check(&change->candidate, of->board, true);
-        go_on(change, LIVE_LAW);
+        enter_step(change, LIVE_LAW);
         break;
     case LIVE_LAW:
         read_law(change, of);

@@ -1,5 +1,4 @@
-/* Parameters that change while the device is armed, a piece in each device_poll: all at once would take longer than a
- * tick may wait. */
+/* Change of parameters while the device is armed, one step in each device_poll: all at once would delay the tick. */
 #ifndef HR_LIVE_CHANGE_H
 #define HR_LIVE_CHANGE_H
 
@@ -37,7 +36,7 @@ struct live_change {
     struct candidate candidate;
 };
 
-/* What a change works on, and the device as it is between two ticks. */
+/* The objects that a change works on, and the state of the device between two ticks. */
 struct live_change_of {
     const struct board *board;
     const struct hal *hal;
@@ -53,7 +52,7 @@ struct live_change_of {
 /* Begin, on the request of a nonce, with the block that `assembler` has. */
 void live_change_begin(struct live_change *change, struct assembler *assembler, uint16_t nonce, uint8_t session);
 
-/* Do a piece of it; true with the last, when it is to be answered. */
+/* Do one step; true after the last, when the change must be acknowledged. */
 bool live_change_continue(struct live_change *change, const struct live_change_of *of);
 
 #endif

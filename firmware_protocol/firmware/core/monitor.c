@@ -105,7 +105,7 @@ bool monitor_in_window(const struct monitor *monitor, int32_t count)
 }
 
 /* Count the ticks of large effort along the motion, and those on two neighbouring counts, which is all that a dead
- * channel leaves of any motion; say when the latter are too many.
+ * channel shows of any motion; return true when there are too many of the latter.
  * `direction` is that of the motion in the window, 0 for none. */
 static uint32_t runaway(struct monitor *monitor, int16_t current, int32_t direction, bool stood)
 {

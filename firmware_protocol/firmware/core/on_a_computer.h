@@ -1,4 +1,4 @@
-/* What ports to a computer have in common: a board that comes as a structure, and a link whose bytes lie in memory. */
+/* Code shared by the ports to a computer: a board given as a structure, and a link whose bytes are in memory. */
 #ifndef HR_ON_A_COMPUTER_H
 #define HR_ON_A_COMPUTER_H
 
@@ -43,7 +43,7 @@ static inline size_t memory_read(const uint8_t **input, size_t *there, uint8_t *
     return count;
 }
 
-/* Keep a whole frame, or none of it: false. */
+/* Append a whole frame; false, and nothing is appended, if there is no room. */
 static inline bool memory_write(uint8_t *output, size_t *there, size_t room, const uint8_t *frame, size_t count)
 {
     if (*there > room || count > room - *there)
@@ -53,7 +53,7 @@ static inline bool memory_write(uint8_t *output, size_t *there, size_t room, con
     return true;
 }
 
-/* Take what waits there. */
+/* Remove up to `capacity` bytes from the front of the output. */
 static inline size_t memory_take(uint8_t *output, size_t *there, uint8_t *into, size_t capacity)
 {
     const size_t count = *there < capacity ? *there : capacity;

@@ -1,4 +1,4 @@
-/* The law that the device runs itself: which, when, and what it wants. */
+/* The law on the device: its parameters, its state and its last current. */
 #ifndef HR_RENDERER_H
 #define HR_RENDERER_H
 
@@ -12,7 +12,7 @@ struct renderer {
     bool there;      /* the device runs a law in a session; false: the host does */
     bool begun;      /* it has seen a sample */
     uint8_t phase;   /* law_phase of the last tick, 0 before the first */
-    int16_t current; /* what it wants (quanta) */
+    int16_t current; /* commanded by the law (quanta) */
     uint32_t flags;  /* of its last tick */
     uint32_t index;  /* of that tick */
     bool ready;      /* its excitation is worked out, or it has none */
@@ -28,13 +28,13 @@ void renderer_configure(struct renderer *renderer, const law_parameters *paramet
 /* Work on the excitation for so many cosines, until it is ready. */
 void renderer_prepare(struct renderer *renderer, uint32_t cosines);
 
-/* Run none. */
+/* Disable the law on the device: the host computes it. */
 void renderer_disable(struct renderer *renderer);
 
-/* A law that has seen nothing, and wants no current. */
+/* Reset the law to its state before the first sample, with zero current. */
 void renderer_reset(struct renderer *renderer);
 
-/* Put another wall under it between two ticks: parameters that differ in what is live alone. */
+/* Change the wall between two ticks: the parameters may differ in the live ones only. */
 void renderer_change(struct renderer *renderer, const law_parameters *parameters);
 
 /* Run it on the sample of a tick. Returns faults as bits 1 << code. */

@@ -20,13 +20,13 @@ void thermal_configure(struct thermal *thermal, uint16_t continuous_current, flo
 /* Let one tick of the measured current pass. */
 void thermal_update(struct thermal *thermal, int16_t measured);
 
-/* Whether the budget is used up: reduce the current. */
+/* Return true if the budget is used up: reduce the current. */
 static inline bool thermal_is_spent(const struct thermal *thermal)
 {
     return thermal->heat >= thermal->budget;
 }
 
-/* Whether the heat is so far above the budget that reducing has failed. */
+/* Return true if the heat is so far above the budget that reducing has failed. */
 static inline bool thermal_is_overheated(const struct thermal *thermal)
 {
     return thermal->heat > thermal->cut;

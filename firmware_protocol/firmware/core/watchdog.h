@@ -15,7 +15,7 @@ struct watchdog {
     bool lost;    /* the ramp has ended: latch LINK_LOST */
 };
 
-/* Want no current and wait for the host's next command: after ARM, after STOP. */
+/* Set zero current and wait for the host's next command: after ARM, after STOP. */
 void watchdog_idle(struct watchdog *watchdog, uint64_t now);
 
 /* Take a valid command; times in device time. */

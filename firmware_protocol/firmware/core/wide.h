@@ -1,5 +1,5 @@
-/* Numbers of 64 bits for a processor of 32 without a long product and without a barrel for two words (Cortex-M0+): there
- * the compiler would call a function for each, in every tick. */
+/* 64-bit arithmetic for a 32-bit processor without a long multiplication and without a two-word shift (Cortex-M0+), where
+ * the compiler would call a library function for each operation, in every tick. */
 #ifndef HR_WIDE_H
 #define HR_WIDE_H
 

@@ -246,9 +246,9 @@ static void be_idle(struct host *host)
         device_poll(&host->device);
 }
 
-void host_tell(struct host *host)
+void host_report(struct host *host)
 {
-    device_tell(&host->device);
+    device_report(&host->device);
     be_idle(host);
 }
 
@@ -263,7 +263,7 @@ void host_tick(struct host *host)
 {
     host_tick_alone(host);
     device_flush(&host->device);
-    host->device.unpolled = 0; /* the main loop turns, and there is nothing for it */
+    host->device.unpolled = 0; /* the main loop runs and has nothing to do */
     be_idle(host);
 }
 

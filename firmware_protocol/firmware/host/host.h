@@ -92,7 +92,7 @@ void host_refuse_rate(struct host *host, uint32_t rate);
 /* A tick in its parts: the world moves behind the first; or in one, as a board has it. */
 int16_t host_drive(struct host *host);
 void host_sample(struct host *host);
-void host_tell(struct host *host);
+void host_report(struct host *host);
 void host_tick(struct host *host);
 void host_tick_alone(struct host *host); /* what is to be sent waits for host_poll, as on a board */
 void host_fault(struct host *host, uint8_t fault);

@@ -18,7 +18,7 @@ int lockstep_sample(struct host *host, struct lockstep *lockstep)
                    (uint8_t)lockstep->inputs);
     host_set_index(host, (uint32_t)lockstep->index_edges, (int32_t)lockstep->index_count);
     host_sample(host);
-    host_tell(host);
+    host_report(host);
     lockstep->cuts = host->cuts - cuts;
     lockstep->due = (int64_t)host->device.due;
     lockstep->sample_index = host->device.sample_index;

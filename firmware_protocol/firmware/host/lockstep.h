@@ -1,4 +1,5 @@
-/* A tick in two calls, and bytes of the host in a third, with all that a compiled simulation and the device tell each other in one block of memory. */
+/* A tick in two calls, and bytes of the host in a third. All data that a compiled simulation and the device exchange are
+ * in one block of memory. */
 #ifndef HR_LOCKSTEP_H
 #define HR_LOCKSTEP_H
 

@@ -1,4 +1,4 @@
-/* What law_tick relies on, asked once when parameters arrive. */
+/* Checks of the parameters that law_tick relies on, made once when they arrive. */
 #include <math.h>
 
 #include "law.h"

@@ -26,10 +26,10 @@ typedef struct {
     int64_t sum;                /* of the lines before this one: cosines * 2^LAW_COSINE_BITS */
 } law_excitation_work;
 
-/* Begin a table of p->period numbers, for parameters that law_check has passed. Nothing is there to do for no lines. */
+/* Begin a table of p->period numbers, for parameters that law_check has passed. Without lines it is complete at once. */
 void law_excitation_begin(law_excitation_work *w, const law_excitation *p, int16_t *table);
 
-/* Work on it for at most so many cosines (lines * period are to be done); whether it is complete. */
+/* Compute at most this many cosines (lines * period in all). Returns true when the table is complete. */
 bool law_excitation_continue(law_excitation_work *w, uint32_t cosines);
 
 void law_excitation_reset(law_excitation_state *s, const law_excitation *p, const int16_t *table);

@@ -1,7 +1,7 @@
 /* A tick in integers, steps 3 to 7: rig.control._fixed_wall, with homing, release and slew around it.
  *
- * Written for a processor with few registers and no product of 64 bits. What is nearly always small is tried in 32 bits
- * first, and what is rare stands in functions of its own. */
+ * Written for a processor with few registers and no 64-bit product. Values that are nearly always small are first tried in
+ * 32 bits, and rare cases are in separate functions. */
 #include "fixed_law.h"
 
 #include "estimators.h"
@@ -36,7 +36,7 @@ static int64_t rescaled(int64_t effort, int32_t from, int32_t to)
     return from >= to ? law_shift(effort, from - to) : effort * ((int64_t)1 << (to - from));
 }
 
-/* The share of the effort that is left in the release, floor(2^15 left/release_ticks): a division when the release
+/* The remaining share of the effort in the release, floor(2^15 left/release_ticks): a division when the release
  * begins, and where ticks were missed; else what one tick takes away. */
 static uint32_t release_share(law_state *s, uint32_t ticks, uint32_t elapsed)
 {

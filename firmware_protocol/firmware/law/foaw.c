@@ -1,7 +1,7 @@
 /* First-order adaptive windowing: the slope of the longest line that the last samples allow.
  *
- * Whether a line passes is decided in integers. With whole counts a sample that lies on the very edge of the band is
- * frequent, and the rounding of float32 would decide it anew every time. The slope itself is one division. */
+ * Whether a line passes is decided in integers: with whole counts a sample is often exactly on the edge of the band, and
+ * the rounding of float32 would decide it differently each time. The slope itself is one division. */
 #include "estimators.h"
 #include "numbers.h"
 

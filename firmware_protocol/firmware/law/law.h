@@ -11,7 +11,7 @@
  *   6. the guard limits the sum once;
  *   7. the sum is rounded to whole current quanta, to the nearest, halves towards +infinity.
  *
- * Units. The device knows no radians: lengths are counts, velocities counts per velocity period, currents quanta of
+ * Units. The device has no radians: lengths are counts, velocities counts per velocity period, currents quanta of
  * the wire, times ticks. The host scales everything once (the design) and the device only multiplies. What is
  * compared with a count (window, homing tolerance) is a whole count here, so the device decides as the host would.
  *
@@ -38,7 +38,7 @@ enum { LAW_LINE_BITS = 16 };     /* of the excitation, its lines and their sum (
 typedef enum {
     LAW_FIXED = 0,
     LAW_FLOAT = 1,
-    LAW_ELSEWHERE = 2 /* in float32, but for the wall's effort: what the board drives renders that itself */
+    LAW_ELSEWHERE = 2 /* in float32; the drive behind the board renders the effort of the wall itself */
 } law_arithmetic;
 
 typedef enum {
@@ -180,7 +180,7 @@ typedef struct {
     int32_t sense;       /* +1: the position rises with the count */
     int32_t window_minimum, window_maximum; /* counts from the reference, along the position */
     int32_t home_minimum, home_maximum;     /* at the start: within the tolerance of the target */
-    int32_t free_minimum, free_maximum;     /* who leaves this in free space made a false start: no trial follows */
+    int32_t free_minimum, free_maximum;     /* a handle outside in free space is a false start: no trial follows */
     int32_t current_limit;                  /* quanta */
     int32_t may_pull;   /* 1: the wall may pull a handle that leaves it */
     int32_t entry_only; /* 1: damping acts on the way in only */
@@ -279,10 +279,10 @@ typedef struct {
     uint32_t phase; /* law_phase of this tick */
 } law_output;
 
-/* Why parameters cannot be run; 0 is none. Whatever passes, no arithmetic of law_tick overflows. */
+/* Reason why parameters are rejected; 0: accepted. With accepted parameters no arithmetic of law_tick overflows. */
 typedef enum {
     LAW_GOOD = 0,
-    LAW_BAD_CHOICE,   /* an enumeration or a sign that is none, or a pair that does not exist */
+    LAW_BAD_CHOICE,   /* an invalid value of an enumeration or a sign, or a combination that does not exist */
     LAW_BAD_RATE,     /* dividers and multiples from 1 to 2^16 */
     LAW_BAD_LIMIT,    /* current limit, window, slew, homing */
     LAW_BAD_FILTER,   /* word lengths, sections, window, or products that leave 64 bits */
@@ -295,18 +295,18 @@ law_verdict law_check(const law_parameters *p);
 /* The same of the wall alone, when nothing else has changed since. */
 law_verdict law_check_wall(const law_parameters *p);
 
-/* A law that has seen nothing. The parameters must have passed law_check. `table` is what law_excitation_continue has
+/* Reset to the state before the first sample. The parameters must have passed law_check. `table` is what law_excitation_continue has
  * completed; it must live as long, and may be NULL when there are no lines. */
 void law_reset(law_state *s, const law_parameters *p, const int16_t *table);
 
 /* One tick. A wall or a limit may change between two ticks; another estimator or excitation needs law_reset. */
 law_output law_tick(law_state *s, const law_parameters *p, const law_input *in);
 
-/* Whether a handle at this count is inside the wall. */
+/* Return true if a handle at this count is inside the wall. */
 int law_inside(const law_parameters *p, int32_t count);
 
-/* Whether the wall gives no effort at this count and may become another one, or come to be: not inside, and nowhere
- * when it is bilateral, for its spring acts on both sides. */
+/* Return true if the wall may be changed or switched on at this count: the handle is outside of it. A bilateral wall has
+ * no such count, since its spring acts on both sides. */
 int law_is_free(const law_parameters *p, int32_t count);
 
 #endif

@@ -1,4 +1,4 @@
-/* What both laws do between the estimate and the effort: when a velocity period is due, homing, settling, free space,
+/* Code of both laws between the estimate and the effort: when a velocity period is due, homing, settling, free space,
  * trial and release, and the end of a run. */
 #ifndef LAW_PHASES_H
 #define LAW_PHASES_H
@@ -65,7 +65,7 @@ static inline uint32_t law_end(law_state *s, const law_parameters *p, int inside
     return s->contact_ticks > 0 ? law_add(s->contact_ticks, p->hold_ticks) : p->trial_ticks;
 }
 
-/* Go on to the phase of this tick; the flag of a homing that failed, or 0. */
+/* Advance to the phase of this tick. Returns the flag of a failed homing, or 0. */
 static inline uint32_t law_advance(law_state *s, const law_parameters *p, int32_t travel, int inside, uint32_t elapsed)
 {
     const uint32_t ticks = law_add(s->phase_ticks, elapsed);
@@ -137,7 +137,7 @@ static inline int law_is_rendering(uint32_t phase)
     return phase == LAW_TRIAL || phase == LAW_RELEASE;
 }
 
-/* The flag of a handle that is where it must not be, or too fast. */
+/* Return the flag of a handle that is outside of its window or too fast, or 0. */
 static inline uint32_t law_out_of_window(const law_parameters *p, int32_t travel, int too_fast)
 {
     return travel < p->window_minimum || travel > p->window_maximum || too_fast ? LAW_OUT_OF_WINDOW : 0;

@@ -1,7 +1,7 @@
-/* A port tried out: a program that stands in for the core and calls `struct hal` itself, one duty after the other.
+/* Check of a port: a program in place of the core that calls `struct hal` itself, one duty after the other.
  *
  * It has the core's entries, so that the port's own files are linked with it unchanged: main, interrupts, start. It judges
- * nothing; what it sees goes to the host. The motor gets a current in the probes that name one, and in no other. */
+ * nothing and sends its observations to the host. Only the probes with a current as argument drive the motor. */
 #include "port_check.h"
 
 #include <string.h>
@@ -15,7 +15,7 @@
 #define UNITS_PER_MS (UNITS_PER_US * 1000u)
 #define UNITS_PER_SECOND (UNITS_PER_US * 1000000u)
 #define FEED_US 40000u             /* as the core feeds a device that is not armed */
-#define LOOKS 4000000u             /* at a clock that stands still, before the wait is given up */
+#define LOOKS 4000000u             /* readings of a clock that stands still, before the wait ends */
 #define ARGUMENTS 4u
 #define NUMBERS 10u                /* of an answer at most: it is a short frame */
 #define AT_NONCE HR_HEADER_BYTES
@@ -26,7 +26,7 @@
 #define GUARD_BYTES 8u
 #define GUARD 0xA5u
 
-typedef bool (*job)(void); /* a piece of a probe that lasts; whether that is over */
+typedef bool (*job)(void); /* one step of a long probe; true when the probe is over */
 
 static struct {
     const struct hal *hal;
@@ -45,7 +45,7 @@ static struct {
     uint8_t inputs_ever;
 
     bool feeds;
-    uint32_t last_meal_us; /* the next tick feeds so much, and is the last to; 0: it continues */
+    uint32_t last_meal_us; /* the next tick feeds the watchdog with this timeout for the last time; 0: feeding continues */
     uint64_t fed_at;
 
     uint16_t nonce, probe;
@@ -68,7 +68,7 @@ static struct {
     uint32_t marks;
 } check;
 
-/* ------------------------------------------------------------------ small things */
+/* ------------------------------------------------------------------ helpers */
 
 static void *context(void)
 {
@@ -116,7 +116,7 @@ static void fill_in(struct packet *packet, uint8_t type, uint16_t nonce, const u
     packet->count = AT_NUMBERS + 4u * count;
 }
 
-/* Answer, as soon as the port takes it. Returns that the probe is over. */
+/* Send the reply as soon as the port accepts it. Returns true: the probe is over. */
 static bool answer(const uint32_t *numbers, size_t count)
 {
     struct packet packet;
@@ -169,7 +169,7 @@ static double late_s(void)
     return check.board->current_sensor.delay_s + check.board->current_sensor.lag_s;
 }
 
-static bool tell_board(void)
+static bool report_board(void)
 {
     const struct current_sensor *sensor = &check.board->current_sensor;
     const bool senses = sensor->noise >= 0.0;
@@ -179,7 +179,7 @@ static bool tell_board(void)
                   check.stopped_at, check.board->over_current);
 }
 
-static bool tell_summary(void)
+static bool report_summary(void)
 {
     return ANSWER((uint32_t)check.farthest_back, (uint32_t)(check.farthest_back >> 32), check.longest_read, check.overruns,
                   check.inputs_ever);
@@ -293,7 +293,7 @@ static uint32_t largest_meanwhile(void)
     return largest;
 }
 
-/* How long more than a quarter flows; 10 ms at most. */
+/* Return how long more than a quarter of the current flows; 10 ms at most. */
 static uint32_t until_gone(int16_t quanta)
 {
     const uint64_t begun = look();
@@ -352,7 +352,7 @@ static bool try_disable(int16_t quanta)
 
 /* ------------------------------------------------------------------ link */
 
-static bool go_on_filling(void)
+static bool continue_filling(void)
 {
     for (unsigned i = 0; i < 16u; i++) {
         const uint32_t number = ++check.fill.tried;
@@ -379,7 +379,7 @@ static bool go_on_filling(void)
 static bool begin_to_fill(void)
 {
     memset(&check.fill, 0, sizeof check.fill);
-    check.job = go_on_filling;
+    check.job = continue_filling;
     return false;
 }
 
@@ -504,9 +504,9 @@ static void feed(uint64_t now)
     check.last_meal_us = 0;
 }
 
-/* ------------------------------------------------------------------ questions */
+/* ------------------------------------------------------------------ requests */
 
-/* A refusal is given time: a port that tears frames would fill the line with pieces. */
+/* After a refused frame wait for room: a port that accepts part of a frame would fill the line with fragments. */
 static void send_answer(void)
 {
     if (look() < check.answers_at)
@@ -528,7 +528,7 @@ static bool begin(void)
 {
     const int16_t quanta = (int16_t)(int32_t)check.arguments[0];
     switch ((enum port_check_probe)check.probe) {
-    case PROBE_BOARD: return tell_board();
+    case PROBE_BOARD: return report_board();
     case PROBE_TIME: return look(), ANSWER((uint32_t)check.time, (uint32_t)(check.time >> 32));
     case PROBE_TICKS: return begin_ticks();
     case PROBE_RATE: return try_rate();
@@ -539,7 +539,7 @@ static bool begin(void)
     case PROBE_FILL: return begin_to_fill();
     case PROBE_WIRES: return try_wires();
     case PROBE_BITE: return begin_to_starve();
-    case PROBE_SUMMARY: return tell_summary();
+    case PROBE_SUMMARY: return report_summary();
     case PROBE_LEAVE: return leave();
     }
     return true;

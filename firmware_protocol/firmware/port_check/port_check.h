@@ -12,7 +12,7 @@
 
 /* Times are in 1/16 µs, currents in quanta. */
 enum port_check_probe {
-    PROBE_BOARD,    /* -> what it was built for: see tell_board */
+    PROBE_BOARD,    /* -> what it was built for: see report_board */
     PROBE_TIME,     /* -> time (low, high) */
     PROBE_TICKS,    /* rate or 0: as it is, ticks -> accepted, ticks, from first to last, distance from the grid: least, most, last */
     PROBE_RATE,     /* rate -> accepted; the old one is back behind it */
@@ -23,7 +23,7 @@ enum port_check_probe {
     PROBE_FILL,     /* frames at most -> taken, bytes taken before the first refusal, refused, longest call, sum of the taken ones' numbers */
     PROBE_WIRES,    /* -> what sync outputs wired to the encoder and the sync input show: see try_wires */
     PROBE_BITE,     /* µs -> how long it was not fed (ms) and lives; counted frames meanwhile, one a millisecond */
-    PROBE_SUMMARY,  /* -> what was seen meanwhile: see tell_summary */
+    PROBE_SUMMARY,  /* -> what was seen meanwhile: see report_summary */
     PROBE_LEAVE     /* -> nothing: the board shows its boot loader */
 };
 

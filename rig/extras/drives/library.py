@@ -127,7 +127,7 @@ class BridgeFacts(ctypes.Structure):
 
 _P, _N, _U64 = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_uint64
 _FRAME, _ADAPTER = ctypes.POINTER(CanFrameBytes), ctypes.POINTER(Adapter)
-_HEARD = [_P, ctypes.c_char_p, _N, _U64]
+_RECEIVED = [_P, ctypes.c_char_p, _N, _U64]
 _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "bridge_bytes": (_N, []),
     "bridge_facts_bytes": (_N, []),
@@ -136,8 +136,8 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "bridge_start": (None, [_P, _U64]),
     "bridge_tick": (None, [_P, _U64]),
     "bridge_poll": (None, [_P, _U64]),
-    "bridge_hear_bus": (None, _HEARD),
-    "bridge_hear_host": (None, _HEARD),
+    "bridge_receive_bus": (None, _RECEIVED),
+    "bridge_receive_host": (None, _RECEIVED),
     "bridge_lose_bus": (None, [_P, _U64]),
     "bridge_stop": (None, [_P]),
     "bridge_due": (_U64, [_P]),
@@ -313,13 +313,13 @@ class Bridge:
 
     def hear_bus(self, data: bytes, now: int) -> bytes:
         """Hand in bytes of the bus; return what goes to the bus."""
-        self._library.bridge_hear_bus(self._address, data, len(data), now)
+        self._library.bridge_receive_bus(self._address, data, len(data), now)
         return self._bus()
 
     def hear_host(self, data: bytes, now: int) -> bytes:
         """Hand in bytes of the host and let the main loop turn; return what goes to the bus."""
         if data:
-            self._library.bridge_hear_host(self._address, data, len(data), now)
+            self._library.bridge_receive_host(self._address, data, len(data), now)
         self._library.bridge_poll(self._address, now)
         return self._bus()
 

@@ -204,7 +204,7 @@ int main(void)
     SYSTICK->control = ENABLED_WITH_INTERRUPT_FROM_PROCESSOR_CLOCK;
     unmask();
     for (;;) {
-        mask(); /* the tick and the conversation must not interrupt each other */
+        mask(); /* device_tick and device_poll must not interrupt each other */
         device_poll(&device);
         move_queue();
         unmask();

@@ -8,7 +8,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* Files of the directory in which the emulator runs; a negative handle is none. */
+/* Open a file in the directory in which the emulator runs. Returns its handle, negative if it cannot be opened. */
 int32_t semihosting_open_to_read(const char *name);
 int32_t semihosting_open_to_write(const char *name);
 

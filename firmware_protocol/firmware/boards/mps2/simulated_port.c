@@ -1,4 +1,4 @@
-/* The port to a computer as a board in simulated time (port_check/simulated), on this processor: what tries a port out, with
+/* The port to a computer as a board in simulated time (port_check/simulated), on this processor: the port check with
  * another compiler's integers and floats.
  *
  * Request, little-endian: time to let pass (µs) u32, bytes of the host u8, 3 × 0, then room for 64 of them. Reply: its bytes u32,

@@ -24,7 +24,7 @@ void start(void)
         continue;
 }
 
-/* A fault of the processor: nothing is safe but to stand still; a board's watchdog would bite now. */
+/* A fault of the processor: stop here, and let a board's watchdog reset it. */
 static void stand_still(void)
 {
     for (;;)

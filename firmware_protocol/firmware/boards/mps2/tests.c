@@ -1,4 +1,4 @@
-/* The image for tests: the port tried out where a file requests it, else lock-step with a plant. */
+/* The image for tests: the port check if a file requests it, else lock-step with a plant. */
 #include "tests.h"
 
 #include "mps2.h"

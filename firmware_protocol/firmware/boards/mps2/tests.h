@@ -7,7 +7,7 @@
 /* Be the device of a plant outside, until there are no more requests; returns the exit code. */
 uint32_t lockstep(int32_t requests, int32_t replies);
 
-/* Try the port to a computer out, likewise. */
+/* Run the port check on the port to a computer, likewise. */
 uint32_t simulated_port(int32_t requests, int32_t replies);
 
 #endif

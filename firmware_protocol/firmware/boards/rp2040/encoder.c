@@ -20,7 +20,7 @@ enum { DMA_EDGE = 0, DMA_SYNC = 3 }; /* three channels each */
 
 #define FLAG_ILLEGAL 1u
 
-/* 3.4: instructions of PIO, without delay and side-set. */
+/* RP2040 data sheet, 3.4: instructions of PIO, without delay and side-set. */
 #define JUMP(to) (0x0000u | (to))
 #define JUMP_X_DECREMENT(to) (0x0040u | (to)) /* if X was not zero; X is decremented in any case */
 #define JUMP_Y_DECREMENT(to) (0x0080u | (to))
@@ -217,7 +217,7 @@ uint32_t encoder_index_edges(int32_t *count)
 }
 #endif
 
-/* A stamp means what it says for an hour; so it is turned into device time when it is new. */
+/* A stamp is unique for an hour only, so it is converted to device time while it is new. */
 static uint64_t time_of_last(struct watched *watched)
 {
     uint32_t fine, coarse;

@@ -5,7 +5,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-/* Which edges a state machine waits for, and which stamp the DMA takes down behind it, is decided here alone. */
+/* Start the state machines and the DMA that stores the time of each edge. No other file sets up either. */
 void encoder_start(void);
 
 int32_t encoder_count(void);
@@ -13,11 +13,12 @@ int32_t encoder_count(void);
 /* Device time of the last edge; 0 before the first. */
 uint64_t encoder_edge_time(void);
 
-/* Whether both channels have changed at once since the last question. */
+/* Return true if both channels have changed at once since the last question. */
 bool encoder_failed(void);
 
-/* The index pulses that have begun, and the count at the last. Somebody has to look for them between two ticks: the count is
- * that of the look, so exact as long as no further edge comes in between. */
+/* Return the number of index pulses so far and the count at the last one. The main loop must call
+ * encoder_look_for_index between two ticks: the count is read in that call, so it is exact while no further edge comes
+ * in between. */
 void encoder_look_for_index(void);
 uint32_t encoder_index_edges(int32_t *count);
 

@@ -12,7 +12,7 @@ void start(void);
 void tick_interrupt(void);
 void usb_interrupt(void);
 
-/* Something that cannot be: amplifier off, then nothing, until the watchdog bites. */
+/* An exception that should not occur: switch the amplifier off, then wait for the watchdog to reset the board. */
 __attribute__((noreturn)) static void stand_still(void)
 {
     SIO_OUT_CLEAR = 1u << BOARD_ENABLE_PIN;
@@ -26,7 +26,8 @@ __attribute__((weak)) void usb_interrupt(void)
     stand_still();
 }
 
-/* HardFault, which has no cause of its own: the place says more. Called with where the processor would have gone on. */
+/* HardFault: an M0+ has no register with its cause, so the address is stored. `place` is the address of the
+ * instruction that faulted. */
 __attribute__((used, noreturn)) void hard_fault_at(uint32_t at)
 {
     processor_stopped(at);

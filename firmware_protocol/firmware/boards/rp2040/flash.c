@@ -2,8 +2,8 @@
 
 #include "registers.h"
 
-/* Read Unique ID of Winbond's data sheets (W25Q16JV, 8.2.30), which others have taken over: the command, four bytes that say
- * nothing, the number. All of it fits the controller's queue of 16, which begins when the flash is selected. */
+/* Read Unique ID of Winbond's data sheets (W25Q16JV, 8.2.30), which other makers use too: the command, four dummy bytes,
+ * the number. All of it fits the controller's queue of 16, which starts when the flash is selected. */
 #define READ_UNIQUE_ID 0x4Bu
 #define SILENT_BYTES 5u
 #define ID_BYTES 8u
@@ -22,7 +22,7 @@ uint64_t flash_unique_id(void)
     while (SSI_RECEIVED < SILENT_BYTES + ID_BYTES)
         continue;
     for (uint32_t i = 0; i < SILENT_BYTES + ID_BYTES; i++)
-        id = id << 8 | (SSI_DATA & 0xFFu); /* what is silent falls out at the top */
+        id = id << 8 | (SSI_DATA & 0xFFu); /* the dummy bytes are shifted out */
     SSI_ENABLE = 0;
     return id;
 }

@@ -1,11 +1,11 @@
-/* What the program still wants of the flash once it runs from RAM. */
+/* The flash's serial number, read once the program runs from RAM. */
 #ifndef RP2040_FLASH_H
 #define RP2040_FLASH_H
 
 #include <stdint.h>
 
-/* The number that no other flash has, first byte first; all bits equal when this kind of flash has none. From here on the
- * flash cannot be read as memory. */
+/* Return the unique number of the flash, first byte first; all bits are equal if this type of flash has no number.
+ * Afterwards the flash cannot be read as memory. */
 uint64_t flash_unique_id(void);
 
 #endif

@@ -1,4 +1,4 @@
-/* Whether the program in RAM is the one that was built. */
+/* Check that the program in RAM is the one that was built. */
 #ifndef RP2040_IMAGE_H
 #define RP2040_IMAGE_H
 
@@ -10,7 +10,7 @@
 extern const uint8_t start_begins[], ram_image[], ram_begins[], ram_ends[];
 extern const uint32_t image_crc;
 
-/* Looked at once, before anything of it runs. */
+/* Return true if the CRC fits. Call once, before any code in RAM runs. */
 bool image_is_whole(void);
 
 #endif

@@ -3,7 +3,7 @@
 #include "uart.h"
 #include "usb.h"
 
-/* Bytes for one look at the link: enough for 800 kB/s at 50 kHz, and of two frames never more than one ends in them. */
+/* Bytes of one read: enough for 800 kB/s at 50 kHz, and few enough that at most one frame ends in them. */
 #define BYTES_AT_ONCE 16u
 
 /* What waits for the host: 100 ms of everything, which at 50 kHz are 28 KB by USB, and of BATCH at 3 Mbaud. USB and UART take
@@ -11,7 +11,7 @@
 static uint32_t send_ring[SEND_BYTES / 4u] __attribute__((section(".rings.32768"), aligned(SEND_BYTES)));
 
 static bool by_usb;
-static bool ring_is_usbs; /* the one that may have something there */
+static bool ring_is_usbs; /* the link whose bytes are in the ring */
 
 /* A board without a USB port, and the port's own tests, have no usb.c. */
 __attribute__((weak)) void usb_start(uint64_t serial, uint32_t *words, uint32_t count)
@@ -56,9 +56,9 @@ size_t link_read(uint8_t *into, size_t capacity, bool armed)
     const size_t room = capacity < BYTES_AT_ONCE ? capacity : BYTES_AT_ONCE;
     for (unsigned i = 0; i < 2u; i++) {
         const size_t count = by_usb ? usb_read(into, room) : uart_read(into, room);
-        if (count > 0 || armed || (!by_usb && !uart_is_idle())) /* what it has begun to tell it ends, a fault above all */
+        if (count > 0 || armed || (!by_usb && !uart_is_idle())) /* finish the frame in progress, above all a fault */
             return count;
-        by_usb = !by_usb; /* silent: ask the other, and come back unless it answers */
+        by_usb = !by_usb; /* no bytes: try the other link, and return if it has none either */
     }
     return 0;
 }

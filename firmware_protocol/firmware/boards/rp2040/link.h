@@ -1,4 +1,4 @@
-/* The link is UART0 or USB: the one that spoke last. While the device is armed it stays the one that armed it. */
+/* The link is UART0 or USB: the one that received last. While the device is armed it stays the one that armed it. */
 #ifndef RP2040_LINK_H
 #define RP2040_LINK_H
 

@@ -1,4 +1,4 @@
-/* The device on a Raspberry Pi Pico: what the core asks of the board, the tick's interrupt, and the conversation in between. */
+/* The device on a Raspberry Pi Pico: the core's hardware layer, the interrupt of the tick, and the link between ticks. */
 #include "board_config.h"
 #include "amplifier.h"
 #include "clocks.h"
@@ -12,7 +12,8 @@
 #include "reset.h"
 #include "timekeeping.h"
 
-/* The longest that a look at the link should take; nearer to the tick none begins, unless none was since the last tick. */
+/* Longest time of one poll of the link. Nearer to the next tick no poll begins, unless there was none since the last
+ * tick. */
 #define POLL_CYCLES (CLOCK_HZ / 100000u)
 
 static struct device device;
@@ -87,7 +88,7 @@ static size_t hal_link_read(void *context, uint8_t *into, size_t capacity)
     return link_read(into, capacity, device_is_armed(&device));
 }
 
-/* What lies in the device itself (BATCH) stays there for a tick at least; other frames are on the stack. */
+/* A BATCH frame is in struct device and stays there for a tick at least; other frames are on the stack. */
 static bool hal_link_write(void *context, const uint8_t *frame, size_t count)
 {
     (void)context;
@@ -151,7 +152,7 @@ void tick_interrupt(void)
     link_pump();
 }
 
-/* ------------------------------------------------------------------ the conversation */
+/* ------------------------------------------------------------------ the link, between ticks */
 
 static void mask(void)
 {

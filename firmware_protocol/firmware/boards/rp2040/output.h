@@ -1,4 +1,4 @@
-/* How a set-point leaves the board: the setting `output` says which of the two files behind this is compiled. */
+/* The set-point output of the board: the setting `output` selects output_pwm.c or output_dac.c. */
 #ifndef RP2040_OUTPUT_H
 #define RP2040_OUTPUT_H
 
@@ -20,10 +20,11 @@ void output_set(int16_t quanta);
 int16_t output_active(void);
 
 #ifdef BOARD_OUTPUT_DAC
-/* From here on a converter that enable has held in reset accepts frames. */
+/* Start the transfers: enable, which held the converter in reset, is high now. */
 void output_begin(void);
 
-/* Whether no set-point has left since the last question. Asked before each tick, it notices within two. */
+/* Return true if no set-point was transferred since the last call. Called before each tick, it detects a stalled
+ * transfer within two ticks. */
 bool output_stalled(void);
 #else
 static inline void output_begin(void)

@@ -8,7 +8,7 @@
 /* Inputs of switches, encoder and sync; outputs of sync. Everything else stays as reset left it: pulled down. */
 void pins_start(void);
 
-/* Bits of enum hr_input. A wire that has come off says "stop", "not held" and "end of the travel". */
+/* Return bits of enum hr_input. A broken wire reads as stop pressed, hold-to-run released and limit switch pressed. */
 uint8_t pins_inputs(void);
 
 /* Show bits of enum hr_sync. */

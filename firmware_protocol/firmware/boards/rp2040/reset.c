@@ -4,8 +4,8 @@
 
 #include "registers.h"
 
-/* The boot ROM ends a download by a watchdog reset of its own; this says that the watchdog was ours. The scratch registers are
- * cleared by power-up alone (4.7.5). */
+/* The boot ROM ends a download by a watchdog reset too; this value marks a reset by this program's watchdog. Only a
+ * power-up clears the scratch registers (4.7.5). */
 #define OURS 0x48525744u
 
 #define BOOTLOADER_WANTED 0x544F4F42u /* start.S */

@@ -5,8 +5,8 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-/* Whether it was our watchdog that has bitten, and where the processor had stopped, or 0. A brown-out is a power-up:
- * nothing that was there before is left. */
+/* Return true after a reset by this program's watchdog, with the address at which the processor had stopped, or 0. A
+ * brown-out counts as a power-up: it clears the scratch registers. */
 bool reset_by_watchdog(uint32_t *stopped_at);
 
 /* Keep an address over the watchdog's reset. */
@@ -15,7 +15,7 @@ void processor_stopped(uint32_t at);
 /* Reset everything, and let the boot ROM show its drive. */
 void reset_to_bootloader(void);
 
-/* From here on, reset everything so long (µs) after the last feed. */
+/* Feed the watchdog: it resets everything this long (µs) after the last feed. */
 void watchdog_start(uint32_t bite_us);
 void watchdog_feed_hardware(uint32_t bite_us);
 

@@ -12,7 +12,7 @@
 #define TIME_SLICE 6u
 #define TICK_SLICE 7u
 
-/* A moment, as the hardware has it. DMA takes it down when an edge comes. */
+/* A time in the hardware's format. DMA stores it when an edge comes. */
 struct stamp {
     volatile uint32_t fine;   /* 1/16 µs, modulo 2¹⁶ */
     volatile uint32_t coarse; /* µs, modulo 2³² */
@@ -20,11 +20,11 @@ struct stamp {
 
 void time_start(void);
 
-/* Device time now, 1/16 µs; at most 4 ms behind the last look at the clock. Not from two places that may interrupt each
- * other. */
+/* Device time now, 1/16 µs. Call it at most 4 ms after the last reading of the clock, and not from two places that may
+ * interrupt each other. */
 uint64_t time_now(void);
 
-/* Look at the clock, however long ago the last look was. */
+/* Read the clock, however long ago the last reading was. */
 void time_look(void);
 
 /* Device time of a stamp taken less than an hour ago. */
@@ -36,10 +36,10 @@ void stamp_read(const struct stamp *stamp, uint32_t *fine, uint32_t *coarse);
 /* Tick at this rate (Hz) from now on. False for one that the timer cannot keep. */
 bool tick_set_rate(uint32_t rate);
 
-/* Let the interrupt come, not before a whole period. */
+/* Enable the interrupt; the first comes after a whole period or later. */
 void tick_start(void);
 
-/* In the interrupt: look at the clock, take the tick, and say how long the next period but one will be. */
+/* In the interrupt: read the clock, acknowledge the tick, and set the length of the period after the next. */
 void tick_taken(void);
 
 /* Cycles of the processor until the next tick is due; 0 when it waits already. */

@@ -66,7 +66,7 @@ size_t uart_read(uint8_t *into, size_t capacity)
 {
     const uint32_t received = RECEIVE_ROUNDS - DMA_COUNT(DMA_RECEIVE);
     if (received - link.taken > RECEIVE_BYTES)
-        link.taken = received; /* overwritten, all of it; the frame's CRC will say so */
+        link.taken = received; /* all of it was overwritten; the CRC of the frame will not fit */
     size_t count = 0;
     while (count < capacity && link.taken != received)
         into[count++] = receive_ring[link.taken++ % RECEIVE_BYTES];

@@ -12,7 +12,7 @@
 /* `send_ring`: SEND_BYTES at a multiple of them, for what waits for the line. */
 void uart_start(uint8_t *send_ring);
 
-/* Whether nothing waits for the line. */
+/* Return true if nothing waits for the line. */
 bool uart_is_idle(void);
 
 size_t uart_read(uint8_t *into, size_t capacity);

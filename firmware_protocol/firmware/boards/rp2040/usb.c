@@ -12,9 +12,9 @@
 #define FRAME_SAFE_US 800u
 #define FRAME_US 998u
 
-/* How long the vendor interface must be silent before the serial port may become the link: what probes serial ports
- * (ModemManager does) must not take it from a running session. The other way round it is taken at once;
- * and in neither way while the device is armed. */
+/* The serial port becomes the link only after the vendor interface was silent for this time: a program that probes
+ * serial ports (ModemManager) must not take the link from a running session. The vendor interface takes the link at
+ * once. The link never changes while the device is armed. */
 #define SILENCE_US 1000000u
 
 enum pipe { PIPE_RIG, PIPE_SERIAL, PIPES };
@@ -26,7 +26,7 @@ static struct {
     struct usb_control control;
     struct usb_endpoint endpoints[ENDPOINTS]; /* of each pipe in, out; then notes */
     enum pipe active;                         /* the link */
-    uint32_t heard;                           /* when the vendor interface spoke last (µs) */
+    uint32_t rig_received_at;                         /* last packet on the vendor interface (µs) */
     bool frame_cut;                           /* the next frame must begin with a delimiter */
     bool ended_full;                          /* the last packet was full: the host expects more, if only an empty one */
     bool frames;                              /* the host has begun one since the last reset */
@@ -51,7 +51,7 @@ static struct usb_endpoint *out_of(enum pipe pipe)
 
 /* ------------------------------------------------------------------ to the host */
 
-/* What has not left yet is dropped; a frame that has left in part is ended. */
+/* Drop what waits; the next packet begins with a delimiter, which ends a frame that was sent in part. */
 static void flush(void)
 {
     ring_step(&usb.to_host, ring_count(&usb.to_host));
@@ -97,23 +97,23 @@ static void send_packets(void)
 
 /* ------------------------------------------------------------------ from the host */
 
-/* Whether what comes on a pipe is to be taken; makes it the link. */
+/* Return true if a packet on this pipe is accepted; the pipe then is the link. */
 static bool takes_over(enum pipe pipe)
 {
     const uint32_t now = usb_now_us();
     if (pipe == PIPE_RIG)
-        usb.heard = now;
+        usb.rig_received_at = now;
     if (pipe == usb.active)
         return true;
     if (usb.held)
         return false;
-    if (pipe == PIPE_SERIAL && now - usb.heard < SILENCE_US)
+    if (pipe == PIPE_SERIAL && now - usb.rig_received_at < SILENCE_US)
         return false;
     flush();
     while (endpoint_done(in_of(usb.active)).there)
         ;
     usb.active = pipe;
-    ring_put(&usb.from_host, 0); /* whatever the other left unfinished */
+    ring_put(&usb.from_host, 0); /* ends a frame that the other pipe left unfinished */
     return true;
 }
 
@@ -125,7 +125,7 @@ static void take_packet(enum pipe pipe, const struct usb_done *done)
         ring_put(&usb.from_host, usb_memory_get_byte(done->at + i));
 }
 
-/* Hand a buffer over only when whatever comes will find room: an armed buffer is a promise. */
+/* Hand a buffer to the controller only if the ring has room for a full packet: an armed buffer cannot be refused. */
 static void offer_buffers(enum pipe pipe)
 {
     struct usb_endpoint *endpoint = out_of(pipe);
@@ -267,7 +267,7 @@ static void begin(uint64_t serial, const struct ring *to_host)
     usb.to_host = *to_host;
     usb.from_host = (struct ring){.words = from_host_words, .size = sizeof from_host_words};
     usb.active = PIPE_RIG;
-    usb.heard = usb_now_us() - SILENCE_US;
+    usb.rig_received_at = usb_now_us() - SILENCE_US;
     usb.frame_cut = false;
     usb.ended_full = false;
     usb.frames = false;

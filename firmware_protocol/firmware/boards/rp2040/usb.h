@@ -1,6 +1,6 @@
 /* A full-speed USB device that carries the bytes of the protocol, twice over: a vendor interface with a bulk pipe each
- * way (usb://), and a serial port (/dev/ttyACM0, COM3). Whichever spoke last is the link, unless usb_hold says
- * otherwise.
+ * way (usb://), and a serial port (/dev/ttyACM0, COM3). The one that received last is the link, unless usb_hold keeps
+ * the other.
  *
  * Everything of the controller happens in usb_interrupt, which must have the lowest priority there is and may be
  * interrupted by the tick at any moment; the functions beside it touch nothing but two rings. None waits. */
@@ -15,14 +15,14 @@
  * 48 MHz and TIMER counts microseconds. */
 void usb_start(uint64_t serial, uint32_t *words, uint32_t count);
 
-/* Drop what waits for the host: its memory becomes another's. From the main loop, interrupts masked. */
+/* Drop what waits for the host, because the UART takes over the memory. From the main loop, interrupts masked. */
 void usb_drop(void);
 
 /* The bytes of the host, at most `capacity`; from the main loop. */
 size_t usb_read(uint8_t *into, size_t capacity);
 
-/* Whether the link stays with the interface that has it, because the device is armed: what comes on the other one is
- * dropped meanwhile. From the main loop. */
+/* Keep the link on its present interface while the device is armed: bytes on the other one are dropped. From the main
+ * loop. */
 void usb_hold(bool held);
 
 /* A whole frame or nothing: false when no host is connected or the host has not fetched what the words hold. From the tick or
@@ -30,7 +30,7 @@ void usb_hold(bool held);
  * go four times as fast. */
 bool usb_write(const uint8_t *frame, size_t count);
 
-/* Whether a host has configured the device and the bus is awake. */
+/* Return true if a host has configured the device and the bus is awake. */
 bool usb_is_up(void);
 
 /* The vector of USBCTRL_IRQ, number 5 (RP2040 data sheet, 2.3.2). */

@@ -26,7 +26,7 @@ struct usb_control {
     const uint8_t *data; /* what is still to be sent */
     uint16_t left;
     bool empty_packet;  /* one without bytes ends the data */
-    bool acknowledges;  /* the status stage is owed */
+    bool acknowledges;  /* the status stage is still to be sent */
     uint8_t toggle;    /* of the next data packet */
     uint8_t address;   /* active when the status stage is over; 0 none */
     uint8_t configuration;
@@ -42,12 +42,12 @@ enum usb_effect { USB_NOTHING, USB_CONFIGURED, USB_DECONFIGURED, USB_PIPES_RESET
 /* After a reset of the bus. */
 void control_reset(struct usb_control *control);
 
-/* A SETUP packet has come. What it did must be done to the pipes before control_acknowledge: behind it the host uses
+/* Handle a SETUP packet. Its effect on the pipes must be applied before control_acknowledge, after which the host uses
  * them. */
 enum usb_effect control_setup(struct usb_control *control);
 void control_acknowledge(struct usb_control *control);
 
-/* The controller is done with a buffer of endpoint 0. */
+/* The controller has completed a buffer of endpoint 0. */
 void control_sent(struct usb_control *control);
 void control_received(struct usb_control *control);
 

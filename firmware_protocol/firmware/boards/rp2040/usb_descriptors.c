@@ -50,7 +50,7 @@ static const uint8_t configuration[] = {
     5, CLASS_INTERFACE, 1, 0, USB_INTERFACE_SERIAL_DATA,                   /* no call management */
     4, CLASS_INTERFACE, 2, 2,                                              /* line coding and control line state */
     5, CLASS_INTERFACE, 6, USB_INTERFACE_SERIAL, USB_INTERFACE_SERIAL_DATA, /* union */
-    ENDPOINT_OF(0x80 | USB_PIPE_SERIAL_NOTES, USB_PERIODIC, 16, 255),      /* never has anything to say */
+    ENDPOINT_OF(0x80 | USB_PIPE_SERIAL_NOTES, USB_PERIODIC, 16, 255),      /* sends no notification */
     INTERFACE_OF(USB_INTERFACE_SERIAL_DATA, 2, 10, 0, 0, 0),
     ENDPOINT_OF(0x80 | USB_PIPE_SERIAL, USB_BULK, USB_PACKET, 0),
     ENDPOINT_OF(USB_PIPE_SERIAL, USB_BULK, USB_PACKET, 0),

@@ -13,7 +13,7 @@ enum usb_pipe_number { USB_PIPE_RIG = 1, USB_PIPE_SERIAL, USB_PIPE_SERIAL_NOTES 
 #define USB_MICROSOFT_INDEX 7u      /* MS_OS_20_DESCRIPTOR_INDEX */
 
 struct usb_text {
-    const uint8_t *bytes; /* null when there is none */
+    const uint8_t *bytes; /* NULL: no such descriptor */
     uint16_t count;
 };
 

@@ -67,7 +67,7 @@ size_t endpoint_next(const struct usb_endpoint *endpoint)
     return (size_t)endpoint->buffers + (size_t)endpoint->next * USB_PACKET;
 }
 
-/* Half words: the other buffer's may change under our hands. */
+/* Written as half words: the controller may change the other buffer's half at the same time. */
 void endpoint_arm(struct usb_endpoint *endpoint, uint32_t count)
 {
     const size_t at = control_of(endpoint, endpoint->next);

@@ -1,4 +1,4 @@
-/* An endpoint with two buffers of 64 bytes in turn: which is whose, and which data toggle comes next.
+/* An endpoint with two alternating buffers of 64 bytes: which buffers the controller owns, and the next data toggle.
  *
  * RP2040 data sheet, 4.1.2.5 and 4.1.2.6; the toggles are those of chapter 8.6 of the USB 2.0 specification. */
 #ifndef HR_RP2040_USB_ENDPOINT_H
@@ -24,7 +24,7 @@ struct usb_endpoint {
     uint8_t armed;   /* buffers that are the controller's */
 };
 
-/* Let the controller serve it from now on, from DATA0. */
+/* Enable the endpoint in the controller, from DATA0. */
 void endpoint_open(struct usb_endpoint *endpoint, enum usb_type type);
 
 /* Take back what is armed, and begin with DATA0: what SET_CONFIGURATION, SET_INTERFACE and CLEAR_FEATURE ask for. */
@@ -47,7 +47,7 @@ size_t endpoint_next(const struct usb_endpoint *endpoint);
 /* Hand that buffer to the controller: `count` bytes to send, or room for as many. */
 void endpoint_arm(struct usb_endpoint *endpoint, uint32_t count);
 
-/* A buffer that the controller is done with. */
+/* Return the oldest buffer that the controller has completed. */
 struct usb_done {
     bool there;
     uint32_t count;

@@ -5,8 +5,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* What is written is in the memory before the index that says so; one processor needs no more than that the compiler
- * keeps the order. */
+/* The data must be in memory before the index that publishes it. On one processor a compiler barrier suffices. */
 #define RING_KEEP_ORDER() __asm__ volatile("" ::: "memory")
 
 /* Indices run freely; the size is a power of two, so that their difference is what lies in the ring. */

@@ -1,4 +1,4 @@
-/* The program that tries a port out, beside the core: its entries under other names. */
+/* The port check linked beside the core, with its entries under other names. */
 #define device_start port_check_start
 #define device_was_reset port_check_was_reset
 #define device_is_armed port_check_is_armed

@@ -120,7 +120,7 @@ static void power_up(struct simulated_board *board, bool bitten)
     board->feeds = board->host.feeds;
     board->bites_at = UINT64_MAX; /* until it is fed first */
     port_check_start(&board->device, &board->hal, &board->host.board);
-    if (bitten && board->tells_reset)
+    if (bitten && board->reports_reset)
         port_check_was_reset(&board->device, 0);
 }
 
@@ -137,7 +137,7 @@ void simulated_board_start(struct simulated_board *board, void (*spoil)(struct s
     host_narrow(&board->host, HR_PARAMETER_POSITION_RATE, 50, RATE_MAXIMUM);
     host_set_room(&board->host, ROOM_BYTES);
     host_let_leave(&board->host);
-    board->tells_reset = true;
+    board->reports_reset = true;
     board->host.time = board->taken_at = board->ends = STARTS_AT;
     board->hal = board->host.hal;
     board->hal.time = simulated_board_time;

@@ -1,9 +1,9 @@
-/* The port to a computer (host/) as a board of its own: the world around it in simulated time, so that what tries a port out
- * (port_check.h) can be run on it, and on ports that are wrong in one thing.
+/* The port to a computer (host/) as a simulated board in simulated time, so that the port check (port_check.h) can run on
+ * it, and on ports with one fault.
  *
- * Time moves on as the program looks at its clock. A tick comes between two polls, as on a board that masks it meanwhile. A
- * motor's current follows the set-point with a lag, a line takes bytes at its pace, sync outputs are wired to the encoder and
- * the sync input, a watchdog bites. */
+ * Each reading of the clock advances the time. A tick comes between two polls, as on a board that masks its interrupt in a
+ * poll. The motor's current follows the set-point with a lag, the line sends at its rate, sync outputs are wired to the
+ * encoder and the sync input, and the watchdog resets the board. */
 #ifndef HR_SIMULATED_BOARD_H
 #define HR_SIMULATED_BOARD_H
 
@@ -17,7 +17,7 @@ struct simulated_board {
     uint32_t feeds, rate; /* as last seen of the port */
     float flows;          /* quanta */
     uint8_t wires;        /* what the sync outputs have shown */
-    bool tells_reset;     /* after the watchdog has bitten */
+    bool reports_reset;   /* after a reset by the watchdog */
     size_t line_count;
     uint8_t line[4u * HR_HOST_OUTPUT_BYTES]; /* what has left, for a host that reads now and then */
 };

@@ -1,5 +1,6 @@
-// Cursors and zoom of a group of charts by keys, for whoever does not point. `range` gives the time that is shown,
-// `cursor` that of the newest cursor, `move` is told where it goes, `place` of another one, `zoom` of a stretch of time.
+// Cursors and zoom of a group of charts by keys, for users without a pointer. `range` returns the time that is shown,
+// `cursor` that of the newest cursor; `move` is called with its new time, `place` with that of another cursor, `zoom`
+// with a range of time.
 
 const STEPS = 100; // of what is shown
 const FAST = 10; // steps, with Shift

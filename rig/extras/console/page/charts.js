@@ -4,7 +4,7 @@ import { colour, written } from "./dom.js";
 
 export const NAMES = { effort_wanted: "wanted", effort_sent: "sent", effort_applied: "active", position: "measured", velocity: "estimated" };
 
-// Options of one uPlot chart. `range` gives the time that is shown, `height` the values of the vertical axis for theirs, `marks` draws over it, `zoom` and `click` are told of the pointer.
+// Options of one uPlot chart. `range` gives the time that is shown, `height` the values of the vertical axis for theirs, `marks` draws over it, `zoom` and `click` are called on actions of the pointer.
 export function chartOptions({ title, unit, series, last, group, range, height, marks, zoom, click }) {
   const grid = { stroke: colour("grid"), width: 1 };
   const axis = { stroke: colour("quiet"), grid, ticks: grid, font: "12px system-ui" };

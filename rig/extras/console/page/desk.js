@@ -1,4 +1,4 @@
-// What is asked, and how it is answered: by buttons, by their keys, or in a line; for the operator and the participant.
+// The question of a session and its answer by buttons, by their keys, or as text; for the operator and the participant.
 
 import { make, setText } from "./dom.js";
 
@@ -26,26 +26,26 @@ export class Answering {
     this.input.addEventListener("keydown", (event) => this.#inLine(event));
   }
 
-  // `told`: the number of the question, its text, keys that answer it, the line that is wanted, the item, a notice.
-  show(told) {
-    if (told.asked !== this.asked) {
-      this.asked = told.asked;
+  // `report`: the number of the question, its text, the keys that answer it, the kind of text input, the item, a notice.
+  show(report) {
+    if (report.asked !== this.asked) {
+      this.asked = report.asked;
       this.shown = performance.now();
       this.input.value = "";
     }
-    this.moving = told.moving;
-    setText(this.question, told.text);
-    setText(this.notice, told.notice);
-    this.#offer(told);
-    const wanted = Boolean(told.entry);
+    this.moving = report.moving;
+    setText(this.question, report.text);
+    setText(this.notice, report.notice);
+    this.#offer(report);
+    const wanted = Boolean(report.entry);
     if (wanted === this.line.hidden) {
       this.line.hidden = !wanted;
       this.input.value = "";
       if (wanted) this.input.focus();
       else this.input.blur();
     }
-    this.input.ariaLabel = told.entry === "note" ? "Note" : "Answer";
-    this.input.placeholder = told.entry === "note" ? "a note for the log" : "";
+    this.input.ariaLabel = report.entry === "note" ? "Note" : "Answer";
+    this.input.placeholder = report.entry === "note" ? "a note for the log" : "";
   }
 
   press(key) {

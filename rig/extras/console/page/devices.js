@@ -1,4 +1,4 @@
-// Devices: what is connected, what this machine and a link can do, and what each fault means.
+// Devices: the connected ones, the doctor's report on this machine and a link, and the meaning of each fault.
 
 import { make, showStage } from "./dom.js";
 import { shown } from "./items.js";
@@ -14,9 +14,9 @@ export function devicesView(link, facts) {
 
   async function look() {
     try {
-      const told = await link.ask("devices");
-      here.replaceChildren(...shown(told.items));
-      faults.replaceChildren(...told.faults.map(({ name, text, remedy }) => make("tr", {},
+      const report = await link.ask("devices");
+      here.replaceChildren(...shown(report.items));
+      faults.replaceChildren(...report.faults.map(({ name, text, remedy }) => make("tr", {},
         make("th", { scope: "row", textContent: name.toLowerCase().replaceAll("_", " ") }), make("td", { textContent: text }), make("td", { textContent: remedy }))));
     } catch (error) {
       trouble(error);
@@ -26,10 +26,10 @@ export function devicesView(link, facts) {
   link.addEventListener("progress", ({ detail }) => {
     if (detail.job === "doctor") showStage(found, detail.told.stage, detail.told.share);
   });
-  link.addEventListener("job", ({ detail: { job, told } }) => {
+  link.addEventListener("job", ({ detail: { job, told: report } }) => {
     if (job !== "doctor") return;
-    if (told.say === "done") found.replaceChildren(...shown(told.result.items), told.result.error ?? "");
-    if (told.say === "failed") found.replaceChildren([told.error, told.remedy].filter(Boolean).join(": "));
+    if (report.say === "done") found.replaceChildren(...shown(report.result.items), report.result.error ?? "");
+    if (report.say === "failed") found.replaceChildren([report.error, report.remedy].filter(Boolean).join(": "));
   });
   look();
   return make("div", { className: "columns" },

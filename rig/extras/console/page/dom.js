@@ -12,12 +12,12 @@ export function make(tag, attributes = {}, ...children) {
   return element;
 }
 
-// Set a text only where it is another one: what is said aloud is said once.
+// Set a text only if it has changed, so that a screen reader reads it once.
 export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-// The stage of some work, which a live region says once, and a bar for its share.
+// The stage of some work, which a screen reader reads once, and a bar for its share.
 export function showStage(place, text, share) {
   let bar = place.querySelector("progress");
   if (bar?.ariaLabel !== text) {

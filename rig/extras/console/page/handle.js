@@ -2,7 +2,7 @@
 
 import { cleared, colour, make, written } from "./dom.js";
 
-const SAY_MS = 40; // a hand that says nothing for a second has let go
+const SAY_MS = 40; // between messages; after a second without one the server releases the hand
 const SPAN = 0.025; // shown at the handle (m), of a trial that starts at its wall
 const MARGIN = 0.05; // of the window that the rig may move in
 const PRESS_STEP = 1; // N with each key

@@ -1,13 +1,14 @@
-// A worker: browsers throttle the timers of hidden pages, not its own. It beats while the page answers it, and says STOP.
+// A worker, since browsers throttle the timers of hidden pages but not a worker's. It sends the heartbeat while the page
+// answers, and STOP.
 
 const BEAT_MS = 100;
-const PAGE_MS = 300; // a page that has not answered for so long hangs
+const PAGE_MS = 300; // without an answer for this time the page counts as hung
 const RETRY_MS = 500;
 
 let socket = null;
 let setup = null;
 let answered = 0;
-let wanted = false; // a STOP that no socket has taken yet
+let wanted = false; // a STOP that has not been sent yet
 
 function open() {
   socket = new WebSocket(setup.url, setup.protocols);

@@ -1,4 +1,4 @@
-// What a result shows to people (rig.core.present.told): headings, rows, tables and checks.
+// Elements of a result as the server sends them (rig.core.present): headings, rows, tables and checks.
 
 import { make } from "./dom.js";
 

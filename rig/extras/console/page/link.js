@@ -1,5 +1,5 @@
-// The page's two sockets: one for everything (of a participant's screen: for what it shows), one in a worker for
-// heartbeats and STOP, which so wait behind nothing.
+// The page's two sockets: one for all messages (of a participant's screen: for what it shows), one in a worker for
+// heartbeats and STOP, so that no other message delays these.
 
 const RETRY_MS = 1000;
 
@@ -15,7 +15,7 @@ export class Link extends EventTarget {
     this.waiting = new Map();
     this.hold = new Worker("hold.js");
     this.hold.postMessage({ url: this.#url("hold"), protocols: this.#protocols() });
-    // The worker asks, the page answers: a page that hangs is heard of no more, whatever its worker does.
+    // The worker sends a request and the page answers: a page that hangs sends no heartbeat, even if its worker runs.
     this.hold.addEventListener("message", ({ data }) => {
       if (data.alive) this.hold.postMessage({ alive: true });
       if (data.stopped) this.dispatchEvent(new CustomEvent("stopped"));
@@ -23,13 +23,13 @@ export class Link extends EventTarget {
     this.#open();
   }
 
-  // Zero effort for every loop, ahead of everything else that this page has said.
+  // Zero effort for every loop, ahead of all other messages of this page.
   stop() {
     this.hold.postMessage({ stop: true });
     if (this.socket?.readyState === WebSocket.OPEN) this.#send({ do: "stop" });
   }
 
-  // Ask for something; rejects with the server's error: its message, and what to do.
+  // Send a request. Rejects with the server's error: its message and the remedy.
   ask(what, content = {}) {
     const number = ++this.number;
     return new Promise((resolve, reject) => {
@@ -42,7 +42,7 @@ export class Link extends EventTarget {
     });
   }
 
-  // Say something that needs no answer, if it can be said now.
+  // Send a message that needs no answer, if the socket is open.
   say(what, content = {}) {
     if (this.socket?.readyState === WebSocket.OPEN) this.#send({ do: what, ...content });
   }

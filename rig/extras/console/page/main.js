@@ -42,7 +42,7 @@ link.addEventListener("closed", ({ detail }) => {
   $("consent").hidden = true;
   $("state").textContent = detail ? `not connected: ${detail}` : "not connected: is the console still running?";
 });
-// What stands at the terminal stands here too, so that both mean the same.
+// The same text as at the terminal.
 link.addEventListener("consent", ({ detail: { lines } }) => {
   $("consent").hidden = lines === null;
   $("consent").querySelector("ul").replaceChildren(...(lines ?? []).map((textContent) => make("li", { textContent })));
@@ -95,7 +95,7 @@ link.addEventListener("hello", ({ detail: facts }) => {
     globalThis.rigConsole = { scope, written };
     return make("div", {}, scope.element, side);
   });
-  const sessions = new Sessions(link, facts); // now: a page that comes back hears at once where a session stands
+  const sessions = new Sessions(link, facts); // at once: a page that reconnects receives the state of a session immediately
   addView("sessions", "Sessions", () => sessions.element);
   const recordings = new Recordings(link);
   const open = (which) => {

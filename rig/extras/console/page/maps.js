@@ -8,14 +8,14 @@ const HANDS = [["a normal hand", "normal"], ["a relaxed hand", "relaxed"], ["a f
 const DEFAULTS = { time: "koul-compliant", frequency: "chawda-linear" };
 
 export class Maps {
-  // `open` is told which recording to show.
+  // `open` is called with the recording to show.
   constructor(link, facts, open) {
     this.link = link;
     this.open = open;
     this.map = null;
     this.columns = [];
     this.list = make("tbody");
-    this.told = make("p", { className: "quiet", role: "status" });
+    this.progress = make("p", { className: "quiet", role: "status" });
     this.bar = make("progress", { max: 1, value: 0, hidden: true, ariaLabel: "Share of the map that is done" });
     this.title = make("h2", { textContent: "Choose a map, or start one" });
     this.schemes = make("div", { className: "bar schemes", role: "group", ariaLabel: "Scheme" });
@@ -24,7 +24,7 @@ export class Maps {
     this.plane.onchosen = () => this.#table();
     this.plane.element.hidden = true;
     this.element = make("div", {}, this.#side(facts), make("section", { className: "scope", ariaLabel: "Map" },
-      make("div", { className: "bar" }, this.title, this.end), this.schemes, this.bar, this.told, this.plane.element), make("div", { className: "side limits" }, this.limits));
+      make("div", { className: "bar" }, this.title, this.end), this.schemes, this.bar, this.progress, this.plane.element), make("div", { className: "side limits" }, this.limits));
     link.addEventListener("cells", ({ detail }) => this.#take(detail));
     link.addEventListener("hello", () => this.map && this.#watch(this.map.name)); // connected again
     link.addEventListener("state", ({ detail }) => this.#state(detail));
@@ -35,7 +35,7 @@ export class Maps {
     setInterval(() => this.element.offsetParent !== null && this.#load(), LIST_MS);
   }
 
-  // What starts a map, and which there are.
+  // The form that starts a map, and the list of maps.
 
   #side(facts) {
     const select = (options, onchange) => make("select", { onchange }, ...options.map(([text, value]) => make("option", { textContent: text, value })));
@@ -66,7 +66,7 @@ export class Maps {
         make("p", {}, this.start), this.busy));
   }
 
-  // The domain decides what may be said.
+  // The chosen domain determines which fields are enabled.
   #fields() {
     const domain = this.form.domain.value;
     for (const name of ["hand", "way", "offsets", "repeats"]) this.rows[name].hidden = domain === "frequency";
@@ -92,16 +92,16 @@ export class Maps {
     this.end.hidden = !(this.running && this.map !== null && this.map.name === this.made);
   }
 
-  #job({ job, told }) {
+  #job({ job, told: report }) {
     if (job !== "map") return;
-    if (told.say === "mapping") {
-      this.made = told.map;
-      this.#watch(told.map);
+    if (report.say === "mapping") {
+      this.made = report.map;
+      this.#watch(report.map);
     }
-    const said = { compiling: told.busy ? "compiling for this map, once per version and computer …" : "", mapping: "", done: "",
-      failed: `The map failed: ${told.error}${told.remedy ? `; ${told.remedy}` : ""}` };
-    if (told.say in said) this.busy.textContent = said[told.say];
-    if (told.say === "ended") this.#load();
+    const texts = { compiling: report.busy ? "compiling for this map, once per version and computer …" : "", mapping: "", done: "",
+      failed: `The map failed: ${report.error}${report.remedy ? `; ${report.remedy}` : ""}` };
+    if (report.say in texts) this.busy.textContent = texts[report.say];
+    if (report.say === "ended") this.#load();
   }
 
   async #load() {
@@ -146,27 +146,27 @@ export class Maps {
     this.#table();
   }
 
-  #take(told) {
-    if (told.map !== this.map?.name) { // its facts are on their way
-      this.late = told.anew ? told : this.late;
+  #take(report) {
+    if (report.map !== this.map?.name) { // the map's description has not arrived yet
+      this.late = report.anew ? report : this.late;
       return;
     }
-    if (told.anew) this.columns = [];
-    this.columns.push(...told.columns);
+    if (report.anew) this.columns = [];
+    this.columns.push(...report.columns);
     this.plane.columns = this.columns;
     const cells = this.columns.reduce((sum, column) => sum + column.cells.length, 0);
-    const left = told.state === "running" && told.left_s !== null ? `, about ${duration(told.left_s)} left` : "";
-    const text = `${told.state}: ${told.done} of ${told.total} columns, ${cells} cells${left}`;
-    if (this.told.textContent !== text) this.told.textContent = text;
-    this.bar.hidden = told.state !== "running";
-    this.bar.value = told.total ? told.done / told.total : 0;
-    if (told.columns.length || told.anew) {
+    const left = report.state === "running" && report.left_s !== null ? `, about ${duration(report.left_s)} left` : "";
+    const text = `${report.state}: ${report.done} of ${report.total} columns, ${cells} cells${left}`;
+    if (this.progress.textContent !== text) this.progress.textContent = text;
+    this.bar.hidden = report.state !== "running";
+    this.bar.value = report.total ? report.done / report.total : 0;
+    if (report.columns.length || report.anew) {
       this.plane.draw();
       this.#table();
     }
   }
 
-  // The limits as a table: what the picture shows, for those who do not see it.
+  // The limits as a table, for users who cannot see the picture.
   #table() {
     if (this.map === null) return;
     const { dampings, units } = this.map;
@@ -175,8 +175,8 @@ export class Maps {
     const rows = dampings.map((damping, number) => {
       const limits = this.columns.filter((column) => column.scheme === this.scheme && column.damping === number).map((column) => this.plane.limit(column));
       const [low, high] = [Math.min(...limits), Math.max(...limits)];
-      const said = limits.length === 0 ? "–" : low === high ? written(low, 3) : `${written(low, 3)} to ${written(high, 3)}`;
-      return make("tr", {}, make("th", { scope: "row", textContent: written(damping, 3) }), make("td", { textContent: said }),
+      const text = limits.length === 0 ? "–" : low === high ? written(low, 3) : `${written(low, 3)} to ${written(high, 3)}`;
+      return make("tr", {}, make("th", { scope: "row", textContent: written(damping, 3) }), make("td", { textContent: text }),
         ...curves.map((curve) => make("td", { textContent: written(at(curve, damping), 3) })));
     });
     this.limits.replaceChildren(make("caption", { textContent: "Largest stiffness up to which all walls pass" }),
@@ -190,7 +190,7 @@ export class Maps {
     if (which) this.open(which);
   }
 
-  // Ask; trouble is said, and null.
+  // Send a request; show an error as a notice and return null.
   #ask(what, content) {
     return this.link.ask(what, content).then((answer) => answer ?? true, (error) => {
       this.link.dispatchEvent(new CustomEvent("trouble", { detail: error }));

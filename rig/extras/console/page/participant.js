@@ -1,4 +1,4 @@
-// The participant's screen: the cue, what to do, and what is asked of them. It answers that, stops, and does nothing else.
+// The participant's screen: the cue, the instruction and the question. It can answer and stop, nothing else.
 
 import { Answering, nameOf } from "./desk.js";
 import { make, setText } from "./dom.js";
@@ -27,12 +27,12 @@ addEventListener("keydown", (event) => {
 }, { capture: true });
 addEventListener("keyup", (event) => { if (event.key === " " && !event.target.closest("input")) event.preventDefault(); });
 
-link.addEventListener("participant", ({ detail: told }) => {
-  const text = told.cue ?? WAIT; // no session has begun
-  setText(cue, told.left_s > 0 ? `${text}: ${told.left_s} s` : text);
-  setText(saying, told.saying ?? "");
-  cue.dataset.moving = Boolean(told.moves);
-  answering.show({ asked: told.asked ?? 0, text: "", offered: told.runs ? told.verdicts ?? [] : [], entry: told.runs && told.item ? "item" : null, item: told.item, notice: told.notice ?? "", moving: false });
+link.addEventListener("participant", ({ detail: report }) => {
+  const text = report.cue ?? WAIT; // no session has begun
+  setText(cue, report.left_s > 0 ? `${text}: ${report.left_s} s` : text);
+  setText(saying, report.saying ?? "");
+  cue.dataset.moving = Boolean(report.moves);
+  answering.show({ asked: report.asked ?? 0, text: "", offered: report.runs ? report.verdicts ?? [] : [], entry: report.runs && report.item ? "item" : null, item: report.item, notice: report.notice ?? "", moving: false });
 });
 // The reason names tokens and the console: that is for the operator's page.
 link.addEventListener("closed", () => { setText(cue, WAIT); setText(saying, "This screen lost its connection. Please call the operator."); });

@@ -10,7 +10,7 @@ const ROOMY = 6; // px: cells of this size stand a little apart
 const PLACE = { left: 72, right: 14, top: 12, bottom: 44 };
 
 export class Plane {
-  // `open` is told of a cell: key of its column, and its stiffness.
+  // `open` is called with a cell: key of its column, and its stiffness.
   constructor(open) {
     this.open = open;
     this.columns = [];

@@ -181,7 +181,7 @@ export class Recorded {
     for (const plot of this.plots) plot.setSize({ width: this.charts.clientWidth, height: Math.max(110, Math.floor(this.charts.clientHeight / this.plots.length)) });
   }
 
-  // One cursor says what stands there, two say the differences.
+  // One cursor shows the values there, two show the differences.
   #cursor(at) {
     this.#setCursors(this.cursors.length === 1 ? [this.cursors[0], at] : [at]);
   }

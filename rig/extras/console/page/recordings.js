@@ -113,7 +113,7 @@ export class Recordings {
 
   async #small(image) {
     this.seen.unobserve(image);
-    const blob = await this.link.fetch(`/recordings/${encodeURIComponent(image.dataset.name)}/picture`).catch(() => null); // it has just gone
+    const blob = await this.link.fetch(`/recordings/${encodeURIComponent(image.dataset.name)}/picture`).catch(() => null); // it was moved or deleted meanwhile
     if (blob === null || !image.isConnected) return;
     image.onload = () => URL.revokeObjectURL(image.src);
     image.src = URL.createObjectURL(blob);

@@ -12,7 +12,7 @@ export function offer(blob, name) {
   setTimeout(() => URL.revokeObjectURL(url), 1000);
 }
 
-// What became of a cut.
+// The result of a cut.
 export function savedAs({ name, rows, no_replay }) {
   return `Saved ${rows} rows as ${name}.${no_replay ? ` It has no replay: ${no_replay}.` : ""}`;
 }

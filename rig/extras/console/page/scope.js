@@ -219,7 +219,7 @@ export class Scope {
     return [from.newest - this.window_s, from.newest];
   }
 
-  // The least span of a chart is some steps of its sensor or a share of its limit: what stands still is drawn flat.
+  // The least span of a chart is some steps of its sensor or a share of its limit, so that a constant is drawn flat.
   #height(title, low, high) {
     const rig = this.loop?.experiment?.rig;
     const least = { position: 10 * (rig?.encoder?.resolution ?? 1e-4), velocity: 0.01 * (rig?.limits?.speed ?? 1), effort: 0.02 * (rig?.limits?.effort ?? 1) };
@@ -229,7 +229,7 @@ export class Scope {
     return [middle - half, middle + half];
   }
 
-  // What is true, the wall, the trigger, the cursors and a legend, over a chart.
+  // Draw the true state, the wall, the trigger, the cursors and a legend over a chart.
   #marks(plot, title, series) {
     inside(plot, () => {
       if (title === "position" && this.wall) shadeWall(plot, this.wall);
@@ -241,7 +241,7 @@ export class Scope {
     });
   }
 
-  // A column of what the simulated handle truly did.
+  // A column of the simulated handle's true state.
   #truth(plot, place, key) {
     const { ctx } = plot;
     ctx.strokeStyle = colour(key);
@@ -291,7 +291,7 @@ export class Scope {
     this.stale = true;
   }
 
-  // What stands at the cursors, and their differences.
+  // The values at the cursors, and their differences.
   #read() {
     const from = this.#source();
     const times = from.series();
@@ -299,11 +299,11 @@ export class Scope {
       const place = Math.max(0, Math.min(times.length - 1, times.findIndex((one) => one >= time)));
       return Object.fromEntries([["s", times[place]], ...ALWAYS.map((name) => [name, from.series(name)[place]])]);
     });
-    const told = (values, sign) => Object.entries(values).map(([name, value]) =>
+    const readings = (values, sign) => Object.entries(values).map(([name, value]) =>
       `${sign}${name === "s" ? "t" : NAMES[name] && !name.startsWith("effort") ? name : name.replace("effort_", "effort ")} ${written(value)} ${name === "s" ? "s" : this.unit(name)}`).join(", ");
     if (!at.length) this.readout.textContent = "";
-    else if (at.length === 1) this.readout.textContent = told(at[0], "");
-    else this.readout.textContent = told(Object.fromEntries(Object.keys(at[0]).map((name) => [name, at[1][name] - at[0][name]])), "Δ");
+    else if (at.length === 1) this.readout.textContent = readings(at[0], "");
+    else this.readout.textContent = readings(Object.fromEntries(Object.keys(at[0]).map((name) => [name, at[1][name] - at[0][name]])), "Δ");
   }
 
   // Saving.
@@ -322,7 +322,7 @@ export class Scope {
     }, `scope-${new Date().toISOString().replace(/[:.]/g, "-")}`);
   }
 
-  // What is seen, as a recording: of what was recorded, at full rate.
+  // Save the visible range as a recording, at full rate.
   #cut() {
     const [first_s, last_s] = this.#range();
     this.link.ask("cut", { first_s, last_s }).then((saved) => { this.readout.textContent = savedAs(saved); },

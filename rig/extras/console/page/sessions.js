@@ -1,5 +1,5 @@
-// Sessions: begin or resume one, and operate it: the state in large, what is asked with its keys, what the rig does.
-// All texts come from the server, where the terminal's are; a key is a key there, as on a terminal.
+// Sessions: begin or resume one, and operate it: the state in large, the question with its keys, the state of the rig.
+// All texts come from the server and are the terminal's; keys are sent to the server, as from a terminal.
 
 import { Answering, nameOf } from "./desk.js";
 import { make, setText } from "./dom.js";
@@ -145,52 +145,52 @@ export class Sessions {
     return [main, side];
   }
 
-  #show(told) {
-    const runs = told.runs;
+  #show(report) {
+    const runs = report.runs;
     if (this.runs && !runs) this.#list();
     this.runs = runs;
-    this.told = told;
+    this.report = report;
     this.setup.hidden = runs;
-    this.desk.hidden = !runs || told.state === undefined;
+    this.desk.hidden = !runs || report.state === undefined;
     this.starting.hidden = !runs || !this.desk.hidden;
-    setText(this.starting, told.compiling ? COMPILING : "The session is starting: measuring this computer and the link …");
-    this.ended.hidden = !told.end || runs;
-    if (told.end) this.ended.replaceChildren(make("h2", { textContent: told.end.over ? "The session is complete" : "The session was interrupted" }), make("p", { textContent: told.end.stands }), pairs(make("dl", { className: "pairs" }), told.end.pairs));
-    if (!runs || told.state === undefined) return;
-    setText(this.place, told.place);
-    setText(this.state, told.state);
-    this.state.dataset.moving = told.moving;
-    setText(this.saying, told.saying ? `Say: ${told.saying}` : "");
-    this.answering.show({ ...told, text: told.compiling && told.moving ? COMPILING : told.question });
-    setText(this.last, told.last);
-    pairs(this.facts, told.facts);
-    this.heat.value = told.heat;
-    pairs(this.gauges, told.gauges.map(([name, , text]) => [name, text]), told.gauges.map(([, share]) => share));
-    if (this.lines.dataset.text !== told.lines.join("\n")) {
-      this.lines.dataset.text = told.lines.join("\n");
-      this.lines.replaceChildren(...told.lines.map((line) => make("li", { textContent: line })));
+    setText(this.starting, report.compiling ? COMPILING : "The session is starting: measuring this computer and the link …");
+    this.ended.hidden = !report.end || runs;
+    if (report.end) this.ended.replaceChildren(make("h2", { textContent: report.end.over ? "The session is complete" : "The session was interrupted" }), make("p", { textContent: report.end.stands }), pairs(make("dl", { className: "pairs" }), report.end.pairs));
+    if (!runs || report.state === undefined) return;
+    setText(this.place, report.place);
+    setText(this.state, report.state);
+    this.state.dataset.moving = report.moving;
+    setText(this.saying, report.saying ? `Say: ${report.saying}` : "");
+    this.answering.show({ ...report, text: report.compiling && report.moving ? COMPILING : report.question });
+    setText(this.last, report.last);
+    pairs(this.facts, report.facts);
+    this.heat.value = report.heat;
+    pairs(this.gauges, report.gauges.map(([name, , text]) => [name, text]), report.gauges.map(([, share]) => share));
+    if (this.lines.dataset.text !== report.lines.join("\n")) {
+      this.lines.dataset.text = report.lines.join("\n");
+      this.lines.replaceChildren(...report.lines.map((line) => make("li", { textContent: line })));
     }
-    pairs(this.keys, told.keys);
-    this.help.open = told.help;
-    this.way.show(told);
-    if (told.rings > (this.rings ?? told.rings)) ring();
-    this.rings = told.rings;
+    pairs(this.keys, report.keys);
+    this.help.open = report.help;
+    this.way.show(report);
+    if (report.rings > (this.rings ?? report.rings)) ring();
+    this.rings = report.rings;
   }
 
   // A key of the desk: not in a text field, where it is text, nor with Ctrl or Alt, which are the browser's.
   #key(event) {
     if (!this.#isOurs(event)) return;
     let key = nameOf(event.key);
-    const leaves = this.told.entry || this.told.help || this.told.offered.some(([one]) => one === "escape");
-    if (key === "escape" && !leaves) key = "space"; // STOP, which the page has said already: the desk says what came of it
-    if (this.told.entry && key !== "escape") return;
+    const leaves = this.report.entry || this.report.help || this.report.offered.some(([one]) => one === "escape");
+    if (key === "escape" && !leaves) key = "space"; // STOP, which the page has sent already: the desk shows the result
+    if (this.report.entry && key !== "escape") return;
     const button = event.target.closest("button");
     if (key === "enter" && button) { // presses it, once
       if (event.repeat) event.preventDefault();
       return;
     }
     event.preventDefault();
-    if (key === "space" && button) this.link.stop(); // elsewhere the page has said it already
+    if (key === "space" && button) this.link.stop(); // elsewhere the page has sent it already
     if (!event.repeat || this.way.moves(key)) this.answering.press(key);
   }
 
@@ -237,11 +237,11 @@ class Way {
   }
 }
 
-function pairs(list, told, shares = []) {
-  const text = JSON.stringify([told, shares]);
+function pairs(list, rows, shares = []) {
+  const text = JSON.stringify([rows, shares]);
   if (list.dataset.text === text) return list;
   list.dataset.text = text;
-  list.replaceChildren(...told.flatMap(([name, value], i) => [make("dt", { textContent: name }),
+  list.replaceChildren(...rows.flatMap(([name, value], i) => [make("dt", { textContent: name }),
     make("dd", {}, shares[i] === undefined || shares[i] === null ? null : make("meter", { min: 0, max: 1, high: 0.8, value: Math.min(1, shares[i]), ariaHidden: "true" }), value)]));
   return list;
 }

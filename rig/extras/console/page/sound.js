@@ -1,4 +1,4 @@
-// Contact and buzz as sound, from the band of the effort that one hears; off unless somebody turns it on.
+// Contact and buzz as sound, from the audible band of the effort; off until the user turns it on.
 
 import { make } from "./dom.js";
 

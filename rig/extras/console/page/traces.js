@@ -1,4 +1,4 @@
-// What the scope holds: the points of one window, in arrays that never grow.
+// The data of the scope: the points of one window, in arrays of fixed size.
 
 const CAPACITY = 4096; // a window has some 1000 points, each drawn as least and greatest
 
@@ -14,7 +14,7 @@ export class Traces {
     this.values = {};
   }
 
-  // Take a frame over; `fresh` ones replace what was there.
+  // Append a frame; a `fresh` one replaces all points.
   add(frame) {
     if (frame.fresh || frame.columns.join() !== this.columns.join()) {
       this.columns = frame.columns;
@@ -37,7 +37,7 @@ export class Traces {
     }
   }
 
-  // Forget what is older than a time (s).
+  // Remove points older than a time (s).
   forget(before) {
     let count = 0;
     while (count < this.length && this.times[count] < before) count++;

@@ -1,9 +1,9 @@
-// The wall and the run: fields for the next run, sliders that change the running wall, and what theory says of them.
+// The wall and the run: fields for the next run, sliders that change the running wall, and the limits by theory.
 
 import { cleared, colour, make, setText, showStage, written } from "./dom.js";
 import { Estimator } from "./estimator.js";
 
-const ASK_MS = 250; // between two questions to theory while a slider moves
+const ASK_MS = 250; // between two requests for the theory while a slider moves
 const SET_MS = 100;
 const JOBS = ["hit", "play"]; // those of this view
 const SLIDERS = { "wall.stiffness": ["stiffness K", "stiffness"], "wall.damping": ["damping B", "damping"], "wall.position": ["position", "position"] }; // label, quantity
@@ -16,7 +16,7 @@ export class Wall {
     this.labels = {};
     this.motion = "rotary";
     this.chosen = {};
-    this.told = {}; // to the running loop, by this page: browsers say `change` twice for one value
+    this.sent = {}; // values sent to the running loop: browsers fire `change` twice for one value
     this.estimator = new Estimator(facts, () => this.#theory());
     this.rig = make("select", { onchange: () => this.#load() }, ...facts.rigs.map((name) => make("option", { value: name, textContent: name })));
     this.url = make("input", { type: "text", value: "sim://", ariaLabel: "Device" });
@@ -121,7 +121,7 @@ export class Wall {
     if (this.fields[`${key}~`]) this.#place(key);
     const value = Number(this.fields[key].value);
     this.chosen[key] = key.endsWith("rate") ? Math.round(value) : value;
-    if (key.startsWith("wall.") && this.running && this.told[key] !== value) this.#set(key);
+    if (key.startsWith("wall.") && this.running && this.sent[key] !== value) this.#set(key);
     this.#theory();
   }
 
@@ -129,15 +129,15 @@ export class Wall {
     return { ...this.chosen, ...this.estimator.changes };
   }
 
-  // Change the running wall, a few times a second while a slider moves; the last value is always said.
+  // Change the running wall, a few times a second while a slider moves; the last value is always sent.
   #set(key) {
     this.pending = { ...this.pending, [key]: this.chosen[key] };
-    this.told[key] = this.chosen[key];
+    this.sent[key] = this.chosen[key];
     if (this.setting) return;
     this.setting = true;
     const changes = this.pending;
     this.pending = null;
-    this.link.ask("set", { changes }).then((done) => { this.set = done.number; }, (error) => { this.told = {}; this.#trouble(error); })
+    this.link.ask("set", { changes }).then((done) => { this.set = done.number; }, (error) => { this.sent = {}; this.#trouble(error); })
       .finally(() => setTimeout(() => {
         this.setting = false;
         if (this.pending) this.#set(Object.keys(this.pending)[0]);
@@ -210,23 +210,23 @@ export class Wall {
     const busy = state.job !== null;
     this.play.disabled = this.hit.disabled = busy || (state.operated && !state.operates);
     const loop = state.loop;
-    if (!this.running || loop.set > (this.set ?? 0)) this.told = {}; // another's set
+    if (!this.running || loop.set > (this.set ?? 0)) this.sent = {}; // changed by another page or by `rig set`
     setText(this.sets, !this.running ? "" : loop.set < (this.set ?? 0)
       ? `Parameter set ${this.set} becomes active when the handle is outside the wall; set ${loop.set} is active now.` : `Parameter set ${loop.set} is active.`);
   }
 
-  #progress(told) {
-    showStage(this.verdict, `${told.stage}${told.why ? `: ${told.why}` : ""}`, told.share);
+  #progress(report) {
+    showStage(this.verdict, `${report.stage}${report.why ? `: ${report.why}` : ""}`, report.share);
   }
 
-  #job({ job, told }) {
+  #job({ job, told: report }) {
     if (!JOBS.includes(job)) return;
-    if (told.say === "compiling" && told.busy) this.verdict.replaceChildren("compiling for this run, once per version and computer …");
-    if (told.say === "failed") {
-      this.verdict.replaceChildren(make("p", { dataset: { kind: told.kind }, textContent: `The ${job} ended: ${told.error}${told.remedy ? `; ${told.remedy}` : ""}${told.recording ? `. Recorded: ${told.recording}` : ""}` }));
+    if (report.say === "compiling" && report.busy) this.verdict.replaceChildren("compiling for this run, once per version and computer …");
+    if (report.say === "failed") {
+      this.verdict.replaceChildren(make("p", { dataset: { kind: report.kind }, textContent: `The ${job} ended: ${report.error}${report.remedy ? `; ${report.remedy}` : ""}${report.recording ? `. Recorded: ${report.recording}` : ""}` }));
     }
-    if (told.say === "done") this.verdict.replaceChildren(...told.result.map(verdictOf));
-    if (told.say === "ended") this.set = undefined;
+    if (report.say === "done") this.verdict.replaceChildren(...report.result.map(verdictOf));
+    if (report.say === "ended") this.set = undefined;
   }
 
   #trouble(error) {
