@@ -152,6 +152,7 @@ def new_rig(
     draft = _Draft("mine" if target is None else target.stem)
     _describe(draft, answers)
     _prepare_hit(draft)
+    # What the plan still refuses is changed as its checks state.
     _correct(draft, in_real_time=False)
     _correct(draft, in_real_time=True)
     text, experiment = draft.text(), draft.experiment()

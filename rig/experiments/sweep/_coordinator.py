@@ -1,8 +1,6 @@
-"""Hands out the tasks of a sweep, keeps what comes back, shows how far it is, and takes the Ctrl-C.
+"""Hand out the tasks of a sweep, store the results, report the progress and handle Ctrl-C, all in the caller's thread.
 
-All in the caller's thread. A signal is only noted while it runs, and acted on between two results, so that no Ctrl-C
-can strike between a result and its line in the journal. The first one ends the handing out, a second one the waiting
-for what is running, at once: a line that it tears is left out when the journal is read.
+`_tasks` runs it. The first Ctrl-C ends the handing out, a second one the waiting for running tasks, at once.
 """
 
 from __future__ import annotations
@@ -158,6 +156,7 @@ class Coordinator:
         )
         self._progress = Progress.begin(tasks, kept, store.damaged)
         left = set(range(len(tasks))).difference(kept)
+        # The heaviest first: a long task that begins last would keep one worker busy while the others idle.
         self._queue = deque(sorted(left, key=lambda index: (-tasks[index].weight, index)))
         self._out: dict[Future[Any], int] = {}
         self._back: queue.SimpleQueue[Future[Any]] = queue.SimpleQueue()
@@ -167,6 +166,8 @@ class Coordinator:
         """Run until all is done, a task has failed, or Ctrl-C. Raises what kept it from its work."""
         # A signal that ends the process at once is left alone: the journal is good whatever ends it.
         numbers = tuple(one for one in (signal.SIGINT, signal.SIGTERM) if callable(signal.getsignal(one)))
+        # A signal is only noted, and acted on between two results: no Ctrl-C strikes between a result and its line in
+        # the journal. A line that the second one tears is left out when the journal is read.
         signals: list[int] = []
 
         def note(number: int, frame: object) -> None:
@@ -241,6 +242,7 @@ class Coordinator:
             report = self._executor.explain(error)
         if isinstance(report, Failure):
             found = (index if report.of_task else -1, report)
+            # The failure of the first task in order, so that the error is the same on any executor.
             self.failure = min(self.failure or found, found, key=lambda failure: failure[0])
             return
         task, now = self._tasks[index], self._progress

@@ -1,7 +1,7 @@
-"""Where the tasks of a sweep are worked off: the interface of `concurrent.futures`, and daemon threads of this process.
+"""Run the tasks of a sweep: the interface of `concurrent.futures`, and daemon threads of this process.
 
 Payloads and results travel as JSON text, errors as `Failure`, so that every executor gives the same values to the last
-bit. The coordinator alone keeps results and counts them.
+bit. The coordinator alone stores results and counts them.
 """
 
 from __future__ import annotations
@@ -115,11 +115,10 @@ def _units(result: Any, name: str) -> int:
 
 
 class Threads:
-    """Threads of this process: compiled trials release the GIL, and a caller's own law is known here alone.
+    """Threads of this process: compiled trials release the GIL, and a caller's own law is known here alone."""
 
-    `concurrent.futures.ThreadPoolExecutor` does not serve: the interpreter joins its threads when it ends, so a second
-    Ctrl-C would still wait for every task that is running.
-    """
+    # Not `concurrent.futures.ThreadPoolExecutor`: the interpreter joins its threads when it ends, so a second Ctrl-C
+    # would still wait for every task that is running.
 
     ahead = 1
 

@@ -128,8 +128,9 @@ class Journal:
         wanted = line_of(json.dumps(header))
         with plain_errors("read", self.path), open_regular(self.path) as file:
             first = file.readline()
+        # New, or its first line was torn: either way it holds nothing.
         if len(first) < len(wanted) and wanted.startswith(first):
-            return self._begin(wanted)  # new, or its first line was torn: either way it holds nothing
+            return self._begin(wanted)
         check_line_end(self.path, first)
         there = object_of(first)
         if there is None or "sweep" not in there:

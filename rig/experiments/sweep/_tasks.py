@@ -174,6 +174,7 @@ def _open(tasks: Sequence[Task], journal: Path | None, name: str | None = None) 
     digest = sha256(as_json([work, code]).encode())
     for task, of_task in zip(tasks, works, strict=True):
         digest.update(as_json([task.key, of_task, task.payload], sort_keys=True).encode())
+    # The first task stands in the header as text, so that a refused journal can name what differs; the hash covers all.
     first = json.loads(as_json({"key": tasks[0].key, "payload": tasks[0].payload})) if tasks else None
     plan = {"work": work, "version": code, "tasks": len(tasks), "plan": digest.hexdigest(), "first": first}
     return Memory(len(tasks)) if journal is None else Journal(journal, plan, [task.key for task in tasks])

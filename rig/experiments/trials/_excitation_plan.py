@@ -60,6 +60,7 @@ def excitation_checks(experiment: Experiment) -> list[Check]:
         "velocity": "reduce the excitation",
     }
     stability = _stability_checks(x, loop)
+    # An unstable wall has no valid prediction of its motion: warned, not refused.
     moved = Outcome.REFUSED if all(check.outcome == Outcome.OK for check in stability) else Outcome.WARNING
     worst = {"effort": Outcome.REFUSED, "position": moved, "velocity": moved}
     most_rendered = most.pop(RENDERED, None)

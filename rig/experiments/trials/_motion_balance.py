@@ -1,16 +1,9 @@
-"""The scale of the encoder after the first contact, from the balance of the motor's effort and the measured motion.
+"""Estimate the encoder's scale after the first contact, from the balance of the motor's effort and the measured motion.
 
-The motor alone moves the handle of an automated trial, inside a wall and outside, so a rigid mass with the described
-friction must gain the momentum that the effort gives it. In windows of `WINDOW_S` the measured position is
-x0 + v0·t + s·g(t), with g the second integral of what effort less friction would do to the described inertia: s is the
-encoder's scale times described over true inertia. It is estimated by least squares over the windows in the first half
-of the time from release to contact (s0; the first window at least), and over all windows after the contact (s1). Where
-s1/s0 leaves 1/`FACTOR` … `FACTOR`, with half and with one and a half times the described friction too, the encoder's
-scale changed in the trial. A wrongly described inertia is in both, and hardly in the ratio.
-
-It decides only where the motion bends the path by enough counts in both (`MOST_DOUBT`): a handle that rests in the wall
-shows no scale. A constant drift of the count is an initial velocity, and is not seen. The effort of a person at the
-handle is not measured, so nothing is decided there.
+`judgement` calls it. A rigid mass with the described friction must gain the momentum that the effort gives it, inside a
+wall and outside; where the scale after the contact differs from that before, the encoder's scale changed in the trial.
+It decides nothing for a hand at the handle, whose effort is not measured, and a constant drift of the count is not
+seen.
 """
 
 from __future__ import annotations
@@ -68,6 +61,7 @@ class MotionBalance:
 
 
 def _ratio(before: MotionScale | None, after: MotionScale | None) -> float | None:
+    # A handle that rests in the wall shows no scale: the motion must bend the path by enough counts in both.
     if before is None or after is None or max(before.doubt, after.doubt) > MOST_DOUBT or before.value <= 0.0:
         return None
     return after.value / before.value
@@ -97,11 +91,15 @@ def motion_balance(
     inertia, coulomb, damping
         Described values of motor and link together.
     """
+    # In each window the position is x0 + v0·t + s·g(t), with g the second integral of what effort less friction would
+    # do to the described inertia; s is the encoder's scale times described over true inertia.
     length = max(8, round(WINDOW_S / tick_s))
     found: list[tuple[MotionScale | None, MotionScale | None]] = []
     for share in FRICTIONS:
         bend, path = _windows(position, effort, length, tick_s, resolution, inertia, share * coulomb, damping)
         last = np.arange(len(bend)) * (length // 2) + length
+        # Before: only the first half of the time from release to contact, the first window at least. A wrongly
+        # described inertia is in both scales, and hardly in their ratio.
         early, late = last <= max(length, contact // 2), last - length >= contact
         found.append(
             (_scale(bend[early], path[early], resolution), _scale(bend[late], path[late], resolution))

@@ -1,20 +1,8 @@
-"""From an experiment to the records that an impedance is estimated from: a rig excited about its wall, whole periods.
+"""Make the records that an impedance is estimated from: a rig excited about its wall, whole periods.
 
-Three ways give the same kind of record (`rig.analysis.impedance._signals.ExcitedRun`): a second actuator or the rig's
-own motor without bytes (`ExcitedRig`), and the own motor in a recording, over a link in virtual time or on a rig
-(`record_of`).
-
-**What the effort is.** Z = F/V with the effort F of the world on the handle. A second actuator is the world, and its
-effort is known. The own motor renders the wall and excites at once; what it adds to the wall's reaction stands for the
-world's effort: the excitation, and what the guard took off the sum by rounding it. It acts a hold, a delay and a lag
-later.
-
-**What the position is.** A recording has positions at the loop's own rate only, and the motor moves the handle between
-them: samples at 1 kHz show a free mass at 250 Hz 3 % too little motion. The share is known from the rig alone, whatever
-the wall: sampled answer over true answer of the rig to an effort that is held (`seen_at_ticks`). It is undone.
-
-Identification, measured impedances, their maps and papers call it. It opens no device, and it must not fit an impedance
-(`rig.analysis.impedance`).
+Three ways give the same record (`rig.analysis.impedance._signals.ExcitedRun`): a second actuator or the rig's own motor
+without bytes (`ExcitedRig`), and the own motor in a recording (`record_of`). Identification, measured impedances, their
+maps and papers call it. It opens no device, and it must not fit an impedance (`rig.analysis.impedance`).
 """
 
 from __future__ import annotations
@@ -299,6 +287,9 @@ def record_of(recording: Recording, x: Experiment) -> ExcitedRun:
     rows = rows[:ticks]
     parameters = np.array(saved["parameters"], dtype=np.float64)
     excitation = bilateral.played(parameters, x.wall.side, tick_s, ticks)
+    # Z = F/V with the effort F of the world on the handle. The own motor renders the wall and excites at once: what it
+    # adds to the wall's reaction stands for the world's effort, the excitation and what the guard took off the sum by
+    # rounding it. It acts a hold, a delay and a lag later.
     effort = excitation + rows["effort_sent"] - rows["effort_wanted"]
     model = config.rig_model(x)
     lines = multisine_of(x).lines_hz
@@ -309,6 +300,8 @@ def record_of(recording: Recording, x: Experiment) -> ExcitedRun:
         periods=x.excitation.periods,
         excitation=excitation[first:],
         effort=_lagged(effort[first:], model, 1.0 / tick_s),
+        # Samples at the loop's rate show too little of a motion between them: at 1 kHz a free mass at 250 Hz 3 %. The
+        # share follows from the rig alone, whatever the wall (`seen_at_ticks`), and is undone.
         position=_between(rows["position"][first:], model, tick_s, float(lines[-1])),
         lines_hz=lines,
         effort_delay_s=-(_delay_s(x) + late * tick_s),

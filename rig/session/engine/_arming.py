@@ -1,7 +1,7 @@
-"""Which walls of a study the arming gate refuses on a rig's link, as measured (`rig.doctor.gate`).
+"""List the walls of a study that the arming gate refuses on a rig's link, as measured (`rig.doctor.gate`).
 
-A search for the limit asks for walls that do not hold, so on a real rig there are nearly always some. They are found
-before a person touches the handle: a session begins with consent to all of them, or it does not begin.
+A session begins with consent to all of them, or it does not begin: they must be found before a person touches the
+handle.
 """
 
 from __future__ import annotations
@@ -36,6 +36,8 @@ def walls_of(walls: Walls) -> Iterator[SessionWall]:
             if condition.name == practised and damping == condition.damping[0]:
                 stiffness |= set(protocol.practice.stiffness)
             x = walls.at(condition, damping, max(stiffness))
+            # A search for the limit asks for walls that do not hold, so on a real rig the gate refuses some of nearly
+            # every study.
             for level in sorted(stiffness):
                 under = replace(x, wall=replace(x.wall, stiffness=level))
                 yield SessionWall(condition=condition.name, experiment=under, changes=own_rates(condition, x))

@@ -164,6 +164,7 @@ def conduct(
         What cannot continue: a disk that is full, a wall that must not run, a device that is gone. The effort is zero,
         and the session can be resumed. A blinded operator reads no text that may name a wall: it is in the log.
     """
+    # There is no other memory than the log: whatever ended an earlier process, the same function resumes from it.
     engine = _Engine(session, runner, desk, walls or walls_in(session.state), on_event, marks)
     try:
         engine.open()

@@ -311,6 +311,7 @@ def _set_aside(session: Session) -> list[dict[str, str]]:
     make_directories(trials)
     with plain_errors("read", trials):
         loose = sorted(path for path in trials.iterdir() if path.is_file() and path.name not in logged)
+    # A recording without an event: the process died between both. Nothing was decided on it.
     if loose:
         make_directories(aside)
         with plain_errors("move", aside):

@@ -64,8 +64,7 @@ NUMBERS = (
 class DeviceRunner:
     """The rig of a session.
 
-    A real device stays open from the first trial to the last, so that its zero is read once; so does a simulated one in
-    real time, as long as conditions do not change the machine itself. In virtual time each trial has a fresh one.
+    In virtual time each trial has a fresh device, in real time all trials have one.
 
     Attributes
     ----------
@@ -91,6 +90,8 @@ class DeviceRunner:
     lossy_anyway: bool = False
     hand: Path | None = None
     messages: list[str] = field(default_factory=list)
+    # A real device stays open from the first trial to the last, so that its zero is read once; so does a simulated one
+    # in real time, as long as conditions do not change the machine itself.
     _open: FramedDevice | None = None
     _served: tuple[RigModel, Path | None] | None = None  # model and hand of the open device
     _zero: int = 0

@@ -1,15 +1,11 @@
-"""The log of a session: one line for each decision, on disk before anything follows from it; the state is its replay.
+"""Write and read the log of a session: one line for each decision, on disk before anything follows from it.
 
-A line (`rig.recording.lines`) holds an event::
+The state is its replay (`_state`). A line (`rig.recording.lines`) holds an event::
 
     {"n": number from 0, "after": CRC of the line before (0 for the first), "at": seconds since 1970, "kind": …, …}
 
-The first line also has ``"log"``, the version of the format; a log of another version is refused.
-
-Nothing is ever changed or taken out: a correction is an event of its own. The chain of CRCs shows a line that was
-removed or replaced. What a dying process left of its last line is cut off, and its length is kept (`SessionLog.torn`).
-A damaged line is refused, because what follows was decided on it; the last one can be set aside
-(`set_damaged_line_aside`).
+The first line also has ``"log"``, the version of the format. Nothing is ever changed or removed: a correction is an
+event of its own.
 """
 
 from __future__ import annotations
@@ -90,6 +86,7 @@ class SessionLog:
         self._file = LineFile(path, remedy="end the session that is running there, or wait for its end")
         try:
             self.events, self._last, self._end = _read(path, self._file.lines())
+            # What a dying process left of its last line is cut off; nothing followed from it.
             self.torn = max(0, path.stat().st_size - self._end)
             self._file.truncate(self._end)
             if not self.events:
@@ -220,8 +217,10 @@ def _read(path: Path, lines: Iterator[tuple[int, bytes]]) -> tuple[list[Event], 
     for place, line in lines:
         found = object_of(line)
         if found is None:
+            # A damaged line is refused, because what follows was decided on it. The last one may be set aside.
             check_line_end(path, line)
             raise DamagedLineError(path, events, place, last=next(lines, None) is None)
+        # The chain of CRCs shows a line that was removed or replaced.
         if (found.get("n"), found.get("after")) != (len(events), last):
             raise RecordingError(
                 f"{path}, line {len(events) + 1}: a line before it was removed or changed",

@@ -104,7 +104,7 @@ class TrialRunner(Protocol):
         heat: float,
         blinded: bool = False,
     ) -> TrialDone:
-        """Run one trial; see `DeviceRunner.hit`."""
+        """Run one trial, and return what the log keeps of it; see `DeviceRunner.hit`."""
         ...
 
     def close(self) -> None:

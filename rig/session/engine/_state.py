@@ -215,7 +215,8 @@ class SessionState:
 
     def apply(self, event: Event) -> None:
         """Update the state with the next event of the log."""
-        elapsed = max(0.0, event.at - self._last_at)  # the computer's clock may have been set back
+        # The computer's clock may have been set back.
+        elapsed = max(0.0, event.at - self._last_at)
         self._last_at = event.at
         if event.kind not in BOOKKEEPING and elapsed < _LONGEST_PAUSE_S:
             self.active_s += elapsed
@@ -363,6 +364,7 @@ class SessionState:
         rule = self.rule(run)
         led: list[JudgedProbe] = []
         for answer in probes:
+            # A rule that walks derives its place from its own walls: an answer to another wall would let it jump.
             if answer.probe.catch or rule.next(led) == answer.probe:
                 led.append(answer)
         return led

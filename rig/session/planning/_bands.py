@@ -1,11 +1,7 @@
-"""Bands of impact speed and press: what a protocol requires, what the hand did, and what a simulated hand aims at.
+"""Judge bands of impact speed and press: what a protocol requires, what the hand did, what a simulated hand aims at.
 
 The impact speed is that of the handle at the first contact (`rig.control.verdict`). The press is the mean effort that
-pushed the hand out of the wall over the judged tail (`verdict.tail_s`): what the hand pressed with, less the rig's
-friction, whatever the law of the wall.
-
-In an unstable wall the effort comes from the wall and not from the hand: the press is not judged there, since
-repeating such trials would discard unstable walls. The impact speed, which no wall affects, is always judged.
+pushed the hand out of the wall over the judged tail (`verdict.tail_s`), whatever the law of the wall.
 """
 
 from __future__ import annotations
@@ -63,6 +59,8 @@ def judge_bands(hit: HitOutcome, trial: Trial, motion: Motion) -> HitOutcome:
 def _outside(hit: HitOutcome, trial: Trial, motion: Motion) -> Iterator[str]:
     for name, (quantity, number, _) in BANDS.items():
         band, value = getattr(trial, name), hit.numbers.get(number)
+        # In an unstable wall the effort comes from the wall and not from the hand: to judge the press there would
+        # discard unstable walls. The impact speed, which no wall affects, is always judged.
         if not band or value is None or (name == "press" and hit.automatic == Kind.UNSTABLE):
             continue
         value = abs(value)

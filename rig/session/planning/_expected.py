@@ -1,9 +1,7 @@
-"""What to expect of a search before a person has touched the handle: where theory puts its limit, and what it costs.
+"""Estimate what to expect of a search before a person has touched the handle: where its limit lies, and what it costs.
 
-Linear theory has no Coulomb friction, which stabilises walls up to `FRICTION_RAISES` times stiffer, and no encoder,
-whose noise under damping leaves as little as `ENCODER_LEAVES` of the limit. So the limit is expected in a wide range
-about that of theory; observers whose K50 lie at both ends and between (`rig.session.search._observer`) show how many
-trials a rule takes there.
+Checks and plans of a session call it. Observers whose K50 lie at both ends of the expected range and between
+(`rig.session.search._observer`) show how many trials a rule takes there.
 """
 
 from __future__ import annotations
@@ -115,6 +113,8 @@ def expected_limits(
         meant = by_hand if experiment.trial.kind != "human" else _held(by_hand)
         own = meant.get(NO_OPERATOR, meant.get(experiment.operator.grip, max(meant.values())))
         damped = damping > 0.0
+        # Linear theory has no Coulomb friction, which stabilises stiffer walls, and no encoder, whose noise under
+        # damping takes most of a limit: so the range about theory's limit is wide.
         limit = ExpectedRange(
             min(meant.values()) * (ENCODER_LEAVES if damped else 1.0),
             own * (1.0 if damped else USUALLY_RAISES),

@@ -1,9 +1,8 @@
-"""The order of a session: its blocks, the runs in them, and the rule of each run. Decided by seed and row alone.
+"""Draw up the order of a session: its blocks, the runs in them, and the rule of each run, by seed and row alone.
 
-A participant has a row of the order, from 0. With a Latin square the rows are those of Williams' designs: over a cycle
-of rows each condition comes in each place equally often, and after each other one equally often (Williams, Australian
-Journal of Scientific Research A 2, 1949). An even number of conditions needs one square, an odd one a square and its
-mirror image. What is drawn is drawn by hashing, so that it is the same in every version of every library.
+A participant has a row of the order, from 0. With a Latin square the rows are Williams' designs: over a cycle of rows
+each condition is in each place equally often, and after each other one equally often (Williams, Australian Journal of
+Scientific Research A 2, 1949).
 """
 
 from __future__ import annotations
@@ -182,6 +181,7 @@ def williams(items: Sequence[T], row: int) -> tuple[T, ...]:
 
 
 def _rows(n: int) -> int:
+    # An odd number of conditions needs a square and its mirror image.
     return 2 * n if n % 2 and n > 1 else n
 
 
@@ -269,6 +269,7 @@ def _practice(protocol: Protocol, row: int) -> list[Block]:
 
 def _draw(items: Sequence[T], key: str) -> list[T]:
     """Items in an order that the key decides, each order as likely as another."""
+    # Drawn by hashing, not by a generator: the same order in every version of every library.
     places = sorted(range(len(items)), key=lambda place: _hash(f"{key}/{place}"))
     return [items[place] for place in places]
 

@@ -117,6 +117,8 @@ class Ascending:
         for _, stable in verdicts_of(answers):
             if stable:
                 step += 1
+            # Every stable verdict on the way is a chance for a lapse to end the series early: the rule reads low by
+            # more than its scatter shows (README.md has the numbers).
             if not stable or step == len(self.levels):
                 places.append(step)
                 step = 0

@@ -60,6 +60,7 @@ class CatchTrials:
             Where its limit lies beyond the levels: what the wall at that end is, is not known then.
         """
         caught = [(one.probe.level, one.stable) for one in answers if one.probe.catch]
+        # A wall beyond the limit has no known verdict: then its catch trials measure no lapses.
         soft = [] if "below" in sides else [stable for level, stable in caught if level == levels[0]]
         stiff = [] if "above" in sides else [stable for level, stable in caught if level == levels[-1]]
         return cls(

@@ -59,6 +59,8 @@ class Interleaved:
         going = [probe for probe in probes if probe is not None]
         if not going:
             return None
+        # A person cannot follow a track whose turn is random, so an answer depends more on the wall and less on the
+        # last one.
         drawn = np.random.default_rng([self.seed, len(verdicts_of(answers))])
         return going[int(drawn.integers(len(going)))]
 

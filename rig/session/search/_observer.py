@@ -82,7 +82,7 @@ class Performance:
         return self.above + self.below
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return the numbers and the observer as plain values, for JSON."""
         return {**asdict(self), "observer": asdict(self.observer)}
 
 

@@ -67,6 +67,8 @@ class Psi:
             return None
         grid = psychometric.of_levels(tuple(self.levels))
         posterior = grid.posterior(verdicts)
+        # For every level, what either answer would leave of the entropy of K50: the least expected entropy is asked
+        # next.
         stable = np.einsum("ltsg,tsg->lt", grid.shares, posterior)  # jointly with K50, for each level
         other = posterior.sum(axis=(1, 2)) - stable
         expected = _entropy(stable) + _entropy(other)

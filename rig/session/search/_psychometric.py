@@ -1,17 +1,10 @@
-"""The psychometric function of walls, and what answers say of it: a posterior on a grid.
+"""Compute the psychometric function of walls, and what answers show of it: a posterior on a grid.
 
     P(stable | K) = λ + (1 − 2 λ) / (1 + exp((K − K50) / s))
 
 K50 is where half of the verdicts are stable, s the spread, λ the lapse rate: the share of verdicts turned round, as
-likely one way as the other. The posterior is computed on a grid of the three: no fit can fail to converge, and a few
-answers give a wide interval instead of none. Lapse rate and spread are integrated out (the marginal of Prins, Journal
-of Vision 13(7):3, 2013, of the Psi method of Kontsevich and Tyler, Vision Research 39, 1999).
-
-The prior is flat over K50 where levels are a step apart, and over log K50 where they are a ratio apart, from half a
-range below the levels to half a range above them: the limit is as likely between any two levels as between any other
-two. It is flat over log s, from a quarter of the smallest step to 0.35 of the range, and over the values of λ in
-`LAPSE_RATES`. Beyond the levels hardly anything but the prior says where a limit lies, so that no more than the side is
-reported (`Located`).
+likely one way as the other. Spread and lapse rate are integrated out (the marginal of Prins, Journal of Vision 13(7):3,
+2013, of the Psi method of Kontsevich and Tyler, Vision Research 39, 1999).
 """
 
 from __future__ import annotations
@@ -45,6 +38,7 @@ def share_stable(
     return np.asarray(lapse_rate + (1.0 - 2.0 * lapse_rate) / (1.0 + np.exp(odds)))
 
 
+# A grid, not a fit: nothing can fail to converge, and a few answers give a wide interval instead of none.
 @dataclass(frozen=True)
 class PsychometricGrid:
     """The grid for a set of levels (stiffnesses, rising). `log_share` is made once for all levels."""
@@ -54,6 +48,8 @@ class PsychometricGrid:
     @cached_property
     def edges(self) -> Floats:
         """Ends of the ranges that the values of K50 stand for, shape (thresholds + 1,)."""
+        # Flat over K50 where levels are a step apart, over log K50 where they are a ratio apart, from half a range
+        # below them to half a range above: a limit is as likely between any two levels as between any other two.
         if _ratio_apart(self.levels):
             return np.asarray(np.exp(_edges(np.log(self.levels), -math.inf)))
         return _edges(np.array(self.levels), 0.0)
@@ -66,6 +62,7 @@ class PsychometricGrid:
     @cached_property
     def spreads(self) -> Floats:
         """Return the grid's values of the spread s, shape (spreads,)."""
+        # Flat over log s.
         least = LEAST_SPREAD * np.diff(self.levels).min()
         return np.geomspace(
             least, max(MOST_SPREAD * (self.levels[-1] - self.levels[0]), 2.0 * least), SPREADS
@@ -139,8 +136,7 @@ class Located:
 def locate(levels: tuple[float, ...], verdicts: Sequence[tuple[float, bool]], share: float = 0.5) -> Located:
     """Find the stiffness with this share of stable verdicts, whatever rule asked for them.
 
-    The value is the posterior median. Not the mean, because after few verdicts the only one that was not stable may
-    have been a lapse: the posterior has a long tail upwards that pulls the mean along.
+    The value is the posterior median.
 
     Beyond the levels lies a stiffness whose median does. Where all verdicts are of one kind, it lies beyond the walls
     that were judged, which need not be all levels yet.
@@ -148,6 +144,8 @@ def locate(levels: tuple[float, ...], verdicts: Sequence[tuple[float, bool]], sh
     if not verdicts:
         return Located(value=math.nan, low=0.0, high=math.inf, censored="")
     grid = of_levels(levels)
+    # The median, not the mean: after few verdicts the only one that was not stable may have been a lapse, and the
+    # posterior's long tail upwards pulls the mean along.
     low, middle, high = (
         float(one) for one in grid.quantiles(grid.posterior(verdicts), share, (0.025, 0.5, 0.975))
     )

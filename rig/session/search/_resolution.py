@@ -1,12 +1,7 @@
 """Decide whether values scatter by more than rounding to the levels makes: the condition of every interval and p value.
 
-A search finds a limit between two neighbouring levels, so that its value is rounded to their distance (the step of a
-ladder, the last step of a staircase). The error of such a rounding has a standard deviation of step / √12. Values that
-scatter by less do not show how much people or repeats vary: their standard error is an artefact of the levels. Three
-differences of exactly 30 on levels 10 apart once gave 30 (29.99 … 30.01), p < 0.001.
-
-Means over independent searches round less, by the root of their number. Continuous values have no step; there the
-rounding of floating-point numbers takes its place.
+Search rules and the analysis of studies call it. Means over independent searches round less, by the root of their
+number.
 """
 
 from __future__ import annotations
@@ -26,6 +21,8 @@ def step_at(levels: Sequence[float], value: float) -> float:
 
 def rounding_deviation(step: float) -> float:
     """Return the standard deviation of the error of rounding to levels this far apart."""
+    # A search rounds its limit to the distance of two levels. Values that scatter by less do not show how much people
+    # vary: three differences of exactly 30 on levels 10 apart once gave 30 (29.99 … 30.01), p < 0.001.
     return step / math.sqrt(12.0)
 
 

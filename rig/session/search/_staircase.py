@@ -124,6 +124,7 @@ class Staircase:
     def estimate_of(self, walk: _Walk, verdicts: Sequence[tuple[float, bool]], hits: int) -> Estimate:
         """The limit that a walk shows."""
         fine = [self.levels[place] for place, smallest in walk.turns if smallest]
+        # An even number of turns: upper and lower ones alternate, and an odd one would pull the mean to its side.
         places = fine[len(fine) % 2 :] or [self.levels[place] for place, _ in walk.turns]
         low, high = psychometric.interval(tuple(self.levels), verdicts, self.share)
         value = sum(places) / len(places) if places else math.nan

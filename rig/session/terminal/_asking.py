@@ -1,7 +1,6 @@
-"""A desk that asks over a line, whatever carries it: what goes out, and what is an answer.
+"""Ask over a line, whatever carries it: what a desk sends, and what is an answer.
 
-Each question has a number, and an answer names it: an answer to an earlier question, or with an action that was not
-offered, is ignored. STOP that comes with no question open ends the hit that runs, and not the next one.
+The terminal (`desk`) and the page's job (`rig.extras.console.session_desk`) inherit from it.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ Message = Mapping[str, Any]
 
 
 class AskingDesk(Desk):
-    """See the module."""
+    """A desk at the other end of a line: subclasses send, receive, and check that the other end is alive."""
 
     def __init__(self) -> None:
         self._view: DeskView | None = None
@@ -73,7 +72,8 @@ class AskingDesk(Desk):
             took_s = time.monotonic() - self._began_s
             reply = None if message is None else self._reply(message, question, took_s)
             if reply is not None:
-                self._stop_asked = False  # what is stopped from now on is what follows
+                # A STOP without a hit ends the hit that was running, not the next one.
+                self._stop_asked = False
                 if reply.action != "note":
                     self._question = None
                 return reply
@@ -106,6 +106,7 @@ class AskingDesk(Desk):
 
     def _reply(self, message: Message, question: Question, took_s: float) -> Reply | None:
         """The reply in a message; None when it is not one to this question."""
+        # An answer names its question: one to an earlier question, or with an action that was not offered, is ignored.
         if message["kind"] != "reply" or message.get("number") != self._number:
             return None
         action, value = message.get("action"), str(message.get("value", ""))

@@ -1,9 +1,7 @@
-"""What the console shows and asks, and what a key does then. Touches no terminal, no pipe and no clock.
+"""Hold the console's conversation: what it shows and asks, and what a key does then.
 
-A key answers only the question that stands there when it is pressed: what is typed during a hit is no verdict about it,
-and a key that is still down from before answers nothing (`held`).
-Pause, note and abort may be asked for at any time, and wait for the next question. The key of STOP is STOP in every
-mode, but in a line that is being typed while nothing moves.
+Terminal and page share it. It touches no terminal, no pipe and no clock. Pause, note and abort may be requested at any
+time, and wait for the next question.
 """
 
 from __future__ import annotations
@@ -142,7 +140,10 @@ class Conversation:
     def press(self, key: str, now_s: float | None = None) -> list[Decision]:
         """Handle a key that arrives at `now_s` (s, the caller's clock; None: it cannot have been held before)."""
         self.notice = ""
+        # A key answers only the question that is open when it is pressed: what is typed during a hit is no verdict
+        # about it.
         is_new = now_s is None or self.held.arrive(key, now_s)
+        # STOP in every mode, except in a line that is being typed while nothing moves.
         if key == STOP and (self.moving or self.entry is None):
             self.notice = "STOP" if self.moving else "STOP: nothing is moving"
             self.help = False

@@ -1,8 +1,6 @@
-"""Which keys were down before the question that stands: they answer nothing until they have been released.
+"""Find the keys that were down before the open question: they answer nothing until they have been released.
 
-A terminal reports no release: a key that is down arrives again and again, at first after the delay of its repetition.
-So arrivals of a key that follow each other sooner than `RELEASED_S` are one press, also those of a pedal that taps by
-itself, and only a press that began after the question answers it.
+`_conversation` calls it. Only a press that began after the question answers it.
 """
 
 from __future__ import annotations
@@ -31,6 +29,8 @@ class HeldKeys:
 
     def arrive(self, key: str, now_s: float) -> bool:
         """Take an arrival of a key; returns True if its press began after the question."""
+        # A terminal reports no release: a key that is down arrives again and again, at first after the delay of its
+        # repetition. Arrivals closer than `RELEASED_S` are one press, also those of a pedal that taps by itself.
         known = self._presses = {
             name: times for name, times in self._presses.items() if now_s - times[1] < RELEASED_S
         }

@@ -1,12 +1,8 @@
-"""Bytes of a terminal → names of keys. Any bytes give some, or none.
+"""Convert bytes of a terminal to names of keys. Any bytes give some, or none.
 
 A key is named by its character, or by a name: ``enter space tab escape backspace up down left right home end pageup
-pagedown insert delete f1`` … ``f12``, ``ctrl+x``, ``alt+x``. What no name fits is ``unknown``, and matches nothing.
-
-Space is STOP, so no byte before it may swallow it: it ends any sequence that it stands in, and comes after it as a key
-of its own. With a modifier, or as any blank of Unicode (an input method, AltGr), it is space too.
-
-Sources: ECMA-48 (CSI sequences); XTerm Control Sequences (SS3, ``~`` keys, modifyOtherKeys).
+pagedown insert delete f1`` … ``f12``, ``ctrl+x``, ``alt+x``; else ``unknown``, which matches nothing. Sources: ECMA-48
+(CSI sequences); XTerm Control Sequences (SS3, ``~`` keys, modifyOtherKeys).
 """
 
 from __future__ import annotations
@@ -88,6 +84,7 @@ def _character(data: bytes) -> tuple[int, str]:
     except UnicodeDecodeError:
         short = len(data) < length and lead >= 0xC2 and all(byte & 0xC0 == 0x80 for byte in data[1:])
         return (0, "") if short else (1, "")
+    # Any blank of Unicode (an input method, AltGr) is space too.
     return length, "space" if text.isspace() else text if text.isprintable() else "unknown"
 
 
@@ -126,6 +123,8 @@ def _control_sequence(data: bytes) -> tuple[int, str]:
     for at in range(2, min(len(data), MOST_SEQUENCE)):
         if 0x40 <= data[at] <= 0x7E:
             return at + 1, _meaning(data[2 : at + 1].decode("ascii"))
+        # Space is STOP, so no byte before it may swallow it: it ends any sequence that it stands in, and follows as a
+        # key.
         if not 0x20 < data[at] < 0x40:
             return at, "unknown"
     return (0, "") if len(data) < MOST_SEQUENCE else (MOST_SEQUENCE, "unknown")

@@ -1,6 +1,7 @@
-"""The newest rows of the loop that runs in another process, as numbers to show. Looks only, and never at its info.
+"""Read the newest rows of the loop that runs in another process, as numbers to show.
 
-The operator may have to be blind to stiffness and damping, which stand in the info (`rig.realtime.ring`).
+A seat calls it. It must not read the loop's info (`rig.realtime.ring`), which holds stiffness and damping: the operator
+may have to be blind to them.
 """
 
 from __future__ import annotations

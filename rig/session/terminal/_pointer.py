@@ -1,8 +1,6 @@
-"""Mouse or arrow keys → the simulated hand's intention: how far it reaches, and how hard it presses.
+"""Convert mouse or arrow keys to the simulated hand's intention: how far it reaches, and how hard it presses.
 
-The screen's left end is a little behind the start, its right end is inside the wall, whichever side the wall is on.
-Beyond the wall the hand presses, harder the further it reaches, as a person pushes against a rigid object; a mouse
-button held presses with full force.
+The screen's left end is a little behind the start, its right end inside the wall, whichever side the wall is on.
 """
 
 from __future__ import annotations
@@ -74,5 +72,7 @@ class Pointer:
             return None
         start, wall = float(self._scale["start"]), float(self._scale["wall"])
         left, right = start - BEHIND * (wall - start), wall + INSIDE * (wall - start)
+        # Beyond the wall the hand presses harder the further it reaches, as a person pushes against a rigid object; a
+        # held button presses with full force.
         depth = max(0.0, (self._share - WALL_SHARE) / (1.0 - WALL_SHARE))
         return left + (right - left) * self._share, self._press * (1.0 if self._held else depth)

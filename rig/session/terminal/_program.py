@@ -1,7 +1,6 @@
-"""The console's own loop: keys, messages, lines, one after another in one thread, so that it shows when one hangs.
+"""Run the console: keys, messages, lines, one after another in one thread, so that a hang shows.
 
-Standard input and output are the terminal. Between two rounds it reports that it is alive; whatever stops the rounds, a
-stopped process, a terminal that takes no more output, ends a hit within seconds (`rig.session.terminal.desk`).
+``python -m rig.session.terminal`` calls it; standard input and output are the terminal.
 """
 
 from __future__ import annotations
@@ -111,6 +110,7 @@ class _Console:
 
     def _round(self) -> bool:
         """One look at everything; False when the terminal is gone."""
+        # Whatever stops the rounds (a stopped process, a terminal that takes no more output) ends a hit within seconds.
         self._say("alive")
         wait = ROUND_S if self._talk.moving else QUIET_S
         if self._keyboard.waiting:

@@ -1,4 +1,4 @@
-"""A seat at a session's desk, whatever shows it: what stands there, what a key does, and the hand that is moved.
+"""Seat an operator at a session's desk, whatever shows it: what is shown, what a key does, the hand that is moved.
 
 A terminal (`rig.session.terminal._program`) and a page (`rig.extras.console.sessions`) give it messages and keys, and
 show what it has.
@@ -46,8 +46,9 @@ class SeatHand:
         return self.kind == "keyboard" and self.pointer.key(name)
 
     def begin(self) -> None:
-        """Be back at the start: keys that led into the last wall would touch the next one in free space."""
+        """Move the hand back to the start."""
         if self.kind == "keyboard":
+            # Keys that led into the last wall would touch the next one in free space.
             self.pointer.point(START_SHARE, held=False)
 
     def hold(self) -> None:
@@ -57,12 +58,12 @@ class SeatHand:
             self._hand.move(*intention)
 
     def close(self) -> None:
-        """Release the simulated hand."""
+        """Release the simulated hand, which then rests."""
         self._hand.close()
 
 
 class Seat:
-    """See the module.
+    """What an operator sees and does at a session's desk.
 
     Parameters
     ----------

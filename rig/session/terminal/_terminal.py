@@ -1,8 +1,6 @@
-r"""How a terminal is taken, and given back as it was whatever happens: also by another process than took it.
+"""Take a terminal, and give it back as it was whatever happens: also by another process than took it.
 
-Keys come one by one and without echo (cbreak), but ^C stays the kernel's: it signals the session's program also when
-the console hangs. ^Z and ^\ are off, since a session that is suspended would leave its loop to the heartbeat, and ^S,
-which stops the output and so would hang the console.
+The console takes it, the session's program gives it back if the console died.
 """
 
 from __future__ import annotations
@@ -29,7 +27,7 @@ def as_plain(before: list[Any]) -> list[Any]:
 
 
 def from_plain(value: list[Any]) -> list[Any]:
-    """Invert `as_plain`."""
+    """Convert values of `as_plain` back for `termios.tcsetattr`."""
     timed = (termios.VMIN, termios.VTIME)  # numbers where lines are not wanted: the module takes both
     characters = [n if i in timed else bytes([n]) for i, n in enumerate(value[_CHARACTERS])]
     return [*value[:_CHARACTERS], characters]
@@ -38,10 +36,14 @@ def from_plain(value: list[Any]) -> list[Any]:
 def take(descriptor: int, before: list[Any]) -> bytes:
     """Keys one by one, without echo; returns what was typed earlier."""
     changed = [*before]
+    # No ^S, which stops the output and so would hang the console.
     changed[_INPUT] &= ~(termios.IXON | termios.ICRNL)
     changed[_LOCAL] &= ~(termios.ICANON | termios.ECHO | termios.IEXTEN)
+    # Keys one by one without echo (cbreak), but ^C stays the kernel's: it signals the session's program also when the
+    # console hangs.
     changed[_LOCAL] |= termios.ISIG
     characters = [*before[_CHARACTERS]]
+    # No ^Z and ^\: a suspended session would leave its loop to the heartbeat.
     for name in (termios.VSUSP, termios.VQUIT):
         characters[name] = _OFF
     characters[termios.VMIN], characters[termios.VTIME] = 1, 0

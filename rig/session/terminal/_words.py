@@ -1,7 +1,6 @@
-"""Texts of the console: a terminal prints them, a page arranges them.
+"""Phrase the texts of the console: a terminal prints them, a page arranges them.
 
-Where the operator must be blind to the wall, an effort is a word: low, half, near the limit, saturated. As a number,
-next to the penetration, it would reveal the stiffness.
+The operator reads them; a participant's are in `_participant`.
 """
 
 from __future__ import annotations
@@ -112,6 +111,8 @@ def effort(view: DeskView, live: Snapshot, name: str = "effort") -> Gauge:
     """The effort: its share of the limit as a word for the blind, as a number for the others."""
     limit = abs(float(view.scale.get("effort_limit") or 0.0))
     share = live.peak_effort / limit if limit else 0.0
+    # Where the operator must be blind to the wall, an effort is a word: as a number, next to the penetration, it would
+    # reveal the stiffness.
     if not view.blinded:
         text = f"{live.effort:+.3f} {view.scale.get('effort_unit', '')}"
         return Gauge(name, share, text + (", saturated" if live.saturated else ""))
