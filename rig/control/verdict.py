@@ -124,6 +124,33 @@ class Verdict:
     ticks: Annotated[int, Quantity("1", "ticks of the trial")]
 
 
+class Opening(StrEnum):
+    """Beginning of the text of each reason for an invalid trial; it identifies the reason.
+
+    Recordings and session logs store texts alone. Their readers (`rig.session.planning._reasons`) compare with these
+    members, so that a change of wording needs no change anywhere else.
+    """
+
+    TOO_SHORT = "only "
+    NEVER_TOUCHED = "the wall was never touched"
+    GONE = "the wall was not touched in the tail"
+    TOUCHED_LATE = "the first contact lies in the tail"
+    LOST_OR_LATE = "from contact on, "
+    SLEW_BOUND = "the slew limit "
+    OVERRULED = "the device overruled the law "
+    IDLE_SATURATION = "saturated "
+    STILL_SETTLING = "still settling "
+    CURRENT = "the measured current "
+    LEFT = "the hand left "
+    FALSE_START = "a false start: "
+    ENDED_EARLY = "the run ended early: "
+    HIT_WRONGLY = "hit too "
+    PRESSED_LIGHTLY = "pressed too lightly: "
+    PRESSED_HARD = "pressed too hard: "
+    # Trials of older logs: a touch in the baseline has been a false start since.
+    TOUCHED_EARLY = "the wall was touched at "
+
+
 class Objection(IntFlag):
     """Objections to a trial, in the order in which they are reported."""
 
@@ -164,7 +191,8 @@ def objections(numbers: Numbers, thresholds: Thresholds) -> Any:
     The thresholds must be those that the numbers were measured with: where the floor hides it, felt is NaN.
     """
     n: Any = numbers
-    if isinstance(n, np.void):  # plain numbers are compared ten times as fast as numpy's scalars
+    # Plain numbers are compared ten times as fast as numpy's scalars.
+    if isinstance(n, np.void):
         n = dict(zip(n.dtype.names or (), n.item(), strict=True))
     touched, stayed = n["contact_s"] >= 0.0, n["inside_ticks_in_tail"] > 0
     felt = n["felt"] > thresholds.felt_velocity  # never, when it is not measurable
@@ -173,6 +201,7 @@ def objections(numbers: Numbers, thresholds: Thresholds) -> Any:
     exits = n["exits_in_tail"] > 0
     saturates = n["saturated_fraction_in_tail"] > thresholds.saturated_fraction
     measured = n["tail_begins_s"] >= 0.0
+    # `^ True` and not `~` or `not`: it negates Python's bool and numpy's arrays alike.
     gone = touched & (stayed ^ True)
     calm = (
         (n["stay_ticks"] > 0)
@@ -254,11 +283,8 @@ class Measured:
 
     @property
     def by_machine(self) -> bool:
-        """Return True if it is invalid only for gaps or late ticks: a repeat of the same hit may be valid.
-
-        A device whose command does not come in time overrules the law by itself: beside a gap or late ticks that is
-        the same fault.
-        """
+        """Return True if it is invalid only for gaps or late ticks: a repeat of the same hit may be valid."""
+        # A device whose command is late overrules the law: beside a gap or late ticks that is the same fault.
         against = self.found & INVALID
         return (
             not self.thrown_out and bool(against & MACHINE) and not against & ~(MACHINE | Objection.OVERRULED)
@@ -266,7 +292,7 @@ class Measured:
 
     @cached_property
     def verdict(self) -> Verdict:
-        """Outcome, reasons and numbers, by the signals alone (see `overruled` for the rest)."""
+        """Return the outcome, reasons and numbers, by the signals alone (see `overruled` for the rest)."""
         kind, reasons = decide(self.numbers, self.thresholds)
         shown = {
             name: self.numbers[name].item() for name in Verdict.__dataclass_fields__ if name not in _WORDS
@@ -285,16 +311,15 @@ class Measured:
         Notes
         -----
         A wall fails whose trial is unstable, or exceeds the criterion's own threshold, or touched the wall and was out
-        of it for the whole tail or left it there: against a push that lasts, as it does in a map, only a wall that
-        gives energy throws a handle that far (a session asks nothing of a person's invalid trial). A
-        trial that is still settling counts for what its tail shows: it has rung as long as the trial lasts. Every
-        other invalid trial shows nothing: never touched, touched only in the tail, too short, gaps, late ticks, a slew
-        limit that bound or a device that overruled the law (then it was another wall), or a push that saturates the
-        motor at rest. Where *felt* is not measurable it exceeds nothing: a Z-width under ``felt`` is one of truths, or
-        of a fine encoder.
+        of it for the whole tail or left it there. Every other invalid trial shows nothing, except one that is still
+        settling. Where *felt* is not measurable it exceeds nothing: a Z-width under ``felt`` is one of truths, or of a
+        fine encoder.
         """
         if self.thrown_out and not self.found & Objection.CURRENT:
             return False if self.numbers["contact_s"] >= 0.0 else None
+        # GONE and LEFT fail: against a push that lasts, as in a map, only a wall that gives energy throws a handle that
+        # far. STILL_SETTLING counts for what its tail shows: it has rung as long as the trial lasts. With a slew limit
+        # that acted, or a device that overruled the law, it was another wall.
         if self.found & INVALID & ~(Objection.GONE | Objection.STILL_SETTLING | Objection.LEFT):
             return None
         return not self.found & (UNSTABLE | Objection.GONE | _EXCEEDED_BY[criterion])
@@ -306,14 +331,15 @@ def overruled(verdict: Verdict, kind: Kind, reason: str) -> Verdict:
 
 
 def _codes(found: Any) -> Any:
-    """Index into `KINDS`: what makes a trial invalid outweighs what it shows, and instability a limit cycle."""
+    """Return index into `KINDS`: what makes a trial invalid outweighs what it shows, and instability a limit cycle."""
     invalid, unstable, exceeded = ((found & int(bits)) != 0 for bits in (INVALID, UNSTABLE, EXCEEDED))
     shown = 2 * unstable + (unstable ^ True) * exceeded
     return 3 * invalid + (invalid ^ True) * shown
 
 
 def percent(share: float) -> str:
-    """A share in per cent, to two digits; 100 % is no 1e+02 %."""
+    """Return a share in per cent, to two digits."""
+    # Not .2g for all: 100 % would read 1e+02 %.
     return f"{100 * share:{'.0f' if share >= 0.1 else '.2g'}} %"
 
 
@@ -322,31 +348,31 @@ def _times(count: int, noun: str) -> str:
 
 
 _TEXTS: dict[Objection, Callable[[np.void, Thresholds], str]] = {
-    Objection.TOO_SHORT: lambda n, _: f"only {n['ticks']} ticks in the trial",
+    Objection.TOO_SHORT: lambda n, _: f"{Opening.TOO_SHORT}{n['ticks']} ticks in the trial",
     Objection.NEVER_TOUCHED: lambda n, _: (
-        "the wall was never touched"
+        Opening.NEVER_TOUCHED.value
         if n["toggles"] < TOGGLES
-        else f"the wall was never touched, and the count changed {n['toggles']} times between two neighbours: if the "
+        else f"{Opening.NEVER_TOUCHED}, and the count changed {n['toggles']} times between two neighbours: if the "
         "handle moved, one channel of the encoder is dead"
     ),
-    Objection.GONE: lambda _, __: "the wall was not touched in the tail",
-    Objection.TOUCHED_LATE: lambda _, __: "the first contact lies in the tail",
+    Objection.GONE: lambda _, __: Opening.GONE.value,
+    Objection.TOUCHED_LATE: lambda _, __: Opening.TOUCHED_LATE.value,
     Objection.GAPS: lambda n, thresholds: (
-        f"from contact on, {percent(n['lost_fraction'])} of the samples lost (limit "
+        f"{Opening.LOST_OR_LATE}{percent(n['lost_fraction'])} of the samples lost (limit "
         f"{percent(thresholds.lost_fraction)}), {n['longest_gap']} in a row (limit "
         f"{thresholds.longest_gap}): the link or this computer was too slow"
     ),
     Objection.LATE: lambda n, thresholds: (
-        f"from contact on, {percent(n['late_fraction'])} late ticks (limit {percent(thresholds.late_fraction)}): "
+        f"{Opening.LOST_OR_LATE}{percent(n['late_fraction'])} late ticks (limit {percent(thresholds.late_fraction)}): "
         "close other programs, or lower the rate"
     ),
-    Objection.SLEW_BOUND: lambda n, _: f"the slew limit acted in {_times(n['slew_bound_ticks'], 'tick')}",
-    Objection.OVERRULED: lambda n, _: (
-        f"the device overruled the law in {_times(n['overruled_ticks'], 'tick')}"
+    Objection.SLEW_BOUND: lambda n, _: (
+        f"{Opening.SLEW_BOUND}acted in {_times(n['slew_bound_ticks'], 'tick')}"
     ),
-    Objection.IDLE_SATURATION: lambda _, __: "saturated in the tail without ripple or motion",
+    Objection.OVERRULED: lambda n, _: f"{Opening.OVERRULED}in {_times(n['overruled_ticks'], 'tick')}",
+    Objection.IDLE_SATURATION: lambda _, __: f"{Opening.IDLE_SATURATION}in the tail without ripple or motion",
     Objection.STILL_SETTLING: lambda n, _: (
-        f"still settling when the tail began, {n['settling_in_tail_s']:.3g} s too early: lengthen the trial"
+        f"{Opening.STILL_SETTLING}when the tail began, {n['settling_in_tail_s']:.3g} s too early: lengthen the trial"
     ),
     Objection.EXITS: lambda n, _: f"left the wall {_times(n['exits_in_tail'], 'time')} in the tail",
     Objection.GROWS: lambda n, _: f"ripple grows {n['growth']:.3g}-fold over the tail",
@@ -355,13 +381,13 @@ _TEXTS: dict[Objection, Callable[[np.void, Thresholds], str]] = {
     Objection.HEARD: lambda n, thresholds: f"heard {n['heard']:.3g} above {thresholds.heard_effort:.3g}",
     Objection.MOVED: lambda n, thresholds: f"moved {n['moved']:.3g} above {thresholds.moved:.3g}",
     Objection.CURRENT: lambda n, _: (
-        "the measured current differed from the set current in "
+        f"{Opening.CURRENT}differed from the set current in "
         f"{_times(n['current_differs'], 'window')} of 10 ms, and the set current from the commanded "
         f"one in {_times(n['other_current_ticks'], 'tick')}: check described delay, motor leads, "
         "amplifier and sensor"
     ),
     Objection.LEFT: lambda _, __: (
-        "the hand left the calm wall before the end and did not return: ask the person to stay in the wall"
+        f"{Opening.LEFT}the calm wall before the end and did not return: ask the person to stay in the wall"
     ),
     Objection.THROWN: lambda _, __: "the wall threw the hand out, and the hand did not return",
 }

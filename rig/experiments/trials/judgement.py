@@ -15,7 +15,7 @@ import numpy as np
 from firmware_protocol.faults import OUT_OF_TIME, Fault
 from rig.config import BOARD_ARITHMETICS, Experiment, experiment_from_mapping, rig_model, verdict_thresholds
 from rig.control import judging, verdict
-from rig.control.verdict import Kind, Measured, Objection, Verdict, percent
+from rig.control.verdict import Kind, Measured, Objection, Opening, Verdict, percent
 from rig.core.deferred import pydantic
 from rig.core.errors import ConfigError, RecordingError, UnexpectedVerdictError
 from rig.core.present import Row, written
@@ -303,7 +303,7 @@ def _overruled(measured: Measured, overruling: tuple[Kind, str] | None) -> Verdi
     return measured.verdict if overruling is None else verdict.overruled(measured.verdict, *overruling)
 
 
-FALSE_START = (Kind.INVALID, "a false start: the handle moved before the cue")
+FALSE_START = (Kind.INVALID, f"{Opening.FALSE_START}the handle moved before the cue")
 
 
 def thrown_out(recording: Recording) -> str:
@@ -336,4 +336,4 @@ def ended_early(recording: Recording) -> tuple[Kind, str] | None:
     touched = bool((recording.rows["penetration"][phases == Phase.TRIAL] > 0.0).any())
     if thrown and touched:
         return Kind.UNSTABLE, thrown
-    return Kind.INVALID, f"the run ended early: {reason.replace('_', ' ')}"
+    return Kind.INVALID, f"{Opening.ENDED_EARLY}{reason.replace('_', ' ')}"

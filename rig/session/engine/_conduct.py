@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Any, Protocol
 
 from rig.config import Experiment
-from rig.control.verdict import Kind
+from rig.control.verdict import Kind, Opening
 from rig.core.errors import (
     ConfigError,
     DeviceFaultError,
@@ -389,7 +389,7 @@ class _Engine:
             why = error.message if isinstance(error, RigError) else done.hit.ended
             if self._blind and isinstance(error, GuardError):  # an energy, a velocity, an oscillating effort
                 why = summarise_reasons(self._state.trials[-1].reasons, blind=True).removeprefix(
-                    "the run ended early: "
+                    Opening.ENDED_EARLY
                 )
             self._trouble(f"the hit ended early: {why}", presented)
 

@@ -1,55 +1,57 @@
-"""Why a trial is invalid, in words for a blinded operator: what to do differently, and nothing of the wall.
+"""Why a trial is invalid, in words for a blinded operator: what to do differently, without a hint at the wall.
 
-The log has the reasons as `rig.control.verdict` and `rig.experiments.trials.judgement` wrote them. Saturation of the
-motor or of the slew limit reveals effort, which over the penetration is stiffness: a blinded operator reads of a rig
-limit. A settling time, a calm wall, a number of ticks (the rate) reveal wall or condition too. Reasons that are not
-listed here are hidden.
+Log lines, pauses and questions of a session use it. It must not pass on a reason that it does not list.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
+from rig.control.verdict import Opening
+
 RIG_LIMIT = "rig limit"
 HIDDEN = "for a reason that is hidden from a blinded operator"
 AS_IT_IS = ""
-# Beginning of a reason: what a blinded operator reads.
+# Text that a blinded operator reads for each reason. A settling time, a calm wall and a number of ticks (the rate)
+# would reveal wall or condition.
 _ADVICE = {
-    "from contact on, ": AS_IT_IS,  # samples lost, late ticks
-    "the wall was never touched": AS_IT_IS,
-    "the wall was touched at ": AS_IT_IS,  # in the baseline, in older logs
-    "a false start": AS_IT_IS,
-    "the run ended early: ": AS_IT_IS,
-    "the first contact lies in the tail": "the wall was touched too late",
-    "the wall was not touched in the tail": "the handle was outside the wall at the end: ask to stay inside it",
-    "the hand left ": "the hand left the wall before the end and did not come back: ask to stay inside it",
-    "only ": "the trial was too short",
-    "still settling ": "the trial was too short to judge: increase trial.duration_s",
-    "the device overruled the law ": "the device overruled the law",
-    "hit too ": AS_IT_IS,
-    "pressed too lightly: ": "pressed too lightly: ask to press harder",  # in numbers it would be effort
-    "pressed too hard: ": "pressed too hard: ask to press less",
-    "the measured current ": "the motor's current differs from its set-point: check delay, leads, amplifier, sensor",
-    "saturated ": RIG_LIMIT,
-    "the slew limit ": RIG_LIMIT,
+    Opening.LOST_OR_LATE: AS_IT_IS,
+    Opening.NEVER_TOUCHED: AS_IT_IS,
+    Opening.TOUCHED_EARLY: AS_IT_IS,
+    Opening.FALSE_START: AS_IT_IS,
+    Opening.ENDED_EARLY: AS_IT_IS,
+    Opening.TOUCHED_LATE: "the wall was touched too late",
+    Opening.GONE: "the handle was outside the wall at the end: ask to stay inside it",
+    Opening.LEFT: "the hand left the wall before the end and did not come back: ask to stay inside it",
+    Opening.TOO_SHORT: "the trial was too short",
+    Opening.STILL_SETTLING: "the trial was too short to judge: increase trial.duration_s",
+    Opening.OVERRULED: "the device overruled the law",
+    Opening.HIT_WRONGLY: AS_IT_IS,
+    # The number of newtons would reveal the effort.
+    Opening.PRESSED_LIGHTLY: "pressed too lightly: ask to press harder",
+    Opening.PRESSED_HARD: "pressed too hard: ask to press less",
+    Opening.CURRENT: "the motor's current differs from its set-point: check delay, leads, amplifier, sensor",
+    # Saturation of motor or slew limit reveals effort, which over the penetration is stiffness.
+    Opening.IDLE_SATURATION: RIG_LIMIT,
+    Opening.SLEW_BOUND: RIG_LIMIT,
 }
-# Of a band: what is too little, and what too much.
+# Beginning of the text for a value below and above a band.
 _OUTSIDE = {
-    "impact_speed": ("hit too slowly", "hit too fast"),
-    "press": ("pressed too lightly", "pressed too hard"),
+    "impact_speed": (f"{Opening.HIT_WRONGLY}slowly: ", f"{Opening.HIT_WRONGLY}fast: "),
+    "press": (Opening.PRESSED_LIGHTLY, Opening.PRESSED_HARD),
 }
 
 
 def explain_outside(name: str, value: float, band: str, unit: str, *, above: bool) -> str:
-    """Why a trial lies outside a band of the protocol (`rig.session.planning._bands`)."""
-    return f"{_OUTSIDE[name][above]}: {value:.3g} {unit} (required: {band} {unit})"
+    """Return why a trial lies outside a band of the protocol (`rig.session.planning._bands`)."""
+    return f"{_OUTSIDE[name][above]}{value:.3g} {unit} (required: {band} {unit})"
 
 
 def summarise_reasons(reasons: Iterable[str], *, blind: bool) -> str:
-    """The reasons of an invalid trial in one line: as they are, or as a blinded operator may read them."""
+    """Return the reasons of an invalid trial in one line: in full, or as a blinded operator may read them."""
     return "; ".join(dict.fromkeys(_hide(one) if blind else one for one in reasons))
 
 
 def _hide(reason: str) -> str:
-    found = next((advice for start, advice in _ADVICE.items() if reason.startswith(start)), HIDDEN)
+    found = next((advice for opening, advice in _ADVICE.items() if reason.startswith(opening)), HIDDEN)
     return reason if found is AS_IT_IS else found

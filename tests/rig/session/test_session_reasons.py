@@ -15,7 +15,7 @@ from rig.config import presets, verdict_thresholds
 from rig.control import verdict
 from rig.control._measure import NUMBERS
 from rig.control.verdict import INVALID as MAKES_INVALID
-from rig.control.verdict import TOGGLES, Objection
+from rig.control.verdict import TOGGLES, Objection, Opening
 from rig.core.errors import GuardError
 from rig.core.present import plain
 from rig.session.engine._conduct import conduct
@@ -23,7 +23,7 @@ from rig.session.engine._desk import DeskView
 from rig.session.engine._log import Event
 from rig.session.engine._run import summary
 from rig.session.engine._telling import line_of_event, whole_line
-from rig.session.planning._reasons import HIDDEN, RIG_LIMIT, summarise_reasons
+from rig.session.planning._reasons import _ADVICE, HIDDEN, RIG_LIMIT, summarise_reasons
 from tests.rig.session.session_fakes import (
     INVALID,
     SPOILED,
@@ -63,6 +63,11 @@ def test_every_reason_is_told_and_effort_only_as_a_rig_limit(objection: Objectio
     assert (said == RIG_LIMIT) == bool(objection & OF_THE_RIG)
     assert not re.search(r"4179|calm|saturat|slew|settl|ripple", said)
     assert summarise_reasons([text], blind=False) == text
+
+
+def test_each_opening_identifies_one_reason_with_one_advice() -> None:
+    assert set(_ADVICE) == set(Opening)
+    assert all(one == other or not one.startswith(other) for one in Opening for other in Opening)
 
 
 @pytest.mark.parametrize(
