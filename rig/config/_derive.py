@@ -63,17 +63,17 @@ def _reach(x: Experiment) -> OperatorReach:
 
 
 def motor_push(experiment: Experiment) -> float:
-    """Constant effort of the motor in a trial (N·m or N): none when a person pushes, or an excitation drives it."""
+    """Return the constant effort of the motor in a trial (N·m or N); 0 under a person's push or an excitation."""
     return experiment.trial.effort if experiment.trial.kind == "constant-effort" else 0.0
 
 
 def push_s(experiment: Experiment) -> float:
-    """How long a trial pushes at most (s)."""
+    """Return how long a trial pushes at most (s)."""
     return experiment.trial.hold_s or experiment.trial.duration_s
 
 
 def push_at_rest(experiment: Experiment) -> float:
-    """Effort into the wall in the end (N·m or N, not negative): the motor's, or a person's press and spring."""
+    """Return effort into the wall in the end (N·m or N, not negative): the motor's, or a person's press and spring."""
     wall = experiment.wall
     if experiment.trial.kind != "human":
         return max(0.0, wall.side * motor_push(experiment))
@@ -102,7 +102,7 @@ class Size(TypedDict, total=False):
 
 
 def excitation_size(experiment: Experiment) -> Size:
-    """Size of the excitation (N·m or N): its rms or its peak.
+    """Return the size of the excitation (N·m or N): its rms or its peak.
 
     Ten times the Coulomb friction, so that friction hardly distorts the motion; two per cent of the effort limit where
     there is hardly any friction.
@@ -117,7 +117,7 @@ def excitation_size(experiment: Experiment) -> Size:
 
 
 def excitation_s(experiment: Experiment) -> tuple[float, float]:
-    """Length of an excited run, and of the part before the analysed periods (s)."""
+    """Return the length of an excited run, and of the part before the analysed periods (s)."""
     given = experiment.excitation
     return (given.settle_periods + given.periods) * given.period_s, given.settle_periods * given.period_s
 

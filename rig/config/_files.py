@@ -64,13 +64,13 @@ def _misleading(text: str, reason: str) -> str:
 
 @cache
 def preset_names() -> tuple[str, ...]:
-    """Names of the presets that this package ships."""
+    """Return the names of the presets that this package ships."""
     found = (files("rig.config") / "presets").iterdir()
     return tuple(sorted(entry.name.removesuffix(".toml") for entry in found if entry.name.endswith(".toml")))
 
 
 def preset_text(name: str) -> str:
-    """Text of a preset, comments and sources included; `ConfigError` when there is no such preset."""
+    """Return the text of a preset, comments and sources included; `ConfigError` when there is no such preset."""
     if name not in preset_names():
         choice = f"choose one of: {', '.join(preset_names())}"
         raise ConfigError(f"unknown preset {name!r}", remedy=did_you_mean(name, preset_names(), choice))

@@ -135,12 +135,12 @@ def override(
 
 
 def _keys_of(table: Table) -> set[str]:
-    """Dotted keys that a table sets, but for those of ``[realtime]``."""
+    """Return the dotted keys that a table sets, but for those of ``[realtime]``."""
     return {key for key, _ in flatten({name: part for name, part in table.items() if name != "realtime"})}
 
 
 def _without_what_goes(experiment: Experiment, wanted: Table) -> Experiment:
-    """The experiment without the settings of a replaced estimator or the numbers of a replaced grip."""
+    """Return the experiment without the settings of a replaced estimator or the numbers of a replaced grip."""
     estimator, grip = value_at(wanted, ("controller", "estimator")), value_at(wanted, ("operator", "grip"))
     if estimator is not None and estimator != experiment.controller.estimator:
         experiment = replace(experiment, controller=replace(experiment.controller, parameters={}))
@@ -204,7 +204,7 @@ def _stack(base: Table, top: Table) -> Table:
 
 
 def _own_servo(preset: Table, table: Table) -> frozenset[str]:
-    """Names of `[homing]` that follow from the rig: those not given, of a rig with another name than the preset's."""
+    """Return the names of `[homing]` that follow from the rig: those not given, if its name is not the preset's."""
     name, given = value_at(table, ("rig", "name")), table.get("homing", {})
     if name in (None, value_at(preset, ("rig", "name"))) or not isinstance(given, dict):
         return frozenset()

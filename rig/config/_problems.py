@@ -19,7 +19,7 @@ class Problem:
     remedy: str
 
     def text(self, source: str) -> str:
-        """One line: where, what, and why it is refused."""
+        """Return one line: where, what, and why it is refused."""
         subject = f"{self.key} = {self.value}" if self.value else self.key
         return f"{source}: {subject}: {self.must}"
 

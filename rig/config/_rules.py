@@ -34,7 +34,7 @@ def broken_rules(experiment: Experiment) -> list[Problem]:
 
 
 def magnitudes(x: Experiment) -> Iterator[Problem]:
-    """Numbers whose squares and products a float can hold: beyond, theory has infinities and no reason.
+    """Refuse numbers whose squares and products exceed a float: theory would have infinities without a reason.
 
     Settings of laws and estimators have their own ranges.
     """
@@ -47,7 +47,7 @@ def magnitudes(x: Experiment) -> Iterator[Problem]:
 
 
 def rates(x: Experiment) -> Iterator[Problem]:
-    """Dual-rate: T2 = N·T1 with a whole N."""
+    """Require T2 = N·T1 with a whole N of a dual-rate scheme."""
     fast, slow = x.controller.position_rate, x.controller.velocity_rate
     if fast % slow == 0:
         return
@@ -64,7 +64,7 @@ def rates(x: Experiment) -> Iterator[Problem]:
 
 
 def slow_rate(x: Experiment) -> Iterator[Problem]:
-    """An adaptive velocity rate samples every so many velocity periods."""
+    """Require a whole number of velocity periods between the samples of an adaptive rate."""
     slow, rate = x.controller.slow_velocity_rate, x.controller.velocity_rate
     if slow is not None and (slow > rate or rate % slow):
         yield _problem(
@@ -76,7 +76,7 @@ def slow_rate(x: Experiment) -> Iterator[Problem]:
 
 
 def encoder(x: Experiment) -> Iterator[Problem]:
-    """A rotary encoder is given by its lines, a linear one by its quantum (`Encoder` sees to one of the two)."""
+    """Require lines of a rotary encoder and a quantum of a linear one (`Encoder` requires one of the two)."""
     motion, lines = x.rig.motion, x.rig.encoder.counts_per_revolution
     if motion == "rotary" and lines is None:
         yield _wrong_encoder(x, "quantum", "counts_per_revolution", "linear")
@@ -99,7 +99,7 @@ def _wrong_encoder(x: Experiment, given: str, wanted: str, other: Motion) -> Pro
 
 
 def reference(x: Experiment) -> Iterator[Problem]:
-    """An index names a place of the mechanism where the travel holds one of them, or behind a limit switch."""
+    """Require that an index is unique in the travel, or behind a limit switch."""
     given, key, unit = x.rig.reference, "rig.reference", _unit(x, "position")
     if not given.index:
         if given.limit_switch != "none":
@@ -149,7 +149,7 @@ def reference(x: Experiment) -> Iterator[Problem]:
 
 
 def cogging(x: Experiment) -> Iterator[Problem]:
-    """Cogging has a cosine and a sine for each of its orders, which are harmonics of a period."""
+    """Require a cosine and a sine for each order of cogging, which is a harmonic of a period."""
     given, key = x.rig.cogging, "rig.cogging"
     if len(set(given.orders)) < len(given.orders) or not all(1 <= n <= MOST_ORDER for n in given.orders):
         yield _problem(
@@ -226,7 +226,7 @@ def cogging_compensation(x: Experiment) -> Iterator[Problem]:
 
 
 def handle(x: Experiment) -> Iterator[Problem]:
-    """On a linear rig the handle moves as far as the encoder."""
+    """Require that on a linear rig the handle moves as far as the encoder."""
     if x.rig.motion == "linear" and x.rig.mechanics.handle_radius != 1.0:
         yield _problem(
             x, "rig.mechanics.handle_radius", "must be 1 on a linear rig, which has no lever arm", "remove it"
@@ -234,7 +234,7 @@ def handle(x: Experiment) -> Iterator[Problem]:
 
 
 def current(x: Experiment) -> Iterator[Problem]:
-    """The largest current fits into the command's 16 bits."""
+    """Require that the largest current fits into the command's 16 bits."""
     amplifier = x.rig.amplifier
     largest = LARGEST_CURRENT * amplifier.effort_quantum
     if amplifier.effort_limit > largest:
@@ -282,7 +282,7 @@ def profile(x: Experiment) -> Iterator[Problem]:
 
 
 def efforts(x: Experiment) -> Iterator[Problem]:
-    """The motor bounds the guard, the guard bounds what is asked for."""
+    """Require that the motor bounds the guard, and the guard the efforts that are configured."""
     limits, motor = x.rig.limits, x.rig.amplifier.effort_limit
     for key, value, bound_key, bound in (
         ("rig.limits.nominal_effort", limits.nominal_effort, "rig.amplifier.effort_limit", motor),
@@ -310,7 +310,7 @@ def efforts(x: Experiment) -> Iterator[Problem]:
 
 
 def window(x: Experiment) -> Iterator[Problem]:
-    """The wall, the start and the rest position lie inside the window."""
+    """Require wall, start and rest position inside the window."""
     low, high, unit = x.rig.limits.position_minimum, x.rig.limits.position_maximum, _unit(x, "position")
     if low >= high:
         yield _problem(
@@ -335,7 +335,7 @@ def window(x: Experiment) -> Iterator[Problem]:
 
 
 def approach(x: Experiment) -> Iterator[Problem]:
-    """A trial starts on the free side of the wall and pushes towards it."""
+    """Require that a trial starts on the free side of the wall and pushes towards it."""
     side, wall, unit = x.wall.side, x.wall.position, _unit(x, "position")
     if x.trial.kind == "excitation":  # it begins inside a wall that has no free side
         return
@@ -358,7 +358,7 @@ def approach(x: Experiment) -> Iterator[Problem]:
 
 
 def choreography(x: Experiment) -> Iterator[Problem]:
-    """Only a person waits for a cue, comes into contact when it pleases, and holds."""
+    """Refuse cue, free contact and hold where no person pushes."""
     if x.trial.kind == "human":
         return
     for name in ("baseline_s", "foreperiod_s", "hold_s"):
@@ -372,7 +372,7 @@ def choreography(x: Experiment) -> Iterator[Problem]:
 
 
 def rest(x: Experiment) -> Iterator[Problem]:
-    """A push that rests less than a few counts deep tests the encoder, not the wall."""
+    """Refuse a push that rests less than a few counts deep: it would test the encoder, not the wall."""
     if x.wall.stiffness == 0 or any(True for _ in encoder(x)):
         return
     resolution, least = x.rig.encoder.resolution, x.trial.minimum_rest_counts
@@ -393,7 +393,7 @@ def rest(x: Experiment) -> Iterator[Problem]:
 
 
 def press(x: Experiment) -> Iterator[Problem]:
-    """A person must not press harder than the wall may push back."""
+    """Refuse a person's press above the effort that the wall may return."""
     push, limit = push_at_rest(x), x.rig.limits.effort
     if x.trial.kind == "human" and push > limit:
         effort = _unit(x, "effort")
@@ -407,7 +407,7 @@ def press(x: Experiment) -> Iterator[Problem]:
 
 
 def reach(x: Experiment) -> Iterator[Problem]:
-    """A person's reach is over before the judged tail of the trial begins; with a hold, before the wait is over."""
+    """Require that a person's reach ends before the judged tail; with a hold, before the wait for a contact ends."""
     end = x.operator.begin_s + x.operator.reach_s
     if x.trial.hold_s > 0.0:
         if x.trial.kind == "human" and end > x.trial.duration_s:
@@ -432,7 +432,7 @@ def reach(x: Experiment) -> Iterator[Problem]:
 
 
 def speeds(x: Experiment) -> Iterator[Problem]:
-    """Homing stays below the speed that ends a run."""
+    """Require a homing speed below the speed that ends a run."""
     if x.homing.speed >= x.rig.limits.speed:
         yield _problem(
             x,
@@ -443,7 +443,7 @@ def speeds(x: Experiment) -> Iterator[Problem]:
 
 
 def times(x: Experiment) -> Iterator[Problem]:
-    """The judged tail is a part of the push, and its band has a width."""
+    """Require that the judged tail is a part of the push and that its band has a width."""
     if x.trial.kind != "excitation" and x.verdict.tail_s >= push_s(x):
         of = "hold_s" if x.trial.hold_s else "duration_s"
         yield _problem(
@@ -462,7 +462,7 @@ def times(x: Experiment) -> Iterator[Problem]:
 
 
 def excitation(x: Experiment) -> Iterator[Problem]:
-    """A multisine has lines, which the loop can play, and one size; Schroeder's phases are always the same."""
+    """Require of a multisine lines that the loop can play, and one size; Schroeder's phases have no seed."""
     e, rate = x.excitation, x.controller.position_rate
     if e.low_hz > e.high_hz:
         yield _problem(
@@ -507,7 +507,8 @@ def excitation(x: Experiment) -> Iterator[Problem]:
 
 
 def heartbeat(x: Experiment) -> Iterator[Problem]:
-    """The supervising thread looks after the loop some fifty times a second, when it gets the interpreter."""
+    """Require of a heartbeat at least the time that a supervising program needs, or 0 (no check)."""
+    # The supervising thread runs some fifty times a second, when it gets the interpreter.
     if 0.0 < x.host.heartbeat_s < SHORTEST_HEARTBEAT_S:
         yield _problem(
             x,
@@ -518,7 +519,7 @@ def heartbeat(x: Experiment) -> Iterator[Problem]:
 
 
 def device_loop(x: Experiment) -> Iterator[Problem]:
-    """A law on the device has the device's beat, and no late tick of this computer can hold it up."""
+    """Require of a law on the device that the device paces it and that overruns do not stop the run."""
     if x.controller.loop != "device":
         return
     why = 'where the device runs the law (controller.loop = "device")'

@@ -238,7 +238,7 @@ class Controller:
 
     @property
     def wall_is_elsewhere(self) -> bool:
-        """Whether neither this computer nor the board renders the wall, but what is behind the board."""
+        """Return True if neither this computer nor the board renders the wall, but what is behind the board."""
         return self.loop == "device" and self.arithmetic not in ("auto", *BOARD_ARITHMETICS)
 
 
@@ -543,7 +543,7 @@ class Experiment(Shown):
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     def headline(self) -> str:
-        """Rig, wall and scheme in one line."""
+        """Return the rig, wall and scheme in one line."""
         motion, wall, rates = self.rig.motion, self.wall, self.controller
         scheme = "uniform" if rates.position_rate == rates.velocity_rate else "dual-rate"
         return (
@@ -554,7 +554,7 @@ class Experiment(Shown):
         )
 
     def brief(self) -> list[Item]:
-        """Wall, scheme, law, what pushes, for how long."""
+        """Return the wall, scheme, law, what pushes, for how long."""
         trial, motion = self.trial, self.rig.motion
         push = f"{trial.effort:g} {unit_of('effort', motion)}"
         who = {"human": f"a hand with a {self.operator.grip} grip", "excitation": "an excitation"}
@@ -568,7 +568,7 @@ class Experiment(Shown):
         ]
 
     def detailed(self) -> list[Item]:
-        """Every key of the file, with its value."""
+        """Return every key of the file, with its value."""
         return [self.headline(), Table(("key", "value"), list(_leaves(self, "")), words=2)]
 
 

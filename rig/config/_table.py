@@ -39,7 +39,7 @@ class ConfigKey:
     values: str = ""  # what may stand in a table, in words; empty when its keys' owner says so
 
     def unit_for(self, motion: Motion | None) -> str:
-        """Unit for a rotary or linear rig, both when the motion is not known, nothing for a pure number."""
+        """Return the unit for a rotary or linear rig, both when the motion is not known, nothing for a pure number."""
         if motion is None and self.unit in UNITS:
             return " or ".join(UNITS[self.unit].values())
         return "" if self.unit == "1" else unit_of(self.unit, motion or "rotary")
@@ -56,7 +56,7 @@ class ConfigKey:
         return words.get(self.kind) or self._numbers(self.unit_for(motion))
 
     def _numbers(self, unit: str) -> str:
-        """A number, or a list of them, with its range."""
+        """Return a number, or a list of them, with its range."""
         bounds = [bound for bound in self.bounds if bound != "not empty"]
         limits = " and ".join(bounds) or ("in" if unit else "")
         listed = self.kind.startswith("list of ")
@@ -117,7 +117,7 @@ def _walk(section: type, prefix: str) -> Iterator[ConfigKey]:
 
 
 def _sole(hint: Any) -> Any:
-    """The type itself of a field that may be left out."""
+    """Return the type itself of a field that may be left out."""
     if get_origin(hint) is Annotated:
         hint = get_args(hint)[0]
     if get_origin(hint) is UnionType:
@@ -186,7 +186,7 @@ def describe(experiment: Experiment, under: str = "") -> tuple[ListedKey, ...]:
 
 
 def json_schema() -> dict[str, Any]:
-    """JSON schema of an experiment file, for editors that complete and check TOML (taplo, VS Code).
+    """Return the JSON schema of an experiment file, for editors that complete and check TOML (taplo, VS Code).
 
     Nothing is required in it, because a file may start from a preset.
     """
@@ -202,7 +202,7 @@ def json_schema() -> dict[str, Any]:
 
 
 def schema_of(root: type) -> dict[str, Any]:
-    """JSON schema of a description, with the meaning and the unit of each key."""
+    """Return the JSON schema of a description, with the meaning and the unit of each key."""
     schema: dict[str, Any] = pydantic.TypeAdapter(root).json_schema()
     definitions: dict[str, Any] = schema["$defs"]
     for parameter in parameters_of(root).values():

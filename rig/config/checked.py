@@ -80,7 +80,7 @@ class FileKind(Generic[T]):
     otherwise: str = ""
 
     def parameters(self) -> Mapping[str, ConfigKey]:
-        """Every key of such a file, by its dotted name."""
+        """Return every key of such a file, by its dotted name."""
         root: Any = self.root  # mypy finds type[T] not hashable
         return parameters_of(root)
 
@@ -345,7 +345,7 @@ def _mistaken_choices(kind: FileKind[Any], table: Table) -> Iterator[Problem]:
 
 @cache
 def _numbered(root: Any) -> tuple[tuple[str, ConfigKey], ...]:
-    """Keys below a dataclass that choose among numbers."""
+    """Return the keys below a dataclass that choose among numbers."""
     found = parameters_of(root).items()
     return tuple(
         (key, one) for key, one in found if not all(isinstance(choice, str) for choice in one.choices)

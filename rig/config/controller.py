@@ -39,25 +39,25 @@ I16_MAXIMUM = 32767
 
 
 def resolution(experiment: Experiment) -> float:
-    """Travel for one count (rad or m), negative when counts fall while the position rises."""
+    """Return the travel for one count (rad or m), negative when counts fall while the position rises."""
     encoder = experiment.rig.encoder
     return encoder.sign * encoder.resolution
 
 
 def effort_quantum(experiment: Experiment, current_quantum_a: float) -> float:
-    """Effort of one current quantum of the device (N·m or N)."""
+    """Return the effort of one current quantum of the device (N·m or N)."""
     return experiment.rig.amplifier.effort_per_ampere * current_quantum_a
 
 
 def current_limit(experiment: Experiment, current_quantum_a: float) -> int:
-    """Largest whole number of quanta within the effort limit: what guard and device both clip to."""
+    """Return the largest whole number of quanta within the effort limit: what guard and device both clip to."""
     return math.floor(
         experiment.rig.limits.effort / effort_quantum(experiment, current_quantum_a) * (1.0 + 1e-12)
     )
 
 
 def oscillation_limit(experiment: Experiment) -> int:
-    """Oscillations of the effort in a row that end a trial (`rig.control._watch`); 0: any number."""
+    """Return the oscillations of the effort in a row that end a trial (`rig.control._watch`); 0: any number."""
     if experiment.trial.kind == "excitation":  # which drives the effort itself
         return 0
     limits = experiment.rig.limits
@@ -67,7 +67,7 @@ def oscillation_limit(experiment: Experiment) -> int:
 
 
 def energy_limit(experiment: Experiment) -> float:
-    """Energy that the motor may give in a trial (J); 0: any. An excitation gives as much as it must."""
+    """Return the energy that the motor may give in a trial (J); 0: any. An excitation gives as much as it must."""
     return 0.0 if experiment.trial.kind == "excitation" else experiment.rig.limits.energy or 0.0
 
 
@@ -155,7 +155,7 @@ def for_experiment(
 
 
 def _free_space(experiment: Experiment) -> dict[str, float]:
-    """Where the handle may be before the cue: up to half of its way to the wall."""
+    """Return where the handle may be before the cue: up to half of its way to the wall."""
     limits, halfway = experiment.rig.limits, 0.5 * (experiment.trial.start + experiment.wall.position)
     free = {"free_minimum": limits.position_minimum, "free_maximum": limits.position_maximum}
     if free_s(experiment) > 0.0:
@@ -164,7 +164,7 @@ def _free_space(experiment: Experiment) -> dict[str, float]:
 
 
 def _law(experiment: Experiment, law: Law) -> Law:
-    """The law with friction and cogging compensated, as far as the experiment wants that."""
+    """Return the law with friction and cogging compensated, as far as the experiment wants that."""
     rates, rig = experiment.controller, experiment.rig
     if rates.friction_compensation > 0.0:
         law = _without_friction(experiment, law)
@@ -174,7 +174,7 @@ def _law(experiment: Experiment, law: Law) -> Law:
 
 
 def _without_friction(experiment: Experiment, law: Law) -> Law:
-    """The law with the Coulomb friction of the experiment compensated.
+    """Return the law with the Coulomb friction of the experiment compensated.
 
     On two masses only the motor side's friction is compensated: the link's lies behind the capstan, and compensating it
     from the motor would add more energy than it removes.
@@ -193,7 +193,7 @@ def _without_friction(experiment: Experiment, law: Law) -> Law:
 
 
 def command_lifetime_s(experiment: Experiment) -> float:
-    """How long a command holds without the next: five ticks, 3 ms at least and 20 at most, unless configured (s)."""
+    """Return how long a command holds without the next (s): 5 ticks, 3 to 20 ms, unless configured."""
     configured = experiment.controller.command_lifetime_s
     if configured is not None:
         return configured
@@ -203,13 +203,13 @@ def command_lifetime_s(experiment: Experiment) -> float:
 
 
 def rate_of_lifetime(lifetime_s: float) -> int:
-    """Highest rate at which a command lives for so long, unless its lifetime is configured (Hz)."""
+    """Return the highest rate at which a command lives for so long, unless its lifetime is configured (Hz)."""
     periods = FEWEST_PERIODS if lifetime_s > LONGEST_LIFETIME_S else LIFETIME_PERIODS
     return math.floor(periods / max(lifetime_s, SHORTEST_LIFETIME_S))
 
 
 def supervise_lifetime_s(experiment: Experiment) -> float:
-    """How long a law on the device continues without a command from the host (s)."""
+    """Return how long a law on the device continues without a command from the host (s)."""
     configured = experiment.controller.supervise_lifetime_s
     return SUPERVISE_LIFETIME_S if configured is None else configured
 
@@ -283,7 +283,7 @@ def _law_on_device(experiment: Experiment, controller: ControllerState) -> LawOn
 def device_parameters(
     experiment: Experiment, controller: ControllerState, *, current_quantum_a: float, verified: bool
 ) -> dict[str, Value]:
-    """Values of `firmware_protocol.parameters` for this experiment, in ticks, counts and quanta.
+    """Return the values of `firmware_protocol.parameters` for this experiment, in ticks, counts and quanta.
 
     With ``controller.loop = "device"`` the device's law is among them, as `rig.config.device_law` makes it of
     `controller`, the host's; else it is switched off.

@@ -101,7 +101,7 @@ def _cutoff_hz(x: Experiment) -> float:
 
 
 def _delays_s(x: Experiment, ticks: int) -> tuple[float, float]:
-    """Delay from a position to its effort, and what the velocity has besides (s); the lag is counted apart."""
+    """Return delay from a position to its effort, and what the velocity has besides (s); the lag is counted apart."""
     c = x.controller
     set_point = x.rig.amplifier.set_point_ticks(1.0 / c.position_rate)
     return (ticks + set_point + 0.5) / c.position_rate, FILTER_DELAY / _cutoff_hz(x) + 1.0 / c.velocity_rate

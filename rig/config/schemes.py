@@ -115,7 +115,7 @@ class Scheme:
 
     @cached_property
     def text(self) -> str:
-        """The text form, which `parse` turns into an equal scheme."""
+        """Return the text form, which `parse` turns into an equal scheme."""
         rates = f"{_kilo(self.position_rate)}"
         if self.kind == "dual":
             rates += f"/{_kilo(self.velocity_rate)}"
@@ -173,7 +173,7 @@ class Scheme:
         return override(bare, changes, f"scheme {self.text}", check_rules=check_rules)
 
     def _parameters_on(self, experiment: Experiment) -> dict[str, float | str]:
-        """Settings of the estimator: the scheme's over the experiment's, a cut-off at its share of the rate."""
+        """Return settings of the estimator: the scheme's over the experiment's, a cut-off at its share of the rate."""
         own = experiment.controller
         inherits = self.estimator in (None, own.estimator)
         settings = (
@@ -206,7 +206,7 @@ def describe_cutoffs(schemes: Iterable[Scheme], experiment: Experiment) -> str |
 
 
 def parse_rates(text: str) -> tuple[int, int]:
-    """Rates of ``20k/2k``, ``20000/2000`` or ``1k`` (uniform), in Hz; `ConfigError` for anything else."""
+    """Return the rates of ``20k/2k``, ``20000/2000`` or ``1k`` (uniform), in Hz; `ConfigError` for anything else."""
     parts = text.split("/")
     if len(parts) > 2:
         raise ConfigError(f"rate {text}: too many rates", remedy="give T1/T2, like 20k/2k")

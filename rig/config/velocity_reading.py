@@ -73,7 +73,7 @@ def _settings(own: Controller) -> Settings:
 
 @lru_cache(maxsize=4096)
 def _peak(name: str, settings: Settings, rate: int, delta: float, velocity: float, ahead: int) -> float:
-    """Highest speed read of one count and of a steady velocity, extrapolated so many ticks of the ahead + 1 between."""
+    """Return the highest speed read of one count and of a steady velocity, with extrapolation over some ticks."""
     read = [_pulse(name, settings, rate, delta)]
     if velocity > 0.0:
         samples = int(np.clip(RAMP_COUNTS * delta * rate / velocity, *RAMP_SAMPLES))

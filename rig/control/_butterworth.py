@@ -15,13 +15,13 @@ _TWICE_RATE = 4.0  # of the analogue prototype, whose sampling rate is 2
 
 
 def low_pass(order: int, cutoff_hz: float, rate_hz: float) -> list[list[float]]:
-    """Sections b0, b1, b2, 1, a1, a2, the fastest poles first; the gain is in the first."""
+    """Return the sections b0, b1, b2, 1, a1, a2, the fastest poles first; the gain is in the first."""
     corner = _prewarped(cutoff_hz, rate_hz)
     return _sections(corner * _prototype(order), -np.ones(order), corner**order)
 
 
 def high_pass(order: int, cutoff_hz: float, rate_hz: float) -> list[list[float]]:
-    """As `low_pass`; of an even order."""
+    """Return the sections of a high pass of even order, as `low_pass`."""
     prototype = _prototype(order)
     return _sections(
         _prewarped(cutoff_hz, rate_hz) / prototype, np.ones(order), float(np.real(1.0 / np.prod(-prototype)))
@@ -29,7 +29,7 @@ def high_pass(order: int, cutoff_hz: float, rate_hz: float) -> list[list[float]]
 
 
 def band_pass(low_hz: float, high_hz: float, rate_hz: float) -> list[list[float]]:
-    """As `low_pass`, with two poles for each edge."""
+    """Return the sections of a band pass with two poles for each edge, as `low_pass`."""
     low, high = _prewarped(low_hz, rate_hz), _prewarped(high_hz, rate_hz)
     width, middle = high - low, math.sqrt(low * high)
     half = (_prototype(2) * width / 2).astype(complex)
@@ -42,12 +42,12 @@ def _prewarped(corner_hz: float, rate_hz: float) -> float:
 
 
 def _prototype(order: int) -> Any:
-    """Poles of the analogue low pass at 1 rad/s."""
+    """Return the poles of the analogue low pass at 1 rad/s."""
     return -np.exp(1j * np.pi * np.arange(1 - order, order, 2) / (2 * order))
 
 
 def _sections(analogue: Any, zeros: Any, gain: float) -> list[list[float]]:
-    """Sections of analogue poles, with zeros of the sampled filter, ±1, each given to the poles next to it.
+    """Return the sections of analogue poles, with zeros of the sampled filter, ±1, each given to the poles next to it.
 
     The zeros at +1 are those that the analogue filter has at rest.
     """

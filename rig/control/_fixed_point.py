@@ -3,7 +3,7 @@
 A number is an integer that stands for integer · 2^−f. Its format is written Q*m.f*: m bits before the binary point,
 the sign's among them, and f behind it, in a word of w = m + f bits, two's complement: −2^(w−1) … 2^(w−1) − 1.
 
-* What does not fit *saturates*: a velocity that wrapped would push the wrong way.
+* What does not fit *saturates*.
 * Sums of products are taken whole, in 64 bits, and *rounded once*, when they are shifted back to their format.
   Designs (`design_biquad`, `rig.control._fixed_wall.design_wall`) prove that no sum overflows.
 * Rounding has a name: ``floor`` (an arithmetic shift, what ``>>`` does), ``zero`` (towards zero, what C's ``/``
@@ -62,6 +62,7 @@ def divide(numerator: int, denominator: int, rounding: int) -> int:
 @kernel("i8(i8, i8)", inline=True)
 def saturate(value: int, word_bits: int) -> int:
     """Return the nearest value that fits a two's complement word."""
+    # Not wrapped, as two's complement would: a velocity that wrapped would push the wrong way.
     limit = 1 << (word_bits - 1)
     return min(max(value, -limit), limit - 1)
 
@@ -83,7 +84,7 @@ class Format:
 
     @property
     def limits(self) -> tuple[int, int]:
-        """Least and greatest integer of the word."""
+        """Return the least and greatest integer of the word."""
         return -(1 << (self.word_bits - 1)), (1 << (self.word_bits - 1)) - 1
 
     def quantised(self, value: float, what: str = "a value") -> int:

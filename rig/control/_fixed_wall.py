@@ -8,11 +8,8 @@ device only multiplies. Formats (`rig.control._fixed_point` says what they mean)
     gains      31 bits and a sign       stiffness in quanta per LSB of depth, damping in quanta per LSB of velocity
     sums       64 bits, `shift` fractional bits, in current quanta
 
-One number, `shift`, is the binary point of gains, sums and constant effort alike: the design picks the greatest with
-which both gains fit their word and no sum, whatever the count and the velocity, leaves 64 bits. So the whole wall is
-two products, one sum and one rounding, to the nearest quantum as `rig.control._guard` does it.
-
-The slew limit is left out: it belongs to homing and ramps, and in a trial it may not bind (`rig.control.step`).
+`shift` is the binary point of gains, sums and constant effort alike, so that the wall is two products, one sum and one
+rounding to the nearest quantum. The slew limit is excluded: in a trial it may not act (`rig.control.step`).
 
 Source: Koul et al., equation (1), rendered there by an FPGA in fixed point.
 """
@@ -58,14 +55,14 @@ WALL = types.NamedUniTuple(types.int64, len(FixedWall._fields), FixedWall)
 
 @kernel(types.int64(types.int64, WALL), inline=True)
 def depth(count: int, wall: FixedWall) -> int:
-    """Penetration in counts · 2^8, saturated; the wall exists for values above zero only."""
+    """Return the penetration in counts · 2^8, saturated; the wall exists for values above zero only."""
     travel = wall.direction * count_difference(count, wall.reference)
     return saturate((travel << DEPTH_BITS) - wall.surface, DEPTH_WORD)
 
 
 @kernel(types.int64(types.int64, types.int64, WALL), inline=True)
 def reaction(penetration: int, velocity: int, wall: FixedWall) -> int:
-    """Reaction of the wall in quanta · 2^shift, positive towards free space.
+    """Return the reaction of the wall in quanta · 2^shift, positive towards free space.
 
     `penetration` comes from `depth`; `velocity` is the estimator's, in its LSB, positive with rising counts.
     """
@@ -82,14 +79,14 @@ def reaction(penetration: int, velocity: int, wall: FixedWall) -> int:
 
 @kernel(types.int64(types.int64, WALL), inline=True)
 def guarded(total: int, wall: FixedWall) -> int:
-    """Current of an effort in quanta · 2^shift: nearest quantum, halves towards +∞, within ±limit."""
+    """Return the current of an effort in quanta · 2^shift: nearest quantum, halves towards +∞, within ±limit."""
     quanta = shift_right(total, wall.shift, NEAREST)
     return min(max(quanta, -wall.limit), wall.limit)
 
 
 @kernel(types.int64(types.int64, types.int64, WALL))
 def current_quanta(count: int, velocity: int, wall: FixedWall) -> int:
-    """Current to command for a count and the held velocity.
+    """Return the current to command for a count and the held velocity.
 
     Parameters
     ----------
@@ -163,6 +160,7 @@ def design_wall(
         "damping": damping * delta / (effort_quantum * period_s) * velocity.lsb,
     }
     constant = constant_effort / effort_quantum
+    # The factor makes 10.999… quanta 11: the quotient of two decimals is rounded.
     limit = math.floor(effort_limit / effort_quantum * (1.0 + 1e-12))
     if not 0 <= limit <= CURRENT_GREATEST:
         raise ConfigError(
@@ -199,10 +197,11 @@ def design_wall(
 
 
 def _greatest_shift(gains: tuple[float, ...], added: float, velocity: Format) -> int:
-    """Fractional bits with which the gains fit their word and no sum leaves 64 bits; at least one such exists.
+    """Return fractional bits with which the gains fit their word and no sum leaves 64 bits; at least one such exists.
 
     Without any fractional bit the gains are below 2^31 and so are depth, velocity and constant.
     """
+    # Whatever the count and the velocity: the proof that the device needs no check of its sums.
     extremes = (DEPTH.limits[1], -velocity.limits[0])
     for shift in range(MOST_SHIFT, 0, -1):
         whole = [_nearest(gain, shift) for gain in gains]

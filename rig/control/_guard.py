@@ -1,7 +1,7 @@
-"""The last word before an effort leaves: finite, within its limit, within its slew, in whole current quanta.
+"""Last check of an effort before it is sent: finite, within its limit, within its slew, in whole current quanta.
 
-Three small functions, called once each and in this order by `rig.control.step`. The device repeats the limits on
-its own; this one is the early warning, and the only place of the host that clips.
+`rig.control.step` calls each function once and in this order. The device repeats the limits; nothing else on the host
+may clip.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from rig.realtime.kernel import kernel
 @kernel("f8(f8, f8)", inline=True)
 def limited(effort: float, limit: float) -> float:
     """Clip an effort to ±limit; a value that is not finite gives zero (the caller flags it)."""
+    # min and max would turn a NaN into a limit, which is full effort.
     if not math.isfinite(effort):
         return 0.0
     return min(max(effort, -limit), limit)
@@ -29,5 +30,6 @@ def slewed(effort: float, previous: float, step: float) -> float:
 
 @kernel("f8(f8, f8)", inline=True)
 def current_quanta(effort: float, effort_quantum: float) -> float:
-    """Current command for an effort, in whole quanta of the wire: nearest, halves towards +∞, within i16."""
+    """Return the current command for an effort, in whole quanta of the wire: nearest, halves towards +∞, within i16."""
+    # floor(x + ½) and not round, which takes halves to even: firmware/law and old recordings have halves towards +∞.
     return float(np.floor(min(max(effort / effort_quantum + 0.5, -32767.0), 32767.0)))

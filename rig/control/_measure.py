@@ -1,18 +1,8 @@
 """Every number of a verdict from the arrays of one trial, in one compiled call that allocates nothing.
 
-A recording and ten thousand simulated trials are measured by this one function; their meaning is in
-`rig.control.verdict`, which turns them into a kind.
+One function measures recordings and simulated trials; `rig.control.verdict` turns the numbers into a kind.
 
-Only the tail is filtered, with a lead-in as long as the filters remember to one part in 10⁹. A filter is started as if
-its first sample had lasted forever: all of them stop a constant, so that is the deviation from the first sample,
-filtered from rest. *Zero phase* means forth and back over a mirrored extension of both ends, as
-`scipy.signal.sosfiltfilt` has it with ``padtype="even"``: an odd one makes a step of a ripple far above the band.
-
-The encoder's floor is given for the frequency of its toggling: half the rate, over the tail, of the count's changes
-that are no motion in the band. Those are changes against the direction of the one before (a toggling count has two in a
-period whatever its duty cycle, an oscillation over many counts two as well), and the slow steps of a creeping one. No
-spectrum is needed, and unlike the highest line of one this is defined for toggling without a period, whose velocity in
-the band depends on the rate of changes alone. Pulses much shorter than a period of the band read less than that.
+`rig.control.judging`, simulated maps and tests call it. It must not allocate, and must not decide.
 """
 
 from __future__ import annotations
@@ -113,7 +103,8 @@ SETTINGS = np.dtype(
     align=True,
 )
 
-FEWEST_TICKS = 8  # a trial with fewer has no numbers
+# A trial with fewer ticks has no numbers: filters, slopes and a median need some.
+FEWEST_TICKS = 8
 # Among the flags of a tick, above those of RowFlag: the device did not apply the law's effort, and from the next bit on
 # how many samples were lost just before.
 OVERRULED = 1 << 32
@@ -128,7 +119,8 @@ _FOLLOWS, _DIFFERS, _OTHER = (
     int(RowFlag.OTHER_CURRENT),
 )
 
-_REMEMBERED = 1e-9  # share of an old sample that the lead-in may leave in a filter
+# Share of an old sample that the lead-in may leave in a filter: only the tail is filtered, and from rest.
+_REMEMBERED = 1e-9
 _PAD_PERIODS = 3.0  # of the high pass
 _IMPACT_S, _IMPACT_TICKS = 0.010, 4
 _SLOW = 0.8  # of a period of the band's upper edge, which lets half the amplitude through
@@ -178,7 +170,7 @@ def filters(tick_s: float, highpass_hz: float, lowpass_hz: float) -> Filters:
 
 @kernel(types.int64(_SIGNAL, _SIGNAL, SETTINGS_TYPE, NUMBERS_TYPE), no_refcount=True)
 def _contact(effort: Floats, penetration: Floats, settings: Records, numbers: Records) -> int:
-    """First contact, exits and peaks; returns the tick of the last exit."""
+    """Measure first contact, exits and peaks; return the tick of the last exit."""
     s, n = settings[0], numbers[0]
     ticks = penetration.shape[0]
     begin = max(0, ticks - s["tail_ticks"])
@@ -202,6 +194,7 @@ def _contact(effort: Floats, penetration: Floats, settings: Records, numbers: Re
         deepest = max(deepest, penetration[k])
         strongest = max(strongest, abs(effort[k]))
     n["exits"], n["exits_in_tail"], n["inside_ticks_in_tail"] = exits, exits_in_tail, inside_in_tail
+    # A bounce is shorter than a period of the high pass, and its ripple could not be seen: it is no stay.
     once = entries_in_tail == 0 and (exits_in_tail == 1 or inside_in_tail == 0)
     n["stay_ticks"] = stay if once and stay * s["tick_s"] * s["highpass_hz"] >= 1.0 else 0
     n["contact_s"] = contact * s["tick_s"] if contact >= 0 else math.nan
@@ -211,7 +204,7 @@ def _contact(effort: Floats, penetration: Floats, settings: Records, numbers: Re
 
 @kernel(types.void(_FLAGS, SETTINGS_TYPE, NUMBERS_TYPE), no_refcount=True)
 def _marks(flags: Ints, settings: Records, numbers: Records) -> None:
-    """How often each flag was set, and what was lost, from the contact on too (`_contact` comes before)."""
+    """Count each flag and the losses, over the trial and from the contact on; `_contact` must run before."""
     s, n = settings[0], numbers[0]
     ticks = flags.shape[0]
     begin = max(0, ticks - s["tail_ticks"])
@@ -249,12 +242,13 @@ def _marks(flags: Ints, settings: Records, numbers: Records) -> None:
 
 @kernel(types.float64(_SIGNAL, SETTINGS_TYPE), no_refcount=True)
 def _toggling_hz(position: Floats, settings: Records) -> float:
-    """Half the rate in the tail of those changes of the count that are no motion in the band (Hz).
+    """Return half the rate in the tail of those changes of the count that are no motion in the band (Hz).
 
-    A motion in the band turns at least twice in a period of the high pass. So a step in the same direction counts only
-    after half of one without a turn, and only if it is slower than the band ends: a creeping count reads as much
-    velocity as one that toggles with as many changes, unless its steps come too fast to be seen as such.
+    Changes against the direction of the one before count, and slow steps of a creeping count.
     """
+    # No spectrum: its highest line is undefined for toggling without a period, whose velocity in the band depends on
+    # the rate of changes alone. A toggling count changes direction twice in a period whatever its duty cycle. Pulses
+    # much shorter than a period of the band read less than this floor.
     s = settings[0]
     ticks = position.shape[0]
     begin = max(0, ticks - s["tail_ticks"])
@@ -270,6 +264,8 @@ def _toggling_hz(position: Floats, settings: Records) -> float:
         if step * direction <= 0.0:
             changes += k >= begin
             direction, turned = step, k
+        # A motion in the band turns at least twice in a period of the high pass: a step in the same direction is creep
+        # after half a period without a turn, and if it is slower than the band's upper edge.
         elif k - turned > creeping and k - changed > slow:
             changes += k >= begin
         changed = k
@@ -278,7 +274,7 @@ def _toggling_hz(position: Floats, settings: Records) -> float:
 
 @kernel(types.int64(_SIGNAL, types.float64), inline=True, no_refcount=True)
 def _toggles(position: Floats, resolution: float) -> int:
-    """Most changes of the count in a row that stayed on two neighbours: of a dead channel, however far it moved."""
+    """Return the longest run of changes of the count between two neighbours: that of a dead channel."""
     most = changes = 0
     low = position[0]
     for k in range(1, position.shape[0]):
@@ -293,11 +289,12 @@ def _toggles(position: Floats, resolution: float) -> int:
 
 @kernel(types.float64(types.float64, types.float64, types.float64, types.float64))
 def toggling_floor(frequency_hz: float, resolution: float, highpass_hz: float, lowpass_hz: float) -> float:
-    """Velocity rms (rad/s or m/s) that one count reads when it toggles at a frequency.
+    """Return the velocity rms (rad/s or m/s) that one count reads when it toggles at a frequency.
 
     A square wave of height Δ at f Hz has odd harmonics whose velocities all have the rms 2√2·f·Δ; those in the band
-    add up in power. With none in the band it is that of the fundamental, as far as the band's edges let it through.
+    add up in power.
     """
+    # With no harmonic in the band at least one: the band's edges let a part of the fundamental through.
     harmonics = 0
     hz = frequency_hz
     while 0.0 < hz <= lowpass_hz:
@@ -310,7 +307,7 @@ def toggling_floor(frequency_hz: float, resolution: float, highpass_hz: float, l
 def _section(
     x: float, s1: float, s2: float, b0: float, b1: float, b2: float, a1: float, a2: float
 ) -> tuple[float, float, float]:
-    """One step of a second-order section in transposed direct form II: its output and new state."""
+    """Return output and new state of a second-order section in transposed direct form II after one sample."""
     y = b0 * x + s1
     return y, (b1 * x + s2) - a1 * y, b2 * x - a2 * y
 
@@ -319,7 +316,7 @@ def _section(
 def _ripple_and_travel(
     position: Floats, effort: Floats, settings: Records, sections: Floats, numbers: Records
 ) -> None:
-    """Effort and position above the high pass: heard, growth and moved."""
+    """Measure effort and position above the high pass: heard, growth and moved."""
     s, n = settings[0], numbers[0]
     ticks = position.shape[0]
     begin = max(0, ticks - s["tail_ticks"])
@@ -333,6 +330,8 @@ def _ripple_and_travel(
     power = power_of_half = 0.0
     lowest = highest = 0.0
     for k in range(first, ticks):
+        # Filters start as if their first sample had lasted forever. They stop a constant, so that is the deviation from
+        # the first sample, filtered from rest.
         ripple, e1, e2 = _section(effort[k] - effort[first], e1, e2, b0, b1, b2, a1, a2)
         travelled, p1, p2 = _section(position[k] - position[first], p1, p2, b0, b1, b2, a1, a2)
         if k < begin:
@@ -367,7 +366,7 @@ def _inner_velocity(position: Floats, velocity: Floats, rate_hz: float, k: int) 
 
 @kernel(types.float64(_SIGNAL, _SIGNAL, types.float64, types.int64), inline=True, no_refcount=True)
 def _velocity(position: Floats, velocity: Floats, rate_hz: float, k: int) -> float:
-    """Velocity at a tick, mirrored beyond both ends; without a signal of its own the central difference."""
+    """Return the velocity at a tick, mirrored beyond both ends; without a signal of its own the central difference."""
     last = position.shape[0] - 1
     mirrored = abs(k) if k <= last else 2 * last - k
     return _inner_velocity(position, velocity, rate_hz, mirrored)
@@ -375,10 +374,12 @@ def _velocity(position: Floats, velocity: Floats, rate_hz: float, k: int) -> flo
 
 @kernel(types.float64(_SIGNAL, _SIGNAL, SETTINGS_TYPE, SECTIONS_TYPE, _SCRATCH_TYPE), no_refcount=True)
 def _felt(position: Floats, velocity: Floats, settings: Records, sections: Floats, scratch: Floats) -> float:
-    """Rms of the velocity in the band, zero phase: forth into the scratch, then back."""
+    """Return the rms of the velocity in the band, zero phase: forth into the scratch, then back."""
     s = settings[0]
     ticks, rate_hz = position.shape[0], 1.0 / s["tick_s"]
     begin = max(0, ticks - s["tail_ticks"])
+    # An even extension, as `scipy.signal.sosfiltfilt` with padtype="even": an odd one makes a step of a ripple far
+    # above the band.
     pad = min(s["pad_ticks"], ticks - 1)
     first, end = max(-pad, begin - s["lead_ticks"]), ticks + pad
     b0, b1, b2, a1, a2 = sections[_BAND]
@@ -402,17 +403,18 @@ def _felt(position: Floats, velocity: Floats, settings: Records, sections: Float
 
 @kernel(types.float64(_SIGNAL, types.int64, types.int64), no_refcount=True)
 def _end_slope(position: Floats, first: int, last: int) -> float:
-    """Slope for one tick, at the last of some ticks, of the parabola through them with the least squares.
+    """Return the slope for one tick, at the last of some ticks, of the parabola through them with the least squares.
 
     Sums over polynomials that are orthogonal on an even grid: u and u² - mean(u²), u counted from the middle.
-    A straight line would read the velocity of half the span earlier, which a push has raised by a fifth since.
     """
+    # Not a straight line: it reads the velocity of half the span earlier, which a push has raised by a fifth since.
     count = last - first + 1.0
     half = 0.5 * (last - first)
     mean_square = (count * count - 1.0) / 12.0
     slope = bend = 0.0
     for k in range(first, last + 1):
         u = k - first - half
+        # Differences first: far from zero a sum of positions would lose the digits of the travel.
         travel = position[k] - position[last]
         slope += u * travel
         bend += (u * u - mean_square) * travel
@@ -430,7 +432,7 @@ def _rest_and_impact(
     scratch: Floats,
     numbers: Records,
 ) -> None:
-    """Resting penetration, settling time (see `rig.control.verdict.Verdict`) and velocity at impact."""
+    """Measure resting penetration, settling time (`rig.control.verdict.Verdict`) and velocity at impact."""
     s, n = settings[0], numbers[0]
     ticks = penetration.shape[0]
     begin = max(0, ticks - s["tail_ticks"])
@@ -447,6 +449,7 @@ def _rest_and_impact(
     settled = ticks
     while settled > contact and not abs(penetration[settled - 1] - resting) > band:
         settled -= 1
+    # Later than half the tail, too little remains to call the rest a resting value.
     if settled <= (begin + ticks) // 2:
         n["settling_s"] = (settled - contact) * s["tick_s"]
         n["settling_in_tail_s"] = max(0, settled - begin) * s["tick_s"]
@@ -460,7 +463,7 @@ def _rest_and_impact(
 
 @kernel(types.void(NUMBERS_TYPE, types.int64), no_refcount=True)
 def _write_nothing(numbers: Records, ticks: int) -> None:
-    """Numbers of a trial that is too short for any."""
+    """Write the numbers of a trial that is too short to measure."""
     n = numbers[0]
     n["felt"] = n["contact_s"] = n["impact_velocity"] = n["settling_s"] = math.nan
     n["felt_floor"] = n["heard"] = n["moved"] = n["growth"] = 0.0

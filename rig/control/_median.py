@@ -31,7 +31,7 @@ def _partition(values: Floats, low: int, high: int, pivot: float, equal: bool) -
 
 @kernel(types.float64(_SCRATCH_TYPE, types.int64), no_refcount=True)
 def median(values: Floats, count: int) -> float:
-    """Median of the first `count` values, which are reordered.
+    """Return the median of the first `count` values, which are reordered.
 
     Hoare's selection, with a partition that has no branch to predict, around the middle of three values. They are
     drawn: at fixed places an oscillation, whose order is regular, would make it quadratic.

@@ -19,6 +19,6 @@ def approach(setpoint: float, target: float, step: float) -> float:
 
 @kernel("f8(f8, f8, f8, f8, f8)", inline=True)
 def servo(error: float, velocity: float, stiffness: float, damping: float, limit: float) -> float:
-    """Spring to the set point, damping to rest, clipped to ±limit (N·m or N)."""
+    """Return the spring to the set point, damping to rest, clipped to ±limit (N·m or N)."""
     effort = stiffness * error - damping * velocity
     return min(max(effort, -limit), limit)

@@ -31,7 +31,7 @@ STATE = 1  # only `LAW_CLAMPED`: 1 when this tick's reaction was clamped
 def spring_damper(
     penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
 ) -> float:
-    """Reaction of the wall (N·m or N), positive towards free space.
+    """Return the reaction of the wall (N·m or N), positive towards free space.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def spring_damper_law() -> Law:
 
 
 def design(wall: Mapping[str, Any]) -> list[float]:
-    """Parameters of the wall from the settings of ``[wall]``."""
+    """Return the parameters of the wall from the settings of ``[wall]``."""
     may_pull = 1.0 if wall["pull"] == "allow" else 0.0
     entry_only = 1.0 if wall["damping_on"] == "entry" else 0.0
     return [wall["stiffness"], wall["damping"], may_pull, entry_only]

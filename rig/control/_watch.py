@@ -5,16 +5,11 @@ and violence are watched in the trial and its release, the standstill where the 
 
 **Energy.** The sum of effort times displacement is the energy that the motor has given to the handle (a passivity
 observer). A passive wall returns at most what it took, so with a person at the handle the sum stays at or below zero; a
-motor that pushes adds the work of its push. In free space a wall stores nothing, so a negative sum is reset to zero
-there: energy dissipated by damping is no credit for the next contact. Two errors remain. A sampled and quantised wall
-leaks: a count that is left and entered again gives stiffness times the count squared. And the effort is the one that
-was sent: where it acts d ticks later, the sum is off by effort times the travel in d ticks.
+motor that pushes adds the work of its push.
 
 **Violence.** An *oscillation* is the effort against the handle rising from next to zero (`LOW`) to its limit (`HIGH`)
-after the handle has moved by a quarter of what the verdict calls *moved*, and by more than one toggling count. An
-impact is one oscillation and a bounce another, each smaller; a buzz does not span the whole range. The defaults are in
-`rig.config._sections`; the simulations behind them are in `rig/session/README.md`. One count of a coarse encoder
-that makes the whole effort cannot be distinguished from a buzz.
+after the handle has moved by a quarter of what the verdict calls *moved*, and by more than one toggling count. The
+defaults are in `rig.config._sections`; the simulations behind them are in `rig/session/README.md`.
 
 **Standstill.** While the count stays on two neighbours (all that a dead encoder, or one with a dead channel, shows), a
 free handle gathers the momentum p = ∫(effort − friction) dt, and one that friction holds gathers none. Beyond the
@@ -22,10 +17,8 @@ inertia times a share of the speed limit (`UNMOVED_SPEED`) the encoder is dead o
 and v_0 the handle's when the encoder died: then no rig with the described friction and inertia, or more, whatever its
 damping, is faster than v_b + max(v_b, v_0). For e = v − p/I obeys I ė = −b v − (F(v) − F(p/I)) with a friction F that
 rises with speed, hence e ė < 0 wherever |e| > |p|/I: |e| never grows beyond the larger of v_0 and v_b. It is watched
-where nothing but friction may hold the handle: in homing, and in a trial's push outside of the wall. A push whose slew
-limit still binds is left out: a board's pushes ramp up in this way to find friction that is not yet described. Weight
-is counted as friction: no motor stops what it does to a handle. A tick whose sample was lost is not counted, because
-its command may have been lost as well: where a share s of them is, v_b is 1/(1 − s) as much.
+where nothing but friction may hold the handle: in homing, and in a trial's push outside of the wall, but not while the
+slew limit acts. A tick whose sample was lost is not counted: where a share s of them is, v_b is 1/(1 − s) as much.
 
 Source: Hannaford and Ryu 2002, "Time-domain passivity control of haptic interfaces", for the observer. The rules about
 oscillations and standstill are ours.
@@ -43,14 +36,19 @@ TRAVEL, TRAVEL_COUNTS = 0.25, 1.5  # of the handle: share of what the verdict ca
 
 @kernel("f8(f8, f8, f8, b1)", inline=True)
 def energy_given(before: float, effort: float, travel: float, free: bool) -> float:
-    """Energy that the motor has given (J) after a travel (rad or m) under an effort (N·m or N), in free space or no."""
+    """Return the energy (J) that the motor has given after a travel (rad or m) under an effort (N·m or N)."""
+    # The effort is the one that was sent: where it acts d ticks later, the sum is off by effort times the travel in d
+    # ticks. A sampled wall leaks as well: a count that is left and entered again gives stiffness times the count
+    # squared.
     given = before + effort * travel
+    # In free space a wall stores nothing: energy that damping dissipated must be no credit for the next contact.
     return max(given, 0.0) if free else given
 
 
 @kernel("f8(f8, f8, f8, f8)", inline=True)
 def free_impulse(before: float, effort: float, held: float, time_s: float) -> float:
-    """Momentum (N·m·s or N·s) that a free handle has after an effort, with Coulomb friction `held` (N·m or N)."""
+    """Return the momentum (N·m·s or N·s) of a free handle after an effort, less friction `held` (N·m or N)."""
+    # `held` contains the weight: no motor removes what weight does to a handle.
     after, lost = before + effort * time_s, held * time_s
     return after - min(max(after, -lost), lost)
 
@@ -66,6 +64,8 @@ def extreme(reaction: float, limit: float, lowest: float, highest: float, travel
     lowest, highest, travel
         Positions of the handle since the last oscillation, and how far they must be apart (rad or m).
     """
+    # From next to zero to the limit: an impact is one oscillation and a bounce another, each smaller; a buzz does not
+    # span the range. One count of a coarse encoder that makes the whole effort cannot be distinguished from a buzz.
     if reaction <= LOW * limit:
         return -1
     return 1 if reaction >= HIGH * limit and highest - lowest > travel else 0

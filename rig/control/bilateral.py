@@ -36,7 +36,7 @@ CLINGING_STATE = 2
 
 @kernel(types.float64(types.int64, types.int64), inline=True)
 def ramp(tick: int, ticks: int) -> float:
-    """Share of an excitation that is played at a tick: from 0 to 1 in so many ticks, without a step in its slope."""
+    """Return the share of an excitation that is played at a tick: from 0 to 1, with a continuous slope."""
     if tick >= ticks:
         return 1.0
     return 0.5 - 0.5 * math.cos(math.pi * tick / ticks)
@@ -46,7 +46,7 @@ def ramp(tick: int, ticks: int) -> float:
 def bilateral(
     penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
 ) -> float:
-    """Reaction K·penetration + B·velocity, wherever the handle is (N·m or N); both may be zero."""
+    """Return the reaction K·penetration + B·velocity, wherever the handle is (N·m or N); both may be zero."""
     state[LAW_CLAMPED] = 0.0
     return float(parameters[STIFFNESS] * penetration + parameters[DAMPING] * penetration_velocity)
 
@@ -55,7 +55,7 @@ def bilateral(
 def clinging(
     penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
 ) -> float:
-    """Nothing until the wall is touched, then the bilateral wall for good (N·m or N)."""
+    """Return 0 until the wall is touched, then the reaction of the bilateral wall, in free space too (N·m or N)."""
     state[LAW_CLAMPED] = 0.0
     if penetration > 0.0:
         state[TOUCHED] = 1.0
@@ -68,7 +68,7 @@ def clinging(
 def excited(
     penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
 ) -> float:
-    """Reaction of the bilateral wall plus that of the table, for the ticks since the law began (N·m or N).
+    """Return the reaction of the bilateral wall plus that of the table, for the ticks since the law began (N·m or N).
 
     The table begins with the first tick of the trial, rises with `ramp` and goes round. Ticks that a link lost are
     skipped in it, as they are in time.
@@ -116,18 +116,18 @@ def excited_law(
 
 
 def design(wall: Mapping[str, Any]) -> list[float]:
-    """Parameters of the bilateral wall from the settings of ``[wall]``."""
+    """Return the parameters of the bilateral wall from the settings of ``[wall]``."""
     return [wall["stiffness"], wall["damping"]]
 
 
 def design_excited(wall: Mapping[str, Any], efforts: Floats, ramp_ticks: int) -> list[float]:
-    """Parameters of the excited wall; see `excited_law`."""
+    """Return the parameters of the excited wall; see `excited_law`."""
     reactions = (-wall["side"] * efforts).tolist()  # a reaction counts out of the wall
     return [*design(wall), float(ramp_ticks), *reactions]
 
 
 def played(parameters: Floats, side: int, tick_s: float, ticks: int) -> Floats:
-    """Excitation that the excited law with these parameters plays in its first ticks (N·m or N), along the position."""
+    """Return the excitation (N·m or N, along the position) that these parameters play in their first ticks."""
     tick, table = np.arange(ticks), parameters[TABLE:]
     rising = fade(tick * tick_s, parameters[RAMP_TICKS] * tick_s)
     return np.asarray(-side * table[tick % len(table)] * rising)

@@ -5,15 +5,12 @@
 F is the identified map. The fade falls from one to zero over the last part of the range in which it was measured;
 outside of it nothing is known and nothing is done.
 
-**It cannot drive the rig.** A map of effort over position alone gives back on any way home what it took: its work along
-a closed path is zero, true map or false. The remaining effect is that of the delay, as with any wall: with the loop's
-delay τ a slope s of F, compensated late, adds damping s·τ where cogging stiffens and removes as much where it softens;
-theory includes it (`rig.analysis.theory._loop`). A position zero that has slipped can at most double the cogging, and
-the limit bounds the effort whatever the map says; guard, window and energy watch treat it like any other effort.
+**It cannot drive the rig.** A map of effort over position alone returns on any closed path the work that it took, true
+map or false. What remains is the delay, as with any wall: with the loop's delay τ a slope s of F adds damping s·τ where
+cogging stiffens and removes as much where it softens; theory includes it (`rig.analysis.theory._loop`).
 
-It is off unless a law is wrapped in it, and works where that law does: in trial and release, inside the wall and
-outside, not in homing. It is part of the law's effort in a recording's columns, wanted before the guard and sent behind
-it; the recording names it in the law, and its parameters are the first of that.
+It works where the wrapped law does: in trial and release, inside the wall and outside, not in homing. It is part of the
+law's effort in a recording's columns; the recording names it in the law, and its parameters are the first of that.
 
 `rig.config.controller` wraps a law in it, and the simulation pushes its plant with the same map. Kernels here must not
 allocate.
@@ -45,7 +42,7 @@ WALL, SIDE, MINIMUM, MAXIMUM, LIMIT, OWN, HARMONICS = range(7)
 
 @kernel("f8(f8, f8[::1])", inline=True, no_refcount=True)
 def effort_at(position: float, harmonics: Any) -> float:
-    """Effort (N·m or N) at a position (rad or m), of harmonics as `rig.core.model.Cogging.harmonics` has them."""
+    """Return the effort (N·m or N) at a position (rad or m) of harmonics as in `rig.core.model.Cogging`."""
     effort = 0.0
     for i in range(0, harmonics.shape[0], HARMONIC):
         angle = harmonics[i + WAVENUMBER] * position
@@ -59,6 +56,7 @@ def bounded_at(position: float, minimum: float, maximum: float, limit: float, ha
     inside = min(position - minimum, maximum - position) / (FADE * (maximum - minimum))
     if inside <= 0.0:
         return 0.0
+    # The limit bounds the effort whatever the map says: a position zero that has slipped can double the cogging.
     effort = effort_at(position, harmonics)
     return float(min(inside, 1.0) * min(max(effort, -limit), limit))
 

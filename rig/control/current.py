@@ -1,25 +1,16 @@
 """Check of the measured against the set current: a lead that came off, a dead amplifier, a wrong sign or scale.
 
 The active current passes through the amplifier's lag. The residual between that and the measured current is summed
-over `WINDOW_S`, by magnitude, so that neither an oscillation nor noise averages it away; the largest of a window is
-left out, since it may be a spike of the converter. At the end of each window the sum is compared with the larger of
+over `WINDOW_S`, by magnitude and without the largest. At the end of each window the sum is compared with the larger of
 `SIGMAS` of the sensor's noise and a tenth of the current that was expected:
 
 * above it the two *disagree*;
 * below it they agree, where a dead motor would have been above it; otherwise the current was *not observed*.
 
-A lag is known to a factor of two, not better. So the active current passes through half of it and twice of it too, and
-only what lies outside of all three is left. The same holds for the delay of the set-point before the lag, which is no
-whole number of ticks: the lowest and the highest active current between half the delay and twice the delay, each in
-whole ticks around it, pass through both lags.
+Lag and delay of the set-point are known to a factor of two: the active current passes through half and twice of both,
+and only a residual outside of all of them counts. Under voltage drive the back-EMF flows too, behind the same lag.
 
-Under voltage drive the back-EMF flows too, behind the same lag. It follows from the count's own speed, smoothed over
-`SPEED_LAG_S`, or single counts would be large currents; the residual without back-EMF is smoothed alike before the
-back-EMF is subtracted, so that motion of any speed is compared with its own back-EMF. A smoothed residual has no single
-spikes: subtracted is the most that the largest unsmoothed one, of this window and the one before, can have added.
-
-All of it is integers in flat memory, of 32 bits but for products, as the firmware has it (`core/current.c`, which
-mirrors this): the simulated device and both loops of the host call this one.
+The simulated device and both loops of the host call it; firmware has the same in `core/current.c`.
 
 Source: R·i + L·i′ = V − k_e·ω, and a current loop as a first-order lag; the thresholds are ours, and
 `rig/docs/explanation/verdicts.md` has the false alarms and the power that follow.
@@ -120,12 +111,12 @@ def _configure_delay(words: Ints, ticks: float) -> None:
 
 
 def _share_of(lag_s: float, rate: int) -> int:
-    """Share of the way that a first-order lag goes in a tick, in 1/65536."""
+    """Return the share of the way that a first-order lag goes in a tick, in 1/65536."""
     return 65536 if lag_s <= 0.0 else math.floor(-math.expm1(-1.0 / (rate * lag_s)) * 65536.0 + 0.5)
 
 
 def _late_part(lag_s: float, rate: int) -> int:
-    """How much of a change within a tick, at an even pace, a first-order lag has not seen at its end, in 1/65536."""
+    """Return the share (1/65536) of a steady change within a tick that a first-order lag has not followed."""
     if lag_s <= 0.0:
         return 0
     ticks = lag_s * rate
@@ -211,9 +202,11 @@ def compare(words: Ints, count: int, active: int, measured: int) -> int:
         quick_high = _follow(words, CURRENT.quick_high, high, words[CURRENT.quick_decay]) - expected
         slow_high = _follow(words, CURRENT.slow_high, high, words[CURRENT.slow_decay]) - expected
     left = measured * _UNIT - expected
+    # The largest residual of a window is subtracted at its end: it may be a spike of the converter.
     words[CURRENT.largest] = max(words[CURRENT.largest], _size(left))
     words[CURRENT.most] = max(words[CURRENT.most], _size(expected))
     if words[CURRENT.back_emf] != 0:
+        # Residual and back-EMF are smoothed alike, so that motion of any speed is compared with its own back-EMF.
         back_emf = _back_emf(words, count)
         _smooth(words, measured)
         left, expected = words[CURRENT.left] + back_emf, words[CURRENT.smooth] - back_emf
@@ -223,6 +216,7 @@ def compare(words: Ints, count: int, active: int, measured: int) -> int:
         quick_high = _follow(words, CURRENT.quick_high_left, quick_high, share) if delays else quick_low
         slow_high = _follow(words, CURRENT.slow_high_left, slow_high, share) if delays else slow_low
     low, high = min(0, quick_low, slow_low), max(0, quick_high, slow_high)
+    # Magnitudes: a signed sum would average an oscillation away.
     words[CURRENT.difference] += _outside(left, low, high)
     words[CURRENT.dead] += _outside(-expected, low, high)
     words[CURRENT.sum] += _size(expected)
@@ -230,6 +224,7 @@ def compare(words: Ints, count: int, active: int, measured: int) -> int:
     if words[CURRENT.passed] < words[CURRENT.ticks]:
         return 0
     total, noise = words[CURRENT.sum], words[CURRENT.noise]
+    # A smoothed residual keeps a spike for longer than a window: the largest of the window before may still act.
     difference = words[CURRENT.difference] - max(words[CURRENT.largest], words[CURRENT.last_largest])
     dead = words[CURRENT.dead] - max(words[CURRENT.most], words[CURRENT.last_most])
     _begin_window(words)
@@ -263,6 +258,7 @@ def _slot(words: Ints, back: int) -> int:
 def _extremes(words: Ints) -> tuple[int, int, int]:
     """Return the lowest and highest active current that may act now, and that behind the delay (1/16384 quantum)."""
     slot = _slot(words, words[CURRENT.first])
+    # The delay is no whole number of ticks: extremes over whole ticks around half and twice of it.
     low, high = words[CURRENT.lowest + slot], words[CURRENT.highest + slot]
     for _ in range(words[CURRENT.last] - words[CURRENT.first]):
         slot = slot - 1 if slot > 0 else SLOTS - 1
@@ -274,9 +270,10 @@ def _extremes(words: Ints) -> tuple[int, int, int]:
 
 @rule
 def _back_emf(words: Ints, count: int) -> int:
-    """Current that the motion takes off under voltage drive (1/16384 quantum)."""
+    """Return the current that the motion takes off under voltage drive (1/16384 quantum)."""
     step = min(max(count - words[CURRENT.count], -_MOST_COUNTS), _MOST_COUNTS) * _COUNT
     words[CURRENT.count] = count
+    # Smoothed over SPEED_LAG_S, or single counts would be large currents.
     change = _part(step - words[CURRENT.speed], words[CURRENT.speed_decay])
     words[CURRENT.speed] += change
     speed = words[CURRENT.speed] - _part(change, words[CURRENT.late])
@@ -314,7 +311,7 @@ def _size(current: int) -> int:
 
 @rule
 def _part(difference: int, share: int) -> int:
-    """A share (1/65536) of a difference, rounded down."""
+    """Return a share (1/65536) of a difference, rounded down."""
     return difference * share >> 16
 
 

@@ -116,7 +116,7 @@ class Multisine:
         spectrum: Spectrum = "flat",
         first_phase: float = 0.0,
     ) -> Multisine:
-        """Multisine with Schroeder's phases: nearly constant envelope, like a sweep.
+        """Return the multisine with Schroeder's phases: nearly constant envelope, like a sweep.
 
         Parameters
         ----------
@@ -160,7 +160,7 @@ class Multisine:
         odd: bool = False,
         spectrum: Spectrum = "flat",
     ) -> Multisine:
-        """Multisine with phases drawn evenly from the circle; the same seed gives the same ones.
+        """Return the multisine with phases drawn evenly from the circle; the same seed gives the same ones.
 
         Parameters are those of `schroeder`; a seed may be several numbers, such as (seed, realisation). Sized by
         `rms`, every realisation has another peak; sized by `peak`, another rms.
@@ -171,17 +171,17 @@ class Multisine:
 
     @property
     def harmonics(self) -> NDArray[np.int64]:
-        """Which multiple of 1/period each line is, shape (n,)."""
+        """Return which multiple of 1/period each line is, shape (n,)."""
         return np.rint(self.lines_hz * self.period_s).astype(np.int64)
 
     @reported
     def rms(self) -> float:
-        """Root mean square over a period."""
+        """Return the root mean square over a period."""
         return float(np.sqrt(0.5 * np.sum(self.amplitudes**2)))
 
     @cached_property
     def peak(self) -> float:
-        """Largest magnitude at any time, not only at samples: each crest of a fine grid through a parabola."""
+        """Return largest magnitude at any time, not only at samples: each crest of a fine grid through a parabola."""
         points = OVERSAMPLING * int(self.harmonics[-1] + 1)
         value = np.abs(self._samples(points, 0.0))
         before, after = np.roll(value, 1), np.roll(value, -1)
@@ -195,11 +195,11 @@ class Multisine:
 
     @reported
     def crest_factor(self) -> float:
-        """Peak over rms: √2 for one line, about 1.7 with Schroeder's phases, 3 to 4 with random ones."""
+        """Return the peak over rms: √2 for one line, about 1.7 with Schroeder's phases, 3 to 4 with random ones."""
         return self.peak / self.rms if self.rms > 0.0 else math.nan
 
     def at(self, time_s: ArrayLike) -> Floats:
-        """Value at these times (s), in their shape."""
+        """Return the value at these times (s), in their shape."""
         time = np.asarray(time_s, dtype=np.float64)
         total = np.zeros(time.shape)
         for line, amplitude, phase in zip(self.lines_hz, self.amplitudes, self.phases, strict=True):
@@ -207,7 +207,7 @@ class Multisine:
         return total
 
     def period(self, rate_hz: float, offset: float = 0.0) -> Floats:
-        """One period, sampled at (k + offset)/rate.
+        """Return one period, sampled at (k + offset)/rate.
 
         Parameters
         ----------
@@ -241,7 +241,7 @@ class Multisine:
         return self._samples(samples, offset)
 
     def ramped(self, time_s: ArrayLike, ramp_periods: int) -> Floats:
-        """Value at these times (s), faded in over the first periods by `ramp`, and zero before time 0."""
+        """Return the value at these times (s), faded in over the first periods by `ramp`, and zero before time 0."""
         time = np.asarray(time_s, dtype=np.float64)
         return self.at(time) * ramp(time, ramp_periods * self.period_s)
 
@@ -250,18 +250,18 @@ class Multisine:
         return replace(self, amplitudes=factor * self.amplitudes)
 
     def through(self, response: ArrayLike) -> Multisine:
-        """Steady answer of a linear system with this complex gain at each line (shape (n,))."""
+        """Return the steady answer of a linear system with this complex gain at each line (shape (n,))."""
         gain = np.broadcast_to(np.asarray(response, dtype=np.complex128), self.lines_hz.shape)
         return replace(
             self, amplitudes=self.amplitudes * np.abs(gain), phases=_wrapped(self.phases + np.angle(gain))
         )
 
     def position(self, impedance: ImpedanceModel) -> Multisine:
-        """Steady position of the handle under this effort, F/(jω·Z), for Z as a function of Hz or at the lines."""
+        """Return the steady position of the handle, F/(jω·Z), for Z as a function of Hz or at the lines."""
         return self._divided(self._s * self._impedance(impedance))
 
     def velocity(self, impedance: ImpedanceModel) -> Multisine:
-        """Steady velocity of the handle under this effort, F/Z."""
+        """Return the steady velocity of the handle under this effort, F/Z."""
         return self._divided(self._impedance(impedance))
 
     def check(
@@ -329,7 +329,7 @@ class Multisine:
         return self.through(1.0 / by)
 
     def _samples(self, samples: int, offset: float) -> Floats:
-        """One period of so many samples, by an inverse transform; the lines must lie below half the rate."""
+        """Return one period of so many samples, by an inverse transform; the lines must lie below half the rate."""
         spectrum = np.zeros(samples // 2 + 1, np.complex128)
         shift = 2.0 * np.pi * self.harmonics * offset / samples
         spectrum[self.harmonics] = 0.5 * samples * self.amplitudes * np.exp(1j * (self.phases + shift))
@@ -337,7 +337,7 @@ class Multisine:
 
 
 def ramp(time_s: ArrayLike, duration_s: float) -> Floats:
-    """Raised cosine from 0 at time 0 to 1 at `duration_s`, and outside of that what it ends with."""
+    """Return the raised cosine from 0 at time 0 to 1 at `duration_s`, and outside of that what it ends with."""
     time = np.asarray(time_s, dtype=np.float64)
     if duration_s <= 0.0:
         return np.where(time < 0.0, 0.0, 1.0)

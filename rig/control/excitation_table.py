@@ -50,7 +50,7 @@ Turns = NDArray[np.uint32]
 
 
 def cosine(phase: Turns) -> NDArray[np.int32]:
-    """Cosine of phases in 2^−32 turns, times 2^24."""
+    """Return the cosine of phases in 2^−32 turns, times 2^24."""
     turned = phase + np.uint32(_TURN // 4)
     within = turned & np.uint32(2**30 - 1)
     x = np.where(turned & np.uint32(2**30), np.uint32(2**30) - within, within)
@@ -60,7 +60,7 @@ def cosine(phase: Turns) -> NDArray[np.int32]:
 
 
 def hashed_phases(seed: int, lines: int) -> Turns:
-    """Phases of the lines at tick 0 in 2^−32 turns, even on the circle; excitation.h has the formula."""
+    """Return the phases of the lines at tick 0 in 2^−32 turns, even on the circle; excitation.h has the formula."""
     z = (seed + 0x9E3779B9 * np.arange(1, lines + 1, dtype=np.uint64)).astype(np.uint32)
     z = (z ^ z >> np.uint32(16)) * np.uint32(0x85EBCA6B)
     z = (z ^ z >> np.uint32(13)) * np.uint32(0xC2B2AE35)
@@ -68,7 +68,7 @@ def hashed_phases(seed: int, lines: int) -> Turns:
 
 
 def schroeder_phases(lines: int) -> Turns:
-    """Schroeder's phases for equal lines, −j(j + 1)/2 of floor(2^32/lines), in 2^−32 turns."""
+    """Return Schroeder's phases for equal lines, −j(j + 1)/2 of floor(2^32/lines), in 2^−32 turns."""
     j = np.arange(lines, dtype=np.uint64)
     return (-(j * (j + np.uint64(1)) // np.uint64(2) * np.uint64(_TURN // lines)).astype(np.int64)).astype(
         np.uint32
@@ -222,12 +222,12 @@ class ExcitationTable:
 
     @property
     def harmonics(self) -> Integers:
-        """Multiple of 1/period that each line is, shape (lines,)."""
+        """Return the multiple of 1/period that each line is, shape (lines,)."""
         return self.first + self.step * np.arange(self.lines, dtype=np.int64)
 
     @property
     def line_phases(self) -> Turns:
-        """Phase of each line at tick 0 (2^−32 turns), shape (lines,)."""
+        """Return the phase of each line at tick 0 (2^−32 turns), shape (lines,)."""
         return (
             schroeder_phases(self.lines)
             if self.phases == "schroeder"
@@ -236,7 +236,7 @@ class ExcitationTable:
 
     @cached_property
     def table(self) -> NDArray[np.int16]:
-        """One period as the device keeps it (quanta · 2^bits), shape (period,)."""
+        """Return one period as the device keeps it (quanta · 2^bits), shape (period,)."""
         return np.clip(self._at(self.bits), -GREATEST - 1, GREATEST).astype(np.int16)
 
     @property
@@ -246,12 +246,12 @@ class ExcitationTable:
 
     @property
     def peak(self) -> float:
-        """Largest magnitude in the table (quanta)."""
+        """Return the largest magnitude in the table (quanta)."""
         return float(np.abs(self.values).max())
 
     @property
     def rms(self) -> float:
-        """Root mean square of the table (quanta)."""
+        """Return the root mean square of the table (quanta)."""
         return float(np.sqrt(np.mean(self.values**2)))
 
     @property
@@ -276,7 +276,7 @@ class ExcitationTable:
         )
 
     def efforts(self, effort_quantum: float) -> Floats:
-        """One period of the table (N·m or N), for a law that plays it (`rig.control.bilateral.excited_law`)."""
+        """Return one period of the table (N·m or N), for a law that plays it (`rig.control.bilateral.excited_law`)."""
         return self.values * effort_quantum
 
     def played(self, ticks: ArrayLike) -> Integers:
@@ -291,7 +291,7 @@ class ExcitationTable:
         return np.asarray(sampled * gain * 2 ** (LINE_BITS - _GAIN_BITS) >> self.bits)
 
     def parameters(self) -> dict[str, int]:
-        """Parameters of the device, by name."""
+        """Return the parameters of the device, by name."""
         values = asdict(self) | {"phases": PHASES.index(self.phases)}
         return {f"excitation_{name}": int(value) for name, value in values.items()}
 
@@ -309,7 +309,7 @@ class ExcitationTable:
         return sums
 
     def _at(self, bits: int) -> Integers:
-        """Numbers of the table with so many bits, before they are clipped."""
+        """Return the numbers of the table with so many bits, before they are clipped."""
         shift = _COSINE_BITS + LINE_BITS - bits
         return (self._sums * self.amplitude >> shift - 1) + 1 >> 1
 

@@ -43,7 +43,7 @@ INWARDS, OUTWARDS, DEAD_BAND, SHARE, OWN = range(5)  # parameters; the wrapped l
 
 @kernel("f8(f8, f8, f8, f8, f8)", inline=True)
 def compensation(velocity: float, rising: float, falling: float, dead_band: float, share: float) -> float:
-    """Effort along the velocity (N·m or N) for friction levels of rising and falling position; see the module."""
+    """Return the effort along the velocity (N·m or N) for the friction of rising and falling position."""
     level = share * (rising if velocity > 0.0 else falling)
     x = velocity / dead_band
     if x >= 1.0:
@@ -97,11 +97,12 @@ class Compensation:
 
 
 def dead_band_of(resolution: float, velocity_rate: float, cutoff_hz: float) -> float:
-    """Dead band of four times the velocity that one count makes in a filtered difference (rad/s or m/s).
+    """Return the dead band of four times the velocity that one count makes in a filtered difference (rad/s or m/s).
 
-    A step of one count is an impulse of resolution·rate in a difference; a second-order filter of that cut-off answers
-    with a peak of about 0.46·2π·cut-off·resolution, and the raw difference with resolution·rate.
+    The band must be wider than the encoder's noise, or the compensation chatters.
     """
+    # One count is an impulse of resolution·rate in a difference; a second-order Butterworth filter answers it with a
+    # peak of about 0.46·2π·cut-off·resolution.
     return 4.0 * resolution * min(velocity_rate, 0.46 * 2.0 * math.pi * cutoff_hz)
 
 

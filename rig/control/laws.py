@@ -41,7 +41,7 @@ _COMPENSATED = {  # wrappers around any of them
 
 
 def names() -> list[str]:
-    """Names of all laws, built-in ones first."""
+    """Return the names of all laws, built-in ones first."""
     return [*BUILT_IN, *plugins.names("rig.laws", BUILT_IN)]
 
 

@@ -38,7 +38,7 @@ NOTHING = 0.1  # share of the way below which a push has moved nothing
 def traced(
     penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
 ) -> float:
-    """Servo along straight lines between points (tick, position), holding the last: spring, damper, clipped.
+    """Return the servo along straight lines between points (tick, position), holding the last: spring, damper, clipped.
 
     Source: the homing servo of `rig.control._sources`, with the path's own velocity fed forward.
     """

@@ -63,7 +63,7 @@ class Parameter:
     meaning: str = ""
 
     def checked(self, what: str, name: str, value: float) -> float:
-        """The value, if it is a number within the range; `ConfigError` calls it `name` of `what`."""
+        """Return the value, if it is a number within the range; `ConfigError` calls it `name` of `what`."""
         if (
             not isinstance(value, int | float)
             or not self.minimum <= value <= self.maximum
@@ -148,7 +148,7 @@ def compiled(
 
 
 def unknown_name(what: str, noun: str, name: str, known: Iterable[str]) -> ConfigError:
-    """The error of a name that is not among the known ones, with the closest of them."""
+    """Return the error of a name that is not among the known ones, with the closest of them."""
     close = get_close_matches(name, list(known), n=1)
     choice = f"it has {', '.join(known)}" if list(known) else "none is defined"
     return ConfigError(
@@ -170,7 +170,7 @@ def _check_names(what: str, noun: str, names: Iterable[str], taken: Sequence[str
 
 
 def _arguments(form: Form, what: str, function: Callable[..., float], memory: Sequence[str]) -> list[str]:
-    """Names of the function's arguments, each of them one that the form knows."""
+    """Return the names of the function's arguments, each of them one that the form knows."""
     if not inspect.isfunction(function) or inspect.iscoroutinefunction(function):
         raise ConfigError(
             f"{what} is not a plain function", remedy="decorate a function that is defined by def"
@@ -207,7 +207,7 @@ def _compiled(
     seen: type[tuple[float, ...]],
     kept: np.dtype[Any],
 ) -> Any:
-    """The function as compiled code without a heap, so that it cannot allocate; itself where nothing is compiled."""
+    """Return function as compiled code without a heap, so that it cannot allocate; itself where nothing is compiled."""
     if numba.config.DISABLE_JIT:
         return function
     length = len(seen._fields)  # type: ignore[attr-defined]
@@ -279,7 +279,7 @@ def _reason(text: str, form: Form, seen: type[tuple[float, ...]], kept: np.dtype
 
 
 def _line(text: str, function: Callable[..., float]) -> int | None:
-    """Last line of the function that the compiler's report names."""
+    """Return the last line of the function that the compiler's report names."""
     code = function.__code__
     lines = {line for _, _, line in code.co_lines() if line}
     file = re.escape(Path(code.co_filename).name)

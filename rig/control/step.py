@@ -5,23 +5,16 @@ The order of one tick is normative:
 1. the count becomes a position, and the watch looks at what the last effort did on the way to it
    (`rig.control._watch`);
 2. penetration = side · (position − wall), inside iff above zero, no half-count correction;
-3. when the sample index enters a new velocity period, the estimator runs, with the number of velocity periods
-   since its last run (also outside the wall: resetting it there changes the first peak by a fifth);
+3. when the sample index enters a new velocity period, the estimator runs, inside and outside the wall;
 4. the law gives the wall's reaction from this tick's penetration and the held velocity;
 5. the other sources are added: constant effort or homing servo;
 6. the guard limits the sum once;
 7. the result is rounded to the wire's current quantum;
 8. the caller applies it.
 
-The sample index is the only clock: nothing here asks what time it is, so a replay of the counts gives the
-same bits.
-
-`Control` (what is wanted) and `Memory` (what is remembered, and what the row shows) are length-1 structured
-arrays: fields have names in compiled code and in plain Python alike.
-
 `rig.config.controller` fills its arguments; the loop, simulated devices and replays call it. Compiled code here must
-not allocate or wait, and the order must not change: a device runs the same law in firmware/law, and an old recording
-has to replay to the same bits.
+not allocate, wait or read a clock, and the order must not change: a device runs the same law in firmware/law, and an
+old recording has to replay to the same bits.
 """
 
 from __future__ import annotations
@@ -91,6 +84,7 @@ __all__ = [
     "step",
 ]
 
+# Length-1 structured arrays and not dataclasses: fields have the same names in compiled code and in plain Python.
 CONTROL = np.dtype(
     [
         ("resolution", "<f8"),  # travel for one count, signed as the encoder counts
@@ -218,7 +212,7 @@ Record = NDArray[np.void]
 
 
 def new_memory() -> Record:
-    """Memory of a law that has seen nothing: the first call of `step` starts at index 0."""
+    """Return the memory of a law that has seen nothing: the first call of `step` starts at index 0."""
     memory = np.zeros(1, dtype=MEMORY)
     memory["index"] = -1
     memory["velocity_period"] = -1
@@ -265,7 +259,7 @@ class ControllerState:
         return replace(self.copy(), law=self.law.law.prepare(settings))
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain numbers and names from which `from_mapping` makes the same controller, bit for bit."""
+        """Return plain numbers and names from which `from_mapping` makes the same controller, bit for bit."""
         return {
             "control": dict(zip(CONTROL.names or (), self.control[0].tolist(), strict=True)),
             "memory": dict(zip(MEMORY.names or (), self.memory[0].tolist(), strict=True)),
@@ -284,7 +278,7 @@ class ControllerState:
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], *, law: Law | None = None) -> ControllerState:
-        """Inverse of `as_mapping`; `law` stands in for one that no table knows.
+        """Return the inverse of `as_mapping`; `law` stands in for one that no table knows.
 
         Raises `rig.core.errors.ConfigError` when estimator or law are not to be found here, and `RecordingError` when
         the mapping has other fields than `CONTROL` and `MEMORY` (a field left at zero would be another controller), or
@@ -339,8 +333,9 @@ def _enter(memory: Any, phase: int) -> None:
 
 @kernel(types.int64(CONTROL_TYPE, MEMORY_TYPE), inline=True)
 def _trial_end(control: Any, memory: Any) -> int:
-    """When the trial ends, in its ticks."""
+    """Return the tick at which the trial ends, counted from its start."""
     c, m = control[0], memory[0]
+    # The hold begins at the contact, not at the cue: a person comes into contact when it pleases.
     if c["hold_ticks"] > 0 and m["contact_ticks"] == 0 and m["penetration"] > 0.0:
         m["contact_ticks"] = m["phase_ticks"]
     return int(m["contact_ticks"] + c["hold_ticks"] if m["contact_ticks"] > 0 else c["trial_ticks"])
@@ -348,7 +343,7 @@ def _trial_end(control: Any, memory: Any) -> int:
 
 @kernel(types.int64(MEMORY_TYPE), inline=True)
 def shown_phase(memory: Any) -> int:
-    """Phase of the tick for those who watch."""
+    """Return the phase of the tick for those who watch."""
     m = memory[0]
     return int(HOLD if m["phase"] == TRIAL and m["contact_ticks"] > 0 else m["phase"])
 
@@ -445,14 +440,13 @@ def _watched(control: Any, memory: Any, position: float, penetration: float, ela
 
 @kernel(types.void(CONTROL_TYPE, MEMORY_TYPE, types.int64, types.int64), inline=True)
 def _moved(control: Any, memory: Any, count: int, slewed: int) -> None:
-    """Flag an effort of the last tick that, with those before, must have moved the handle away from two counts.
-
-    A sample stands for its own tick alone: in those that were lost the command may never have come, or have expired.
-    """
+    """Flag an effort of the last tick that, with those before, must have moved the handle away from two counts."""
     c, m = control[0], memory[0]
+    # One tick of impulse for each sample, however many were lost before: there the command may not have arrived.
     if c["impulse_limit"] == 0.0:
         return
     away = count_difference(count, m["unmoved_low"])
+    # Two neighbouring counts: a dead channel of a quadrature encoder toggles between them however far the handle moves.
     if not 0 <= away <= 1:
         m["unmoved_low"] = count if away < 0 else count - 1
         m["impulse"] = 0.0
@@ -460,6 +454,7 @@ def _moved(control: Any, memory: Any, count: int, slewed: int) -> None:
     if m["phase"] in (HOMING, SETTLE):
         effort = m["effort_sent"]
     elif m["phase"] == TRIAL and m["penetration"] <= 0.0 and slewed == 0:
+        # In the wall the reaction cancels the push and a handle may rest; while the slew limit acts, less is applied.
         effort = c["constant_effort"]
     else:
         return
@@ -470,7 +465,7 @@ def _moved(control: Any, memory: Any, count: int, slewed: int) -> None:
 
 @kernel(types.int64(CONTROL_TYPE, MEMORY_TYPE, types.float64, types.int64), inline=True)
 def _guarded(control: Any, memory: Any, wanted: float, elapsed_ticks: int) -> int:
-    """Steps 6 and 7: limit, slew and round the sum; flag what bound, and cut when the run must end."""
+    """Limit, slew and round the sum (steps 6 and 7); flag what acted, and cut when the run must end."""
     c, m = control[0], memory[0]
     if not math.isfinite(wanted) or not math.isfinite(m["velocity"]):
         m["flags"] |= NONFINITE
@@ -479,6 +474,7 @@ def _guarded(control: Any, memory: Any, wanted: float, elapsed_ticks: int) -> in
         or abs(m["velocity"]) > c["speed_limit"]
     ):
         m["flags"] |= OUT_OF_WINDOW
+    # Zero at once and not down the slew limit: after a wrong position or velocity any effort may be the wrong one.
     if m["flags"] & ENDS_RUN:
         _enter(memory, DONE)
         m["limited_effort"] = 0.0
@@ -486,13 +482,15 @@ def _guarded(control: Any, memory: Any, wanted: float, elapsed_ticks: int) -> in
         m["current_sent"] = 0
         return 0
     effort = wanted
-    if abs(effort) > c["effort_limit"]:  # branches, because a clip that seldom binds would be waited for
+    # Branches and not min/max: they predict well, while the next step would wait for a clip that seldom acts.
+    if abs(effort) > c["effort_limit"]:
         effort = guard.limited(effort, c["effort_limit"])
         m["flags"] |= SATURATED
     slew = elapsed_ticks * (c["homing_slew"] if m["phase"] in (HOMING, SETTLE) else c["trial_slew"])
     if not m["limited_effort"] - slew <= effort <= m["limited_effort"] + slew:
         effort = guard.slewed(effort, m["limited_effort"], slew)
         m["flags"] |= SLEW_BOUND
+    # The slew limit starts from the value before rounding, or small steps would be lost to the quantum for ever.
     m["limited_effort"] = effort
     quanta = guard.current_quanta(effort, c["effort_quantum"])
     m["effort_sent"] = quanta * c["effort_quantum"]
@@ -537,8 +535,10 @@ def step(controller: ControllerArguments, count: int, edge_age_s: float, elapsed
 
     m["velocity_ticks"] += elapsed_ticks
     slow = abs(m["velocity_sampled"]) < c["slow_speed"] and m["velocity_period"] >= 0
+    # The estimator runs outside the wall too: resetting it there changes the first peak by a fifth.
     due_period = m["velocity_period"] + (c["slow_multiple"] if slow else 1)
     if m["index"] >= due_period * c["velocity_divider"]:
+        # From the index and not from a counter of calls: after lost samples the period's grid stays where it was.
         elapsed_periods = m["index"] // c["velocity_divider"] - m["velocity_period"]
         m["velocity_period"] += elapsed_periods
         sampled = controller.estimator(

@@ -21,7 +21,7 @@ def ok(text: str) -> Check:
 
 
 def warning(text: str, remedy: str = "") -> Check:
-    """It works, less well or less surely."""
+    """Return the answer for what works, but less well or less surely."""
     return Check("", Outcome.WARNING, text, remedy)
 
 
@@ -31,7 +31,7 @@ def refused(text: str, remedy: str = "") -> Check:
 
 
 def skipped(text: str) -> Check:
-    """It could not be examined, or was not requested."""
+    """Return the answer for what could not be examined, or was not requested."""
     return Check("", Outcome.SKIPPED, text)
 
 

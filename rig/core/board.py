@@ -85,14 +85,14 @@ def current_sensor(model: RigModel) -> CurrentSensor:
 
 
 def peak_current(model: RigModel) -> int:
-    """Most current that the rig's amplifier gives (quanta)."""
+    """Return the most current that the rig's amplifier gives (quanta)."""
     # The factor makes 10.999… quanta 11: the quotient of two decimals is rounded.
     whole = model.amplifier.effort_limit / model.amplifier.effort_quantum * (1.0 + 1e-12)
     return int(min(whole, CURRENT_QUANTA_LIMIT))
 
 
 def over_current(model: RigModel) -> int:
-    """A measured current above this is a fault (quanta)."""
+    """Return the measured current (quanta) above which the device reports a fault."""
     return int(OVER_CURRENT_MARGIN * model.amplifier.effort_limit / model.amplifier.effort_quantum)
 
 
@@ -133,7 +133,7 @@ def describe(
     narrower: Mapping[str, tuple[Value, Value]] | None = None,
     settings: Mapping[str, SettingValue] | None = None,
 ) -> dictionaries.Dictionary:
-    """Dictionary of a rig's device: narrower than the parameter table by its motion and its amplifier's peak.
+    """Return dictionary of a rig's device: narrower than the parameter table by its motion and its amplifier's peak.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def describe(
 
 
 def narrower(dictionary: dictionaries.Dictionary) -> list[tuple[Parameter, int, int]]:
-    """Parameters whose range is not the table's, with both bounds as on the wire, rising by parameter."""
+    """Return the parameters whose range is not the table's, with both bounds as on the wire, rising by parameter."""
     found: list[tuple[Parameter, int, int]] = []
     for parameter in PARAMETERS:
         info = dictionary.parameter(parameter.name)

@@ -55,7 +55,7 @@ class Check:
 
     @property
     def sentence(self) -> str:
-        """Text and remedy, for a message of its own."""
+        """Return the text and remedy, for a message of its own."""
         return ". ".join(filter(None, (self.text, self.remedy)))
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 
 def with_this_package() -> dict[str, str]:
-    """The environment of a child that imports this package from where this process has it."""
+    """Return the environment of a child that imports this package from where this process has it."""
     paths = (str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", ""))
     return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}
 
@@ -30,4 +30,5 @@ def find_program(name: str) -> str | None:
     if os.path.dirname(name):
         return shutil.which(name)
     found = shutil.which(name, path=installed_path())
-    return found if found is not None and os.path.isabs(found) else None  # Windows looks here first
+    # On Windows `which` searches the current directory first, whatever the path.
+    return found if found is not None and os.path.isabs(found) else None

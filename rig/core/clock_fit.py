@@ -1,8 +1,8 @@
 """Host clock against device clock: a line through exchanges of four stamps, with its uncertainty.
 
 An exchange is host_sent → device_received → device_sent → host_received. Half the difference of the two ways is
-the offset, host − device, but for the part by which the way out and the way back differ: at most half of the round
-trip. Delays only ever add, so exchanges with a short round trip carry more information:
+the offset, host − device, but for the difference of the way out and the way back: at most half of the round trip.
+Exchanges with a short round trip have more weight:
 
 * the excess of an exchange is its round trip less the least one; its offset is uncertain by half of that, and by half
   of what the least one may have waited too: the excess that the fastest √n of n exchanges have, or 1/n of its round
@@ -21,9 +21,8 @@ An exchange is rejected when it is
    fastest exchange of each stretch of time first, against the fit then. That finds stamps of two different
    exchanges, and a clock that was set.
 
-The two directions may differ, and no stamp shows it: `asymmetry_bound_ns`, half of the least round trip, is a bound
-beside the standard uncertainties, not a part of them. One line serves one trial: a crystal that warms up bends it,
-which the residuals then show.
+The two directions may differ: `asymmetry_bound_ns`, half of the least round trip, is a bound beside the standard
+uncertainties, not a part of them. One line serves one trial.
 
 References: D. L. Mills, RFC 5905 (minimum filter); P. K. Sen, J. Am. Stat. Assoc. 63 (1968) 1379 (median slope);
 R. T. Birge, Phys. Rev. 40 (1932) 207 (uncertainties from the residuals).
@@ -108,23 +107,26 @@ class ClockFit:
     rejected: int
 
     def host_of(self, device_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Host time of device times (ns); whole nanoseconds are kept however long the device has been up."""
+        """Return the host time of device times (ns); whole nanoseconds are kept however long the device has been up."""
+        # Whole numbers, and only the small drift part in floats: after 104 days 2^53 ns, the last exact float, is
+        # passed.
         since: _Ints = np.asarray(device_ns, np.int64) - self.reference_ns
         return since + (self.reference_ns + self.offset_ns) + _rounded(since, self.drift_ppm * 1e-6)
 
     def device_of(self, host_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Device time of host times (ns): the inverse of `host_of`, to a nanosecond."""
+        """Return the device time of host times (ns): the inverse of `host_of`, to a nanosecond."""
         since: _Ints = np.asarray(host_ns, np.int64) - (self.reference_ns + self.offset_ns)
         drift = self.drift_ppm * 1e-6
         return since + self.reference_ns - _rounded(since, drift / (1.0 + drift))
 
     def sd_of(self, device_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Standard uncertainty of `host_of` (ns), without what asymmetry may add; grows away from the reference."""
+        """Return the standard uncertainty of `host_of` (ns), asymmetry excluded; it grows away from the reference."""
         since = np.asarray(device_ns, np.int64) - self.reference_ns
+        # Independent uncertainties add in squares.
         return np.asarray(np.hypot(self.offset_sd_ns, since * (self.drift_sd_ppm * 1e-6)), np.float64)
 
     def rows(self) -> list[Row]:
-        """Offset and drift with their uncertainties, as text."""
+        """Return the offset and drift with their uncertainties, as text."""
         doubt = f"and at most {duration(self.asymmetry_bound_ns)} if the two directions take different times"
         offset = f"{self.offset_ns * 1e-9:.9f} s ± {duration(self.offset_sd_ns)}"
         return [
@@ -136,7 +138,7 @@ class ClockFit:
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any]) -> ClockFit:
-        """Inverse of `rig.core.present.plain`; other keys of the mapping are ignored.
+        """Return the inverse of `rig.core.present.plain`; other keys of the mapping are ignored.
 
         Raises `RecordingError` when a value is missing, not a number, or out of the range of a clock.
         """
@@ -267,7 +269,7 @@ def _not_slow(points: _Points, keep: _Mask) -> _Mask:
 
 
 def _sigma(points: _Points, keep: _Mask) -> _Floats:
-    """Standard uncertainty of each offset that its round trip leaves (ns)."""
+    """Return the standard uncertainty of each offset that its round trip leaves (ns)."""
     excess = points.excess(keep)
     fast = np.sort(excess[keep])
     number = len(fast)
@@ -278,9 +280,9 @@ def _sigma(points: _Points, keep: _Mask) -> _Floats:
 def _median_line(points: _Points, keep: _Mask) -> tuple[float, float]:
     """Return height (ns) and slope (ns/s) by medians over the fastest exchange of each stretch of the host's time.
 
-    The stretches are of the host's time, because the device's stamps may be wrong here; a slope then differs by its
-    own square.
+    A slope against the host's time differs from that against the device's by its own square.
     """
+    # Of the host's time: the device's stamps are not checked yet, and may belong to two exchanges.
     chosen = np.flatnonzero(keep)
     time = points.host_time[chosen]
     span = np.ptp(time)
@@ -292,29 +294,33 @@ def _median_line(points: _Points, keep: _Mask) -> tuple[float, float]:
     fastest = chosen[order[first]]
     time, offset = points.host_time[fastest], points.offset[fastest]
     rise, run = offset[:, None] - offset, time[:, None] - time
-    far = run > 0.25 * span  # near neighbours have every slope; of both orders of a pair the one
+    # Near neighbours have any slope. Of both orders of a pair only the one with positive run.
+    far = run > 0.25 * span
     slope = float(np.median(rise[far] / run[far])) if far.any() else 0.0
     return float(np.median(offset - slope * time)), slope
 
 
 def _near_line(points: _Points, keep: _Mask, height: float, slope: float) -> _Mask:
-    """Within `OFF_LINE` times what the excess allows of a line, whose residuals' median says how good it is."""
+    """Select the exchanges within `OFF_LINE` times what the excess allows of a line, by its residuals' median."""
     pull = np.abs(points.offset - height - slope * points.host_time) / _sigma(points, keep)
+    # 1.4826 times the median of magnitudes is the standard deviation of a normal distribution.
     scale = max(1.0, 1.4826 * float(np.median(pull[keep])))
     near = keep & (pull <= OFF_LINE * scale)
     return near if near.any() else keep
 
 
 def _fit(points: _Points, keep: _Mask, drift_prior_ppm: float) -> _ClockLine:
-    """Weighted regression with priors; uncertainties grow with the residuals when those exceed what was allowed."""
+    """Return a weighted regression with priors; large residuals widen its uncertainties."""
     time, offset = points.time[keep], points.offset[keep]
     weight = _sigma(points, keep)[keep] ** -2
+    # Time from its weighted centre: offset and drift are then nearly independent, and the matrix well conditioned.
     centre = np.sum(weight * time) / np.sum(weight)
     columns = np.stack([np.ones_like(time), time - centre, points.excess(keep)[keep]])
     prior = np.array([0.0, (drift_prior_ppm * 1e3) ** -2, SHARE_PRIOR**-2])  # a ppm is 1000 ns/s
     normal = (columns * weight) @ columns.T
     right = (columns * weight) @ offset
-    free = prior * np.array([0.0, 1e-8, 1.0])  # a drift far beyond the prior is no fault of the exchanges
+    # Almost without the prior of the drift: one far beyond it must not look like a fault of the exchanges.
+    free = prior * np.array([0.0, 1e-8, 1.0])
     unbound, spread = _solved(normal, free, 1.0, right)
     residuals = offset - unbound @ columns
     chi2 = float(np.sum(weight * residuals**2))
@@ -330,7 +336,7 @@ def _fit(points: _Points, keep: _Mask, drift_prior_ppm: float) -> _ClockLine:
 
 
 def _solved(normal: _Floats, prior: _Floats, scale: float, right: _Floats) -> tuple[_Floats, _Floats]:
-    """Solution and covariance of the normal equations with a prior, in units that make both well conditioned."""
+    """Return solution and covariance of the normal equations with a prior, in units that make both well conditioned."""
     matrix = normal / scale**2 + np.diag(prior)
     unit = 1.0 / np.sqrt(np.diag(matrix))
     covariance = np.linalg.inv(matrix * np.outer(unit, unit)) * np.outer(unit, unit)
@@ -361,5 +367,5 @@ def _result(points: _Points, keep: _Mask, line: _ClockLine, total: int) -> Clock
 
 
 def _rounded(times: _Ints, factor: float) -> _Ints:
-    """Small part of a time, to the nearest nanosecond."""
+    """Return a small part of a time, to the nearest nanosecond."""
     return np.asarray(np.rint(times * factor), np.int64)

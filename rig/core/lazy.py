@@ -40,7 +40,7 @@ def _is_installed(module: str) -> bool:
 
 
 def loader(package: str, table: Mapping[str, tuple[str, str]]) -> Callable[[str], Any]:
-    """The ``__getattr__`` of a package with such a table."""
+    """Return the ``__getattr__`` of a package with such a table."""
 
     def loaded(name: str) -> Any:
         if name not in table:

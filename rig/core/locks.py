@@ -54,6 +54,7 @@ else:
 def is_locked(path: str | os.PathLike[str]) -> bool:
     """Return True if a process holds a file's lock; Linux reads /proc/locks, others take the lock for a moment."""
     try:
+        # Read and not tried: to take the lock even for a moment would make another process's attempt fail.
         if sys.platform == "linux":
             there = os.stat(path)
             name = f"{os.major(there.st_dev):02x}:{os.minor(there.st_dev):02x}:{there.st_ino}"

@@ -80,12 +80,12 @@ class Mechanics:
 
     @property
     def gravity_effort(self) -> float:
-        """Constant effort of the end mass's weight on the link (N·m or N), positive along the motion."""
+        """Return the constant effort of the end mass's weight on the link (N·m or N), positive along the motion."""
         return self.end_mass * self.gravity * self.handle_radius
 
     @property
     def transmission_damping(self) -> float:
-        """Damping across the capstan (N·m·s/rad or N·s/m) that gives the free-free mode its damping ratio.
+        """Return the damping across the capstan (N·m·s/rad or N·s/m) that gives the free-free mode its damping ratio.
 
         Taken without the end mass, so that hanging a mass on the handle changes no property of the cable.
         """
@@ -141,16 +141,16 @@ class Amplifier:
 
     @property
     def effort_quantum(self) -> float:
-        """Effort of one current quantum (N·m or N)."""
+        """Return the effort of one current quantum (N·m or N)."""
         return self.effort_per_ampere * self.current_quantum_a
 
     @property
     def back_emf(self) -> float:
-        """Back-EMF damping (N·m·s/rad or N·s/m) under voltage drive, behind the lag; 0 under current drive."""
+        """Return back-EMF damping (N·m·s/rad or N·s/m) under voltage drive, behind the lag; 0 under current drive."""
         return self.back_emf_damping if self.drive == "voltage" else 0.0
 
     def set_point_ticks(self, tick_s: float) -> int:
-        """Whole ticks that a set-point is late, rounded up."""
+        """Return whole ticks that a set-point is late, rounded up."""
         return math.ceil(self.set_point_delay_s / tick_s - 1e-9)  # 250 µs of 50 µs each are 5
 
 
@@ -199,12 +199,12 @@ class Cogging:
 
     @property
     def harmonics(self) -> NDArray[np.float64]:
-        """Wavenumber (rad per rad or m), cosine and sine (N·m or N) of each harmonic, one after another."""
+        """Return the wavenumber (rad per rad or m), cosine and sine (N·m or N) of each harmonic, one after another."""
         return self._rows(self.cosine, self.sine)
 
     @property
     def ripple(self) -> NDArray[np.float64]:
-        """The same of the effort's ripple, its cosine and sine shares of the effort; empty without."""
+        """Return the same of the effort's ripple, its cosine and sine shares of the effort; empty without."""
         return self._rows(self.ripple_cosine, self.ripple_sine) if self.ripple_cosine else np.empty(0)
 
     def _rows(self, cosine: tuple[float, ...], sine: tuple[float, ...]) -> NDArray[np.float64]:
@@ -223,21 +223,21 @@ class Cogging:
         return math.fsum(math.hypot(c, s) for c, s in zip(self.cosine, self.sine, strict=True))
 
     def effort(self, position: ArrayLike) -> NDArray[np.float64]:
-        """Effort at positions (N·m or N)."""
+        """Return the effort at positions (N·m or N)."""
         return _summed(self.harmonics, position)
 
     def share(self, position: ArrayLike) -> NDArray[np.float64]:
-        """Share by which the motor's own effort is larger at positions."""
+        """Return the share by which the motor's own effort is larger at positions."""
         return _summed(self.ripple, position)
 
     def slope(self, position: ArrayLike) -> NDArray[np.float64]:
-        """How the effort changes with the position (N·m/rad or N/m): a stiffness, of the other sign."""
+        """Return how the effort changes with the position (N·m/rad or N/m): a stiffness, of the other sign."""
         k, c, s = self.harmonics.reshape(-1, 3).T
         angle = np.multiply.outer(np.asarray(position, dtype=np.float64), k)
         return np.asarray(np.cos(angle) @ (k * s) - np.sin(angle) @ (k * c))
 
     def energy(self, position: ArrayLike) -> NDArray[np.float64]:
-        """Energy that it holds at positions (J), on average none: less its derivative is the effort."""
+        """Return the energy that it holds at positions (J), on average none: less its derivative is the effort."""
         k, c, s = self.harmonics.reshape(-1, 3).T
         angle = np.multiply.outer(np.asarray(position, dtype=np.float64), k)
         return np.asarray(np.cos(angle) @ (s / k) - np.sin(angle) @ (c / k))
@@ -275,7 +275,7 @@ class Encoder:
 
     @property
     def resolution(self) -> float:
-        """Travel for one count at the link (rad or m)."""
+        """Return the travel for one count at the link (rad or m)."""
         if self.counts_per_revolution is None:
             assert self.quantum is not None
             return self.quantum
@@ -319,7 +319,7 @@ class Reference:
 
     @property
     def away(self) -> int:
-        """Direction of the position on the way from the switch; 0 without one."""
+        """Return the direction of the position on the way from the switch; 0 without one."""
         return {"none": 0, "minimum": 1, "maximum": -1}[self.limit_switch]
 
     def index_counts(self, encoder: Encoder) -> int:
@@ -425,14 +425,14 @@ class RigModel:
 
     @property
     def damping(self) -> float:
-        """Damping of a slow rigid motion (N·m·s/rad or N·s/m): motor, link, and back-EMF under voltage drive.
+        """Return damping of a slow rigid motion (N·m·s/rad or N·s/m): motor, link, and back-EMF under voltage drive.
 
         Above 1/(2π·lag) the back-EMF brakes less and less: its current has no time to build up.
         """
         return self.mechanics.motor_damping + self.mechanics.link_damping + self.amplifier.back_emf
 
     def delay_ticks(self, tick_s: float) -> int:
-        """Whole ticks between a command and its effort: the far end's computation, and the set-point's way."""
+        """Return whole ticks between a command and its effort: the far end's computation, and the set-point's way."""
         return self.simulation.computation_delay_ticks + self.amplifier.set_point_ticks(tick_s)
 
     def held_by(self, operator: Operator | None, reach: OperatorReach | None) -> RigModel:
@@ -464,17 +464,17 @@ class StateSpace:
 
     @property
     def friction_inputs(self) -> slice:
-        """Columns of ``b`` through which friction acts."""
+        """Return the columns of ``b`` through which friction acts."""
         return slice(2, 2 + len(self.friction))
 
     @property
     def operator_inputs(self) -> slice:
-        """Columns of ``b`` for intended position, intended velocity and press; empty without an operator."""
+        """Return the columns of ``b`` for intended position, intended velocity and press; empty without an operator."""
         return slice(2 + len(self.friction), int(self.b.shape[1]))
 
 
 def state_space(mechanics: Mechanics, amplifier: Amplifier, operator: Operator | None = None) -> StateSpace:
-    """Continuous matrices of the rig.
+    """Return the continuous matrices of the rig.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ _registered: list[
 
 @contextmanager
 def registered(group: str, built_in: Container[str], name: str, part: Any) -> Iterator[None]:
-    """Have a part found by its name meanwhile, in all threads; `ConfigError` if a built-in one has that name.
+    """Register a part by its name temporarily, in all threads; `ConfigError` if a built-in one has that name.
 
     Other processes, such as the workers of a cluster or a later run that resumes a map, find installed parts only.
     """
@@ -45,12 +45,12 @@ def _registered_for(group: str) -> dict[str, Any]:
 
 
 def names(group: str, built_in: Container[str]) -> list[str]:
-    """Names of the parts of a group that are no built-in ones, each once."""
+    """Return the names of the parts of a group that are no built-in ones, each once."""
     return list(dict.fromkeys([*_registered_for(group), *(point.name for point in found(group, built_in))]))
 
 
 def found(group: str, built_in: Container[str]) -> list[EntryPoint]:
-    """The plug-ins of a group by name, without those that have the name of a built-in part."""
+    """Return the plug-ins of a group by name, without those that have the name of a built-in part."""
     return [point for point in _found(entry_points, group) if point.name not in built_in]
 
 

@@ -100,7 +100,7 @@ def _key(key: Any) -> str:
 
 @cache
 def _names(result: type) -> list[str]:
-    """Fields that ``repr`` shows, then reported properties, base classes first."""
+    """Return the fields that ``repr`` shows, then reported properties, base classes first."""
     also = [
         name
         for base in reversed(result.__mro__)
@@ -136,7 +136,7 @@ class Row:
 
     @property
     def text(self) -> str:
-        """Value, unit and note in one line."""
+        """Return the value, unit and note in one line."""
         shown = " ".join(part for part in (written(self.value, self.digits), self.unit) if part)
         return ", ".join(part for part in (shown, self.note) if part)
 

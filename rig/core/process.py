@@ -1,9 +1,5 @@
 """A process that serves something to this one: it announces where, and ends with this one or when it is closed.
 
-It gets no Ctrl-C, which is for the host: a device that died of it could not be brought to rest. It settles that before
-it loads what it serves. It is started with its own command line and descriptors alone, so that nothing of the caller's
-program changes, even for a moment: not the environment, not ``__main__``, and several threads may start some at a time.
-
 `rig.devices.local`, the bridge of drives and the simulation call it. It must not know what a process serves.
 """
 
@@ -69,6 +65,7 @@ def announced(
                     _command(theirs.fileno(), name),
                     stdin=subprocess.DEVNULL,
                     pass_fds=(theirs.fileno(), *descriptors),
+                    # Ctrl-C is for the host: a simulated device that died of it could not be brought to rest.
                     start_new_session=True,
                 )
             _lifelines.add(ours)
@@ -83,7 +80,7 @@ _lifelines: set[Connection] = set()
 
 
 def _close_lifelines() -> None:
-    """A forked child has a copy of each, and with it would keep the processes of a parent that was killed."""
+    """Close copies of lifelines in a forked child: they would keep the processes of a killed parent alive."""
     while _lifelines:
         _lifelines.pop().close()
 
@@ -93,7 +90,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def _command(descriptor: int, name: str) -> list[str]:
-    """Command line of the child: the same interpreter and module path, but no module from the working directory."""
+    """Return the child's command line: same interpreter and module path, no module from the working directory."""
     root = str(Path(__file__).parents[2])
     path = [entry for entry in sys.path if entry]
     path += [] if root in path else [root]
@@ -142,10 +139,8 @@ def serve_parent(descriptor: int) -> None:
 
 
 def _end_with(descriptor: int) -> None:
-    """Send this process SIGTERM when its parent has closed the connection or died, and then end it in any case.
-
-    PR_SET_PDEATHSIG would do so when the thread ends that started it.
-    """
+    """Send this process SIGTERM when its parent has closed the connection or died, and SIGKILL some time later."""
+    # Not PR_SET_PDEATHSIG: it acts when the thread ends that started this process.
     if sys.platform != "win32":  # where `announced` refuses
         ended = select.poll()
         ended.register(descriptor, 0)  # a hang-up is reported always

@@ -66,7 +66,7 @@ def check_rig(model: RigModel, device: Dictionary) -> Check:
 
 
 def _other_settings(model: RigModel, device: Dictionary) -> list[str]:
-    """Pins and scales that the experiment names and the board was not built with; a simulated device has no board."""
+    """Return pins and scales of the experiment that the board was not built with; none for a simulated device."""
     of_device = {info.name: info.value for info in device.settings}
     wanted = {
         **{name: value for name, value in _inputs(model).items() if name in of_device},
@@ -80,7 +80,7 @@ def _other_settings(model: RigModel, device: Dictionary) -> list[str]:
 
 
 def _inputs(model: RigModel) -> dict[str, SettingValue]:
-    """Inputs of the board that the rig's reference needs, as the Pico's settings name them."""
+    """Return the inputs of the board that the rig's reference needs, as the Pico's settings name them."""
     given = model.reference
     needed = {"encoder_index": given.index, "limit_switch": given.limit_switch != "none"}
     return {name: "wired" for name, wanted in needed.items() if wanted}

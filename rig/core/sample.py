@@ -38,7 +38,7 @@ UNITS: dict[str, dict[str, str]] = {
 
 
 def unit_of(quantity: str, motion: Motion) -> str:
-    """SI unit of a quantity for a rotary or linear rig; a plain unit (``ns``, ``A``) is returned as it is."""
+    """Return SI unit of a quantity for a rotary or linear rig; a plain unit (``ns``, ``A``) is returned as it is."""
     return UNITS[quantity][motion] if quantity in UNITS else quantity
 
 

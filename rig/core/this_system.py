@@ -13,7 +13,7 @@ from rig.core.errors import PlanError
 
 
 def processors() -> list[int]:
-    """Numbers of those that this process may use."""
+    """Return the numbers of those that this process may use."""
     if sys.platform == "linux":
         return sorted(os.sched_getaffinity(0))
     else:

@@ -57,7 +57,7 @@ class Backend:
 
 
 def backends() -> list[Backend]:
-    """Every scheme that can be opened here, built-in ones first, then those of extras."""
+    """Return every scheme that can be opened here, built-in ones first, then those of extras."""
     ours = {row.name: row.target for row in extras.added("schemes").values() if _is_of_this_system(row)}
     own = BUILT_IN | {scheme: target for scheme, target in ours.items() if scheme not in BUILT_IN}
     # The reason why a broken extra lacks a scheme is that of `broken`.
@@ -158,7 +158,7 @@ def open_watched(url: str, model: RigModel | None = None, faults: Faults | None 
 
 
 def simulated_model(url: DeviceUrl, model: RigModel | None) -> RigModel | None:
-    """Physics behind a URL: those of the preset that a ``sim://`` names, else `model`.
+    """Return the physics behind a URL: those of the preset that a ``sim://`` names, else `model`.
 
     Who holds the handle belongs to the experiment, and so to `model`.
     """
@@ -178,7 +178,7 @@ def is_made_for_a_rig(url: str) -> bool:
 
 
 def url_for(url: str, loop: str) -> str:
-    """URL of a far end for this ``controller.loop``: a simulated rig that runs the law itself is the firmware."""
+    """Return the URL of a far end for this ``controller.loop``: a simulated rig that runs the law is the firmware."""
     if loop != "device" or not url.startswith("sim:") or FIRMWARE in DeviceUrl.parse(url).options:
         return url
     return f"{url}{'&' if '?' in url else '?'}{FIRMWARE}=1"

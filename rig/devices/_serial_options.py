@@ -40,7 +40,7 @@ class SerialOptions:
 
 
 def capacity(port: str, baud: int) -> float | None:
-    """Bytes per second each way; a pseudo-terminal and a USB CDC port do not care for the baud rate."""
+    """Return the bytes per second each way; a pseudo-terminal and a USB CDC port do not care for the baud rate."""
     real = os.path.realpath(port)
     if real.startswith("/dev/pts/") or os.path.basename(real).startswith(
         ("ttyACM", "cu.usbmodem", "tty.usbmodem")

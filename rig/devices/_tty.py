@@ -1,7 +1,6 @@
-"""Settings of a terminal line, each set and read back: a driver may take an ioctl and do nothing.
+"""Settings of a terminal line, by descriptor. A setting that a line does not have is returned as None.
 
-All functions work on a descriptor and ask the kernel alone. A setting that a line does not have (a pseudo-terminal
-has no modem lines) is returned as None and is not an error.
+The serial links and their facts call it. It must not open or close a line.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ def _serial_struct(descriptor: int) -> array[int] | None:
 
 
 def low_latency(descriptor: int) -> bool | None:
-    """Whether the driver is set to pass bytes on at once; None when it has no such settings."""
+    """Return True if the driver is set to pass bytes on at once; None when it has no such settings."""
     settings = _serial_struct(descriptor)
     return None if settings is None else bool(settings[_FLAGS] & ASYNC_LOW_LATENCY)
 
@@ -44,6 +43,8 @@ def set_low_latency(descriptor: int) -> bool | None:
     settings = _serial_struct(descriptor)
     if settings is None:
         return None
+    # An FTDI adapter waits up to 16 ms for more bytes otherwise. Read back below: a driver may accept the ioctl and do
+    # nothing.
     settings[_FLAGS] |= ASYNC_LOW_LATENCY
     with suppress(OSError):
         fcntl.ioctl(descriptor, termios.TIOCSSERIAL, settings)
@@ -51,7 +52,7 @@ def set_low_latency(descriptor: int) -> bool | None:
 
 
 def is_exclusive(descriptor: int) -> bool | None:
-    """Whether the kernel refuses others the line (but for root); None when it does not report it."""
+    """Return True if the kernel refuses others the line (but for root); None when it does not report it."""
     answer = bytearray(struct.calcsize("i"))
     try:
         fcntl.ioctl(descriptor, _TIOCGEXCL, answer)
@@ -68,7 +69,7 @@ def set_exclusive(descriptor: int, wanted: bool) -> bool | None:
 
 
 def dtr(descriptor: int) -> bool | None:
-    """Whether DTR is asserted; None when the line has none."""
+    """Return True if DTR is asserted; None when the line has none."""
     lines = bytearray(struct.calcsize("i"))
     try:
         fcntl.ioctl(descriptor, termios.TIOCMGET, lines)
@@ -86,26 +87,28 @@ def set_dtr_rts(descriptor: int, asserted: bool) -> bool | None:
 
 
 def hangs_up(descriptor: int) -> bool:
-    """Whether closing the line drops DTR."""
+    """Return True if closing the line drops DTR."""
     return bool(termios.tcgetattr(descriptor)[_CFLAG] & termios.HUPCL)
 
 
 def blocks_for_a_byte(descriptor: int) -> bool:
-    """Whether VMIN is 1 and VTIME 0, so that reading 0 bytes can only mean hang-up."""
+    """Return True if VMIN is 1 and VTIME 0, so that reading 0 bytes can only mean hang-up."""
     characters = termios.tcgetattr(descriptor)[_CC]
     return _number(characters[termios.VMIN]) == 1 and _number(characters[termios.VTIME]) == 0
 
 
 def _number(character: int | bytes) -> int:
-    """A control character as Python gives it: a byte, or a number when the line is raw."""
+    """Return a control character as Python gives it: a byte, or a number when the line is raw."""
     return character if isinstance(character, int) else character[0]
 
 
 def configure(descriptor: int) -> None:
-    """VMIN = 1, VTIME = 0, HUPCL off, no call blocks. Raises `termios.error` when the line is gone."""
+    """Set VMIN = 1, VTIME = 0, HUPCL off and non-blocking calls; raises `termios.error` when the line is gone."""
     attributes = termios.tcgetattr(descriptor)
+    # pyserial leaves VMIN at 0, where "nothing available" and "unplugged" both read 0 bytes.
     attributes[_CC][termios.VMIN] = 1
     attributes[_CC][termios.VTIME] = 0
+    # A closing port drops DTR with HUPCL, which resets many boards.
     attributes[_CFLAG] &= ~termios.HUPCL
     termios.tcsetattr(descriptor, termios.TCSANOW, attributes)
     os.set_blocking(descriptor, False)

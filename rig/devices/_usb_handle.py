@@ -194,7 +194,7 @@ def handle_of(device: usb.core.Device) -> Handle:
 
 
 def _polled(library: Any, context: int) -> Iterable[int]:
-    """Descriptors that libusb wants to be watched, each as the word of its ``struct pollfd``."""
+    """Yield the descriptors that libusb wants to be watched, each as the word of its ``struct pollfd``."""
     entries = ctypes.POINTER(ctypes.POINTER(_PollFd))
     listed = _function(library, "libusb_get_pollfds", entries, ctypes.c_void_p)(context)
     index = 0

@@ -1,15 +1,8 @@
 """The bulk pipes of a USB device for the compiled loop: libusb's transfers without Python and without the GIL.
 
-Several IN transfers are always queued with the kernel, so that no packet waits for the host to ask. Each is one
-packet long: a full packet ends its transfer as a short one does, so that a frame never waits for its successor and
-the device need not send empty packets. OUT transfers come from a small pool: a COMMAND never waits for the one
-before, and the STOP frames at the end of a run all leave; when the pool is empty the write takes nothing.
-
-libusb calls `completed` when a transfer is over, on whatever thread handles events: compiled too, it stores one word.
-Everything else happens in `usb_read`, `usb_write` and `usb_wait`, which have the contracts of
-`rig.realtime.system.descriptor_read`, `descriptor_write` and `descriptor_wait`. libusb's own waiting counts in
-milliseconds; so this file waits by ppoll(2) on libusb's descriptors, to the nanosecond, and lets libusb handle what is
-there with a time-out of zero. No call is unbounded.
+`usb_read`, `usb_write` and `usb_wait` have the contracts of `rig.realtime.system.descriptor_read`, `descriptor_write`
+and `descriptor_wait`. libusb calls `completed` at the end of a transfer, in the thread that handles events. No call may
+wait without a bound.
 
 The handle of these functions is the address of a block of int64 words, `WORDS` and then one slot for each transfer;
 `rig.devices._usb_queue` makes it, with the addresses of libusb's functions (`rig.devices._usb_handle`). The layout of
@@ -96,13 +89,13 @@ _OF_CODE = (0, EIO, EINVAL, EACCES, ENODEV, ENOENT, EBUSY, ETIMEDOUT, EOVERFLOW,
 
 @kernel(_i64(_i64))
 def errno_of_status(status: int) -> int:
-    """Errno of an `enum libusb_transfer_status`; 0 for COMPLETED."""
+    """Return the errno of an `enum libusb_transfer_status`; 0 for COMPLETED."""
     return _OF_STATUS[status] if 0 <= status < len(_OF_STATUS) else EIO
 
 
 @kernel(_i64(_i64))
 def errno_of_code(code: int) -> int:
-    """Errno of an `enum libusb_error`, which is negative; 0 for success."""
+    """Return the errno of an `enum libusb_error`, which is negative; 0 for success."""
     if code >= 0:
         return 0
     return _OF_CODE[-code] if -code < len(_OF_CODE) else EIO
@@ -120,19 +113,19 @@ def _put(block: int, index: int, value: int) -> None:
 
 @kernel(_i64(_i64, _i64))
 def _slot(block: int, index: int) -> int:
-    """Address of a slot: IN transfers first, then OUT."""
+    """Return the address of a slot: IN transfers first, then OUT."""
     return block + 8 * (SLOTS_AT + SLOT_WORDS * index)
 
 
 @kernel(_i64(_i64))
 def _actual(slot: int) -> int:
-    """Bytes that a transfer has moved."""
+    """Return the bytes that a transfer has moved."""
     return int(load_word(_word(slot, _TRANSFER) + ACTUAL_AT)) & 0x7FFFFFFF
 
 
 @kernel(_i64(_i64))
 def _status(slot: int) -> int:
-    """Errno with which a transfer ended."""
+    """Return the errno with which a transfer ended."""
     return int(errno_of_status(int(load_word(_word(slot, _TRANSFER) + STATUS_AT)) & 0xFFFFFFFF))
 
 
@@ -194,10 +187,8 @@ def _pass_head(block: int) -> None:
 
 @kernel(_i64(_i64))
 def _look(block: int) -> int:
-    """Whether bytes are there: their number in the transfer at the head, 0, or negative errno.
-
-    Bytes that came before an error are delivered before it.
-    """
+    """Return the number of unread bytes in the transfer at the head, 0, or negative errno."""
+    # Bytes that arrived before an error are delivered before it.
     for _ in range(_word(block, _IN_COUNT)):
         slot = _slot(block, _word(block, _IN_HEAD))
         if _word(slot, _STATE) != DONE:
@@ -216,7 +207,7 @@ def _look(block: int) -> int:
 
 @kernel(TRANSFER_SIGNATURE)
 def usb_read(block: int, address: int, size: int) -> int:
-    """Bytes read, 0 when nothing is there, negative errno; nothing is waited for."""
+    """Return the bytes read, 0 when nothing is there, negative errno; nothing is waited for."""
     total = 0
     fresh = False
     while total < size:
@@ -244,7 +235,7 @@ def usb_read(block: int, address: int, size: int) -> int:
 
 @kernel(_i64(_i64))
 def _free_out(block: int) -> int:
-    """Address of a free OUT slot, 0 when all are under way."""
+    """Return the address of a free OUT slot, 0 when all are under way."""
     first = _word(block, _IN_COUNT)
     for index in range(first, first + _word(block, _OUT_COUNT)):
         slot = _slot(block, index)
@@ -265,7 +256,7 @@ def _oldest_out(block: int) -> int:
 
 @kernel(TRANSFER_SIGNATURE)
 def usb_write(block: int, address: int, size: int) -> int:
-    """Bytes that the pool took, 0 when it is exhausted, negative errno; nothing is waited for.
+    """Return the bytes that the pool took, 0 when it is exhausted, negative errno; nothing is waited for.
 
     A device that has taken nothing for OUT_LIMIT is -ETIMEDOUT.
     """
@@ -274,6 +265,7 @@ def usb_write(block: int, address: int, size: int) -> int:
         return -error
     if size <= 0:
         return 0
+    # A pool: a COMMAND never waits for the one before, and all STOP frames at the end of a run are sent.
     slot = _free_out(block)
     if slot == 0:
         error = _handle_events(block)
@@ -296,13 +288,14 @@ def usb_write(block: int, address: int, size: int) -> int:
 
 @kernel(_i64(_i64, _i64))
 def _sleep_until_event(block: int, deadline_ns: int) -> int:
-    """ppoll(2) until libusb has something to handle: 1, 0 at the deadline, negative errno."""
+    """Wait by ppoll(2) for an event of libusb: 1, 0 at the deadline, negative errno."""
     timespec = _two_words()
     remaining = deadline_ns - monotonic_now(0)
     if remaining <= 0:
         return 0
     store_word(timespec, remaining // BILLION)
     store_word(timespec + 8, remaining % BILLION)
+    # ppoll(2) on libusb's descriptors waits to the nanosecond; libusb's own wait counts in milliseconds.
     ready = _ppoll(_word(block, _POLLED), _word(block, _POLLED_COUNT), timespec, 0)
     if ready < 0:
         error = last_error()
@@ -328,6 +321,8 @@ def usb_wait(block: int, deadline_ns: int) -> int:
 @kernel(_i64(_i64))
 def start(block: int) -> int:
     """Queue all IN transfers: 0, or negative errno."""
+    # Several, so that no packet waits for the host. One packet each: a full packet ends its transfer as a short one
+    # does, so that a frame never waits for its successor and the device need not send empty packets.
     for index in range(_word(block, _IN_COUNT)):
         error = _submit(block, _slot(block, index), _word(block, _IN_BYTES))
         if error != 0:
@@ -338,7 +333,7 @@ def start(block: int) -> int:
 
 @kernel(_i64(_i64))
 def _flying(block: int) -> int:
-    """Transfers that the kernel still has."""
+    """Return the transfers that the kernel still has."""
     count = 0
     for index in range(_word(block, _IN_COUNT) + _word(block, _OUT_COUNT)):
         count += _word(_slot(block, index), _STATE) == FLYING
@@ -366,5 +361,5 @@ def flush(block: int, deadline_ns: int, cancel: int) -> int:
 
 @kernel(COMPLETED_SIGNATURE)
 def completed(transfer: int) -> None:
-    """Be libusb's callback: the word behind `user_data` becomes DONE, after all that the transfer brought."""
+    """Mark a transfer DONE in the word behind `user_data`, after its data: libusb's callback."""
     store_word(load_word(transfer + USER_DATA_AT), DONE)

@@ -1,8 +1,8 @@
 """A device on the other end of a link of frames: transactions with retries, arming, and the report of its faults.
 
-`firmware_protocol.connection` knows what may be sent; this file does the waiting: each transaction is sent
-again after 20, 40 and 80 ms and then given up with a typed error. Streams (COMMAND, STATE) belong to the
-compiled loop while it runs (`rig.loop`), which hands them back through `take_back`.
+`firmware_protocol.connection` decides what may be sent; this file waits: each transaction is sent again after 20, 40
+and 80 ms and then ends with a typed error. Streams (COMMAND, STATE) belong to the compiled loop while it runs
+(`rig.loop`), which returns them through `take_back`.
 
 `rig.doctor`, `rig.experiments`, self tests of `rig.firmware`, sessions and `rig.testing` call it. It must not decide
 whether a wall may be armed: `rig.doctor.gate` and `rig.experiments.hits.admission` do, before they let a caller arm.
@@ -38,9 +38,10 @@ MOST_NS = (1 << 63) - 1  # what a stamp holds: 292 years
 EXCHANGES = 8  # of the clock, by default
 DRIFT_EXCHANGES, DRIFT_S = 20, 1.0  # of the clock, where its drift is wanted
 DRIFT_VIRTUAL_S = 0.1  # where time costs computing and nothing disturbs an exchange
-GOLDEN = 0.6180339887498949  # multiples of it modulo 1 are as odd as can be
+GOLDEN = 0.6180339887498949
 COUNT_TIMEOUT_S = 0.5
-READY_S, READY_AGAIN_S = 60.0, 0.05  # a small processor works out a long excitation in seconds
+# A small processor computes the table of a long excitation in seconds.
+READY_S, READY_AGAIN_S = 60.0, 0.05
 FAULT_LOG_S = 2.0
 DICTIONARY_LIMIT = 0xFFFF
 BLOCK_LIMIT = 0xFFFF
@@ -72,7 +73,7 @@ class FaultReport:
     entries: list[dict[str, int]]
 
     def has(self, fault: Fault) -> bool:
-        """Whether it is this fault, or this one came later."""
+        """Return True if it is this fault, or this one came later."""
         return self.code == fault or bool(self.later >> fault & 1)
 
 
@@ -106,7 +107,7 @@ class FramedDevice:
 
     @property
     def dictionary(self) -> dictionaries.Dictionary:
-        """The device's description of itself; read once."""
+        """Return the device's description of itself; read once."""
         if self._dictionary is None:
             self._dictionary = self.identify()
         return self._dictionary
@@ -139,7 +140,7 @@ class FramedDevice:
 
     @property
     def dictionary_hash(self) -> int:
-        """Fingerprint of the dictionary, as the device announces it."""
+        """Return the fingerprint of the dictionary, as the device announces it."""
         self.dictionary  # noqa: B018
         return self._dictionary_hash
 
@@ -147,10 +148,6 @@ class FramedDevice:
 
     def configure(self, values: Mapping[str, Value]) -> Echo:
         """Activate parameters, all of them or none, and return what is active now.
-
-        The device's answer has the CRC of every active parameter. Where it is the one of the values that must be in
-        force now, they are known; otherwise (another host was there, or the device holds values of its own) they are
-        read, page by page.
 
         Raises
         ------
@@ -165,6 +162,8 @@ class FramedDevice:
         except DeviceRefusedError:
             self._crc = before
             raise
+        # The reply has the CRC of all active parameters. Where it is that of the expected ones, nothing is read; else
+        # another host was connected, or the device has values of its own, and they are read page by page.
         block = self._expected_block(values)
         if block is None or block_crc(block) != ack.crc:
             block = self._read_parameters()
@@ -179,7 +178,7 @@ class FramedDevice:
         return Echo(dict(active), ack.crc, ack.sample_index)
 
     def _expected_block(self, values: Mapping[str, Value]) -> bytes | None:
-        """Every parameter as it must be active after `values`, if the others are still what we know."""
+        """Return every parameter as it must be active after `values`, if the others are still what we know."""
         known = self._known or {info.name: info.default for info in self.dictionary.parameters}
         try:
             return encode_block({**known, "verified": 0, **values})
@@ -189,7 +188,8 @@ class FramedDevice:
     def _make_configurable(self) -> None:
         """Bring a faulty, restarted or still armed device (a host died) into a state that takes parameters."""
         met_real = self._dictionary is not None and not self._dictionary.simulated
-        about = self._ask(m.Identify(self._next_nonce(), 0), m.Identity)  # reports the state, and leaves BOOT
+        # IDENTIFY reports the state, and takes the device out of BOOT.
+        about = self._ask(m.Identify(self._next_nonce(), 0), m.Identity)
         if met_real and self._has_forgotten(about):
             raise self._zero_lost("has restarted")
         if self._dictionary is None or about.dictionary_hash != self._dictionary_hash:
@@ -209,12 +209,12 @@ class FramedDevice:
         )
 
     def has_restarted(self) -> bool:
-        """Whether the device has started again and met no host since. Raises as every question does."""
+        """Return True if the device has started again and received no IDENTIFY since. Raises as every request does."""
         about = self._ask(m.Identify(self._next_nonce(), 0), m.Identity)
         return bool(about.state == State.BOOT)
 
     def _has_forgotten(self, about: m.Identity) -> bool:
-        """Whether the device has restarted since we met it, or another host has configured it since we did."""
+        """Return True if the device has restarted or was configured by another host since this object configured it."""
         if about.state == State.BOOT:
             return True
         if self._crc is None:
@@ -225,7 +225,7 @@ class FramedDevice:
         )
 
     def count(self) -> int:
-        """Encoder count now, from the STATE frames that an unarmed device sends on its own.
+        """Return the encoder count now, from the STATE frames that an unarmed device sends on its own.
 
         Raises `DeviceRefusedError` when it sends none for `COUNT_TIMEOUT_S`.
         """
@@ -236,7 +236,7 @@ class FramedDevice:
         raise DeviceRefusedError("the device does not show its encoder count", remedy="update its firmware")
 
     def active_parameters(self) -> dict[str, Value]:
-        """Active parameters, read from the device; nothing changes."""
+        """Return the active parameters, read from the device; nothing changes."""
         self.dictionary  # noqa: B018  (a device in BOOT answers nothing else)
         block = self._read_parameters()
         with self._understood():
@@ -261,10 +261,12 @@ class FramedDevice:
     def arm(self) -> int:
         """Open a session and return its number; the device streams STATE from now on, with zero effort.
 
-        A device that works out its excitation, or whose amplifier is being switched on, is asked again, for `READY_S`
-        at most. Raises `DeviceRefusedError` when it is not homed, not verified, its configuration is not ours, or it
-        finds a fault.
+        While a device computes its excitation or switches its amplifier on, ARM is repeated, for `READY_S` at most.
+        Raises `DeviceRefusedError` when it is not homed, not verified, its configuration is not ours, or it finds a
+        fault.
         """
+        # From the nonce, which begins with the clock, so that a restarted host seldom takes the number of the run
+        # before: the device refuses that one (STALE_SESSION).
         session, used_before = self._other_than(self._next_nonce() % 0xFF, self._session), False
         deadline_ns = self.link.clock.now_ns() + round(READY_S * 1e9)
         while True:
@@ -289,13 +291,13 @@ class FramedDevice:
 
     @staticmethod
     def _other_than(previous: int, used: int) -> int:
-        """Session number behind `previous` on the circle 1 … 255 that is not `used`."""
+        """Return the session number behind `previous` on the circle 1 … 255 that is not `used`."""
         session = 1 + previous % 0xFF
         return session if session != used else 1 + session % 0xFF
 
     @property
     def nonce(self) -> int:
-        """Nonce of the last transaction: the compiled loop continues from there with its clock exchanges."""
+        """Return the nonce of the last transaction: the compiled loop continues from there with its clock exchanges."""
         return self._nonce
 
     def take_back(
@@ -344,7 +346,7 @@ class FramedDevice:
         self._command(m.Disarm(self._next_nonce(), flags))
 
     def enter_bootloader(self) -> None:
-        """Have the device reset into its boot loader, 50 ms after its answer.
+        """Request a reset into the boot loader; the device resets 50 ms after its reply.
 
         Raises `DeviceRefusedError` when it is armed or has none.
         """
@@ -356,13 +358,14 @@ class FramedDevice:
     def exchange_clock(self, exchanges: int = EXCHANGES, *, over_s: float = 0.0) -> NDArray[np.void]:
         """Compare the clocks: so many exchanges of four stamps, dtype `rig.core.clock_fit.EXCHANGE`.
 
-        They follow each other at once, or at odd distances over `over_s` (s), so that they do not interfere with the
-        frames of a bus or the ticks of the device. Raises as every question does.
+        They follow each other at once, or at odd distances over `over_s` (s). Raises as every request does.
         """
         stamps = np.zeros(exchanges, EXCHANGE)
         tick_ps = round(self.dictionary.time_unit_ns * 1000)
         start_ns = self.link.clock.now_ns()
         for number, row in enumerate(stamps):
+            # At odd distances: multiples of the golden ratio modulo 1 hit the frames of a bus and the ticks of a device
+            # at every phase.
             place = (number + number * GOLDEN % 1.0) / max(1, exchanges - 1)
             self._listen_until(start_ns + round(min(1.0, place) * over_s * 1e9))
             reply = self._ask(m.GetTime(self._next_nonce(), self.link.clock.now_ns()), m.Time)
@@ -372,7 +375,7 @@ class FramedDevice:
         return stamps
 
     def _counted_ns(self, stamp: int, tick_ps: int) -> int:
-        """A device time in nanoseconds, as far as they can be counted."""
+        """Return a device time in nanoseconds, as far as they can be counted."""
         time_ns = stamp * tick_ps // 1000
         with self._understood():
             if time_ns > MOST_NS:
@@ -380,11 +383,11 @@ class FramedDevice:
         return time_ns
 
     def clock(self, exchanges: int = EXCHANGES, *, over_s: float = 0.0) -> ClockFit:
-        """Host clock against device clock, by `exchange_clock`; without `over_s` the drift stays unknown."""
+        """Return the host clock against device clock, by `exchange_clock`; without `over_s` the drift stays unknown."""
         return fit_clock(self.exchange_clock(exchanges, over_s=over_s))
 
     def drift(self) -> ClockFit:
-        """Host clock against device clock, with the drift to a few ppm: about a second in real time."""
+        """Return the host clock against device clock, with the drift to a few ppm: about a second in real time."""
         over_s = DRIFT_VIRTUAL_S if self.link.clock.virtual else DRIFT_S
         return self.clock(DRIFT_EXCHANGES, over_s=over_s)
 
@@ -394,7 +397,7 @@ class FramedDevice:
         return reply
 
     def reference(self) -> m.Reference:
-        """Return what position zero is, and what the device has seen of its encoder's index."""
+        """Return how position zero was set, and what the device has measured of its encoder's index."""
         reply: m.Reference = self._ask(m.GetReference(self._next_nonce()), m.Reference)
         return reply
 
@@ -417,7 +420,8 @@ class FramedDevice:
         return Status(answer.status)
 
     def _listen_until(self, deadline_ns: int) -> None:
-        """Let time pass, and discard what the device sends meanwhile, so that it does not delay an answer."""
+        """Wait, and discard what the device sends meanwhile."""
+        # Unread frames would delay the next reply.
         remaining_ns = deadline_ns - self.link.clock.now_ns()
         for _ in self._events(max(0, remaining_ns) * 1e-9):
             pass
@@ -430,9 +434,9 @@ class FramedDevice:
     def fault_report(self) -> FaultReport:
         """Read the latched fault and the device's ring of ticks before it, as much as comes in `FAULT_LOG_S`.
 
-        The ring is eighty questions long: on a computer that is too busy, which is what many faults come from, they
-        would take longer than a person waits.
+        What was read until then is returned.
         """
+        # The ring takes eighty requests: on a busy computer, the cause of many faults, longer than a person waits.
         entries: list[dict[str, int]] = []
         deadline = self.link.clock.now_ns() + round(FAULT_LOG_S * 1e9)
         while True:
@@ -449,9 +453,9 @@ class FramedDevice:
     def close(self) -> None:
         """Disarm if a session is open, and release the link; never raises.
 
-        After a transaction timed out, DISARM is sent with all its retries without waiting for replies: by then the
-        device has received no COMMAND for longer than any command's lifetime and ramp.
+        After a timeout of a transaction, DISARM is sent with all its retries without waiting for replies.
         """
+        # By then the device has received no COMMAND for longer than any command's lifetime and ramp.
         if self.connection.session:
             self.stop()
             with suppress(Exception):
@@ -462,7 +466,7 @@ class FramedDevice:
         self.link.close()
 
     def _tell_to_disarm(self) -> None:
-        """Say the DISARM and all its repeats at once."""
+        """Send DISARM and all its retries at once."""
         self.connection.begin(m.Disarm(self._next_nonce(), int(m.DisarmFlag.CLEAR_FAULT)))
         while frame := self.connection.say(self.connection.transaction.again_at):
             self.link.write(frame)
@@ -502,7 +506,8 @@ class FramedDevice:
                 frame = connection.say(now_ns)
             if frame:
                 request = connection.request
-                if connection.transaction.tries == 1:  # a late answer may be to the first
+                # Of the first try: a late reply may be the one to it, and the round trip must not be too short.
+                if connection.transaction.tries == 1:
                     self._sent_ns = clock.now_ns()
                 self.link.write(frame)
             before = connection.transaction
@@ -552,7 +557,7 @@ class FramedDevice:
         )
 
     def _detail(self, ack: m.Ack) -> str:
-        """What the detail of a refusal names: a parameter with its range, a state, or a fault."""
+        """Return what the detail of a refusal names: a parameter with its range, a state, or a fault."""
         if ack.status == Status.BAD_STATE:
             return f" ({State(ack.detail).name if ack.detail in set(State) else f'state {ack.detail}'})"
         if self._dictionary is not None and ack.status == Status.FAULT_PRESENT:
@@ -568,7 +573,7 @@ class FramedDevice:
 
 
 class _Translated:
-    """Turn an error of the protocol, the device's or one of order, into an error for the user."""
+    """Convert an error of the protocol (device's data, or order of requests) into an error for the user."""
 
     def __init__(self, url: str) -> None:
         self._url = url

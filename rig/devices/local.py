@@ -63,7 +63,7 @@ def serve(
 
 
 def host_beside(host: Host, link: Link) -> Host:
-    """Scheduling of a loop, on the processor of the device when that is a program here and the user names none.
+    """Return scheduling of a loop, on the processor of the device when that is a program here and the user names none.
 
     So a pause of that processor (of a virtual machine, by another program) stops both, and loses no sample.
     """
@@ -146,7 +146,7 @@ def opened(
 
 
 def _served_options(url: DeviceUrl) -> dict[str, Any]:
-    """Options of a URL that mean something in real time."""
+    """Return the options of a URL that mean something in real time."""
     options = dict(url.options)
     firmware, hand = options.pop("firmware", None), options.pop("hand", None)
     if options:

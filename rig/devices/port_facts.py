@@ -130,18 +130,18 @@ def available_ports() -> list[tuple[str, str]]:
 
 
 def ports_in_words() -> str:
-    """Which ports there are, for a remedy."""
+    """Return which ports there are, for a remedy."""
     found = [name for name, _ in available_ports()]
     return f"ports here: {', '.join(found)}" if found else "there are no serial ports here"
 
 
 def is_pseudo(device: str) -> bool:
-    """Whether a device node is a pseudo-terminal."""
+    """Return True if a device node is a pseudo-terminal."""
     return device.startswith(_PSEUDO)
 
 
 def latency_timer_path(device: str, root: Path = Path("/")) -> Path:
-    """File with the latency timer of an FTDI adapter (ms)."""
+    """Return the file with the latency timer of an FTDI adapter (ms)."""
     return root / "sys/bus/usb-serial/devices" / os.path.basename(device) / "latency_timer"
 
 
@@ -158,7 +158,7 @@ def _of_the_line(descriptor: int, driver: str | None) -> dict[str, bool | None]:
 
 
 def _node(device: str, root: Path) -> Path | None:
-    """Directory of a port's device in sysfs, None when it has none (pseudo-terminals)."""
+    """Return the directory of a port's device in sysfs, None when it has none (pseudo-terminals)."""
     if is_pseudo(device):
         return None
     node = root / "sys/class/tty" / os.path.basename(device) / "device"
@@ -173,7 +173,7 @@ def _driver(device: str, root: Path) -> str | None:
 
 
 def _usb_device(device: str, root: Path) -> Path | None:
-    """Directory of the USB device that a port belongs to: the nearest one above it with a vendor."""
+    """Return the directory of the USB device that a port belongs to: the nearest one above it with a vendor."""
     node = _node(device, root)
     while node is not None and node != node.parent:
         if (node / "idVendor").exists():

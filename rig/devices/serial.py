@@ -1,18 +1,7 @@
 """A serial port as a link: opened by pyserial, read and written through its descriptor.
 
-pyserial finds, opens, configures and locks the port; the bytes then move by read(2), write(2) and poll(2),
-which the compiled loop and Python share. What a port answers is set, and read back (`rig.devices._tty`):
-
-* pyserial leaves VMIN at 0, so that "nothing there" and "unplugged" look alike: it becomes 1;
-* an FTDI adapter waits up to 16 ms for more bytes: low latency is asked for, and its timer looked at;
-* a closing port drops DTR, which resets many boards: HUPCL goes off and stays off, so nothing of the line's settings
-  is put back when the link closes;
-* other programs take bytes away: the port is locked (flock by pyserial, TIOCEXCL here). A pseudo-terminal is only
-  locked: its TIOCEXCL would outlive a host that is killed;
-* DTR and RTS are asserted, as the kernel does at opening, and never move while the link is open. A board that they
-  hold in reset is opened with ``?dtr=off``, which takes both back in one step right after opening.
-
-What could not be obtained is in `SerialLink.messages`, with its remedy.
+pyserial finds, opens, configures and locks the port; the bytes then move by read(2), write(2) and poll(2), which the
+compiled loop and Python share. Settings that could not be obtained are in `SerialLink.messages`, with their remedy.
 
 `rig.devices` loads it for ``serial://`` on Linux, and the bus of the drives opens its adapters by it. It must not move
 DTR or RTS to find something out: a board would reset.
@@ -100,6 +89,7 @@ class SerialLink(DescriptorLink):
     def close(self) -> None:
         """Release the port."""
         if self._port is not None:
+            # Other settings stay as they are: restoring HUPCL would drop DTR and reset the board.
             tty.set_exclusive(self._descriptor, False)
             with suppress(OSError, termios.error):
                 self._port.close()
@@ -118,9 +108,13 @@ def _set_up(place: str, descriptor: int, *, dtr: bool) -> tuple[PortFacts, list[
             f"{place} does not keep its settings (VMIN)", remedy="name a serial port or a pseudo-terminal"
         )
     device = os.path.realpath(place)
+    # Another program would take bytes away: flock by pyserial, TIOCEXCL here. A pseudo-terminal's TIOCEXCL would
+    # outlive a host that is killed.
     if not is_pseudo(device):
         tty.set_exclusive(descriptor, True)
     tty.set_low_latency(descriptor)
+    # DTR and RTS are as the kernel asserts them at opening, and never move afterwards: a board would reset. A board
+    # that they hold in reset is opened with ``?dtr=off``.
     asserted = tty.set_dtr_rts(descriptor, dtr)
     facts = port_facts(place, descriptor)
     messages = [problem.sentence for problem in facts.problems()]

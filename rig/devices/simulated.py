@@ -102,7 +102,7 @@ class ExcitedSimulation(Protocol):
 
     @property
     def inner_rate_hz(self) -> float:
-        """Inner steps of the plant in a second (Hz)."""
+        """Return the inner steps of the plant in a second (Hz)."""
         ...
 
 
@@ -125,22 +125,22 @@ class WatchedLink(Link, Protocol):
 
     @property
     def frames(self) -> Mapping[Direction, int]:
-        """Frames sent so far in each direction; none where there is no script of faults."""
+        """Return the frames sent so far in each direction; none where there is no script of faults."""
         ...
 
     @property
     def struck(self) -> int:
-        """Faults of the script that have happened to frames."""
+        """Return the faults of the script that have happened to frames."""
         ...
 
     @property
     def current(self) -> int:
-        """Active current of the device, after all limits (quanta)."""
+        """Return the active current of the device, after all limits (quanta)."""
         ...
 
     @property
     def armed(self) -> bool:
-        """Whether the device would take a command."""
+        """Return True if the device would take a command."""
         ...
 
     def elapse(self, duration_s: float) -> None:

@@ -61,7 +61,7 @@ class UsbDevice:
 
     @property
     def url(self) -> str:
-        """How to open it."""
+        """Return how to open it."""
         number = f"/{self.serial}" if self.serial else ""
         return DeviceUrl.of("usb", f"{self.vid:04x}:{self.pid:04x}{number}").text
 
@@ -185,7 +185,7 @@ def _path(device: Any) -> str:
 
 
 def _text(device: Any, which: str, *, ask: bool = True) -> str:
-    """Serial number or product name: as the kernel has read it, else the device is asked; empty when it has none."""
+    """Return a serial number or product name, read by the kernel or from the device; empty if it has none."""
     with suppress(OSError):
         return (SYSFS / _path(device) / which).read_text("utf-8", "replace").strip()
     if ask:
@@ -196,7 +196,7 @@ def _text(device: Any, which: str, *, ask: bool = True) -> str:
 
 
 def _pipes(device: Any) -> _Pipes | None:
-    """First interface of vendor class with exactly one bulk endpoint each way, in the first configuration."""
+    """Return first interface of vendor class with exactly one bulk endpoint each way, in the first configuration."""
     try:
         interfaces = list(device[0]) if device.bNumConfigurations else []
     except usb.core.USBError:
@@ -276,11 +276,11 @@ class Transfers(Protocol):
     note: str
 
     def read(self, timeout_s: float) -> bytes:
-        """As `rig.devices.device.Link.read`; raises OSError."""
+        """Read as `rig.devices.device.Link.read`; raises OSError."""
         ...
 
     def write(self, data: bytes) -> None:
-        """As `rig.devices.device.Link.write`; raises OSError."""
+        """Write as `rig.devices.device.Link.write`; raises OSError."""
         ...
 
     def plugs(self) -> tuple[Any, Any, Any, int]:
@@ -318,11 +318,11 @@ class UsbLink(RealLink):
 
     @property
     def messages(self) -> list[str]:
-        """What could not be obtained, for the user to read."""
+        """Return what could not be obtained, for the user to read."""
         return [self.note] if self.note else []
 
     def read(self, timeout_s: float) -> bytes:
-        """Return what has arrived, waiting at most `timeout_s` for the first byte."""
+        """Read as `rig.devices.device.Link.read`; raises OSError."""
         self._check_open()
         try:
             return self._transfers.read(timeout_s)
@@ -330,7 +330,7 @@ class UsbLink(RealLink):
             raise self._lost(error) from error
 
     def write(self, data: bytes) -> None:
-        """Send all of `data`, or raise `LinkLostError` when the device takes no more or is gone."""
+        """Write as `rig.devices.device.Link.write`; raises OSError."""
         self._check_open()
         try:
             self._transfers.write(data)

@@ -27,7 +27,7 @@ _HYPERVISORS = re.compile(
 
 @question("kernel", "the loop must wait for kernel work that cannot be interrupted")
 def preemption(machine: Machine) -> Check:
-    """How the kernel lets a real-time thread interrupt what runs."""
+    """Return how the kernel lets a real-time thread interrupt what runs."""
     kind = facts.preemption(machine.root)
     if kind == "PREEMPT_RT":
         return ok("PREEMPT_RT: almost everything can be interrupted")

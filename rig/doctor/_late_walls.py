@@ -71,13 +71,13 @@ def stability(
 
 
 def _rounded_down(value: float) -> str:
-    """Two digits, not above the value."""
+    """Round down to two digits."""
     scale = 10.0 ** (math.floor(math.log10(value)) - 1)
     return f"{math.floor(value / scale) * scale:.12g}"
 
 
 def _theory_checks(experiment: Experiment, loops: LateLoops, passive: float) -> Iterator[Check]:
-    """Further results of theory: the stand-in for an estimator, homing, passivity."""
+    """Yield further results of theory: the stand-in for an estimator, homing, passivity."""
     if loops.stand_in:
         yield replace(warning(loops.stand_in), name="estimator")
     homing = loops.radius(experiment.homing.stiffness, experiment.homing.damping)

@@ -95,12 +95,12 @@ class LinkMeasurement:
 
     @reported
     def loss_share(self) -> float:
-        """Share of the questions that got no answer in time."""
+        """Return the share of the questions that got no answer in time."""
         return self.lost / self.sent
 
     @reported
     def loop_rate_hz(self) -> float:
-        """Highest rate at which 99.9 % of the commands are there within one period (Hz); infinite in virtual time.
+        """Return the highest rate (Hz) at which 99.9 % of commands arrive within a period; infinite in virtual time.
 
         With a drive that sends its samples unrequested, the period is a whole number of its message periods.
         """
@@ -120,7 +120,7 @@ class LinkMeasurement:
         return self.travel_s.almost_all + self.sample_delay_s
 
     def delay_ticks(self, rate: float, pacing: str = "device") -> int:
-        """Ticks from a sample to its command at a rate (Hz), in 99.9 % of all cases; none in virtual time."""
+        """Return ticks from a sample to its command at a rate (Hz), in 99.9 % of all cases; none in virtual time."""
         return 0 if self.virtual else ticks_late(self.late_s, rate, pacing)
 
     def rows(self) -> list[Row]:
@@ -160,7 +160,7 @@ def _drive(facts: Mapping[str, float]) -> str:
 
 
 def _times(times: Distribution) -> str:
-    """Quantiles with their bounds, and the longest (ms)."""
+    """Return the quantiles with their bounds, and the longest (ms)."""
     named = (("p50", times.p50), ("p99", times.p99), ("p99.9", times.p999))
     return f"{', '.join(f'{name} {_time(q)}' for name, q in named)}, longest {1e3 * times.maximum:.3g} ms"
 

@@ -121,7 +121,7 @@ def candidate_rates(experiment: Experiment, measurement: LinkMeasurement, rate_m
 
 
 def dampings_of(experiment: Experiment) -> tuple[float, ...]:
-    """Dampings that are looked at: none, the experiment's, and twice that."""
+    """Return the dampings that are looked at: none, the experiment's, and twice that."""
     own = experiment.wall.damping
     return (0.0, own, 2.0 * own) if own > 0.0 else (0.0,)
 
@@ -159,7 +159,7 @@ def supported_walls(
 
 
 def _schemes(experiment: Experiment, rate: int) -> list[Scheme]:
-    """Uniform at this rate, and dual-rate as many times faster as the experiment is, or nearly."""
+    """Return the uniform scheme at this rate, and the dual-rate one with about the experiment's ratio."""
     controller = experiment.controller
     asked = controller.position_rate // controller.velocity_rate
     asked = asked if asked > 1 else DIVIDER
@@ -193,7 +193,7 @@ def _row(experiment: Experiment, scheme: Scheme, because: str, delay: int) -> Su
 
 
 def _round(hertz: float) -> int:
-    """Two digits, not above: a rate that divides by something."""
+    """Round a rate down to two digits, so that it can be divided."""
     if hertz < 100.0:
         return int(hertz)
     scale = int(10.0 ** (math.floor(math.log10(hertz)) - 1))

@@ -78,7 +78,7 @@ def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
 def refused_among(
     experiment: Experiment, measurement: LinkMeasurement, stiffnesses: Iterable[float]
 ) -> tuple[float, ...]:
-    """Which of these stiffnesses `gate` refuses, at the experiment's damping; the same answer in far less time."""
+    """Return the stiffnesses that `gate` refuses at the experiment's damping, without its detailed checks."""
     walls = tuple(stiffnesses)
     delay = loop_delay_ticks(experiment, measurement, experiment.controller.position_rate)
     if check.refused([*_link_checks(experiment, measurement), *homing_checks(experiment, delay)]):
@@ -126,7 +126,7 @@ def _lifetime_s(experiment: Experiment) -> float:
 
 
 def _link_checks(experiment: Experiment, measurement: LinkMeasurement) -> list[Check]:
-    """Checks of the link, the same for any wall."""
+    """Return the checks of the link, the same for any wall."""
     found = [_delay(experiment, measurement), _losses(measurement)]
     times = measurement.travel_s
     if times.p999.high is None and not measurement.virtual:

@@ -17,7 +17,7 @@ from rig.core.present import Item, Row, reported
 
 
 def ticks_late(late_s: float, rate: float, pacing: str = "device") -> int:
-    """Ticks from a sample to its command, which is so late (s), at a rate (Hz): one at least in real time.
+    """Return the ticks from a sample to its command, which is so late (s), at a rate (Hz): one at least in real time.
 
     A command that arrives in the course of a tick is active from the next one on, hence whole ticks. A loop that the
     host paces lets a sample wait for its own tick, one more at most.

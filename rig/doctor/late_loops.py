@@ -48,7 +48,7 @@ def late_by(experiment: Experiment, ticks: int) -> Experiment:
 
 
 def loop_delay_ticks(experiment: Experiment, measurement: LinkMeasurement, rate: int) -> int:
-    """Whole ticks from a sample to its effort: the link's, or none where the device itself runs the law."""
+    """Return whole ticks from a sample to its effort: the link's, or none where the device itself runs the law."""
     if experiment.controller.loop == "device":
         return 0
     return measurement.delay_ticks(rate, experiment.host.pacing)
@@ -100,7 +100,7 @@ class LateLoops:
 
     @cached_property
     def by_hand(self) -> Mapping[str, tuple[Lifted, ...]]:
-        """Loops for each hand, one for each velocity rate."""
+        """Return the loops for each hand, one for each velocity rate."""
         return {
             name: tuple(
                 Lifted.of(linear_loop(self.experiment, scheme, operator=hand, estimator=free.estimator))
@@ -110,14 +110,14 @@ class LateLoops:
         }
 
     def radius(self, stiffness: float, damping: float) -> dict[str, float]:
-        """Spectral radius for each hand, the larger of the rates: below 1 the wall is linearly stable."""
+        """Return the spectral radius for each hand, the larger of the rates: below 1 the wall is linearly stable."""
         return {
             name: max(float(loop.radius(stiffness, damping)) for loop in loops)
             for name, loops in self.by_hand.items()
         }
 
     def k_max(self, dampings: Sequence[float]) -> list[dict[str, float]]:
-        """Largest stable stiffness for each hand, the smaller of the rates, at each damping."""
+        """Return the largest stable stiffness for each hand, the smaller of the rates, at each damping."""
         curves = {
             hand: [k_max_curve(loop, None, dampings) for loop in loops]
             for hand, loops in self.by_hand.items()

@@ -106,7 +106,7 @@ def round_up(value: float) -> float:
 
 
 def _down(value: float) -> float:
-    """Three digits, not above a value."""
+    """Round down to three digits."""
     return _round(value, math.floor)
 
 
@@ -153,7 +153,7 @@ def _homing_stability(x: Experiment, ticks: int) -> Check:
 
 
 def _homing_slew(x: Experiment) -> Check:
-    """A servo whose effort cannot follow its own oscillation keeps oscillating."""
+    """Check that the servo's effort can follow its own oscillation, which would not decay otherwise."""
     h = x.homing
     natural = math.sqrt(h.stiffness / servos.inertia(x))
     least = h.effort * natural / servos.SLOWEST_RISE
@@ -168,7 +168,7 @@ def _homing_slew(x: Experiment) -> Check:
 
 
 def _homing_resolution(x: Experiment, ticks: int) -> Check:
-    """One count more or less must not ask for much of the effort."""
+    """Check that a change by one count changes the effort by a small share only."""
     h, unit = x.homing, unit_of("effort", x.rig.motion)
     delta, stiffest = x.rig.encoder.resolution, servos.stiffest_for_counts(x, h.effort, servos.COUNT_SHARE)
     text = (
@@ -179,7 +179,7 @@ def _homing_resolution(x: Experiment, ticks: int) -> Check:
 
 
 def _homing_offset(x: Experiment, ticks: int) -> Check:
-    """Where friction may hold the handle, against the way to the wall."""
+    """Compare where friction may hold the handle with the distance to the wall."""
     # A person brings the handle to its start; an excitation has no approach.
     if x.trial.kind != "constant-effort":
         return Check("homing offset", Outcome.OK, "not relevant: no push begins at trial.start")
@@ -215,7 +215,7 @@ def _homing_offset(x: Experiment, ticks: int) -> Check:
 
 
 def _homing_time(x: Experiment) -> Check:
-    """From where a simulated rig begins, or from the farther end of the window."""
+    """Check the time of homing from where a simulated rig begins, or from the farther end of the window."""
     limits, simulation = x.rig.limits, x.rig.simulation
     ends = (limits.position_minimum, limits.position_maximum)
     begins = (simulation.initial_position,) if simulation.initial_position is not None else ends
@@ -264,7 +264,7 @@ def _approach_checks(x: Experiment) -> Iterator[Check]:
 
 
 def _unseen_speed(x: Experiment, net: float) -> Check:
-    """The guard of a dead encoder ends a run in which the handle could become fast on two neighbouring counts."""
+    """Check that the guard of a dead encoder ends a run before the handle is fast on two neighbouring counts."""
     inertia, unit = servos.inertia(x), unit_of("velocity", x.rig.motion)
     way, limit = UNMOVED_COUNTS * x.rig.encoder.resolution, UNMOVED_SPEED * x.rig.limits.speed
     speed = math.sqrt(2.0 * net * way / inertia)

@@ -143,7 +143,7 @@ class Board(BoardFile):
         return [f"{self.name}: {self.description}, up to {self.rate_maximum / 1e3:g} kHz", *named]
 
     def sources(self, application: str) -> tuple[Path, ...]:
-        """C and assembler files of one of its programs: those of the port by name, then the program's own."""
+        """Return C and assembler files of one of its programs: those of the port by name, then the program's own."""
         special = {name for names in self.applications.values() for name in names}
         found = sorted(path for path in self.directory.iterdir() if path.suffix in (".c", ".S"))
         own = (Path(normpath(self.directory / name)) for name in self.applications[application])
@@ -151,7 +151,7 @@ class Board(BoardFile):
 
 
 def names() -> list[str]:
-    """Every board of this package; of one with several processors the plain name, then each."""
+    """Return every board of this package; of one with several processors the plain name, then each."""
     found = []
     for path in sorted(BOARDS.glob("*/board.toml")):
         found.append(path.parent.name)

@@ -222,14 +222,14 @@ def build(request: BuildRequest, on_progress: Progress = lambda _what, _share: N
 
 
 def shared_sources(application: str = DEVICE) -> tuple[Path, ...]:
-    """C files that every image of a program has, whatever the board."""
+    """Return C files that every image of a program has, whatever the board."""
     if application == PORT_CHECK:
         return tuple(FIRMWARE / name for name in PORT_CHECK_SOURCES)
     return tuple(path for part in SHARED for path in sorted((FIRMWARE / part).glob("*.c")))
 
 
 def sources_hash(board: Board) -> str:
-    """Fingerprint of everything that is compiled for a board, but for the rig: 12 hexadecimal digits."""
+    """Return the fingerprint of everything that is compiled for a board, but for the rig: 12 hexadecimal digits."""
     digest = hashlib.sha256()
     directories = [*(FIRMWARE / part for part in SHARED), board.directory]
     files = (path for directory in directories for path in directory.iterdir() if path.is_file())
@@ -239,7 +239,7 @@ def sources_hash(board: Board) -> str:
 
 
 def _path_in_tree(path: Path, board: Board) -> Path:
-    """Where the compiler finds a source: its board may lie anywhere."""
+    """Return where the compiler finds a source: its board may lie anywhere."""
     if path.is_relative_to(board.directory):
         return Path("board") / path.relative_to(board.directory)
     return Path("firmware") / path.relative_to(FIRMWARE)
@@ -363,7 +363,7 @@ def _write_error(directory: Path, error: OSError) -> RecordingError:
 
 
 def _sizes(board: Board, segments: tuple[Segment, ...]) -> tuple[int, int]:
-    """Bytes of flash and of RAM that a program takes; raises `ToolchainError` when it leaves them."""
+    """Return the bytes of flash and of RAM that a program takes; raises `ToolchainError` when it leaves them."""
     flash, ram = board.flash, board.ram
     for segment in segments:
         begin = segment.load.address

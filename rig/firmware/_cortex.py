@@ -189,13 +189,13 @@ class Simulator:
 
     @property
     def stack(self) -> int:
-        """Bytes of stack that were ever used."""
+        """Return the bytes of stack that were ever used."""
         painted = bytes(self.uc.mem_read(STACK_LEAST, STACK_TOP - STACK_LEAST))
         return len(painted) - (len(painted) - len(painted.lstrip(PAINT)))
 
 
 def _block(address: int, words: list[int], small: bool) -> BasicBlock:
-    """Cost of the instructions in a block; `small` for the M0+."""
+    """Return the cost of the instructions in a block; `small` for the M0+."""
     taken = 1 if small else 2  # more for a branch that is taken
     instructions = cycles = at = jump = 0
     while at < len(words):
@@ -215,7 +215,7 @@ def _block(address: int, words: list[int], small: bool) -> BasicBlock:
 
 
 def _extra(word: int, taken: int) -> int:
-    """Cycles beyond one of a short instruction, a jump by condition left out."""
+    """Return the cycles beyond one of a short instruction, a jump by condition left out."""
     if word >> 11 == 0b01001 or word >> 12 in (0b0101, 0b0110, 0b0111, 0b1000, 0b1001):
         return 1
     if word & 0xF600 == 0xB400:  # push and pop
@@ -242,7 +242,7 @@ _WIDE = (
 
 
 def _extra_wide(first: int, second: int, taken: int) -> int:
-    """The same of a long instruction."""
+    """Return the same of a long instruction."""
     if first & 0xFE40 == 0xE800:
         return second.bit_count()  # several words
     for mask, value, mask_2, value_2, cycles, jumps in _WIDE:

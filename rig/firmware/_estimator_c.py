@@ -118,14 +118,14 @@ def estimator_c(prepared: Prepared) -> EstimatorC:
 
 
 def _prefixed(text: str, prefix: str) -> str:
-    """The names of the firmware that this file itself uses, as the excerpt has them."""
+    """Return the names of the firmware that this file itself uses, as the excerpt has them."""
     return re.sub(r"\blaw_\w+", lambda found: renamed(found[0], prefix), text).replace(
         "NUMBERS", f"{prefix}_numbers"
     )
 
 
 def _numbers(form: _Form, values: dict[str, Value]) -> str:
-    """The object that holds what was designed."""
+    """Return the object that holds what was designed."""
     if not form.numbers:
         return ""
     if form.numbers == "law_low_pass":
@@ -137,7 +137,7 @@ def _numbers(form: _Form, values: dict[str, Value]) -> str:
 
 
 def _field(parameter: str) -> str:
-    """Member of a struct in law.h that a parameter becomes."""
+    """Return the member of a struct in law.h that a parameter becomes."""
     kind, _, name = parameter.partition("_")
     return f"gain_{name}" if kind == "kalman" else name
 
@@ -162,7 +162,7 @@ def _literal(value: Value) -> str:
 
 
 def c_float(value: float) -> str:
-    """A float32 constant of C with the shortest digits that read back equal."""
+    """Return a float32 constant of C with the shortest digits that read back equal."""
     return f"{np.float32(value)!s}f"
 
 

@@ -145,7 +145,7 @@ def drive_at(path: Path) -> BootDrive:
 
 
 def _mounted() -> list[Path]:
-    """Places where systems mount such a drive."""
+    """Return the places where systems mount such a drive."""
     if sys.platform == "win32":
         return [Path(f"{letter}:\\") for letter in string.ascii_uppercase]
     else:

@@ -73,7 +73,7 @@ def about(source: str, dictionary: Dictionary, hash_: int, facts: ImageFacts | N
 
 
 def compatibility(dictionary: Dictionary) -> Iterator[Check]:
-    """Why this package cannot run a firmware, and what else differs; nothing where all is equal."""
+    """Yield why this package cannot run a firmware, and what else differs; nothing where all is equal."""
     theirs, ours = f"{dictionary.major}.{dictionary.minor}", f"{MAJOR}.{MINOR}"
     versions = f"the firmware uses protocol {theirs}, this package {ours}"
     if dictionary.major != MAJOR:

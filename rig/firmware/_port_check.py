@@ -385,7 +385,7 @@ def _ticks(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
 
 
 def _measure_ticks(trial: PortTrial, rate: int, expected: int) -> tuple[float, bool, float]:
-    """Ticks a second (by device time, made right), whether the rate was taken, distance from the grid (s)."""
+    """Return ticks a second (by device time, made right), whether the rate was taken, distance from the grid (s)."""
     wanted = max(TICKS_LEAST, round(min(TICKS_S, TICKS_SHARE * trial.request.seconds) * expected))
     accepted, count, passed, *off = trial.ask_signed(PortProbe.TICKS, rate, wanted)
     least, most, newest = off
@@ -516,7 +516,7 @@ def _bites(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
 
 
 def _starve(board: BoardUnderTest, bite_us: int) -> tuple[int, bool]:
-    """How long it lived unfed (ms), and whether it was bitten."""
+    """Return how long it lived unfed (ms), and whether it was bitten."""
     try:
         (lived_ms,) = board.ask(PortProbe.BITE, bite_us, wait_s=8e-6 * bite_us + 0.2, quiet_s=QUIET_S)
     except (NoAnswerError, LinkLostError):

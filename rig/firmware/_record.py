@@ -61,7 +61,7 @@ class Record:
 
     @property
     def dictionary(self) -> dictionaries.Dictionary:
-        """The dictionary that the device will send; raises `ConfigError` for one that cannot be read."""
+        """Return the dictionary that the device will send; raises `ConfigError` for one that cannot be read."""
         try:
             return dictionaries.decode(self.packed)
         except RemoteProtocolError as error:

@@ -26,7 +26,7 @@ PULSE_WIDTH = {"duty_minimum", "duty_maximum", "set_point", "pwm_frequency", "cl
 
 
 def monitor_step_a(settings: Mapping[str, SettingValue]) -> float:
-    """One step of the converter behind a current monitor (A)."""
+    """Return one step of the converter behind a current monitor (A)."""
     return CONVERTER_V / CONVERTER_STEPS / float(settings["monitor_scale"])
 
 
@@ -35,7 +35,7 @@ def _has_pulse_width(settings: Mapping[str, SettingValue]) -> bool:
 
 
 def _share_of_a_step(settings: Mapping[str, SettingValue]) -> float | None:
-    """One step that leaves the board, as a share of full scale; None for a board that does not tell."""
+    """Return one step that leaves the board, as a share of full scale; None for a board that does not tell."""
     if not settings.keys() >= SCALES:
         return None
     if not _has_pulse_width(settings):

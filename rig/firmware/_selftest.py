@@ -327,7 +327,7 @@ def _encoder(device: FramedDevice, request: SelfTestRequest) -> Check:
 
 
 def _until_rest(device: FramedDevice, last: int) -> list[int]:
-    """Counts until the hand has stopped."""
+    """Return the counts until the hand has stopped."""
     counts = [last]
     while len(counts) < MOVE_LOOKS:
         new = [state.count for state in device.states(REST_S)] or [counts[-1]]
@@ -338,7 +338,7 @@ def _until_rest(device: FramedDevice, last: int) -> list[int]:
 
 
 def _way(first: int, last: int, span: int, model: RigModel | None) -> str:
-    """Distance and direction of the handle, as far as the rig is known."""
+    """Return the distance and direction of the handle, as far as the rig is known."""
     text = f"from {first} to {last}, through {span} counts"
     if model is None or first == last:
         return text

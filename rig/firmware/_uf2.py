@@ -97,7 +97,7 @@ def read_uf2(content: bytes, name: str) -> Uf2:
 
 
 def _block(block: bytes, name: str) -> tuple[int, int, int | None, Piece | None]:
-    """Number, total, family and content of a block."""
+    """Return the number, total, family and content of a block."""
     first, second, flags, address, size, number, total, family = _HEAD.unpack_from(block)
     (last,) = struct.unpack_from("<I", block, BLOCK_BYTES - 4)
     if (first, second, last) != (MAGIC_FIRST, MAGIC_SECOND, MAGIC_LAST):

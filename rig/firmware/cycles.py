@@ -96,7 +96,7 @@ def _cost(name: str, estimator: EstimatorC, counts: Ints, elapsed: Ints) -> Cost
 
 
 def _write_harness(estimator: EstimatorC) -> str:
-    """Functions that the simulator can call, and the memory that they share."""
+    """Return the functions that the simulator can call, and the memory that they share."""
     prefix = estimator.prefix
     return f"""
 static {prefix}_estimator memory;

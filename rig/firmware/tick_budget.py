@@ -65,11 +65,11 @@ class TickBudget:
     clock_hz: float
 
     def call_cycles(self, estimator: str) -> int | None:
-        """Most cycles of one call of an estimator; None for one that no board runs."""
+        """Return the most cycles of one call of an estimator; None for one that no board runs."""
         return CALLS[self.core.name].get(estimator)
 
     def rate_maximum(self, estimator: str) -> float:
-        """Highest rate (Hz) at which a tick of the law with this estimator fits; 0 for one that no board runs."""
+        """Return the highest rate (Hz) at which a tick with this estimator fits; 0 for one that no board runs."""
         cycles = TICKS[self.core.name].get(estimator)
         return 0.0 if cycles is None else SHARE * self.clock_hz / cycles
 

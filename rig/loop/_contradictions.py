@@ -48,22 +48,23 @@ _NO_COMMAND_YET, _OLDEST_EDGE = int(NO_COMMAND_YET), int(OLDEST_EDGE)
 
 @kernel(types.int64(types.int64, types.int64), inline=True)
 def ahead(new: int, old: int) -> int:
-    """How far a 32-bit number is ahead of another, which may have more bits; negative when behind."""
+    """Return how far a 32-bit number is ahead of another, which may have more bits; negative when behind."""
     return (new - old + WRAP // 2) % WRAP - WRAP // 2
 
 
 @kernel(types.int64(SETTINGS_TYPE, types.int64), inline=True)
 def time_of(settings: Any, samples: int) -> int:
-    """Device time that so many samples take (device ticks)."""
+    """Return the device time that so many samples take (device ticks)."""
     return int(samples * settings[0]["period_ns"] * 1000 // settings[0]["device_tick_ps"])
 
 
 @kernel(types.int64(SETTINGS_TYPE, types.int64, types.int64, types.int64))
 def clock_error(settings: Any, error: int, samples: int, time: int) -> int:
-    """How far the device's clock is ahead of its sample index, after `samples` that took `time` (device ticks).
+    """Return how far the device's clock is ahead of its sample index, after `samples` that took `time` (device ticks).
 
-    `error` is what this was before; of it `_DRIFT_PER_CENT` of the time that passed are forgotten.
+    `error` is the value before.
     """
+    # A share of the elapsed time is forgotten: a timer that cannot have the exact rate drifts and is no contradiction.
     expected = time_of(settings, samples)
     error += ahead(time, expected)
     forgotten = 1 + abs(expected) * _DRIFT_PER_CENT // 100
@@ -72,7 +73,7 @@ def clock_error(settings: Any, error: int, samples: int, time: int) -> int:
 
 @kernel(types.int64(SETTINGS_TYPE, types.int64, types.int64))
 def of_clock(settings: Any, samples: int, error: int) -> int:
-    """Contradiction in a sample that comes `samples` after the last one and has this `clock_error`."""
+    """Return the contradiction in a sample that comes `samples` after the last one and has this `clock_error`."""
     if samples < -settings[0]["lost_after_ns"] // settings[0]["period_ns"]:
         return _RESTARTED
     return _CLOCK if abs(error) > time_of(settings, _PERIODS) else _NONE
@@ -80,7 +81,7 @@ def of_clock(settings: Any, samples: int, error: int) -> int:
 
 @kernel(types.int64(SETTINGS_TYPE, PROGRESS_TYPE, INTS))
 def _of_itself(settings: Any, progress: Any, state: Any) -> int:
-    """Contradiction between a STATE and itself, or the COMMANDs that were sent."""
+    """Return the contradiction between a STATE and itself, or the COMMANDs that were sent."""
     s, age = settings[0], state[STATE.command_age]
     if (state[STATE.device_time] - state[STATE.edge_time]) % WRAP > _OLDEST_EDGE:
         return _EDGE

@@ -40,7 +40,7 @@ def keep_command(sent: Any, sequence: int, current: int, answers: int) -> None:
 
 @kernel(types.int64(INTS, types.int64), inline=True)
 def answered_by(sent: Any, sequence: int) -> int:
-    """Index of the sample that a COMMAND answers, -1 of one that is forgotten."""
+    """Return the index of the sample that a COMMAND answers, -1 of one that is forgotten."""
     place = 3 * (sequence % COMMANDS_KEPT)
     return int(sent[place + 2]) if sent[place] == sequence else -1
 

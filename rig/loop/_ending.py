@@ -40,7 +40,7 @@ _CURRENT, _FLAG_CURRENT = int(EndReason.CURRENT_DIFFERS), int(RowFlag.CURRENT_DI
 
 @kernel(types.int64(PROGRESS_TYPE))
 def contradicted(progress: Any) -> int:
-    """Reason to end that a contradiction of the device gives, or 0."""
+    """Return the reason to end that a contradiction of the device gives, or 0."""
     found = progress[0]["contradiction"]
     if found == 0:
         return 0
@@ -49,10 +49,11 @@ def contradicted(progress: Any) -> int:
 
 @kernel(types.int64(INTS, PROGRESS_TYPE))
 def ended_by_device(state: Any, progress: Any) -> int:
-    """Reason to end that a STATE or a contradiction of the device gives, or 0.
+    """Return the reason to end that a STATE or a contradiction of the device gives, or 0.
 
-    A device that left the session may not say why, and one that reports a pressed emergency stop must not drive on.
+    A pressed emergency stop is a fault too, although a device may still report ARMED.
     """
+    # Not armed is enough: a device that left the session may report no fault.
     armed = state[STATE.state] == _ARMED or state[STATE.state] == _RUNNING
     if state[STATE.fault] != 0 or not armed or state[STATE.inputs] & _EMERGENCY != 0:
         return FAULT
@@ -61,11 +62,11 @@ def ended_by_device(state: Any, progress: Any) -> int:
 
 @kernel(types.int64(INTS, SETTINGS_TYPE, PROGRESS_TYPE))
 def ended_at_the_switch(state: Any, settings: Any, progress: Any) -> int:
-    """Reason to end that the limit switch gives in a STATE, or 0.
+    """Return the reason to end that the limit switch gives in a STATE, or 0.
 
-    The switch lies outside of the position window: where it is reached position zero is wrong or the guard has failed.
-    A broken wire reads as pressed and ends the run as well, because the switch could no longer detect the end.
+    A broken wire reads as pressed and ends the run as well.
     """
+    # The switch lies outside of the position window: where it is reached, position zero is wrong or the guard failed.
     s, p = settings[0], progress[0]
     if state[STATE.inputs] & _SWITCH == 0:
         p["switch_open"] += 1
@@ -78,8 +79,9 @@ def ended_at_the_switch(state: Any, settings: Any, progress: Any) -> int:
 
 @kernel(types.int64(PORT_TYPE, SETTINGS_TYPE, types.uintp))
 def end_requested(port: LoopPort, settings: Any, words: int) -> int:
-    """Reason to end that came from outside, or 0: the stop word, a request, a supervisor whose heartbeat stopped."""
+    """Return the reason to end from outside, or 0: stop word, stop request, supervisor without heartbeat."""
     requests = settings[0]["stop_requests"]
+    # The request is copied to the stop word of this run, so that `rig stop --list` shows that it is stopping.
     if requests != 0 and load_word(requests) != settings[0]["stop_requests_before"]:
         store_word(words + WORD * control_words.STOP, 1)
     if load_word(words + WORD * control_words.STOP) != 0:
@@ -92,12 +94,12 @@ def end_requested(port: LoopPort, settings: Any, words: int) -> int:
 
 @kernel(types.int64(MEMORY_TYPE))
 def ended_by_law(memory: Any) -> int:
-    """Reason to end that `rig.control.step` or a comparison of the currents left in the tick's flags, or 0.
+    """Return the reason to end that `rig.control.step` or a comparison of the currents left in the tick's flags, or 0.
 
-    With the law on the device this is the host's own step on the samples of a BATCH, and the device does not watch
-    energy, violence or a count that stands: it drives until our STOP arrives. That takes the rest of the batch (at most
-    5 ms, see `rig.config.device_law._batch`), the transfer of its bytes, and the transfer of the STOP.
+    With the law on the device this is the host's own step on the samples of a BATCH.
     """
+    # A device's law does not watch energy, violence or a count that stands: it drives until the STOP arrives, after the
+    # rest of the batch (5 ms at most, `rig.config.device_law._batch`) and the transfer of both.
     flags = memory[0]["flags"]
     reason = 0
     if flags & FLAG_NONFINITE:

@@ -18,12 +18,14 @@ from rig.realtime.atomics import load_word, store_word
 from rig.realtime.codec import GET_TIME, TIME
 from rig.realtime.kernel import kernel
 
-EVERY_NS = 91_000_000  # some eleven a second; no multiple of a usual period, so that aliasing hides no delay
+# Some eleven a second. No multiple of a usual period: exchanges at the same phase of each tick would hide its delay.
+EVERY_NS = 91_000_000
 
 
 @kernel(types.int64(types.int64, types.int64))
 def device_ns(ticks: int, device_tick_ps: int) -> int:
-    """Device time in ns, without overflow for some hundred years."""
+    """Return the device time in ns."""
+    # In two parts: the product of ticks and picoseconds would leave 64 bits after 107 days.
     return ticks // 1000 * device_tick_ps + ticks % 1000 * device_tick_ps // 1000
 
 
@@ -66,7 +68,8 @@ def take_time(settings: Any, buffers: Buffers, length: int, words: int) -> int:
     exchanges[place, 1] = device_ns(times[TIME.device_received], device_tick_ps)
     exchanges[place, 2] = device_ns(times[TIME.device_sent], device_tick_ps)
     exchanges[place, 3] = p["read_at"]
-    for i in range(4):  # for readers of the ring: the other half is left alone meanwhile
+    # Two halves in turn: a reader of the ring copies the one that is not being written, and EXCHANGES is stored last.
+    for i in range(4):
         store_word(words + WORD * (control_words.CLOCK + 4 * (done % 2) + i), exchanges[place, i])
     store_word(words + WORD * control_words.EXCHANGES, done + 1)
     return 1

@@ -1,15 +1,8 @@
 """The control loop on the host, as one compiled function without the GIL.
 
-For each fresh STATE: read the count, run `rig.control.step`, answer with a COMMAND, leave one row in the ring. The loop
-is paced by the device (block until a sample arrives, one period at most) or by the host (wake on a grid that does not
-drift, skip missed points, never burst, and take the newest sample available). Every wait is bounded, so that the stop
-word, a signal and the heartbeat are seen within a tick. The link is drained every time and the newest sample kept;
-older ones are counted as skipped, those that never arrived as lost: the law saw neither.
-
-Estimator, law, link and clock are plug points (`rig.realtime.plugs`), so that this function is compiled once for all of
-them: the in-memory link in virtual time and a serial port in real time run the same machine code.
-
-Whatever ends the loop, it sends several STOP commands before it returns, and its caller sends them again.
+For each fresh STATE: read the count, run `rig.control.step`, answer with a COMMAND, leave one row in the ring.
+`rig.loop._run` starts it in a thread. It must not wait without a bound, allocate, or return before it has sent several
+STOP commands.
 """
 
 from __future__ import annotations
@@ -54,16 +47,15 @@ from rig.realtime.atomics import load_word, store_word
 from rig.realtime.codec import STATE
 from rig.realtime.kernel import kernel
 
+# Bounds of one wait: the stop word, a signal and the heartbeat are checked between waits, so within a tick or 10 ms.
 SHORTEST_WAIT_NS = 200_000
 LONGEST_WAIT_NS = 10_000_000
 
 
 @kernel(types.boolean(SETTINGS_TYPE, MEMORY_TYPE, PROGRESS_TYPE))
 def _overran(settings: Any, memory: Any, progress: Any) -> bool:
-    """Return True if this tick is more than one period late.
-
-    Device-paced, the newest of several samples is in time though the skipped ones were not: they decide.
-    """
+    """Return True if this tick is more than one period late."""
+    # Device-paced, the newest of several samples is in time though the skipped ones were not: they decide.
     flags = memory[0]["flags"]
     behind = settings[0]["host_paced"] == 0 and flags & FLAG_GAP != 0 and progress[0]["fresh"] > 1
     return bool(behind or flags & FLAG_LATE != 0)
@@ -87,16 +79,18 @@ def _outcome(settings: Any, buffers: Buffers, memory: Any) -> int:
 
 @kernel(types.void(PORT_TYPE, SETTINGS_TYPE, PROGRESS_TYPE, types.uintp))
 def _sleep_to_the_grid(port: LoopPort, settings: Any, progress: Any, words: int) -> None:
-    """Host-paced: sleep to the next point of the grid. Points that passed before it woke are counted and left out."""
+    """Sleep to the next point of the grid (host-paced); count and skip points that passed before."""
     s, p = settings[0], progress[0]
     if p["deadline"] == 0:
         p["deadline"] = port.now(port.clock_handle)
+    # Absolute deadlines: a late wake-up does not shift the grid.
     p["deadline"] += s["period_ns"]
     port.sleep(port.clock_handle, p["deadline"] - s["spin_ns"])
     woke = port.now(port.clock_handle)
     while woke < p["deadline"]:
         woke = port.now(port.clock_handle)
     p["late"] = woke - p["deadline"]
+    # Points that passed are skipped, never run in a burst: several commands at once would be one effort too late.
     passed = p["late"] // s["period_ns"]
     p["deadline"] += passed * s["period_ns"]
     add(words, control_words.OVERRUNS, passed)
@@ -130,6 +124,7 @@ def _receive(port: LoopPort, settings: Any, buffers: Buffers, words: int) -> int
         if s["host_paced"] == 0:
             p["late"] = lateness(settings, buffers.progress, p["read_at"])
         return int(passed)
+    # Before a closed link: a device that restarts may close the port as well, and its restart is the reason.
     if p["contradiction"] != 0:
         return _ENDS * contradicted(buffers.progress)
     if ready < 0:
@@ -179,6 +174,7 @@ def run(
         if elapsed < 0:
             reason = -elapsed
             break
+        # The first sample has no predecessor: what passed before it is no loss.
         if tick == 0:
             elapsed = 1
         received_ns = p["read_at"]
@@ -193,6 +189,7 @@ def run(
         flag_timing(settings, memory, buffers.progress, elapsed, words)
         compare_command(buffers, memory)
         compare_measured(buffers, memory, elapsed)
+        # Before the command is sent: the tick that finds the reason already sends STOP instead of its current.
         mode, sync = MODE_CURRENT, sync_of(memory)
         reason = _outcome(settings, buffers, memory)
         if reason != 0:
@@ -212,7 +209,8 @@ def run(
         if taken < 0:
             store_word(words + WORD * control_words.END_ERRNO, -taken)
             reason = CLOSED
-    for _ in range(STOP_FRAMES):  # also on a closed link: one that only reads badly still carries them
+    # Also on a closed link: one whose reading fails may still transmit. The caller sends them again.
+    for _ in range(STOP_FRAMES):
         send_command(port, settings, buffers, MODE_STOP, 0, NO_SYNC)
     store_word(words + WORD * control_words.END_REASON, reason)
     return int(reason)

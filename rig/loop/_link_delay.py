@@ -24,7 +24,7 @@ _NONE_YET, _TOO_OLD = int(NO_COMMAND_YET), int(LimitFlag.COMMAND_TOO_OLD)
 
 @kernel(types.int64(BUFFERS_TYPE))
 def ticks_under_way(buffers: Buffers) -> int:
-    """Ticks from the sample that the active command answers to its receipt; of one long forgotten, at least so many."""
+    """Return the ticks from the sample that the active command answers to its receipt; of an old one, a lower bound."""
     state, active = buffers.state, buffers.state[STATE.command_sequence]
     answered = answered_by(buffers.sent, active)
     if answered >= 0:

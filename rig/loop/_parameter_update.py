@@ -60,7 +60,7 @@ AGAIN_NS = 2_000_000  # after the device found the handle inside a wall
 
 
 def update_of(number: int, block: bytes, values: Sequence[float]) -> bytes:
-    """Bytes of an update: the number of a set, its block of live parameters, and the values for the host's law.
+    """Return bytes of an update: the number of a set, its block of live parameters, and the values for the host's law.
 
     Raises `ConfigError` for a set that does not fit.
     """
@@ -104,7 +104,7 @@ def _remember(supervision: Any, t: Transaction) -> None:
 
 @kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE, TRANSACTION))
 def _encode(settings: Any, buffers: Buffers, supervised: SupervisionBuffers, t: Transaction) -> int:
-    """Frame of the request that is under way, in `buffers.transmit`."""
+    """Return the frame of the request that is under way, in `buffers.transmit`."""
     session, request, block = settings[0]["session"], supervised.request, supervised.update_block
     request[SET_BEGIN.nonce] = t.nonce
     if t.step == BEGIN:

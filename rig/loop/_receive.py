@@ -26,7 +26,7 @@ def add(words: int, word: int, amount: int) -> None:
 
 @kernel(types.int64(PORT_TYPE, BUFFERS_TYPE))
 def drain(port: LoopPort, buffers: Buffers) -> int:
-    """Read all that is there into the receive buffer: 0, or the negative errno of a broken link."""
+    """Read all available bytes into the receive buffer: 0, or the negative errno of a broken link."""
     p, start = buffers.progress[0], np.int64(buffers.received.ctypes.data)
     while p["filled"] < RECEIVE_BYTES:
         got = port.read(port.handle, start + p["filled"], np.int64(RECEIVE_BYTES - p["filled"]))
@@ -61,7 +61,8 @@ def _take(settings: Any, buffers: Buffers, words: int) -> int:
         p["started"] = 1
     else:
         p["sample_index"] += newer
-        expected = time_of(settings, newer)  # a jump back is one, not a wrap
+        # Relative to the expected time: a clock that jumps back is then a jump and not almost a whole wrap forward.
+        expected = time_of(settings, newer)
         p["device_time"] += expected + ahead(candidate[STATE.device_time] - p["device_time"], expected)
     p["answers"] = buffers.header[HEAD.sequence]
     p["fresh"] += 1
@@ -76,7 +77,7 @@ def newest_state(settings: Any, buffers: Buffers, words: int) -> int:
 
     Returns the samples passed since the last one delivered, 0 when nothing is fresh; ``progress["fresh"]`` is how
     many of them arrived. An answer to a clock exchange goes to `buffers.exchanges`. An unfinished frame moves to the
-    front of the buffer; two kilobytes without a delimiter are noise and are thrown away.
+    front of the buffer; two kilobytes without a delimiter are noise and are discarded.
     """
     p, header = buffers.progress[0], buffers.header
     p["fresh"] = 0
@@ -87,6 +88,7 @@ def newest_state(settings: Any, buffers: Buffers, words: int) -> int:
         length, start = next_frame(buffers.received, start, end, buffers.raw)
         if length == NO_FRAME:
             break
+        # A bad frame is skipped, not fatal: COBS finds the next one at the following delimiter.
         if length < 0:
             add(words, control_words.BAD_FRAMES, 1)
             continue

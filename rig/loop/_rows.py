@@ -36,12 +36,14 @@ FLAG_LATE, FLAG_GAP = int(RowFlag.LATE), int(RowFlag.GAP)
 
 @kernel(types.int64(SETTINGS_TYPE, PROGRESS_TYPE, types.int64, types.int64, types.int64))
 def behind_grid(settings: Any, progress: Any, sample_index: int, ticks: int, received_ns: int) -> int:
-    """Receipt of a sample behind the grid of the sample index, against the earliest receipt so far (ns).
+    """Return the receipt of a sample behind the grid of the sample index, against the earliest receipt so far (ns).
 
     `ticks` is how many have passed since the last call: so far the host's grid may have stretched.
     """
     p = progress[0]
     offset = received_ns - sample_index * settings[0]["period_ns"]
+    # The earliest receipt may age: two ordinary crystals drift apart, and a minimum for ever would call all late one
+    # day.
     stretched = p["earliest"] + ticks * settings[0]["period_ns"] * DRIFT_PPM // 1_000_000
     p["earliest"] = min(offset, stretched)
     return int(offset - p["earliest"])
@@ -49,36 +51,38 @@ def behind_grid(settings: Any, progress: Any, sample_index: int, ticks: int, rec
 
 @kernel(types.int64(SETTINGS_TYPE, PROGRESS_TYPE, types.int64))
 def lateness(settings: Any, progress: Any, received_ns: int) -> int:
-    """Device-paced: how late the newest sample came (ns)."""
+    """Return how late the newest sample came (ns), device-paced."""
     return int(behind_grid(settings, progress, progress[0]["sample_index"], 1, received_ns))
 
 
 @kernel(types.int64(types.uintp, types.int64, types.int64))
 def room(words: int, capacity: int, wait_for_room: int) -> int:
-    """Slot for the next row, or -1 when the ring is full and must not be waited for."""
+    """Return the slot for the next row, or -1 when the ring is full and must not be waited for."""
     head = load_word(words + WORD * control_words.HEAD)
     while head - load_word(words + WORD * control_words.TAIL) >= capacity:
         if wait_for_room == 0 or load_word(words + WORD * control_words.RECORDER_ERROR) != 0:
             add(words, control_words.DROPPED, 1)
             return -1
+        # Real time also where the loop's clock is virtual: the recorder runs on its own.
         sleep_until(monotonic_now(0) + ROOM_POLL_NS)
     return int(head % capacity)
 
 
 @kernel(types.int64(PROGRESS_TYPE, INTS, SETTINGS_TYPE))
 def edge_age_ns(progress: Any, state: Any, settings: Any) -> int:
-    """Age of the last encoder edge at the sample; the device's clock wraps, so an age is a difference."""
+    """Return the age of the last encoder edge at the sample (ns)."""
+    # The device's clock wraps at 32 bits, so an age is a difference modulo that.
     ticks = (progress[0]["device_time"] - state[STATE.edge_time]) % WRAP
     return int(ticks * settings[0]["device_tick_ps"] // 1000)
 
 
 @kernel(types.int64(PROGRESS_TYPE, INTS))
 def sync_time(progress: Any, state: Any) -> int:
-    """Device time of the newest rising edge of the sync input, extended to 64 bits (device ticks); 0 for none.
+    """Return device time of the newest rising edge of the sync input, extended to 64 bits (device ticks); 0 for none.
 
-    A STATE may report an edge that is younger than its sample, since it is made later. An edge is dated when it is
-    first reported: its 32 bits stay the same while the clock wraps.
+    A STATE may report an edge that is younger than its sample, since it is made later.
     """
+    # Extended when it is first reported: its 32 bits stay the same while the clock wraps.
     p = progress[0]
     stamp = state[STATE.sync_time]
     if stamp != p["sync_told"]:
@@ -129,7 +133,8 @@ def leave_row(
     The active effort follows from the active current.
     """
     words, rows, state, progress = shared.words, shared.rows, buffers.state, buffers.progress
-    edge = sync_time(progress, state)  # also in a row that is lost
+    # Before the row may be dropped: an edge is extended to 64 bits once, when it is first reported.
+    edge = sync_time(progress, state)
     slot = room(words, len(rows), settings[0]["wait_for_room"])
     if slot < 0:
         return
@@ -162,6 +167,7 @@ def leave_row(
     r["sent_at"] = sent_ns
     r["sampled_at"] = 0  # sealing fills these two in, when the clocks can be compared
     r["applied_at"] = 0
+    # Last, with release order: the recorder copies rows below HEAD only.
     store_word(words + WORD * control_words.HEAD, load_word(words + WORD * control_words.HEAD) + 1)
 
 

@@ -1,8 +1,7 @@
 """The thread around the compiled loop: start it, watch it, stop it, and report how it ended.
 
-The loop runs off the main thread with all signals blocked, so that Ctrl-C reaches Python and never
-interrupts a tick; stopping is one store into the ring, seen within a tick whichever thread holds the GIL. The thread
-is a daemon: if Python dies, it dies too, and the device's watchdog takes the effort to zero.
+Trials and motions start it. A stop is one store into the ring, which the loop reads within a tick whichever thread has
+the GIL; the main thread must stay free for Ctrl-C.
 """
 
 from __future__ import annotations
@@ -175,6 +174,7 @@ class LoopThread:
         # Not Thread.join: interrupted by Ctrl-C, it forgets in Python 3.11 that the thread is still running.
         self._started = False
         self._ended = threading.Event()
+        # A daemon: if the interpreter dies, the thread dies too, and the device's watchdog takes the effort to zero.
         self._thread = threading.Thread(target=self._body, name="rig-loop", daemon=True)
 
     def start(self) -> None:
@@ -197,7 +197,8 @@ class LoopThread:
         while not self._ended.wait(POLL_S):
             stop_requests.renew()
             if self._is_requested_to_stop():
-                self.stop()  # the loop does so by itself, unless its law never returns
+                # The loop reads the request too; a law that never returns does not, and the patience below begins here.
+                self.stop()
             if self.ring.get(control_words.STOP) != 0:
                 requested_at = time.monotonic() if requested_at is None else requested_at
                 if time.monotonic() - requested_at > JOIN_S:
@@ -235,8 +236,9 @@ class LoopThread:
             self.ring.put(control_words.STOP, control_words.ABANDONED)
 
     def end(self) -> LoopEnd:
-        """How the loop ended; `EndReason.STUCK` where it did not, though `finish` stopped it."""
+        """Return how the loop ended; `EndReason.STUCK` where it did not, though `finish` stopped it."""
         stuck = self._started and not self._ended.is_set()
+        # END_REASON of a loop that is stuck is not written yet.
         reason = EndReason.STUCK if stuck else EndReason(self.ring.get(control_words.END_REASON))
         failure = self._error or self._link.failure()
         counters = {name: self.ring.get(word) for name, word in COUNTERS.items()}
@@ -252,25 +254,25 @@ class LoopThread:
 
     @property
     def fault(self) -> int:
-        """Fault in the newest STATE, 0 for none."""
+        """Return the fault in the newest STATE, 0 for none."""
         return fault_of(self._buffers.state)
 
     def messages(self) -> list[str]:
-        """Warnings about the run for the user, besides how it ended."""
+        """Return the warnings about the run for the user, besides how it ended."""
         return []
 
     def findings(self) -> dict[str, Any]:
-        """Entries of the recording's trailer that only this kind of loop has."""
+        """Return the entries of the recording's trailer that only this kind of loop has."""
         return {}
 
     def exchanges(self) -> NDArray[np.int64]:
-        """The clock exchanges of the run: rows of four stamps (`rig.core.clock_fit.EXCHANGE`), oldest first."""
+        """Return the clock exchanges of the run: rows of four stamps (`rig.core.clock_fit.EXCHANGE`), oldest first."""
         done = self.ring.get(control_words.EXCHANGES)
         kept = np.arange(max(0, done - EXCHANGES_KEPT), done) % EXCHANGES_KEPT
         return self._buffers.exchanges[kept]
 
     def parameter_sets(self) -> list[dict[str, Any]]:
-        """Parameter sets that became active during the run: number, first tick, wall position, the law's parameters."""
+        """Return the sets that became active: number, first tick, wall position, the law's parameters."""
         count = len(self._controller.law.parameters)
         return [
             {
@@ -283,7 +285,7 @@ class LoopThread:
         ]
 
     def handover(self) -> dict[str, int] | None:
-        """Where the streams stand after the loop: arguments of `rig.devices.framed.FramedDevice.take_back`.
+        """Return where the streams stand after the loop: arguments of `rig.devices.framed.FramedDevice.take_back`.
 
         None when it never saw a sample, and so never touched them.
         """
@@ -298,15 +300,16 @@ class LoopThread:
         }
 
     def _body(self) -> None:
+        # Ctrl-C must reach Python's main thread and must not interrupt a wait of this one.
         take_no_signals()
         try:
             if self._realtime is not None:
                 self._realtime.enter_thread()
             self._run()
         except Exception as error:
-            # A law or an estimator of a user raised: the compiled loop is gone without its stop path. The
-            # caller sends STOP next; this thread only says what happened. Compiled code has no frames to show,
-            # and those of this thread would keep it, and what it refers to, until the next garbage collection.
+            # A user's law or estimator raised: the compiled loop ended without its stop path. The caller sends STOP
+            # next; this thread only reports. Without its traceback the error does not keep this thread's frames, and
+            # the memory that they refer to, until the next garbage collection.
             self._error = error.with_traceback(None)
             self.ring.put(control_words.END_REASON, EndReason.LAW_RAISED)
         finally:
@@ -326,9 +329,9 @@ class LoopThread:
         return SharedRing(words=self.ring.words.ctypes.data, mailbox=self._mailbox(), rows=self.ring.rows)
 
     def _mailbox(self) -> int:
-        """Address of the ring's mailbox; 0 for a law with more parameters than a set holds (a recorded excitation)."""
+        """Return the address of the ring's mailbox; 0 for a law with more parameters than a set holds."""
         return self.ring.mailbox if len(self._controller.law.parameters) < SET_FLOATS else 0
 
     def _arrays(self) -> tuple[NDArray[Any], ...]:
-        """Memory that the loop must not wait for."""
+        """Return the memory that the loop must not wait for."""
         return tuple(self._buffers)

@@ -1,14 +1,7 @@
 """The loop of a law that runs on the device: it receives, records, and keeps the device running every few milliseconds.
 
-The device computes each tick's current from that tick's count, and sends every tick in BATCH frames. Here
-`rig.control.step` runs on each of those samples too, and leaves the same row as if it had run the loop
-(`rig.loop._host`): so a recording, its verdict and its replay are the same, and differences of the device's current are
-counted (`rig.loop._device_host_agreement`). What a batch does not carry is taken from the newest STATE at or before the
-sample.
-
-Every wait is bounded: the stop word, a signal and the heartbeat are seen within the time between two COMMANDs.
-Whatever ends the loop, several STOP commands leave first. Then, for a short while, what the device had sent before
-them is still taken, and then it returns; its caller sends STOPs again.
+The device sends every tick in BATCH frames; `rig.control.step` runs on each of these samples too, and leaves the same
+row as in `rig.loop._host`. It must not wait without a bound, or return before it has sent several STOP commands.
 """
 
 from __future__ import annotations
@@ -86,7 +79,7 @@ from rig.realtime.kernel import kernel
 _RELEASE = int(Phase.RELEASE)
 READINGS_A_TURN = 16  # of a full receive buffer, before anything else is looked at again
 ROWS_A_TURN = 1024
-REST_NS = 20_000_000  # after the stop: how long to take what is still on the way
+REST_NS = 20_000_000  # after the stop: how long to receive what is still in transit
 SETTLE_NS = 2_000_000  # after the STATE that shows the stop active
 _CONTINUE = 0
 _ABANDONED = -1
@@ -153,6 +146,7 @@ def _listen(
 @kernel(types.void(INT_ROWS, INTS, SUPERVISION_TYPE, types.int64))
 def _take_states(states: Any, state: Any, supervision: Any, sample_index: int) -> None:
     """Move on to the newest STATE at or before a sample."""
+    # A batch carries neither limits, inputs nor fault: a sample has those of the STATE before it.
     v = supervision[0]
     while v["states_tail"] < v["states_head"]:
         waiting = states[v["states_tail"] % STATES_KEPT]
@@ -168,7 +162,7 @@ def _take_states(states: Any, state: Any, supervision: Any, sample_index: int) -
 def _show_sample(
     control: Any, settings: Any, buffers: Buffers, supervised: SupervisionBuffers, sample: Any
 ) -> int:
-    """Make `buffers.state` what a STATE of this very sample would be; return the ticks since the last one."""
+    """Set `buffers.state` to the STATE that this sample would have had; return the ticks since the last one."""
     supervision, state = supervised.supervision, buffers.state
     v, p = supervision[0], buffers.progress[0]
     elapsed = sample[INDEX] - p["sample_index"]
@@ -201,16 +195,20 @@ def _run_law(
     supervised: SupervisionBuffers,
     to_the_end: bool,
 ) -> int:
-    """Run the law on the samples in the queue and leave their rows: a reason to end, `_GO_ON`, or `_ABANDONED`.
+    """Run the law on the samples in the queue and leave their rows: a reason to end, `_CONTINUE`, or `_ABANDONED`.
 
-    While an answer about a new wall is awaited samples wait too, as long as there is room; `to_the_end` none does.
+    `to_the_end` empties the queue.
     """
+    # While the reply about a new wall is awaited, samples wait as long as there is room: the reply names the sample
+    # from which the new wall counts.
     v, m = supervised.supervision[0], controller.memory[0]
     state, words = buffers.state, shared.words
     for _ in range(ROWS_A_TURN):
         held = v["step"] == COMMITTED and has_room(supervised.supervision) and not to_the_end
         if v["tail"] == v["head"] or held:
             break
+        # The same law and row as if it had run here: recording, verdict and replay are the same, and differences of the
+        # device's current are counted.
         sample = supervised.samples[v["tail"] % QUEUE]
         v["tail"] += 1
         tick = v["ticks"]
@@ -249,7 +247,7 @@ def _run_law(
 def _ended_without_a_row(
     newest: Any, supervision: Any, settings: Any, memory: Any, progress: Any, ready: int
 ) -> int:
-    """Reason to end that lies with the device or the link, or 0."""
+    """Return the reason to end that lies with the device or the link, or 0."""
     v, s, p = supervision[0], settings[0], progress[0]
     reason = contradicted(progress)
     if reason == 0 and v["heard"] != 0:
@@ -260,7 +258,8 @@ def _ended_without_a_row(
         return CLOSED
     if p["read_at"] - p["last_fresh"] > s["lost_after_ns"]:
         return SILENT
-    patience = s["lost_after_ns"] // s["period_ns"]  # a gap may have moved the two laws' phases apart
+    # A gap may have moved the phases of the two laws apart: the host's may end later by what the link tolerates.
+    patience = s["lost_after_ns"] // s["period_ns"]
     if v["done_at"] >= 0 and v["ticks"] > 0 and p["sample_index"] - v["done_at"] > patience:
         return FINISHED if memory[0]["phase"] == _RELEASE else DEVICE_ENDED
     return 0
@@ -268,7 +267,7 @@ def _ended_without_a_row(
 
 @kernel(types.void(INT_ROWS, INT_ROWS, SUPERVISION_TYPE, PROGRESS_TYPE))
 def _queue_fault(states: Any, samples: Any, supervision: Any, progress: Any) -> None:
-    """A device that fails between two samples sends no further batch: the STATE with the fault stands for it."""
+    """Queue the STATE with a fault in place of a sample: after a fault a device sends no further batch."""
     v = supervision[0]
     for i in range(v["states_tail"], v["states_head"]):
         state = states[i % STATES_KEPT]
@@ -353,7 +352,8 @@ def run(
         store_word(words + WORD * control_words.END_REASON, STOPPED)
         return STOPPED
     v["stop_sequence"] = p["sequence"]
-    for _ in range(STOP_FRAMES):  # also on a closed link: one that only reads badly still carries them
+    # Also on a closed link: one whose reading fails may still transmit.
+    for _ in range(STOP_FRAMES):
         send_command(port, settings, buffers, MODE_STOP, 0, NO_SYNC)
     # What the device had sent before it stopped, unless the row of the end is there.
     until_ns = port.now(port.clock_handle) + REST_NS

@@ -24,8 +24,8 @@ from rig.realtime import control_words
 from rig.realtime import mailbox as mailboxes
 from rig.realtime.codec import STATE
 
-# Quanta by which the device's current may differ from the host's law, by the arithmetic of a board. What renders the
-# wall elsewhere has filters of its own: its difference is reported, without a limit.
+# Quanta by which the device's current may differ from the host's law, by the arithmetic of a board. A drive that
+# renders the wall itself has filters of its own: its difference is reported, without a limit.
 BOUNDS = {"fixed": 1, "float32": 2}
 NO_BOUND = 1 << 16
 # Too many ticks beyond the bound: more than this share of those compared, and at least so many.
@@ -96,11 +96,11 @@ class SupervisedThread(LoopThread):
 
     @property
     def fault(self) -> int:
-        """Fault in the newest STATE, 0 for none."""
+        """Return the fault in the newest STATE, 0 for none."""
         return fault_of(self._supervision.newest)
 
     def agreement(self) -> DeviceHostAgreement:
-        """How the device's current followed the host's law so far."""
+        """Return how the device's current followed the host's law so far."""
         v = self._supervision.supervision[0]
         compared, beyond = int(v["compared"]), int(v["beyond"])
         return DeviceHostAgreement(
@@ -114,7 +114,7 @@ class SupervisedThread(LoopThread):
         )
 
     def messages(self) -> list[str]:
-        """Parameter updates that failed, and a device that does not follow the law."""
+        """Return the parameter updates that failed, and a device that does not follow the law."""
         found, refusals = self.agreement(), list(self._refused)
         v = self._supervision.supervision[0]
         if v["refused_set"]:
@@ -135,11 +135,11 @@ class SupervisedThread(LoopThread):
         return refusals
 
     def findings(self) -> dict[str, Any]:
-        """How the device followed the law (`DeviceHostAgreement`)."""
+        """Return how the device followed the law (`DeviceHostAgreement`)."""
         return {"device_host_agreement": plain(self.agreement())}
 
     def handover(self) -> dict[str, int] | None:
-        """As `LoopThread.handover`; commands leave before the first STATE comes."""
+        """Return what `LoopThread.handover` returns; commands are sent before the first STATE is received."""
         progress, v = self._buffers.progress[0], self._supervision.supervision[0]
         if not progress["sequence"] and not v["stop_sequence"] >= 0:
             return None
@@ -163,7 +163,7 @@ class SupervisedThread(LoopThread):
         )
 
     def _mailbox(self) -> int:
-        """Address of the mailbox of updates; 0 where the wall does not change."""
+        """Return the address of the mailbox of updates; 0 where the wall does not change."""
         return int(self._updates.ctypes.data) if self._live_parameters and super()._mailbox() else 0
 
     def _arrays(self) -> tuple[NDArray[Any], ...]:

@@ -70,8 +70,10 @@ SUPERVISION_TYPE = types.Array(numba.from_dtype(SUPERVISION), 1, "C")
 
 # Columns of the queue of samples.
 INDEX, TIME, COUNT, CURRENT, MEASURED, RECEIVED, LATE = range(7)
-SAMPLES_A_READING = RECEIVE_BYTES // 3 + codec.MOST_SAMPLES  # most that one reading of the link can bring
-QUEUE = 4 * SAMPLES_A_READING  # 80 ms at 50 kHz and more: what may wait for an answer
+# Most samples that one reading of the link can bring: a sample has at least 3 bytes.
+SAMPLES_A_READING = RECEIVE_BYTES // 3 + codec.MOST_SAMPLES
+# 80 ms at 50 kHz and more: the time that samples may wait for the reply about a new wall.
+QUEUE = 4 * SAMPLES_A_READING
 STATES_KEPT = 16  # 80 ms of them
 CONTIGUOUS = len(STATE)  # column behind the fields of a STATE: 1 when none is missing before it
 

@@ -42,8 +42,8 @@ class EndReason(IntEnum):
     ENERGY = 14  # the motor gave more energy to the handle than it may
     VIOLENT = 15  # the effort oscillated between zero and its limit
     CURRENT_DIFFERS = 16  # the measured current did not follow the active one
-    DEVICE_CONTRADICTS = 17  # what the device says cannot be (rig.loop._contradictions)
-    DEVICE_RESTARTED = 18  # the device counts its samples anew
+    DEVICE_CONTRADICTS = 17  # the device's reports are inconsistent (rig.loop._contradictions)
+    DEVICE_RESTARTED = 18  # the device's sample index started again
     LIMIT_SWITCH = 19  # the end of the travel was reached, or the switch's wire is broken
     # nothing but commands older than their lifetime came, for a lifetime (rig.loop._link_delay)
     LINK_DELAYED = 20
@@ -112,7 +112,8 @@ PROGRESS = np.dtype(
 
 RECEIVE_BYTES = 4096
 EXCHANGES_KEPT = 8192  # twelve minutes; a longer run keeps the newest
-SETS_KEPT = 256  # parameter sets in one run; more are not taken, because a replay would lack them
+# Parameter sets in one run. More are not taken: a replay would lack them.
+SETS_KEPT = 256
 COMMANDS_KEPT = 256
 WORD = 8
 

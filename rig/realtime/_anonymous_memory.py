@@ -1,7 +1,6 @@
 """Memory of a running loop on Linux: an anonymous file, found among the open files of its process.
 
-It lives as long as a process has it open or mapped, so nothing is left behind, and there is no registry that could be
-wrong. It cannot be resized, so that no process's access can fault.
+It lives as long as a process has it open or mapped, so nothing is left behind. It must not become resizable.
 """
 
 from __future__ import annotations
@@ -17,14 +16,16 @@ assert sys.platform == "linux"
 NAME = "haptic-rig"
 LINK = f"/memfd:{NAME} (deleted)"
 _PROC = "/proc"
+# A reader of a file that shrinks gets SIGBUS, which would end a loop without zero effort.
 _SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW
 _MFD_NOEXEC_SEAL = 0x8  # Linux 6.3
 
 
 def make(size: int) -> int:
-    """Zeroed bytes, all allocated at once (later a lack of memory could not be reported): their descriptor."""
+    """Return the descriptor of zeroed memory of this size (bytes)."""
     descriptor = _memfd()
     try:
+        # Allocated now: a tick that first touches a page without memory left would be killed by SIGBUS.
         os.posix_fallocate(descriptor, 0, size)
         fcntl.fcntl(descriptor, fcntl.F_ADD_SEALS, _SEALS)
     except OSError:
@@ -34,9 +35,10 @@ def make(size: int) -> int:
 
 
 def _memfd() -> int:
-    """An anonymous file, not executable: newer kernels require the flag, older ones do not know it."""
+    """Return the descriptor of an anonymous file that cannot be executed."""
     flags = os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING
     try:
+        # Kernels with vm.memfd_noexec = 2 refuse files without this flag, those before 6.3 refuse the flag.
         return os.memfd_create(NAME, flags | _MFD_NOEXEC_SEAL)
     except OSError as error:
         if error.errno != errno.EINVAL:
@@ -63,10 +65,11 @@ def is_memory(path: str) -> bool:
 
 
 def paths(pid: int | None = None) -> Iterator[tuple[int, str]]:
-    """Each memory as a process has it open, ``/proc/PID/fd/N``, with that process: of all, or of one."""
+    """Yield each memory as a process has it open, ``/proc/PID/fd/N``, with that process: of all, or of one."""
     for process in os.listdir(_PROC) if pid is None else [str(pid)]:
         if not process.isdecimal():
             continue
+        # No registry of loops: it could be stale. The kernel's list of open files cannot.
         try:
             found = [f"{_PROC}/{process}/fd/{name}" for name in os.listdir(f"{_PROC}/{process}/fd")]
         except OSError:  # the process ended, or belongs to another user
@@ -75,7 +78,7 @@ def paths(pid: int | None = None) -> Iterator[tuple[int, str]]:
 
 
 def held(path: str, descriptor: int) -> str:
-    """Where this process has what it opened at a path, though the other may have gone meanwhile."""
+    """Return a path for what this process opened, which is valid after the other process has ended too."""
     return f"{_PROC}/self/fd/{descriptor}"
 
 
@@ -83,6 +86,7 @@ def is_process(pid: int, creator: int) -> bool:
     """Return True if a process has this number, in its own container or outside: the kernel knows both."""
     if creator == pid:
         return True
+    # In a container a process has another number inside than outside; NSpid lists both.
     with open(f"{_PROC}/{pid}/status", encoding="ascii", errors="replace") as status:
         for line in status:
             if line.startswith("NSpid:"):
@@ -102,7 +106,7 @@ def may_look(pid: int) -> bool:
 
 
 def command_lines() -> Iterator[tuple[int, list[bytes]]]:
-    """Processes that this user may not look into, with their command lines."""
+    """Yield the processes that this user may not examine, with their command lines."""
     for name in os.listdir(_PROC):
         if name.isdecimal() and not os.access(f"{_PROC}/{name}/fd", os.R_OK | os.X_OK):
             try:

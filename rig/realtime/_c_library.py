@@ -1,7 +1,7 @@
 """C code of this package as a library of this machine: compiled by its C compiler on first use, and kept.
 
-The library lies beside the compiled kernels, under a name that says of which sources, flags and compiler it was made.
-Two processes that want it at once both make it, and the later one's replaces the other's in one step.
+The library lies beside the compiled kernels, under a name with a hash of sources, flags and compiler. It must not be
+shared with another user.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class CLibrary:
         return [path for part in self.parts for path in sorted((self.root / part).glob("*.c"))]
 
     def compiler(self) -> list[str]:
-        """Command of the C compiler: ``$CC``, the first of `COMPILERS`, or `ZIG`; `ConfigError` without one."""
+        """Return command of the C compiler: ``$CC``, the first of `COMPILERS`, or `ZIG`; `ConfigError` without one."""
         named = shlex.split(os.environ.get("CC", ""))
         for command in (named, *([name] for name in COMPILERS)):
             found = find_program(command[0]) if command else None
@@ -93,6 +93,7 @@ class CLibrary:
         with tempfile.TemporaryDirectory(dir=directory, prefix=f"{self.name}-") as workplace:
             made = Path(workplace) / f"{self.name}.so"
             self._compile([*command, *self.flags, "-o", str(made), *map(str, self.sources()), "-lm"])
+            # Two processes may compile it at once: the later one replaces the file in one step.
             made.replace(path)
         return path
 
@@ -108,7 +109,8 @@ class CLibrary:
             ) from error
 
     def key(self, command: list[str]) -> str:
-        """Sixteen hex digits over the sources, the flags and the compiler."""
+        """Return sixteen hex digits over the sources, the flags and the compiler."""
+        # Size and time of the compiler instead of its version: an update is seen without running it.
         facts = Path(command[0]).resolve().stat()
         digest = hashlib.sha256(f"{command} {facts.st_size} {facts.st_mtime_ns} {self.flags}".encode())
         for part in self.parts:

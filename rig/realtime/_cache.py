@@ -1,12 +1,8 @@
 """The disk cache of machine code: never stale, and never writable by another user.
 
-numba decides whether a cached function is fresh by the time stamp of *its own* file: a helper edited in
-another file leaves the caller's old machine code in use, which for a control law is silently wrong. So
-the cache directory carries a hash of the files that compiled code depends on (`rig.realtime.source_files`), of
-numba's and numpy's version and of the CPU; an edit there opens a new, empty directory, and directories unused for
-a month are removed. An edit of a command or an experiment does not recompile.
-
-Its code runs a law on a person's hand: a directory into which another user can write is not used.
+Its directory carries a hash of the files that compiled code depends on (`rig.realtime.source_files`), of numba's and
+numpy's version and of the CPU. Its code runs a law on a person's hand: it must not use a directory into which another
+user can write.
 """
 
 from __future__ import annotations
@@ -36,7 +32,9 @@ _log = logging.getLogger(__name__)
 
 
 def cache_key(sources: Mapping[str, bytes]) -> str:
-    """Sixteen hex digits over names and contents, numba, numpy and the CPU."""
+    """Return sixteen hex digits over names and contents, numba, numpy and the CPU."""
+    # numba compares the time stamp of a function's own file alone: after an edit of a helper in another file the
+    # caller's old machine code would remain in use, which for a control law is silently wrong.
     digest = hashlib.sha256()
     cpu = getattr(numba.config, "CPU_NAME", None) or get_host_cpu_name()
     for fact in (
@@ -53,7 +51,7 @@ def cache_key(sources: Mapping[str, bytes]) -> str:
 
 
 def cache_root() -> Path:
-    """Directory of all caches: ``$HAPTIC_RIG_CACHE``, the user's cache directory, or a temporary one."""
+    """Return the directory of all caches: ``$HAPTIC_RIG_CACHE``, the user's cache directory, or a temporary one."""
     named = os.environ.get("HAPTIC_RIG_CACHE")
     base = Path(named) if named else Path(user_cache()) / "haptic-rig"
     for place in (base, Path(tempfile.gettempdir()) / f"haptic-rig-cache{_USER}"):
@@ -67,7 +65,7 @@ if sys.platform == "win32":
     _USER = ""  # whose temporary files are his own already
 
     def writable_by_others(place: Path) -> str:
-        """Nothing: the modes of files do not say it, and a profile is its user's own unless that is changed."""
+        """Return "": on Windows file modes do not show it, and a profile belongs to its user unless changed."""
         return ""
 
 else:
@@ -82,6 +80,7 @@ else:
             return f"others can write into {place}"
         for parent in (*place.absolute().parents, *place.resolve().parents):
             mode = parent.stat().st_mode
+            # In a sticky directory such as /tmp, others cannot rename or remove what they do not own.
             if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
                 return f"others can replace what lies in {parent}"
         return ""
@@ -117,13 +116,14 @@ def _forget_unused(root: Path, current: Path) -> None:
 
 
 def open_cache() -> Path:
-    """Directory for the machine code of these files on this computer."""
+    """Return the directory for the machine code of these files on this computer."""
     root = cache_root()
     place = root / f"kernels-{cache_key(compiled_sources())}"
     fresh = not place.exists()
     directory = _made_private(place)
     if directory is None:
         return _temporary()
+    # The time of the last use: `_forget_unused` removes directories by it.
     os.utime(directory)
     if fresh:
         _forget_unused(root, directory)

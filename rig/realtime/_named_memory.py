@@ -3,7 +3,6 @@
     .../haptic-rig/loops/PID/alive   locked by that process for as long as it lives
     .../haptic-rig/loops/PID/N       its memories
 
-What a process leaves that dies is taken away by the next one that makes a memory: a lock that can be had says so.
 Functions as in `rig.realtime._anonymous_memory`.
 """
 
@@ -26,13 +25,14 @@ _made: dict[int, str] = {}  # path of each memory by its descriptor
 
 
 def make(size: int) -> int:
-    """Zeroed bytes, all written once, so that a lack of room shows now: their descriptor."""
+    """Return the descriptor of a file of zeros of this size (bytes)."""
     directory = _own()
     number = max((int(name) for name in os.listdir(directory) if name.isdecimal()), default=0) + 1
     path = os.path.join(directory, str(number))
     descriptor = _opened(path, "x+")
     try:
         for start in range(0, size, len(_CHUNK)):
+            # Written, not only extended: a full disk is reported here and not by a fault in a tick.
             os.write(descriptor, _CHUNK[: size - start])
     except OSError:
         os.close(descriptor)
@@ -67,7 +67,7 @@ def is_memory(path: str) -> bool:
 
 
 def paths(pid: int | None = None) -> Iterator[tuple[int, str]]:
-    """Each memory with the process that made it: of all, or of one."""
+    """Yield each memory with the process that made it: of all, or of one."""
     for process in _names(_root()) if pid is None else [str(pid)]:
         directory = os.path.join(_root(), process)
         if process.isdecimal() and _lives(directory):
@@ -79,7 +79,7 @@ def paths(pid: int | None = None) -> Iterator[tuple[int, str]]:
 
 
 def held(path: str, descriptor: int) -> str:
-    """Where it can be opened once more."""
+    """Return a path by which the memory can be opened again."""
     return path
 
 
@@ -96,7 +96,7 @@ def may_look(pid: int) -> bool:
 
 
 def command_lines() -> Iterator[tuple[int, list[bytes]]]:
-    """Others' processes are not looked at."""
+    """Return nothing: processes of other users are not examined."""
     return iter(())
 
 
@@ -105,13 +105,14 @@ def _root() -> str:
 
 
 def _own() -> str:
-    """The directory of this process, locked; what the dead have left is taken away on the occasion."""
+    """Create and lock the directory of this process; remove those of dead processes."""
     pid = os.getpid()
     directory = os.path.join(_root(), str(pid))
     if pid not in _alive:
         os.makedirs(_root(), mode=0o700, exist_ok=True)
         with FileIO(os.path.join(_root(), "lock"), "a") as one_at_a_time:
             _have(one_at_a_time)
+            # A killed process leaves its directory, whose lock is free then: the next process removes it.
             for name in _names(_root()):
                 _forget(os.path.join(_root(), name))
             os.makedirs(directory, mode=0o700, exist_ok=True)
@@ -157,6 +158,7 @@ def _remove(path: str) -> None:
 
 
 def _opened(path: str, mode: str) -> int:
-    """A descriptor of its own, which changes no line ends."""
+    """Open a file in binary mode and return its descriptor."""
+    # FileIO and not os.open, which on Windows would change line ends without O_BINARY.
     with FileIO(path, mode) as file:
         return os.dup(file.fileno())

@@ -2,8 +2,7 @@
 
 Compiled code names its calls (`rig.realtime.system`), and only Linux has all of them under these names and with these
 numbers. Elsewhere each name leads to a function here, so that machine code is the same on every system. They take the
-GIL and some microseconds. That is acceptable: a law in real time on this computer, which could not tolerate it, needs
-Linux anyway. In virtual time only the recorder calls them.
+GIL and some microseconds, so a law in real time on this computer must not use them: it needs Linux.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ def _failed(error: OSError) -> int:
 
 
 def _refuse(*arguments: int) -> int:
-    """A call on a descriptor of a port: links bring their own here (`rig.devices._threaded_serial`)."""
+    """Fail a call on the descriptor of a port: links have their own calls (`rig.devices._threaded_serial`)."""
     return _failed(OSError(errno.ENOSYS, "not on this system"))
 
 
@@ -61,6 +60,7 @@ def _sync(descriptor: int) -> int:
 
 
 def _now(clock: int, timespec: int) -> int:
+    # perf_counter: `time.monotonic` of Windows moves in steps of 16 ms before Python 3.13.
     words = (_int64 * 2).from_address(timespec)
     words[0], words[1] = divmod(time.perf_counter_ns(), _BILLION)
     return 0

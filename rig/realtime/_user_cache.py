@@ -1,4 +1,4 @@
-"""Where a user's caches are on this system. Of the modules that an interpreter has loaded anyway: see `memories`."""
+"""Directory of a user's caches on this system. It imports only what an interpreter has loaded (see `memories`)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 
 
 def user_cache() -> str:
-    """Directory of this user's caches, which need not exist.
+    """Return the directory of this user's caches, which need not exist.
 
     ``%LOCALAPPDATA%`` on Windows, ``~/Library/Caches`` on macOS, else ``$XDG_CACHE_HOME`` or ``~/.cache``.
     """

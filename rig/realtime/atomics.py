@@ -1,8 +1,5 @@
 """Atomic 64-bit words by address: how the two sides of a ring or a stop flag publish to each other.
 
-Plain stores are ordered on x86 by luck and not at all on ARM, and a compiler may hoist a plain load out of
-a loop, which then never stops. Both sides, Python's too, go through these functions.
-
 The loop, the recorder, the ring, the mailbox, stop requests and USB transfers call it. A word that two sides share must
 not be read or written in any other way.
 """
@@ -29,6 +26,7 @@ def load_word(typingctx: Any, address: Any) -> Any:
     """Load an int64 with acquire order: what the other side wrote before its store is visible afterwards."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        # A plain load may be hoisted out of a loop by the compiler: a loop on a stop word would never end.
         return builder.load_atomic(_pointer(builder, args[0]), ordering="acquire", align=8)
 
     return types.int64(types.uintp), codegen
@@ -39,6 +37,7 @@ def store_word(typingctx: Any, address: Any, value: Any) -> Any:
     """Store an int64 with release order: a thread that loads it (`load_word`) sees everything written before."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        # x86 orders plain stores, ARM does not: a reader there could see HEAD before the row.
         builder.store_atomic(args[1], _pointer(builder, args[0]), ordering="release", align=8)
         return context.get_dummy_value()
 
@@ -100,7 +99,8 @@ def stack_words(count: int) -> Any:
     @intrinsic
     def words(typingctx: Any) -> Any:
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            with builder.goto_entry_block():  # once for the function, also where the call is in a loop
+            # In the entry block: an alloca in a loop would take new stack in each pass.
+            with builder.goto_entry_block():
                 memory = builder.alloca(ir.ArrayType(_WORD, count))
             return builder.ptrtoint(memory, _WORD)
 

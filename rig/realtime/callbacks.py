@@ -1,4 +1,4 @@
-"""Plugs of the loop that come back into Python: for a simulation in memory, and what compiled code cannot reach.
+"""Plugs of the loop that call Python: for a simulation in memory, and links that compiled code cannot reach.
 
 Threaded devices and simulations in memory use them. They must not serve a device in real time: each call takes the GIL.
 """
@@ -32,16 +32,16 @@ def callback_plugs(
     wait: Callable[[int], bool],
     failed: Callable[[BaseException], object] = lambda failure: None,
 ) -> CallbackPlugs:
-    """Make plugs of functions of Python.
+    """Make plugs from Python functions.
 
     Parameters
     ----------
     read
-        Return what is there, so many bytes at most.
+        Return the available bytes, at most so many.
     write
-        Send, and say how many bytes were taken: None for all.
+        Send, and return how many bytes were accepted; None means all.
     wait
-        Wait until something is there, or to a deadline (ns, the link's clock), and say whether it is.
+        Wait for input until a deadline (ns, the link's clock); return True if there is some.
     failed
         Called with an exception that one of them raised; compiled code receives only its negative errno, or -EIO.
     """
@@ -50,6 +50,7 @@ def callback_plugs(
         def guarded(*arguments: int) -> int:
             try:
                 return function(*arguments)
+            # Also KeyboardInterrupt: an exception must not pass through compiled frames, which would print and drop it.
             except BaseException as failure:
                 failed(failure)
                 return -((failure.errno if isinstance(failure, OSError) else None) or errno.EIO)

@@ -1,7 +1,4 @@
-"""Time as an object: the kernel's monotonic clock, or a virtual one that jumps.
-
-Both carry what the compiled loop needs (`handle` and `now_plug`), so that the same loop runs in real and in
-virtual time.
+"""Time as an object: the kernel's monotonic clock, or a virtual one that jumps, for Python and the compiled loop.
 
 Devices and their ports use it. It must not read the time of day, which can be set back.
 """
@@ -26,7 +23,7 @@ class Clock(Protocol):
         ...
 
     def sleep_until(self, deadline_ns: int) -> None:
-        """Return at the deadline or later, never much later than it takes to wake."""
+        """Sleep until the deadline; return then or later by the time that waking takes."""
         ...
 
     @property
@@ -46,16 +43,15 @@ class Clock(Protocol):
 
 
 class MonotonicClock:
-    """CLOCK_MONOTONIC: never set back, not stopped by NTP.
-
-    Off Linux the counter behind `time.perf_counter`: `time.monotonic` of Windows moves in steps of 16 ms (before 3.13).
-    """
+    """CLOCK_MONOTONIC on Linux, the counter behind `time.perf_counter` elsewhere: never set back."""
 
     virtual = False
     handle = 0
 
     def now_ns(self) -> int:
         """Return the present monotonic time (ns)."""
+        # On Linux this is CLOCK_MONOTONIC, as in compiled code. `time.monotonic` of Windows has steps of 16 ms (<
+        # 3.13).
         return time.perf_counter_ns()
 
     def sleep_until(self, deadline_ns: int) -> None:
@@ -93,7 +89,7 @@ class VirtualClock:
 
     @property
     def handle(self) -> int:
-        """Address of the number, which compiled code reads."""
+        """Return the address of the number, which compiled code reads."""
         return int(self._time.ctypes.data)
 
     @property

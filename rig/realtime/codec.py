@@ -3,10 +3,8 @@
 That is COMMAND and STATE; GET_TIME and TIME, by which it compares the clocks while it runs; BATCH, where the law runs
 on the device; and SET_BEGIN, SET_CHUNK, SET_COMMIT and ACK, by which the wall of such a law changes.
 
-Nothing about the bytes is written here a second time: the tables of offsets are made from the
-annotations of messages.py when this module is imported, and the compiler takes them as constants. All
-integers are int64, a u64 as far as it fits there. Kernels check what comes from the wire and return negative
-numbers for errors; buffers belong to the caller and must have at least the documented size.
+All integers are int64. Kernels check what comes from the wire and return negative numbers for errors; buffers belong
+to the caller and must have at least the documented size.
 
 `STATE`, `COMMAND`, `GET_TIME` and so on name the places in an array of field values (``values[STATE.count]``), `HEAD`
 those in an array of header values, `SAMPLE` those in a row of a batch; all can be used inside kernels.
@@ -59,7 +57,7 @@ def field_indices(name: str) -> Any:
 
 
 def _layout(cls: type) -> Ints:
-    """Rows of (bytes, signed) for each field, in wire order."""
+    """Return the rows of (bytes, signed) for each field, in wire order."""
     rows = []
     for wire in fixed_fields(cls).values():
         size = np.dtype(FORMATS[wire.ctype]).itemsize
@@ -67,6 +65,8 @@ def _layout(cls: type) -> Ints:
     return np.array(rows, dtype=np.int64)
 
 
+# Tables come from the annotations of messages.py at import, so that the bytes are described once; the compiler takes
+# them as constants.
 COMMAND = field_indices("Command")
 STATE = field_indices("State")
 GET_TIME = field_indices("GetTime")
@@ -109,7 +109,7 @@ CHUNK_BYTES = data_limit(messages.SetChunk)
 
 
 def _sample_bytes() -> Ints:
-    """Bytes of each field of a sample, a row for each layout; 0 for a field that is absent."""
+    """Return the bytes of each field of a sample, a row for each layout; 0 for a field that is absent."""
     rows = np.zeros((len(messages.BATCH_LAYOUTS), len(SAMPLE)), dtype=np.int64)
     for layout, ctypes in messages.BATCH_LAYOUTS.items():
         assert all(ctype.startswith("i") for ctype in ctypes)  # what `_signed` reads
@@ -123,7 +123,7 @@ MOST_SAMPLES = (_BATCH_LIMIT - _BATCH_FIXED) // int(_SAMPLE_BYTES.sum(axis=1).mi
 
 
 def _crc_tables(slices: int) -> Ints:
-    """Tables of the reflected polynomial 0xEDB88320: row k holds the CRC of a byte followed by k zeros."""
+    """Return the tables of the reflected polynomial 0xEDB88320: row k holds the CRC of a byte followed by k zeros."""
     tables = np.zeros((slices, 256), dtype=np.int64)
     for byte in range(256):
         remainder = byte
@@ -141,11 +141,11 @@ _CRC = _crc_tables(8)
 
 @kernel(_i64(_bytes, _i64, _i64, _i64))
 def crc32(buffer: Bytes, start: int, stop: int, seed: int) -> int:
-    """CRC-32/ISO-HDLC of ``buffer[start:stop]``, continuing from `seed` (0 at first), as `zlib.crc32`.
+    """Return the CRC-32/ISO-HDLC of ``buffer[start:stop]``, continuing from `seed` (0 at first), as `zlib.crc32`.
 
-    Eight bytes a step ("slicing by 8", Kounavis and Berry 2005), so that whole blocks of recordings are
-    cheap too.
+    Source: "slicing by 8", Kounavis and Berry 2005.
     """
+    # Eight bytes a step: recordings check whole blocks with it, not only short frames.
     crc = seed ^ 0xFFFFFFFF
     at = start
     while at + 8 <= stop:
@@ -198,6 +198,7 @@ def decode_frame(buffer: Bytes, start: int, stop: int, raw: Bytes) -> int:
     `Defect`, found in the same order as by `framing.decode_frame`.
     """
     size = stop - start
+    # The order of checks is that of `framing.decode_frame`: both must count the same defect for the same bytes.
     if size > _ENCODED_LIMIT:
         return TOO_LONG
     if size < _RAW_MINIMUM + 1:
@@ -227,7 +228,7 @@ def decode_frame(buffer: Bytes, start: int, stop: int, raw: Bytes) -> int:
 
 @kernel(_i64(_ints, _table, _i64, _i64, _i64, _bytes))
 def _open(values: Ints, layout: Ints, type_id: int, session: int, sequence: int, out: Bytes) -> int:
-    """Header and fields into `out`, behind room for the first COBS code: the place behind them, or BAD_VALUE."""
+    """Write header and fields to `out` after room for the first COBS code; return their end, or BAD_VALUE."""
     if session < 0 or session > 0xFF or sequence < 0 or sequence > 0xFFFF:
         return BAD_VALUE
     out[1] = _MAJOR
@@ -241,6 +242,7 @@ def _open(values: Ints, layout: Ints, type_id: int, session: int, sequence: int,
         size = layout[field, 0]
         signed = layout[field, 1]
         value = values[field]
+        # A u64 is limited to 63 bits: every value is an int64 here, where bit 63 is the sign.
         bits = min(8 * size - signed, 63)
         if (value >> bits) != 0 and not (signed == 1 and (value >> bits) == -1):
             return BAD_VALUE
@@ -252,7 +254,7 @@ def _open(values: Ints, layout: Ints, type_id: int, session: int, sequence: int,
 
 @kernel(_i64(_bytes, _i64))
 def _seal(out: Bytes, at: int) -> int:
-    """CRC and stuffing, in place, of what stands in ``out[1:at]``; return the bytes with delimiter."""
+    """Add CRC and stuffing to ``out[1:at]`` in place; return the number of bytes with delimiter."""
     crc = crc32(out, 1, at, 0)
     for k in range(_CRC_BYTES):
         out[at + k] = (crc >> (8 * k)) & 0xFF
@@ -284,7 +286,7 @@ def _number(raw: Bytes, at: int, size: int) -> int:
 
 @kernel(_i64(_bytes, _i64, _i64), inline=True)
 def _signed(raw: Bytes, at: int, size: int) -> int:
-    """Signed number of `size` bytes, fewer than eight."""
+    """Return the signed number of `size` bytes, fewer than eight."""
     value = _number(raw, at, size)
     return int(value - ((value >> (8 * size - 1)) << (8 * size)))
 
@@ -293,7 +295,7 @@ def _signed(raw: Bytes, at: int, size: int) -> int:
 def _decode(
     raw: Bytes, length: int, layout: Ints, limit: int, type_id: int, header: Ints, values: Ints
 ) -> int:
-    """Header and fixed fields of a message whose payload has at most `limit` bytes."""
+    """Decode header and fixed fields of a message whose payload has at most `limit` bytes."""
     header[HEAD.major] = np.int64(raw[0])
     header[HEAD.type_id] = np.int64(raw[1])
     header[HEAD.flags] = np.int64(raw[2])
@@ -319,19 +321,19 @@ def _decode(
 
 @kernel(_i64(_i64, _i64, _ints, _bytes))
 def encode_command(session: int, sequence: int, values: Ints, out: Bytes) -> int:
-    """Frame of a COMMAND into `out` (FRAME_BYTES of room); return its bytes with delimiter, or BAD_VALUE."""
+    """Encode a COMMAND into `out` (FRAME_BYTES of room); return its bytes with delimiter, or BAD_VALUE."""
     return _encode(values, _COMMAND_LAYOUT, _COMMAND_TYPE, session, sequence, out)
 
 
 @kernel(_i64(_i64, _i64, _ints, _bytes))
 def encode_state(session: int, sequence: int, values: Ints, out: Bytes) -> int:
-    """Frame of a STATE into `out` (FRAME_BYTES of room); return its bytes with delimiter, or BAD_VALUE."""
+    """Encode a STATE into `out` (FRAME_BYTES of room); return its bytes with delimiter, or BAD_VALUE."""
     return _encode(values, _STATE_LAYOUT, _STATE_TYPE, session, sequence, out)
 
 
 @kernel(_i64(_bytes, _i64, _ints, _ints))
 def decode_command(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
-    """Header and fields of a COMMAND from what `decode_frame` gave.
+    """Decode header and fields of a COMMAND from the result of `decode_frame`.
 
     Returns 0, FOREIGN_MAJOR, OTHER_TYPE or BAD_PAYLOAD.
     The header is filled in every case, the values (one for each field) only with 0.
@@ -341,37 +343,37 @@ def decode_command(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
 
 @kernel(_i64(_bytes, _i64, _ints, _ints))
 def decode_state(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
-    """Header and fields of a STATE from what `decode_frame` gave; return as `decode_command`."""
+    """Decode header and fields of a STATE from the result of `decode_frame`; return as `decode_command`."""
     return _decode(raw, length, _STATE_LAYOUT, _PAYLOAD_LIMIT, _STATE_TYPE, header, values)
 
 
 @kernel(_i64(_i64, _i64, _ints, _bytes))
 def encode_get_time(session: int, sequence: int, values: Ints, out: Bytes) -> int:
-    """Frame of a GET_TIME into `out` (FRAME_BYTES of room); return its bytes with delimiter, or BAD_VALUE."""
+    """Encode a GET_TIME into `out` (FRAME_BYTES of room); return its bytes with delimiter, or BAD_VALUE."""
     return _encode(values, _GET_TIME_LAYOUT, _GET_TIME_TYPE, session, sequence, out)
 
 
 @kernel(_i64(_bytes, _i64, _ints, _ints))
 def decode_time(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
-    """Header and fields of a TIME from what `decode_frame` gave; return as `decode_command`."""
+    """Decode header and fields of a TIME from the result of `decode_frame`; return as `decode_command`."""
     return _decode(raw, length, _TIME_LAYOUT, _PAYLOAD_LIMIT, _TIME_TYPE, header, values)
 
 
 @kernel(_i64(_bytes, _i64, _ints, _ints))
 def decode_ack(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
-    """Header and fields of an ACK from what `decode_frame` gave; return as `decode_command`."""
+    """Decode header and fields of an ACK from the result of `decode_frame`; return as `decode_command`."""
     return _decode(raw, length, _ACK_LAYOUT, _PAYLOAD_LIMIT, _ACK_TYPE, header, values)
 
 
 @kernel(_i64(_i64, _i64, _ints, _bytes))
 def encode_set_begin(session: int, sequence: int, values: Ints, out: Bytes) -> int:
-    """Frame of a SET_BEGIN into `out` (FRAME_BYTES of room); return its bytes with delimiter, or BAD_VALUE."""
+    """Encode a SET_BEGIN into `out` (FRAME_BYTES of room); return its bytes with delimiter, or BAD_VALUE."""
     return _encode(values, _SET_BEGIN_LAYOUT, SET_BEGIN_TYPE, session, sequence, out)
 
 
 @kernel(_i64(_i64, _i64, _ints, _bytes))
 def encode_set_commit(session: int, sequence: int, values: Ints, out: Bytes) -> int:
-    """Frame of a SET_COMMIT into `out` (FRAME_BYTES of room); return its bytes with delimiter, or BAD_VALUE."""
+    """Encode a SET_COMMIT into `out` (FRAME_BYTES of room); return its bytes with delimiter, or BAD_VALUE."""
     return _encode(values, _SET_COMMIT_LAYOUT, SET_COMMIT_TYPE, session, sequence, out)
 
 
@@ -379,7 +381,7 @@ def encode_set_commit(session: int, sequence: int, values: Ints, out: Bytes) -> 
 def encode_set_chunk(
     session: int, sequence: int, values: Ints, block: Bytes, start: int, stop: int, out: Bytes
 ) -> int:
-    """Frame of a SET_CHUNK with ``block[start:stop]`` into `out` (FRAME_BYTES of room).
+    """Encode a SET_CHUNK with ``block[start:stop]`` into `out` (FRAME_BYTES of room).
 
     Returns its bytes with delimiter, or BAD_VALUE, also for more data than a frame carries (`CHUNK_BYTES`).
     """
@@ -396,7 +398,7 @@ def encode_set_chunk(
 
 @kernel(_i64(_bytes, _i64, _ints, _ints, _rows))
 def decode_batch(raw: Bytes, length: int, header: Ints, values: Ints, samples: Ints) -> int:
-    """Header, fields and samples of a BATCH from what `decode_frame` gave.
+    """Decode header, fields and samples of a BATCH from the result of `decode_frame`.
 
     Parameters
     ----------
@@ -430,6 +432,7 @@ def decode_batch(raw: Bytes, length: int, header: Ints, values: Ints, samples: I
     count = values[BATCH.base_count]
     at = _HEADER_BYTES + _BATCH_FIXED
     for i in range(data // size):
+        # The sum may pass 32 bits, where the device's own counter wraps: the next line wraps it as well.
         count += _signed(raw, at, difference)
         samples[i, SAMPLE.count] = ((count + (1 << 31)) & 0xFFFFFFFF) - (1 << 31)
         samples[i, SAMPLE.current_commanded] = _signed(raw, at + difference, commanded)

@@ -1,9 +1,7 @@
-"""Who wants to know that machine code is being made: a command, which would otherwise be silent for half a minute.
-
-Knows nothing of the compiler, so that a command that compiles nothing does not load it.
+"""Listeners for the begin and end of compilation, during which a command would be silent for half a minute.
 
 `rig.cli` and the console's workers listen; `rig.realtime.kernel` and `rig.realtime.parts` report to it. Nothing here
-may import numba.
+may import numba: a command that compiles nothing must not load it.
 """
 
 from __future__ import annotations
@@ -23,28 +21,29 @@ def listen(listener: Callable[[bool], None]) -> None:
 
 
 def began() -> None:
-    """A function is being compiled; those that it calls are compiled within it."""
+    """Report that a function is being compiled; those that it calls are compiled within it."""
     _move(1)
 
 
 def ended() -> None:
-    """That function is compiled, or cannot be."""
+    """Report that this function is compiled, or cannot be."""
     _move(-1)
 
 
 def counted() -> None:
-    """One more kernel is typed and lowered."""
+    """Count one more kernel that was typed and lowered."""
     _count["kernels"] += 1
 
 
 def kernels() -> int:
-    """Number of kernels that this process has typed and lowered."""
+    """Return the number of kernels that this process has typed and lowered."""
     return _count["kernels"]
 
 
 def _move(step: int) -> None:
     global _depth
     with _lock:
+        # Compilations nest and run in several threads: only the outermost begin and the last end are reported.
         before, _depth = _depth, _depth + step
         if (before == 0) != (_depth == 0):
             for listener in _listeners:

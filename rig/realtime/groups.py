@@ -1,9 +1,7 @@
 """Groups of arguments: a kernel takes a port, a controller and buffers, not the thirty functions and arrays in them.
 
-Among thirty positional arguments, two of one type are easily swapped unnoticed. So what belongs together is a
-`NamedTuple` with the mark `group`. Each is a type of its own to numba, so that two in each other's place are a typing
-error, and it is made by keyword alone. A field is annotated with the numba type of its values; a plug point
-(`rig.realtime.plugs`) may hold whatever fits it. A call costs what it would cost with the members one by one.
+A group is a `NamedTuple` with the mark `group`, a type of its own to numba. A field is annotated with the numba type of
+its values; a plug point (`rig.realtime.plugs`) may hold whatever fits it. A call costs as much as with single members.
 
 Laws, ports and the loop make their groups with it, and `rig.realtime.kernel` compiles them. It must not know a
 particular group or what its members mean.
@@ -39,6 +37,7 @@ _GROUPS: set[type] = set()
 
 def group(cls: type[T]) -> type[T]:
     """Let kernels take a `NamedTuple`, and let it be made by keyword alone."""
+    # By keyword alone: among thirty positional arguments, two of one type are swapped unnoticed.
     make: Any = cls.__new__
 
     def by_keyword(cls: type[T], /, **members: Any) -> Any:
@@ -75,7 +74,7 @@ def _classes(due: Any) -> tuple[type, ...]:
 
 
 def kind_of(value: Any) -> Any:
-    """Numba type of a group whose members fit their fields; None for whatever else."""
+    """Return the numba type of a group whose members fit their fields; None for whatever else."""
     return _fitting(value) if type(value) in _GROUPS else None
 
 
@@ -96,23 +95,25 @@ def _typeof(value: tuple[Any, ...], context: Any) -> Any:
 
 
 def _fits(member: Any, classes: tuple[type, ...], array: tuple[Any, ...] | None) -> bool:
-    """Return True if a member fits its field: numba's own way to the type of a record takes as long as many ticks."""
+    """Return True if a member fits its field."""
+    # Not by numba's typeof: finding the type of a record array takes as long as many ticks.
     if array is not None:
         if type(member) is not np.ndarray or member.dtype != array[0] or member.ndim != array[1]:
             return False
         flags = member.flags
         return flags.carray or (not array[2] and flags.c_contiguous and flags.aligned)
-    # Of a function numba looks for the signature when it takes the group apart; a number's range is its to check.
+    # numba checks the signature of a function, and the range of a number, when it unpacks the group.
     if not classes:
         return True
     if isinstance(member, tuple):
         return type(member) is classes[0] and _fitting(member) is not None
+    # A bool is an int to Python and another type to numba.
     return isinstance(member, classes) and type(member) is not bool
 
 
 @cache
 def group_bytes(cls: type[tuple[Any, ...]]) -> int:
-    """Bytes of memory that a group takes; see `group_at`."""
+    """Return the bytes of memory that a group takes; see `group_at`."""
     context = cpu_target.target_context
     return int(context.get_abi_sizeof(context.get_value_type(type_of(cls))))
 

@@ -1,9 +1,7 @@
 """A hand in a small shared file: a driving program writes the wished motion, a simulated rig the resulting motion.
 
 The file holds the wish (a sequence number, a position, a press) and a ring of the newest motions of hand and handle,
-each with its CRC. Writer and reader need no lock and no memory order: a half-written entry fails its CRC and is read
-again. A sequence number that stands still means that the hand has let go, so a driving program writes the wish several
-times a second even where nothing changes.
+each with its CRC. A driving program writes the wish several times a second even where nothing changes.
 
 The console and sessions write to it, simulated rigs of `rig.devices` read it. It must not load the loop or wait for the
 other side.
@@ -40,7 +38,7 @@ else:
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """Where a hand wants to be, and how hard it presses.
+    """Position that a hand aims at, and its press.
 
     Attributes
     ----------
@@ -59,7 +57,7 @@ class Wish:
 
 @dataclass(frozen=True, slots=True)
 class HandMotion:
-    """How a simulated hand and its handle moved: apart by what the coupling between them gives.
+    """How a simulated hand and its handle moved: their difference is the deflection of the coupling.
 
     Attributes
     ----------
@@ -78,7 +76,7 @@ class HandMotion:
 
 
 class SharedHand:
-    """A hand in a file: `create` to move it, `open` to obey it. Close either."""
+    """A hand in a file: `create` to move it, `open` to follow it. Close either."""
 
     def __init__(self, memory: mmap.mmap, path: Path) -> None:
         self.path = path
@@ -135,9 +133,9 @@ class SharedHand:
         raise ConfigError(f"{path} is not the file of a driven hand", remedy="give another file name")
 
     def move(self, position: float, press: float) -> None:
-        """Say where the hand wants to be (rad or m, at the link), and how hard it presses into the wall (N).
+        """Write the position of the hand (rad or m, at the link), and its press into the wall (N).
 
-        Raises `ConfigError` for what is no number.
+        Raises `ConfigError` for values that are not finite.
         """
         if not (math.isfinite(position) and math.isfinite(press)):
             raise ConfigError(
@@ -145,11 +143,13 @@ class SharedHand:
                 remedy="give finite numbers",
             )
         last = self.read()
+        # Also without a change: a number that stands still means that the hand has let go.
         sequence = (0 if last is None else last.sequence) + 1
         self._memory[len(MAGIC) : WISH_END] = _packed(Wish(sequence, position, press))
 
     def read(self) -> Wish | None:
         """Return the newest wish; None while it is being written."""
+        # No lock and no memory order: a half-written entry fails its CRC and is read again.
         for _ in range(_TRIES):
             data = self._memory[len(MAGIC) : WISH_END]
             (crc,) = _CRC.unpack_from(data, _VALUES.size)

@@ -15,9 +15,9 @@ from typing import Any
 
 @contextmanager
 def handled(numbers: tuple[int, ...], handler: Callable[[int, Any], None]) -> Iterator[bool]:
-    """Give these signals to `handler`, except those that are ignored; then to whom they belonged.
+    """Install `handler` for these signals, except those that are ignored, and restore the earlier handlers at the end.
 
-    Only the main thread gets signals: elsewhere nothing is changed, and what it yields is false.
+    Yields False without any change outside the main thread, which alone receives signals.
     """
     if not _in_the_main_thread():
         yield False
@@ -29,7 +29,7 @@ def handled(numbers: tuple[int, ...], handler: Callable[[int, Any], None]) -> It
             signal.signal(number, handler)
         yield True
     finally:
-        # In reverse, so that of SIGINT, named first, comes last: it may raise here, and what follows would not be done.
+        # In reverse, so that SIGINT, named first, is restored last: it may raise here, and the rest would be skipped.
         for number in reversed(taken):
             signal.signal(number, before[number])
 
@@ -40,11 +40,9 @@ _handled_by: dict[int, Any] = {}
 
 @contextmanager
 def interrupts_later() -> Iterator[None]:
-    """Let SIGINT and SIGTERM wait until `interrupts_now`, or until the end of this, whatever it calls.
-
-    Where C calls back into Python, and where objects are finalised, the interpreter prints an exception and forgets it:
-    a KeyboardInterrupt raised there, as inside a compiler, would be lost.
-    """
+    """Defer SIGINT and SIGTERM until `interrupts_now`, or until the end of this context."""
+    # Where C calls back into Python, and where objects are finalised, the interpreter prints an exception and drops it:
+    # a KeyboardInterrupt raised there, as inside a compiler, would be lost.
     if _handled_by or not _in_the_main_thread():  # within another: as that one does
         yield
         return
@@ -60,7 +58,7 @@ def interrupts_later() -> Iterator[None]:
 
 
 def interrupts_now() -> None:
-    """Let what waits interrupt here, where an exception is heard."""
+    """Handle the deferred signals here, where an exception reaches the caller."""
     if _waiting and _in_the_main_thread():
         for number in _came():
             if callable(_handled_by[number]):
@@ -71,10 +69,8 @@ def interrupts_now() -> None:
 
 
 def take_no_signals() -> None:
-    """Keep signals from the calling thread, not the main one: they are for Python, and would wake a wait early.
-
-    Windows gives them to no thread: the interpreter only notes them for its main one.
-    """
+    """Block all signals in the calling thread, which must not be the main one: they would wake a wait early."""
+    # Windows delivers signals to no thread; its interpreter notes them for the main one.
     if sys.platform != "win32":
         signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
 

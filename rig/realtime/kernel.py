@@ -1,8 +1,5 @@
 """The one decorator of every compiled function of this project; its machine code is kept by `rig.realtime._cache`.
 
-Inlined helpers, no counted references and predictable branches (no division in a tick without an edge) make a whole
-simulated tick cost what hand-written C costs (`tests/benchmarks/test_trial.py`).
-
 Laws, estimators, devices, doctor, the loop and the recorder decorate their functions with it. Kernels allocate nothing
 and raise nothing, and this file must not know what one of them computes.
 """
@@ -50,7 +47,8 @@ event.register("numba:compile", _Compilations())
 
 @contextlib.contextmanager
 def _without_collections() -> Iterator[None]:
-    """A compiler makes millions of objects that live as long as the program: looking through them takes time."""
+    """Switch the garbage collector off for a while."""
+    # A compiler makes millions of objects that live as long as the program: scanning them takes time and frees none.
     collects = gc.isenabled()
     gc.disable()
     try:
@@ -63,10 +61,9 @@ def _without_collections() -> Iterator[None]:
 class Kernel(CPUDispatcher):  # type: ignore[misc]
     """A function that is compiled, or loaded from the disk cache, when it is first needed, and then never again.
 
-    Declaring one costs nothing, so a module may hold kernels that a run does not reach. What enters it from outside (a
-    call from Python, a plug point that takes it) compiles the declared signatures and no others: an argument of another
-    type is converted or refused, as if they had been compiled at once. Before a loop starts, `prepare` has done that:
-    inside a loop nothing compiles. A kernel that calls it makes it a part of itself (`rig.realtime.parts`).
+    A call from Python, or a plug point that takes it, compiles the declared signatures and no others: an argument of
+    another type is converted or refused. `prepare` does so before a loop starts: inside a loop nothing may compile. A
+    kernel that calls it makes it a part of itself (`rig.realtime.parts`).
     """
 
     declared: tuple[Any, ...] = ()
@@ -113,12 +110,13 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         return self  # numba calls it again, and finds machine code
 
     def typeof_pyval(self, val: Any) -> Any:
-        """Type of an argument: that of a group lives on, and needs no set that holds it, by its hash, during a call."""
+        """Return the numba type of an argument."""
+        # The type of a group is cached: numba's own way would hash all member types at each call.
         kind = kind_of(val)
         return super().typeof_pyval(val) if kind is None else kind
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Types of a call in another kernel, of which this one then is a part."""
+        """Return the types of a call in another kernel, of which this one then is a part."""
         if self.prepared or self.is_compiling:
             return super().get_call_template(args, kws)
         if not self._parts:
@@ -132,15 +130,14 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         return template, python_signature, args, {}
 
     def get_overload(self, sig: Any) -> Any:
-        """Key of the code for a call in another kernel."""
+        """Return the key of the code for a call in another kernel."""
         args = tuple(sigutils.normalize_signature(sig)[0])
         return self._parts[args][1] if args in self._parts else super().get_overload(sig)
 
     def get_compile_result(self, sig: Any) -> Any:
-        """Machine code for a plug point: asked for at each call with one, so that it is looked up once.
-
-        Each plug point has one signature object; numba would compare all types in it, each time.
-        """
+        """Return the machine code for a plug point."""
+        # numba asks at each call with a plug point and compares all types then. Each plug point has one signature
+        # object, so its identity suffices; it is stored with the result, or another object could get its id.
         known = self._plugged.get(id(sig))
         if known is None:
             prepare(self)
@@ -183,11 +180,8 @@ def kernel(
     inline
         Ask LLVM to inline small helpers always.
     no_refcount
-        Count no references to array arguments, which the caller holds anyway. numba counts them atomically
-        and removes that only from simple control flow; elsewhere it costs some 20 ns a call. Such a kernel
-        cannot make or return an array, `carray` included. A kernel that takes a group (`rig.realtime.groups`)
-        always does so: else it would count all that is in it, and a law that raises would leave without giving
-        back what was counted.
+        Count no references to array arguments, which the caller holds anyway. Such a kernel cannot make or return
+        an array, `carray` included. A kernel that takes a group (`rig.realtime.groups`) always does so.
 
     Notes
     -----
@@ -201,8 +195,11 @@ def kernel(
         "boundscheck": None,
         "nogil": True,
         "error_model": "numpy",
+        # Not fast: reordered sums would differ from C and from a replay in the last bit.
         "fastmath": False,
         # State each, even a default: numba would otherwise inherit the option of the kernel that first needs this one.
+        # numba counts references atomically, some 20 ns a call but in simple control flow. A law that raises would
+        # leave the counts of a group's members too high for ever.
         "_nrt": not (no_refcount or takes_group),
         "forceinline": inline,
         "no_cfunc_wrapper": takes_group,  # a plug point takes none

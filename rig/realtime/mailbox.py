@@ -1,17 +1,13 @@
 """How bytes reach a running loop: a triple buffer that neither side ever waits for.
 
-Three slots hold one message each: one is the writer's to fill, one lies in the mail, one is the reader's
-to copy from. Who has which stands in **one** word, and every change of hands is one compare-and-exchange of it::
+Three slots hold one message each: the writer fills one, one is posted (the mail), the reader copies from one. One word
+assigns them, and every change of owner is one compare-and-exchange of it::
 
     bits 0–1  the writer's slot       bits 4–5  the reader's slot
     bits 2–3  the slot in the mail    bit  6    FRESH: the mail has not been read
     bits 8–62 number of the newest message posted
 
-The writer fills its slot and swaps it with the mail; the reader, when the mail is fresh, swaps its own with it. So
-a slot has one owner at any moment, and a message is never torn. Neither side spins: the reader gives up after
-`ATTEMPTS` and keeps what it has (a newer message is on its way), and the writer fails at most once, because the reader
-only moves fresh mail, and only the writer makes mail fresh. A writer that is killed in between leaves its own slot half
-filled, which is never read: the word is the only shared state, so there is nothing to repair.
+A slot has one owner at any moment, so a message is never torn.
 
 Layout from the address of the mailbox: that word and 56 bytes of padding, then three slots of `SLOT_BYTES`: number
 and length (bytes) as int64, `MOST_BYTES` bytes, padding. What the bytes mean is between writer and reader; a set of
@@ -54,7 +50,8 @@ EMPTY = 0 | 1 << 2 | 2 << 4  # each slot where it begins, nothing posted
 _WORD = 8
 _BYTES = 2 * _WORD  # place of the bytes in a slot
 _i64, _address, _bytes = types.int64, types.uintp, types.uint8[::1]
-_writers = threading.Lock()  # a lock on a descriptor does not keep threads of one process apart
+# A lock on a descriptor excludes other processes but not other threads of this one.
+_writers = threading.Lock()
 
 
 @kernel(_i64(_address, _i64), inline=True)
@@ -65,13 +62,13 @@ def slot_address(mailbox: int, slot: int) -> int:
 
 @kernel(_i64(_i64), inline=True)
 def writers_slot(state: int) -> int:
-    """Slot that the writer may fill."""
+    """Return the slot that the writer may fill."""
     return state & 3
 
 
 @kernel(_i64(_i64), inline=True)
 def readers_slot(state: int) -> int:
-    """Slot that the reader may copy from."""
+    """Return the slot that the reader may copy from."""
     return state >> 4 & 3
 
 
@@ -106,7 +103,9 @@ def fill(mailbox: int, message: Any) -> int:
 @kernel(_i64(_address))
 def publish(mailbox: int) -> int:
     """Post the writer's slot; returns its number."""
-    while True:  # twice at most: see above
+    # Twice at most: only the writer makes mail fresh and the reader moves fresh mail alone. A writer that is killed
+    # before leaves its own slot half filled, which is never read: the word is the only shared state.
+    while True:
         state = load_word(mailbox)
         after = published(state)
         if compare_exchange_word(mailbox, state, after) != 0:
@@ -116,6 +115,7 @@ def publish(mailbox: int) -> int:
 @kernel(_i64(_address))
 def claim(mailbox: int) -> int:
     """Take the mail if it is fresh; returns the reader's slot, or -1 when there is nothing new."""
+    # A bounded number of attempts, since the loop must not spin: after these a newer message is being posted.
     for _ in range(ATTEMPTS):
         state = load_word(mailbox)
         if state & FRESH == 0:
@@ -167,7 +167,7 @@ def post_message(mailbox: int, message: Any) -> int:
 
 
 def set_bytes(values: ArrayLike) -> bytes:
-    """Bytes of a set of parameters for a loop.
+    """Return the bytes of a set of parameters for a loop.
 
     Raises `ConfigError` for more than `SET_FLOATS` numbers, or one that is NaN.
     """
@@ -208,11 +208,11 @@ class Mailbox:
 
     @property
     def posted(self) -> int:
-        """Number of the newest message posted by any process; 0 before the first."""
+        """Return the number of the newest message posted by any process; 0 before the first."""
         return int(read_word(self._address)) >> NUMBER
 
     def post(self, message: bytes) -> int:
-        """Hand the loop a message, `MOST_BYTES` at most; a newer one replaces one that was not taken yet.
+        """Post a message of `MOST_BYTES` at most for the loop; it replaces one that was not taken yet.
 
         Returns
         -------
@@ -228,7 +228,7 @@ class Mailbox:
             return self.post_alone(message)
 
     def post_alone(self, message: bytes) -> int:
-        """As `post`; the caller must hold `alone`."""
+        """Post a message as `post` does; the caller must hold `alone`."""
         words = np.zeros(-(-len(message) // _WORD) * _WORD, np.uint8)
         words[: len(message)] = np.frombuffer(message, np.uint8)
         assert len(words) <= MOST_BYTES

@@ -1,11 +1,7 @@
 """Calls of C functions by address from compiled code: for libraries that are loaded while the program runs.
 
-`rig.realtime.system` names its functions, which the linker must find when the code is compiled. A library such as
-libusb is found later, and perhaps not at all; its functions are numbers in a block of memory then, the compiled code
-stays the same, and numba can keep it on disk.
-
-The USB queue of `rig.devices` and stop requests call it. It must not put an address into compiled code as a constant:
-the cache would keep it for another process.
+The USB queue of `rig.devices` and stop requests call it; functions of the C library are named in `rig.realtime.system`.
+It must not put an address into compiled code as a constant: the cache would keep it for another process.
 """
 
 from __future__ import annotations
@@ -26,6 +22,7 @@ def native_call(arity: int) -> Any:
     function = ir.FunctionType(answer, [word] * arity)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        # From an argument: a library such as libusb is found after the code was compiled, at another address each time.
         target = builder.inttoptr(args[0], function.as_pointer())
         return builder.sext(builder.call(target, args[1:]), word)
 
@@ -54,6 +51,6 @@ def native_call(arity: int) -> Any:
 
 
 def address_of(kernel: Any, signature: Any) -> int:
-    """Address of a kernel as a C function, for a table that native code calls; compiled or loaded if it has to be."""
+    """Return the address of a kernel as a C function; compile or load the kernel first if necessary."""
     found = kernel.get_compile_result(signature)
     return int(found.library.get_pointer_to_function(found.fndesc.llvm_cfunc_wrapper_name))

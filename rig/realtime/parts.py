@@ -1,10 +1,5 @@
 """Kernels as parts of others: typed and lowered, but neither optimised nor turned into machine code by themselves.
 
-numba makes machine code of every function that another one calls, with all that it calls in turn once more, and the
-caller is then optimised together with copies of the same. What is only a part of something larger is optimised there,
-once: of 135 kernels that a hit reaches, 15 are entered from outside. The first hit with an empty
-cache took 14 to 15 s of processor time, without this file 23 to 24 s (numba 0.68.1, koul-compliant, 2026-11-29).
-
 This file extends numba's own code libraries and disk cache; `rig.realtime.kernel` decides what is a part.
 
 `rig.control.plain_functions` and `rig.testing` use it besides `rig.realtime.kernel`. It must not change what a kernel
@@ -43,7 +38,7 @@ class _Linked:
     _linking_libraries: list[Any]
 
     def parts(self) -> Iterator[Any]:
-        """All libraries that it needs, directly or not: what calls a function comes before that function."""
+        """Yield all libraries that it needs, directly or not: what calls a function comes before that function."""
         seen: set[int] = set()
         waiting = list(reversed(self._linking_libraries))
         while waiting:
@@ -56,6 +51,9 @@ class _Linked:
                 waiting += reversed(library._linking_libraries)
 
 
+# numba makes machine code of every function that another one calls, and optimises copies of it again with each caller.
+# Of 135 kernels that a hit reaches, 15 are entered from outside: optimised there alone, the first hit with an empty
+# cache takes 14 to 15 s of processor time instead of 23 to 24 s (numba 0.68.1, koul-compliant, 2026-11-29).
 class LinkedPart(_Linked, codegen.JITCodeLibrary):  # type: ignore[misc]
     """Code that waits to be linked into a `Whole`."""
 
@@ -89,10 +87,9 @@ class Whole(_Linked, codegen.JITCodeLibrary):  # type: ignore[misc]
 
 
 class _Common(compiler.Flags):  # type: ignore[misc]
-    """Flags of what numba itself brings along (`min`, `int`, …): the same object for all kernels, equal only to itself.
+    """Flags of numba's own functions (`min`, `int`, …): one object for all kernels, equal only to itself."""
 
-    numba compiles it once for each set of flags of a caller, and looks it up by them for each operator.
-    """
+    # numba compiles `min` once for each set of flags of a caller, and looks it up by comparing them for each operator.
 
     __hash__ = object.__hash__
 
@@ -118,11 +115,9 @@ def _common(nrt: bool) -> _Common:
 
 @cache
 def load_implementations() -> None:
-    """Let numba load what its compiler needs, without scipy.linalg.
-
-    numba asks there for a BLAS, for the sake of ``numpy.cov``, which takes longer than all the rest. A kernel that uses
-    one, a law from elsewhere, asks again.
-    """
+    """Let numba load what its compiler needs, without scipy.linalg."""
+    # numba imports a BLAS there for ``numpy.cov``, which takes longer than all the rest. A third party's kernel that
+    # uses it imports it then.
     linalg = import_module("numba.np.linalg")
     ask = linalg.ensure_blas
     linalg.ensure_blas = lambda: None  # type: ignore[attr-defined]
@@ -182,10 +177,10 @@ _named: Any = _usual._locator_classes[0]  # in a directory that is configured
 class _ByModule(_named):  # type: ignore[misc]
     """The place of a kernel's machine code in the cache: by its module, wherever that is installed.
 
-    The cache's directory has a hash of all sources, so a wheel and a clone of the same ones share it. numba's own
-    setting CACHE_DIR is not used: a .numba_config.yaml in the current directory can change it, and a cache is code.
+    The cache's directory has a hash of all sources, so a wheel and a clone of the same ones share it.
     """
 
+    # Not numba's setting CACHE_DIR: a .numba_config.yaml in the current directory can change it, and a cache is code.
     def __init__(self, py_func: Any, py_file: str) -> None:
         super().__init__(py_func, py_file)
         self._cache_path = str(KernelCache.directory / py_func.__module__)
@@ -195,7 +190,8 @@ class _ByModule(_named):  # type: ignore[misc]
         return super(_named, cls).from_function(py_func, py_file)  # whatever CACHE_DIR is
 
     def get_source_stamp(self) -> bytes:
-        """Return a hash of the file; numba before 0.68 takes its time, by which every fresh checkout is compiled."""
+        """Return a hash of the file."""
+        # numba before 0.68 takes the file's time, by which every fresh checkout would be compiled again.
         return hashlib.sha256(Path(self._py_file).read_bytes()).digest()
 
 
@@ -216,7 +212,8 @@ class KernelCache(caching.FunctionCache):  # type: ignore[misc]
     _impl_class = _Implementation
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Load machine code, which needs the runtime that counts references: not all that numba's compiler knows."""
+        """Load machine code of a signature from the disk, None if it is not there."""
+        # Machine code needs the runtime that counts references alone, not the whole compiler that numba would load.
         rtsys.initialize(target_context)
         with self._guard_against_spurious_io_errors():
             return self._load_overload(sig, target_context)
@@ -235,7 +232,7 @@ class KernelCache(caching.FunctionCache):  # type: ignore[misc]
 
 
 def _wait_for(descriptor: int) -> None:
-    """Wait for a lock, `PATIENCE_S` at most: who has it may have been stopped."""
+    """Wait for a lock, `PATIENCE_S` at most: its owner may be a stopped process."""
     patience = time.monotonic() + PATIENCE_S
     compiling.began()  # elsewhere, which takes as long
     try:

@@ -7,16 +7,9 @@ Layout (version 4), every part at a multiple of 64 bytes::
     mailbox         `MAILBOX_BYTES` for `rig.realtime.mailbox`: parameters on their way to the loop
     rows            `capacity` rows of `rig.core.sample.ROW`
 
-All sides load and store words through `rig.realtime.atomics`. The info describes the experiment that runs, on which
-device, into which recording; who posts parameters writes the info that goes with them into the free half, and then
-changes the word INFO: the length of the JSON in bits 0–19, which half in bit 20, above them how often it was changed.
-
-The loop writes row ``HEAD % capacity`` and then publishes HEAD + 1; the recorder copies rows up to HEAD and
-publishes TAIL. When the ring is full the loop either drops the row and counts it (real time: the recorder
-must never delay a tick) or waits for room (virtual time: nothing is ever lost, and runs are repeatable).
-
-Shared, the block is a file that other processes of the user find (`rig.realtime._anonymous_memory`; off Linux
-`rig.realtime._named_memory`).
+All sides load and store words through `rig.realtime.atomics`. The info describes experiment, device and recording. The
+word INFO has the length of its JSON in bits 0–19, the half in bit 20, and above them the number of changes. The loop
+writes row ``HEAD % capacity`` and then publishes HEAD + 1; the recorder copies rows up to HEAD and publishes TAIL.
 
 Trials, the recorder, `rig set`, the console, LSL and the terminal of a session open it. It must not import numba before
 a loop is built, and the layout must not change without a new `LAYOUT_VERSION`.
@@ -117,6 +110,7 @@ class Ring:
         ring.put(CREATOR, os.getpid())
         ring.put(ROW_BYTES, ROW.itemsize)
         clear(ring.mailbox)
+        # Last: a process that finds the block reads VERSION 0 until everything else is there.
         ring.put(VERSION, LAYOUT_VERSION)
         return ring
 
@@ -127,7 +121,7 @@ class Ring:
         Raises
         ------
         OSError
-            The process is gone, or belongs to another user.
+            The process has ended, or belongs to another user.
         RigError
             It is no such block, not yet complete, or of a version that keeps its words elsewhere.
         """
@@ -159,9 +153,9 @@ class Ring:
 
     @property
     def mailbox(self) -> int:
-        """Address of the mailbox (`rig.realtime.mailbox.take`); valid until `close`.
+        """Return the address of the mailbox (`rig.realtime.mailbox.take`); valid until `close`.
 
-        Raises `RigError` afterwards: what is behind it may be gone.
+        Raises `RigError` afterwards: the memory may be unmapped.
         """
         if self._closed:
             raise RigError("the memory of this loop is closed", remedy="the run is over")
@@ -169,11 +163,11 @@ class Ring:
 
     @property
     def info(self) -> dict[str, Any]:
-        """The creator's description of the run; empty if it is missing, or of another version."""
+        """Return the creator's description of the run; empty if it is missing, or of another version."""
         return self.info_and_word()[0]
 
     def info_and_word(self) -> tuple[dict[str, Any], int]:
-        """The info, and the word INFO that it was read by: what `replace` wants to see unchanged."""
+        """Return the info, and the word INFO that it was read by, which `replace` compares."""
         word = self.peek(INFO)
         for _ in range(_INFO_TRIES):
             text = self._info_text(word)
@@ -198,14 +192,15 @@ class Ring:
         write_word(self.words.ctypes.data + 8 * word, value)
 
     def peek(self, word: int) -> int:
-        """Load a control word without compiled code, which a command that must act at once has no time to load.
+        """Load a control word without compiled code; never torn, but not ordered with other memory.
 
-        Never torn, but nothing may be concluded from it about other memory that is being written.
+        Nothing may be concluded from it about rows or info that are being written.
         """
+        # `rig stop` must act at once: loading numba takes longer than the run may continue.
         return int(self.words[word])
 
     def clock_exchange(self) -> tuple[int, tuple[int, ...] | None]:
-        """How many clock exchanges there were, and the four stamps of the last (`rig.core.clock_fit.EXCHANGE`, ns).
+        """Return the number of clock exchanges and the four stamps (ns) of the last (`rig.core.clock_fit.EXCHANGE`).
 
         None before the first, and when the loop was about to overwrite them.
         """
@@ -249,7 +244,7 @@ class Ring:
         with writer.alone():
             if self.get(INFO) != word:
                 return 0
-            # The info first: killed in between, the next set makes good what this one did not say.
+            # The info first: after a kill in between, info and set of the next `replace` agree again.
             _write_info(self, _json_of(info(writer.posted + 1)))
             return writer.post_alone(message)
 
@@ -268,12 +263,13 @@ class Ring:
     def close(self) -> None:
         """Let go of the memory; may be called twice.
 
-        The control words stay readable, as they are now. The memory is freed with the last array that refers to it, so
-        that a thread that still holds `rows` cannot crash; a thread that holds only an address must have ended before.
+        The control words remain readable, as they are now. The memory is freed with the last array that refers to it; a
+        thread that holds only an address must have ended before.
         """
         if self._closed:
             return
         self._closed = True
+        # Dropping the references and not unmapping: a thread that still holds `rows` cannot crash.
         self.words = self.words.copy()
         self.rows = np.zeros(0, ROW)
         self.buffer = np.zeros(0, np.uint8)
@@ -305,7 +301,8 @@ def _json_of(info: Mapping[str, Any]) -> bytes:
 
 
 def _write_info(ring: Ring, text: bytes) -> None:
-    """Write the free half, then say that it is the one."""
+    """Write the free half of the info, then publish it."""
+    # Two halves: a reader that has loaded INFO reads a half that no writer touches, unless two changes follow at once.
     word = ring.get(INFO)
     half = ~word & _INFO_HALF
     place = _INFO_AT + (INFO_BYTES if half else 0)
@@ -314,14 +311,14 @@ def _write_info(ring: Ring, text: bytes) -> None:
 
 
 def _plain_memory(size: int) -> NDArray[np.uint8]:
-    """Zeroed bytes that begin at a cache line."""
+    """Return zeroed bytes that begin at a cache line."""
     memory = np.zeros(size + 64, np.uint8)
     start = -memory.ctypes.data % 64
     return memory[start : start + size]
 
 
 def _shared_memory(size: int) -> tuple[NDArray[np.uint8], int]:
-    """Zeroed bytes that others can find, with their descriptor."""
+    """Return zeroed bytes that others can find, with their descriptor."""
     try:
         descriptor = place.make(size)
         try:
@@ -336,6 +333,6 @@ def _shared_memory(size: int) -> tuple[NDArray[np.uint8], int]:
 
 
 def _mapped(descriptor: int, size: int, *, writable: bool = True) -> NDArray[np.uint8]:
-    """The file as an array, which owns the mapping: it is unmapped with the last view of it."""
+    """Return the file as an array, which owns the mapping: it is unmapped with the last view of it."""
     access = mmap.ACCESS_WRITE if writable else mmap.ACCESS_READ
     return np.frombuffer(mmap.mmap(descriptor, size, access=access), np.uint8)

@@ -1,11 +1,8 @@
 """The loops that run on this computer, found and stopped from any terminal.
 
-A loop in real time keeps its ring in shared memory (`rig.realtime.ring`), which shows among the open files of its
-process. So there is no registry that could be wrong: only living processes are listed. Nothing here loads compiled
-code, since a command that must stop a rig has no second to lose.
-
-`rig stop`, `rig set`, `rig recording recover`, the console, LSL and sessions call it. It must not end a process: it
-writes the stop word and waits for the loop.
+`rig stop`, `rig set`, `rig recording recover`, the console, LSL and sessions call it. It must not load compiled code,
+since a command that must stop a rig has no second to lose, and must not end a process: it writes the stop word and
+waits for the loop.
 """
 
 from __future__ import annotations
@@ -25,7 +22,7 @@ from rig.realtime.control_words import CREATED, LAYOUT_VERSION, LOOP_DONE, PHASE
 from rig.realtime.memories import place
 from rig.realtime.ring import Ring
 
-PATIENCE_S = 3.0  # how long a stopped loop may take to say so: it needs a tick
+PATIENCE_S = 3.0  # how long a stopped loop may take to report its end: it needs a tick
 POLL_S = 0.002
 
 
@@ -64,7 +61,7 @@ class RunningLoop:
     path: str
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON; of the info what fits on a line."""
+        """Return plain values, for JSON; of the info what fits on a line."""
         return {
             "pid": self.pid,
             "since": self.since,
@@ -90,7 +87,7 @@ class StoppedLoop:
 
 
 def running(*, done: bool = False) -> list[RunningLoop]:
-    """Loops of this user (of all users for root), the oldest first; with `done` also those about to seal."""
+    """Return the loops of this user (of all users for root), the oldest first; with `done` also those about to seal."""
     found = []
     for memory in memories.memories():
         with memory, suppress(OSError, RigError), Ring.attach(memory.held) as ring:
@@ -141,7 +138,7 @@ def stop(
 
 
 def memory_of(pid: int) -> Ring | None:
-    """The newest loop of a process that still runs, to look at only; None when it runs none. The caller closes it.
+    """Return newest loop of a process that still runs, to look at only; None when it runs none. The caller closes it.
 
     For those who may see the progress of a run but not its experiment: its info is not read.
     """
@@ -170,7 +167,7 @@ def ask_to_stop(pid: int) -> int:
 
 
 def hidden() -> list[int]:
-    """Processes that were started as ``rig`` and that this user may not look into: they may run a loop too."""
+    """Return processes that were started as ``rig`` and that this user may not look into: they may run a loop too."""
     return sorted(pid for pid, words in place.command_lines() if _is_rig(words))
 
 
@@ -181,7 +178,7 @@ def _is_rig(words: list[bytes]) -> bool:
 
 
 def the_loop(pid: int | None = None) -> RunningLoop:
-    """The only loop that runs, or that of a process.
+    """Return the only loop that runs, or that of a process.
 
     Raises
     ------

@@ -29,7 +29,7 @@ _NAME = re.compile(rb"(\w+)(?:[ \t]+as[ \t]+\w+)?")
 
 
 def source_files(packages: Iterable[str] = PACKAGES) -> dict[str, Path]:
-    """Every Python file of the packages by module name, found without importing them, in a fixed order."""
+    """Return every Python file of the packages by module name, found without importing them, in a fixed order."""
     return {module: Path(path) for module, path in _found(packages).items()}
 
 
@@ -73,7 +73,7 @@ def _text(path: str) -> bytes:
 
 
 def _imported(text: bytes, modules: Container[str]) -> list[str]:
-    """Modules of ours that a source imports anywhere in it: at its top, inside functions, for types."""
+    """Return the modules of ours that a source imports anywhere in it: at its top, inside functions, for types."""
     found: list[str] = []
     for base, names, plain in _IMPORT.findall(text):
         module = (base or plain).decode()

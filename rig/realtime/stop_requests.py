@@ -1,11 +1,7 @@
 """Requests to stop that concern every run of this process: a signal, `rig.stop`, the end of the program.
 
-One word counts them. A loop compares it in every tick with what it was when its run began, so a request costs a loop
-one load, needs no GIL, and reaches any number of loops in whichever threads they run.
-
-Python runs signal handlers in the main thread alone, sets them there alone, and runs them late where that thread waits
-in C. So a handler in machine code stands before the one that is there (on Linux): it counts, and then calls that one.
-Python's own table of handlers, its wake-up descriptor and what `asyncio` keeps there stay as they are.
+One word counts them. A loop compares it in every tick with its value when the run began, so a request costs a loop one
+load, needs no GIL, and reaches any number of loops in any threads.
 
 Trials, the loop, sweeps, hits and motions call it. It must not end a loop itself: each compares the word and ends by
 its own rules.
@@ -107,12 +103,13 @@ class _Hook:
         self._libc = ctypes.CDLL(None)
 
     def place(self) -> None:
-        """Stand before each handler; where another one took the place since, do so again, if it does not call this one.
-
-        `signal.signal` replaces this handler by the interpreter's, which calls no other.
-        """
+        """Install this handler before each other one, again where a later one replaced it and does not call it."""
+        # Python runs its handlers in the main thread alone, and late where that thread waits in C. So this one stands
+        # before them, counts, and calls the earlier one: Python's table and the wake-up descriptor of asyncio are
+        # unchanged.
         for number in STOPPING:
             now = self._action(number)
+            # `signal.signal` replaces this handler by the interpreter's, which calls no other.
             again = number in self._displaced
             if now.handler in (self._handler, _SIG_IGN) or (again and now.handler not in self._known):
                 continue
@@ -178,7 +175,7 @@ def _word(index: int) -> int:
 
 
 def address() -> int:
-    """Address of the word that counts requests, for a loop; it never moves."""
+    """Return the address of the word that counts requests, for a loop; it never moves."""
     return _word(_REQUESTS)
 
 
@@ -320,7 +317,7 @@ def _count_runs(process: _Process, change: int) -> None:
 
 
 def _act_by_default(process: _Process, number: int) -> None:
-    """Do the default action of a signal that has waited."""
+    """Do the default action of a deferred signal."""
     write_word(_word(_DEFERRED), 0)
     if process.hook is not None:
         process.hook.remove()
@@ -328,10 +325,8 @@ def _act_by_default(process: _Process, number: int) -> None:
 
 
 def _leave() -> None:
-    """Bring to rest what still runs in other threads, where the interpreter ends without them: daemons for one.
-
-    Python 3.11 and 3.12 also forget an ordinary thread whose `join` was interrupted by Ctrl-C.
-    """
+    """Stop the runs of other threads before the interpreter ends, and wait `LEAVE_S` at most for them."""
+    # The interpreter does not wait for daemon threads; 3.11 and 3.12 also forget a thread whose `join` got a Ctrl-C.
     _process().leaving = True
     request()
     until = time.monotonic() + LEAVE_S

@@ -1,9 +1,7 @@
 """The system calls of the compiled loop, by name, without Python and without the GIL.
 
-Symbols are named through `numba.types.ExternalFunction` (a ctypes pointer would silently switch the disk
-cache off) and looked up before anything is compiled, because compiling against a missing symbol ends the
-interpreter. clock_nanosleep, ppoll and __errno_location exist on Linux alone under these names: elsewhere
-Python stands in for all of them (`rig.realtime._stand_ins`).
+clock_nanosleep, ppoll and __errno_location exist on Linux alone under these names: elsewhere Python functions replace
+all of them (`rig.realtime._stand_ins`).
 
 Clocks, descriptors and USB transfers of `rig.devices`, the loop, the recorder and `rig.doctor` call it. No kernel may
 name a symbol that was not looked up before.
@@ -23,6 +21,7 @@ from rig.realtime.kernel import kernel
 from rig.realtime.plugs import NOW_SIGNATURE, TRANSFER_SIGNATURE, WAIT_SIGNATURE
 
 _NAMES = ("read", "write", "fdatasync", "ppoll", "clock_gettime", "clock_nanosleep", "__errno_location")
+# Looked up before anything is compiled: compiling against a missing symbol ends the interpreter.
 if sys.platform == "linux":
     _MISSING = [name for name in _NAMES if not hasattr(ctypes.CDLL(None), name)]
     if _MISSING:
@@ -33,6 +32,7 @@ else:
     stand_ins.stand_in()
 
 _i32, _i64, _u64, _ptr = types.int32, types.int64, types.uint64, types.uintp
+# By name: a pointer from ctypes would silently switch the disk cache off.
 _read = types.ExternalFunction("read", _i64(_i32, _ptr, _u64))
 _write = types.ExternalFunction("write", _i64(_i32, _ptr, _u64))
 _fdatasync = types.ExternalFunction("fdatasync", _i32(_i32))
@@ -53,13 +53,13 @@ BILLION = 1_000_000_000
 
 @kernel(_i64())
 def last_error() -> int:
-    """Errno of the last call on this thread."""
+    """Return the errno of the last call on this thread."""
     return int(carray(_errno_location(), 1)[0])
 
 
 @kernel(NOW_SIGNATURE)
 def monotonic_now(handle: int) -> int:
-    """CLOCK_MONOTONIC in ns; `handle` is not used."""
+    """Return the CLOCK_MONOTONIC in ns; `handle` is not used."""
     timespec = _two_words()
     _clock_gettime(CLOCK_MONOTONIC, timespec)
     return int(load_word(timespec) * BILLION + load_word(timespec + 8))
@@ -97,10 +97,8 @@ def virtual_sleep(handle: int, deadline_ns: int) -> int:
 
 @kernel(TRANSFER_SIGNATURE)
 def descriptor_read(descriptor: int, address: int, size: int) -> int:
-    """read(2): bytes read, 0 when nothing is there, negative errno; the end of the file is -ENODEV.
-
-    The descriptor is polled first, so that a zero from read(2) can only mean that the other side is gone.
-    """
+    """Read by read(2): bytes read, 0 when nothing is available, negative errno; the end of the file is -ENODEV."""
+    # Polled first, so that a zero from read(2) can only mean that the other side has closed.
     pollfd = _one_word()
     timespec = _two_words()
     store_word(pollfd, descriptor | (POLLIN << 32))
@@ -119,7 +117,7 @@ def descriptor_read(descriptor: int, address: int, size: int) -> int:
 
 @kernel(TRANSFER_SIGNATURE)
 def descriptor_write(descriptor: int, address: int, size: int) -> int:
-    """write(2), tried once on a non-blocking descriptor: bytes written, 0 when full, negative errno."""
+    """Write once by write(2) to a non-blocking descriptor: bytes written, 0 when full, negative errno."""
     done = _write(descriptor, address, size)
     if done >= 0:
         return int(done)
@@ -129,7 +127,7 @@ def descriptor_write(descriptor: int, address: int, size: int) -> int:
 
 @kernel(_i64(_i64))
 def descriptor_sync(descriptor: int) -> int:
-    """fdatasync(2); returns 0 (also where nothing can be synced), or an errno."""
+    """Sync by fdatasync(2); return 0 (also where nothing can be synced), or an errno."""
     if _fdatasync(descriptor) == 0:
         return 0
     error = last_error()
@@ -138,7 +136,7 @@ def descriptor_sync(descriptor: int) -> int:
 
 @kernel(WAIT_SIGNATURE)
 def descriptor_wait(descriptor: int, deadline_ns: int) -> int:
-    """ppoll(2) for input until a deadline on CLOCK_MONOTONIC: 1 readable, 0 deadline, negative errno."""
+    """Wait by ppoll(2) for input until a deadline on CLOCK_MONOTONIC: 1 readable, 0 deadline, negative errno."""
     pollfd = _one_word()
     timespec = _two_words()
     while True:

@@ -23,15 +23,10 @@ zlib)::
     end       as rows, with magic 89 "RIGEND" 0A, the count of all rows as the number of the first, and a JSON
     instead of rows
 
-The integers of a block are 64 bits wide, so that compiled code writes them as it counts. The JSON of the
-header holds under ``schema`` the size of a row and the dtype, offset, unit and meaning of each column: a
-reader needs this page and a JSON parser. The envelope of the header is the same in all versions, so that
-a reader can name the version that it refuses.
-
-A block's own CRC over its head lets a reader trust the length before it uses it. A damaged block is skipped
-and reported, with its number of rows when its own or the next head is good; after a damaged head reading
-continues at the next good one. A file without an end was cut off: its last bytes may be a torn block, all
-others are good.
+The JSON of the header holds under ``schema`` the size of a row and the dtype, offset, unit and meaning of each column:
+a reader needs this page and a JSON parser. A damaged block is skipped and reported, with its number of rows when its
+own or the next head is good. A file without an end was cut off: its last bytes may be a torn block, all others are
+good.
 """
 
 from __future__ import annotations
@@ -66,6 +61,8 @@ BLOCK_ROWS = 1000  # 0.25 MB a block: 20 blocks a second at 20 kHz
 
 _FILE_HEAD = struct.Struct("<8sII")
 _CRC = struct.Struct("<I")
+# 64-bit integers, so that compiled code writes them as it counts. The head has a CRC of its own: a reader must be able
+# to trust the length before it uses it.
 _BLOCK_HEAD = struct.Struct("<8s5q")
 _BLOCK_CRC = struct.Struct("<Q")
 HEAD_BYTES = _BLOCK_HEAD.size
@@ -87,7 +84,7 @@ class BlockHead(NamedTuple):
 
 
 def pack_header(header: dict[str, Any]) -> bytes:
-    """Bytes of the file before its first block."""
+    """Return the bytes of the file before its first block."""
     text = _padded(canonical_json(header), _FILE_HEAD.size + _CRC.size)
     start = _FILE_HEAD.pack(MAGIC, VERSION, len(text)) + text
     return start + _CRC.pack(zlib.crc32(start))
@@ -101,7 +98,7 @@ def pack_block(magic: bytes, number: int, first_row: int, count: int, payload: b
 
 
 def pack_end(number: int, rows: int, trailer: dict[str, Any]) -> bytes:
-    """Bytes of the end: `number` blocks and `rows` rows came before."""
+    """Return the bytes of the end: `number` blocks and `rows` rows came before."""
     return pack_block(END_MAGIC, number, rows, 0, _padded(canonical_json(trailer), 0))
 
 
@@ -159,7 +156,8 @@ def read_capture(path: Path, columns: Collection[str] | None = None) -> Recordin
         for number, (place, count) in enumerate(found.blocks):
             if number % FORGET_BLOCKS == 0:
                 _forget(data)
-            if columns is None:  # a row of many columns is slow to copy, its bytes are not
+            # As bytes: numpy copies a structured row field by field.
+            if columns is None:
                 size, start = count * dtype.itemsize, filled * dtype.itemsize
                 rows.view(np.uint8)[start : start + size] = np.frombuffer(data, np.uint8, size, place)
             else:
@@ -169,7 +167,7 @@ def read_capture(path: Path, columns: Collection[str] | None = None) -> Recordin
 
 
 def read_capture_header(path: Path) -> Recording:
-    """A capture without rows and trailer; errors as `read_capture`."""
+    """Return a capture without rows and trailer; errors as `read_capture`."""
     with _opened(path) as data:
         header, _ = _read_header(path, data)
     return Recording(header, np.empty(0, dtype_of(header.get("schema", {}))), None, complete=False, path=path)
@@ -215,6 +213,7 @@ def _read_header(path: Path, data: mmap.mmap) -> tuple[dict[str, Any], int]:
         raise damaged
     if _CRC.unpack(data[end : end + _CRC.size])[0] != zlib.crc32(data[:end]):
         raise damaged
+    # Before the JSON: this envelope is the same in all versions, so that a reader can name the version that it refuses.
     check_version(path, version)
     header = _json_object(data[_FILE_HEAD.size : end])
     if header is None:

@@ -80,7 +80,7 @@ def clock_of(recording: Recording) -> ClockFit | None:
 
 
 def period_ns_of(recording: Recording) -> float:
-    """Length of a device tick (ns): from the position rate, or from the device's own times where no header has it."""
+    """Return the length of a device tick (ns): from the position rate, else from the device's own times."""
     rate = (recording.experiment.get("controller") or {}).get("position_rate")
     if rate:
         return 1e9 / float(rate)

@@ -74,7 +74,8 @@ def write_parquet(file: BinaryIO, recording: Recording) -> None:
 
 
 def _to_arrow(rows: NDArray[np.void], name: str) -> Any:
-    """Wrap the memory of a column; pyarrow.array would import pandas, if installed, to check where it comes from."""
+    """Return a column as an arrow array over the same memory."""
+    # pyarrow.array would import pandas, if installed, to check where the column comes from.
     column = np.ascontiguousarray(rows[name])
     return pyarrow.Array.from_buffers(
         pyarrow.from_numpy_dtype(column.dtype), len(column), [None, pyarrow.py_buffer(column)]
@@ -82,7 +83,8 @@ def _to_arrow(rows: NDArray[np.void], name: str) -> Any:
 
 
 def _checksum(metadata: Mapping[bytes, bytes], columns: Iterable[NDArray[Any]]) -> bytes:
-    """CRC-32 over metadata and columns in their order, since Parquet checks neither footer nor page heads."""
+    """Return the CRC-32 over metadata and columns in their order."""
+    # Parquet checks neither footer nor page heads.
     crc = _checksum_of(metadata)
     for column in columns:
         crc = zlib.crc32(column.data, crc)
@@ -94,7 +96,8 @@ def _checksum_of(metadata: Mapping[bytes, bytes]) -> int:
 
 
 def _encodings(dtype: np.dtype[np.void]) -> dict[str, Any]:
-    """Floats by byte stream: neighbours share exponents. Whole numbers by difference: most repeat."""
+    """Return an encoding for each column: floats by byte stream, whole numbers by difference."""
+    # Neighbouring floats share exponents; most whole numbers repeat or rise evenly.
     chosen = {
         name: "BYTE_STREAM_SPLIT" if dtype[name].kind == "f" else "DELTA_BINARY_PACKED"
         for name in dtype.names or ()
@@ -140,7 +143,8 @@ def _metadata(path: Path, schema: Any) -> dict[bytes, bytes]:
 
 
 def _to_numpy(chunk: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Return numbers without nulls from the memory of a chunk, since pyarrow's own conversion imports pandas."""
+    """Return the numbers of a chunk as an array over its memory; `ValueError` for nulls."""
+    # pyarrow's own conversion imports pandas.
     if chunk.null_count or chunk.type != pyarrow.from_numpy_dtype(dtype):
         raise ValueError(f"a column has nulls, or is {chunk.type} and not {dtype}")
     return np.frombuffer(chunk.buffers()[1], dtype, len(chunk), chunk.offset * dtype.itemsize)

@@ -160,7 +160,7 @@ def label(name: str) -> str:
 
 
 def _shown(quantile: Quantile) -> str:
-    """A quantile, with its upper bound where the ticks suffice for one: ``87 µs (≤ 93 µs)``."""
+    """Return a quantile, with its upper bound where the ticks suffice for one: ``87 µs (≤ 93 µs)``."""
     text = duration(quantile.value)
     if quantile.high is None or quantile.high == quantile.value:
         return text
@@ -201,7 +201,7 @@ def _summary(values: _Ints, known: _Mask) -> Stage | None:
 
 
 def _badness(ledger: Ledger) -> tuple[_Ints, _Mask]:
-    """From sample to command, and what the device then waited beyond its next tick; without a clock, lateness (ns)."""
+    """Return the time (ns) from sample to command and beyond the device's next tick; without a clock, lateness."""
     answered, known = ledger.stage("answered")
     if not known.any():
         return ledger.stage(LATENESS)
@@ -211,7 +211,7 @@ def _badness(ledger: Ledger) -> tuple[_Ints, _Mask]:
 
 
 def _worst(ledger: Ledger) -> list[BadTick]:
-    """Worst first; of equal ones the earlier. Ticks without any delay are not bad."""
+    """Return the worst ticks first, of equal ones the earlier; ticks without any delay are excluded."""
     values, known = _badness(ledger)
     candidates = np.flatnonzero(known & (values > 0))
     if len(candidates) > WORST:  # only what can be among the worst is sorted

@@ -173,7 +173,7 @@ class SampleGrid:
 
     @property
     def rate_hz(self) -> float:
-        """Samples per second; whole Hz where the period is that within `WHOLE_HZ`."""
+        """Return the samples per second; whole Hz where the period is that within `WHOLE_HZ`."""
         rate = 1.0 / self.period_s
         return float(round(rate)) if abs(rate - round(rate)) <= WHOLE_HZ * rate else rate
 

@@ -200,7 +200,7 @@ class Recording(Shown, Drawn):
         return [f"recording of {self.header.get('rig', 'a rig')}", *rows]
 
     def detailed(self) -> list[Item]:
-        """The short form, and every column with unit and meaning."""
+        """Return the short form, and every column with unit and meaning."""
         columns = [(name, self.units[name], self.descriptions[name]) for name in self.names]
         return [*self.brief(), Table(("column", "unit", "meaning"), columns, words=3)]
 

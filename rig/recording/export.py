@@ -77,7 +77,7 @@ def sidecar_of(path: Path) -> Path:
 
 
 def facts(recording: Recording) -> dict[str, object]:
-    """Everything about a recording but its rows."""
+    """Return everything about a recording but its rows."""
     return {
         "header": recording.header,
         "trailer": recording.trailer,

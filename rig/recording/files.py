@@ -38,13 +38,13 @@ _REMEDIES = {
 
 
 def disk_error(doing: str, path: Path, number: int, reason: str | None = None) -> RecordingError:
-    """Error for a refusal of the operating system, or for the reason of `rig.core.regular_file`, with its remedy."""
+    """Return the error for a refusal of the operating system or of `rig.core.regular_file`, with its remedy."""
     cause = reason or os.strerror(number)
     return RecordingError(f"cannot {doing} {path}: {cause}", remedy=_REMEDIES.get(number, ""))
 
 
 def sha256_of(path: Path) -> str:
-    """SHA-256 of a file, in hex."""
+    """Return the SHA-256 of a file, in hex."""
     with open_regular(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -140,7 +140,7 @@ def whole_directory(path: Path) -> Iterator[Path]:
 
 
 def free_name(directory: Path, stem: str) -> Path:
-    """First capture name of this stem that no recording has; what a file name may not have in it becomes a hyphen."""
+    """Return the first free capture name of this stem; characters that a file name cannot have become hyphens."""
     stem = re.sub(r"[^A-Za-z0-9._-]+", "-", stem).strip(".-") or "rig"
     for number in range(1, 10_000):
         name = stem if number == 1 else f"{stem}-{number}"

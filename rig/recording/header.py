@@ -51,7 +51,7 @@ def make_schema(columns: Sequence[Column], motion: Motion) -> dict[str, Any]:
 
 
 def dtype_of(schema: Mapping[str, Any]) -> np.dtype[np.void]:
-    """Dtype of a schema's rows; raises `RecordingError` when the schema describes no row."""
+    """Return the dtype of a schema's rows; raises `RecordingError` when the schema describes no row."""
     try:
         columns = schema["columns"]
         formats = [column["dtype"] for column in columns]
@@ -160,7 +160,7 @@ def repeatable(header: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def versions(protocol: str) -> dict[str, str]:
-    """Versions of what computed the rows."""
+    """Return the versions of what computed the rows."""
     installed = {name: _installed(name) for name in ("haptic-rig", "numpy", "numba")}
     return {"python": platform.python_version(), "protocol": protocol, **installed}
 
@@ -247,7 +247,7 @@ def _git(directory: Path, *arguments: str, **own: str) -> str:
 
 @cache
 def checkout() -> dict[str, str]:
-    """The commit of the checkout that this program runs from, and whether its files were edited; empty elsewhere."""
+    """Return commit of the checkout that this program runs from, and whether its files were edited; empty elsewhere."""
     sources = Path(__file__).parents[2]
     found = git_revision(sources) if (sources / ".git").exists() else None
     if found is None:

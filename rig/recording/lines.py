@@ -113,7 +113,7 @@ class LineFile:
 
 
 def line_of(text: str) -> bytes:
-    """Line of a JSON object's text, which must be ASCII."""
+    """Return the line of a JSON object's text, which must be ASCII."""
     body = text.encode("ascii")
     return b"%08x %s\n" % (zlib.crc32(body), body)
 

@@ -8,9 +8,8 @@ release   the first sample of the release
 end       the last sample
 sync      a rising edge of the sync input; its `tick` is that of the first row that reports it
 trial_out, inside_out
-          a rising edge of a sync output: the tick of the device that put it out began then, or where samples are
-          missing before it, so much earlier at most. Only where the host ran the law: a law on the device sets them
-          in the tick of the sample itself, so that trial and contact are they
+          a rising edge of a sync output, where the host ran the law: the device's tick that set it began then, or
+          where samples are missing before it, so much earlier at most
 ========  =============================================================================================
 
 Device times are on the scale of the column device_time; host times come from the clock fit: None if it is missing.
@@ -81,7 +80,7 @@ def marks(recording: Recording) -> list[Mark]:
 
 
 def sync_edges(recording: Recording) -> list[Mark]:
-    """Rising edges of the sync input in a recording."""
+    """Return the rising edges of the sync input in a recording."""
     return _on_both_clocks(recording, _of_edges(recording))
 
 
@@ -126,7 +125,7 @@ def _of_phases(rows: NDArray[np.void]) -> Iterator[_Found]:
 
 
 def _of_edges(recording: Recording) -> list[_Found]:
-    """An edge that the first row already has was before the recording."""
+    """Return the marks at edges of the input; an edge in the first row was before the recording."""
     rows = recording.rows
     edge: _Ints = rows["sync_time"]
     places = 1 + np.flatnonzero((edge[1:] != edge[:-1]) & (edge[1:] != 0))
@@ -134,8 +133,9 @@ def _of_edges(recording: Recording) -> list[_Found]:
 
 
 def _of_outputs(recording: Recording) -> Iterator[_Found]:
-    """A pin that a sample shows rose with the current that was active up to it: a tick before."""
+    """Return the marks of an output pin, which rose one tick before the sample that shows it."""
     loop = str((recording.header.get("extra") or {}).get("loop", "host"))
+    # A law on the device sets the outputs in the tick of the sample itself: trial and contact are their marks.
     if loop != "host":
         return
     rows = recording.rows
@@ -146,7 +146,7 @@ def _of_outputs(recording: Recording) -> Iterator[_Found]:
 
 
 def _rising(active: _Mask) -> _Ints:
-    """Places at which something begins, at the first row too."""
+    """Return the places at which something begins, at the first row too."""
     return np.flatnonzero(active & ~np.concatenate(([False], active[:-1])))
 
 

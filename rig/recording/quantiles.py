@@ -69,7 +69,7 @@ class Distribution:
 
     @property
     def almost_all(self) -> float:
-        """Upper bound of p99.9 where there is one, else the largest value seen."""
+        """Return the upper bound of p99.9 where there is one, else the largest value seen."""
         return self.maximum if self.p999.high is None else self.p999.high
 
 

@@ -51,7 +51,7 @@ def open_recording(path: str | Path, columns: Collection[str] | None = None) -> 
 
 
 def open_facts(path: str | Path) -> Recording:
-    """A recording without its rows: header and trailer, from a few kilobytes of the file.
+    """Return a recording without its rows: header and trailer, from a few kilobytes of the file.
 
     A capture has its header alone: how it ended stands behind its rows. What a checksum would say is not known. Errors
     as `open_recording`.

@@ -1,11 +1,7 @@
 """The recorder: from the ring to the disk, beside the loop, without the GIL.
 
-Under a busy Python program a recorder written in Python lost 13 to 63 % of the rows of a 20 kHz loop, a
-compiled one none. So `record` is one compiled function in a thread of its own, and `Recorder` only opens the
-file, starts it and waits for its end.
-
-A row reaches the file within `flush_s` in real time. In virtual time, where a wall clock would make every
-file different, only whole blocks are written before the end.
+`record` is one compiled function in a thread of its own; `Recorder` opens the file, starts it and waits for its end. A
+row reaches the file within `flush_s` in real time.
 
 Trials start it, and `rig.experiments.trials.recover` reads from it how much a crash may cost. It must not make a loop
 in real time wait, and its kernels take no GIL.
@@ -109,6 +105,7 @@ def write_all(descriptor: int, address: int, size: int) -> int:
     return 0
 
 
+# Compiled: under a busy Python program a recorder written in Python lost 13 to 63 % of the rows of a 20 kHz loop.
 @kernel(_i64(_address, _words, _i64, _words, _i64, _i64, _i64))
 def record(
     words: int,
@@ -121,9 +118,7 @@ def record(
 ) -> int:
     """Drain the ring into a file until the loop is done; returns the number of blocks written.
 
-    Rows leave the ring as soon as they are seen, so that the disk's pauses cost room in the ring only while a
-    write lasts. At the first error the errno goes to RECORDER_ERROR and nothing more is drained: the loop
-    counts what it drops.
+    At the first error the errno goes to RECORDER_ERROR and nothing more is drained: the loop counts what it drops.
 
     Parameters
     ----------
@@ -148,16 +143,19 @@ def record(
     synced_at = monotonic_now(0)
     oldest_at = synced_at
     while True:
-        done = load_word(words + 8 * LOOP_DONE)  # before HEAD: what is not there now will never come
+        # LOOP_DONE before HEAD: a loop that is done has published its last row, so this HEAD is final.
+        done = load_word(words + 8 * LOOP_DONE)
         head = load_word(words + 8 * HEAD)
         now = monotonic_now(0)
         if filled == 0:
             oldest_at = now
+        # Rows leave the ring at once, also for a block that is not full: a slow write costs room only while it lasts.
         taken = take_rows(ring_rows, tail, head, block, filled)
         tail += taken
         filled += taken
         store_word(words + 8 * TAIL, tail)
         last = done != 0 and tail == head
+        # Not by age in virtual time: a wall clock would make every file different.
         old = flush_ns > 0 and now - oldest_at >= flush_ns
         if filled == block_rows or (filled > 0 and (last or old)):
             size = close_block(block, number, recorded, filled)
@@ -248,7 +246,7 @@ class Recorder:
 
     @property
     def rows(self) -> int:
-        """Rows in the file so far."""
+        """Return the rows in the file so far."""
         return self._ring.get(RECORDED)
 
     @property

@@ -127,7 +127,7 @@ class Ledger(TimingFacts):
     late: _Mask
 
     def stage(self, name: str) -> tuple[_Ints, _Mask]:
-        """Length of a stage in each tick (ns) and whether it is known; `LATENESS` is one of them."""
+        """Return the length of a stage in each tick (ns) and whether it is known; `LATENESS` is one of them."""
         if name == LATENESS:
             return self.lateness, np.ones(len(self.lateness), bool)
         begin, end = getattr(self, STAGES[name].begin), getattr(self, STAGES[name].end)
@@ -189,11 +189,9 @@ def ledger(rows: NDArray[np.void], fit: ClockFit | None, period_ns: float, loop:
 
 
 def device_times(device_time: NDArray[np.int64], fit: ClockFit, near_host_ns: int) -> NDArray[np.int64]:
-    """Device times of rows on the scale of the clock exchanges (ns).
-
-    A STATE has 32 bits of the device's clock, so rows count from a multiple of 268 s that they do not know; the first
-    receipt decides it.
-    """
+    """Return the device times of rows on the scale of the clock exchanges (ns)."""
+    # A STATE has 32 bits of the device's clock: rows count from an unknown multiple of 268 s, which the first receipt
+    # gives.
     wraps = round((int(fit.device_of(np.array([near_host_ns]))[0]) - int(device_time[0])) / WRAP_NS)
     return device_time + wraps * WRAP_NS
 
@@ -227,7 +225,7 @@ def _active(rows: NDArray[np.void]) -> tuple[_Ints, int, int]:
 
 
 def _became_active(rows: NDArray[np.void], device: _Ints, shown_at: _Ints, period_ns: float) -> _Ints:
-    """Device time of sample k − a: of its row, or where that is missing, counted back from the row of sample k."""
+    """Return the device time of sample k − a: of its row, else counted back from the row of sample k."""
     age = rows["command_age"][shown_at]
     index = _column(rows, "sample_index")
     wanted = index[shown_at] - age

@@ -69,7 +69,7 @@ class CoggingMap:
 
     @property
     def cogging(self) -> Cogging:
-        """The map as a rig has it."""
+        """Return the map as a rig has it."""
         return Cogging(
             period=self.period,
             orders=self.orders,
@@ -81,12 +81,12 @@ class CoggingMap:
 
     @reported
     def peak(self) -> float:
-        """Most effort in the range (N·m or N)."""
+        """Return the most effort in the range (N·m or N)."""
         return float(np.abs(self.cogging.effort(self._range)).max())
 
     @reported
     def stiffness(self) -> tuple[float, float]:
-        """Least and most stiffness that it gives the handle in the range (N·m/rad or N/m)."""
+        """Return the least and most stiffness that it gives the handle in the range (N·m/rad or N/m)."""
         stiffness = -self.cogging.slope(self._range)
         return float(stiffness.min()), float(stiffness.max())
 
@@ -167,7 +167,7 @@ def pairs_of(
     inertia: float,
     damping: float,
 ) -> list[Pair]:
-    """Positions and efforts of cogging less friction in pairs of sweeps; see `fit_cogging`.
+    """Return the positions and efforts of cogging less friction in pairs of sweeps; see `fit_cogging`.
 
     `wave` is the shortest that is looked for (rad or m). Raises `IdentificationError` where fewer than two pairs moved.
     """
@@ -181,7 +181,7 @@ def pairs_of(
 
 
 def common_range(pairs: Sequence[Pair], period: float) -> tuple[float, float]:
-    """Where all sweeps have been (rad or m); raises `IdentificationError` for less than a period."""
+    """Return where all sweeps have been (rad or m); raises `IdentificationError` for less than a period."""
     ways = [x for pair in pairs for x, _ in pair]
     low, high = max(float(x.min()) for x in ways), min(float(x.max()) for x in ways)
     if high - low < LEAST_PERIODS * period:
@@ -208,7 +208,7 @@ def _points(
     inertia: float,
     damping: float,
 ) -> Points:
-    """Positions in a sweep, and cogging less friction there: means over blocks, whose accelerations are taken off."""
+    """Return positions in a sweep, and cogging less friction there: block means without the acceleration's effort."""
     tick_s = float(time_s[1] - time_s[0])
     n = max(1, round(wave / abs(sweep.velocity) / BLOCKS / tick_s))
     inside = (time_s >= sweep.begin_s + SETTLE_S) & (time_s < sweep.end_s - SETTLE_S)
@@ -222,13 +222,13 @@ def _points(
 
 
 def basis(x: Floats, period: float, orders: Sequence[int]) -> Floats:
-    """Cosines and then sines of harmonics at positions, shape (n, 2·orders)."""
+    """Return the cosines and then sines of harmonics at positions, shape (n, 2·orders)."""
     angle = 2.0 * math.pi / period * np.multiply.outer(x, np.asarray(orders, dtype=np.float64))
     return np.hstack([np.cos(angle), np.sin(angle)])
 
 
 def fitted_pair(pair: Pair, period: float, orders: Sequence[int]) -> Floats:
-    """Cosines, sines, and the level of each way, of one pair."""
+    """Return the cosines, sines, and the level of each way, of one pair."""
     up, down = pair
     rows = [
         np.column_stack(
@@ -241,7 +241,7 @@ def fitted_pair(pair: Pair, period: float, orders: Sequence[int]) -> Floats:
 
 
 def _orders(pairs: Sequence[Pair], period: float, most: int) -> tuple[tuple[int, ...], float]:
-    """Harmonics that are there for certain, and the amplitude from which any would have been."""
+    """Return the harmonics that are there for certain, and the amplitude from which any would have been."""
     every = range(1, most + 1)
     each = np.array([fitted_pair(pair, period, every) for pair in pairs])[:, : 2 * most]
     mean, spread = each.mean(axis=0), each.std(axis=0, ddof=1)
@@ -253,7 +253,7 @@ def _orders(pairs: Sequence[Pair], period: float, most: int) -> tuple[tuple[int,
 
 
 def _both_ways(pairs: Sequence[Pair], low: float, high: float, wave: float) -> tuple[Floats, Floats, Floats]:
-    """Means over bins of position, of all ways up and of all ways down."""
+    """Return the means over bins of position, of all ways up and of all ways down."""
     edges = np.linspace(low, high, max(2, round(8.0 * (high - low) / wave)) + 1)
     means = []
     for way in (0, 1):

@@ -152,7 +152,7 @@ class Dynamics:
 
     @reported
     def coherence_median(self) -> float:
-        """Median of γ² over the lines."""
+        """Return the median of γ² over the lines."""
         return float(np.median(self.coherence))
 
 
@@ -248,12 +248,12 @@ class _Problem:
         )
 
     def gain(self, parameters: Floats, ticks: int) -> Complexes:
-        """Position over the samples of the effort, delay, hold and images included."""
+        """Return the position over the samples of the effort, delay, hold and images included."""
         late = _late(self.images, parameters, ticks / self.rate)
         return np.asarray((self.held * late * self.answer(self.images, parameters)).sum(axis=0))
 
     def answer(self, frequency_hz: Floats, parameters: Floats) -> Complexes:
-        """Position over effort, the back-EMF's apart."""
+        """Return the position over effort, the back-EMF's apart."""
         free = compliance(frequency_hz, parameters)
         if self.back_emf == 0.0:
             return free
@@ -267,7 +267,7 @@ class _Problem:
     def solve(
         self, start: Floats, free: Sequence[int], ticks: int, weights: Floats, which: slice = slice(None)
     ) -> Floats:
-        """Least squares over the free parameters, each in units of its own size."""
+        """Return the least squares over the free parameters, each in units of its own size."""
         size = np.abs(start)
         size[B] = max(size[B], 1e-3 * abs(start[M]) * 2.0 * np.pi * self.lines[0])
         size[LAG] = 0.1 / self.rate if size[LAG] == 0.0 else size[LAG]
@@ -300,7 +300,7 @@ class _Problem:
         return _Fit(parameters, ticks, weights, cost, unexplained)
 
     def _unexplained(self, error: Complexes, power: Floats) -> float:
-        """Share of the velocity (rms) that the fit leaves and that follows the effort; noise follows nothing."""
+        """Return share of the velocity (rms) that the fit leaves and that follows the effort; noise follows nothing."""
         runs, drive = len(error), np.mean(np.abs(self.effort) ** 2, axis=0)
         gain = np.mean(error * self.effort.conj(), axis=0) / drive
         noise = np.sum(np.abs(error - gain * self.effort) ** 2, axis=0) / (runs - 1)
@@ -309,7 +309,7 @@ class _Problem:
         return math.sqrt(max(0.0, float(np.sum(speed * own))) / float(np.sum(speed * power)))
 
     def with_delay(self, start: Floats, free: Sequence[int]) -> _Fit:
-        """The best fit over whole ticks of delay, with a lag that is not negative beside them."""
+        """Return the best fit over whole ticks of delay, with a lag that is not negative beside them."""
         first = self.fit(start, free, 0)
         period = 1.0 / self.rate
         most = min(WHOLE_TICKS, max(0, math.floor(first.parameters[LAG] / period + 0.5)))
@@ -338,7 +338,7 @@ class _Problem:
         return rigid, free
 
     def each(self, fit: _Fit, free: Sequence[int]) -> Floats:
-        """Parameters by each realisation alone, shape (runs, parameters)."""
+        """Return the parameters by each realisation alone, shape (runs, parameters)."""
         runs = range(len(self.position))
         return np.array(
             [self.solve(fit.parameters, free, fit.ticks, fit.weights, slice(i, i + 1)) for i in runs]
@@ -347,7 +347,7 @@ class _Problem:
     def shifted(
         self, fit: _Fit, free: Sequence[int], damping: Interval | None, sliding: Sliding | None
     ) -> list[Floats]:
-        """Parameters with what was given at the end of its interval: damping, then Coulomb friction."""
+        """Return the parameters with what was given at the end of its interval: damping, then Coulomb friction."""
         found = []
         if damping is not None and math.isfinite(damping.ci95):
             start = fit.parameters.copy()
@@ -359,7 +359,7 @@ class _Problem:
         return found
 
     def mode_start(self, rigid: Floats) -> Floats | None:
-        """Where to look for a mode: the deepest notch and, above it, the highest peak of position · m·s²."""
+        """Return where to look for a mode: the deepest notch and, above it, the highest peak of position · m·s²."""
         level = np.mean(np.abs(self.position), axis=0) / np.mean(np.abs(self.effort + 0.0), axis=0)
         flat = np.log(level * rigid[M] * (2.0 * np.pi * self.lines) ** 2 + 1e-300)
         flat = _smooth(flat - np.median(flat[: max(3, len(flat) // 4)]), 3)
@@ -373,7 +373,7 @@ class _Problem:
 
 
 def compliance(frequency_hz: Floats, parameters: Floats) -> Complexes:
-    """Position over effort of the free rig: P of the text above."""
+    """Return the position over effort of the free rig: P of the text above."""
     s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
     p = 1.0 / (s * (parameters[M] * s + parameters[B]))
     if len(parameters) == COMPLIANT:
@@ -390,7 +390,7 @@ def _late(frequency_hz: Floats, parameters: Floats, delay_s: float) -> Complexes
 
 
 def _spectra(run: ExcitedRun, sliding: Sliding | None) -> tuple[Complexes, Complexes, Complexes]:
-    """Position, effort (its samples, at time 0 of a sample) and Coulomb friction at the lines."""
+    """Return the position, effort (its samples, at time 0 of a sample) and Coulomb friction at the lines."""
     n = run.period_samples
     whole = np.fft.rfft(run.level_position().reshape(run.periods, n).mean(axis=0))
     frequency = np.asarray(np.fft.rfftfreq(n, 1.0 / run.rate_hz), dtype=np.float64)

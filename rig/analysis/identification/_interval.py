@@ -47,14 +47,14 @@ class Interval:
 
 
 def quantile(degrees_of_freedom: float) -> float:
-    """Two-sided 95 % quantile of Student's distribution; infinite without a degree of freedom."""
+    """Return two-sided 95 % quantile of Student's distribution; infinite without a degree of freedom."""
     if degrees_of_freedom < 1:
         return math.inf
     return float(special.stdtrit(degrees_of_freedom, 0.5 + 0.5 * CONFIDENCE))
 
 
 def from_scatter(value: float, samples: ArrayLike) -> Interval:
-    """Interval about a value that was fitted to all realisations, from the values fitted to each."""
+    """Return the interval about a value that was fitted to all realisations, from the values fitted to each."""
     each = np.asarray(samples, dtype=np.float64)
     if len(each) < 2:
         return Interval(value, math.inf)

@@ -65,7 +65,7 @@ class Band:
 
     @property
     def text(self) -> str:
-        """The band and why it ends."""
+        """Return the band and why it ends."""
         why = [f"; {side}: {text}" for side, text in (("below", self.below), ("above", self.above)) if text]
         return f"{self.low_hz:.4g} to {self.high_hz:.4g} Hz, {self.lines} lines{''.join(why) or ', all excited ones'}"
 

@@ -118,7 +118,7 @@ def fit_ripple(free: Sequence[Pair], loaded: Sequence[Pair], *, period: float, m
 
 
 def _shares(free: Pair, loaded: Pair, period: float, orders: Sequence[int]) -> Floats:
-    """Cosines and sines of r, and the load, of one pair: what makes load·(1 + r̂)/(1 + r) the same everywhere."""
+    """Return cosines and sines of r, and the load, of one pair: those that make load·(1 + r̂)/(1 + r) constant."""
     shares, load = np.zeros(2 * len(orders)), 0.0
     for _ in range(ROUNDS):
         with_, without = (

@@ -150,7 +150,7 @@ def stiction_warning(breakaway: float, sliding: float) -> str | None:
 
 
 def _spans(effort: Floats, rest: int) -> list[tuple[int, int]]:
-    """Index ranges of the pushes: from the first effort after a rest to the last before the next."""
+    """Return the index ranges of the pushes: from the first effort after a rest to the last before the next."""
     busy = np.flatnonzero(effort != 0.0)
     if not len(busy):
         return []
@@ -197,7 +197,7 @@ def _fitted(
     decay: float,
     expected_friction: float | None,
 ) -> tuple[float, float]:
-    """Inertia m and beginning t₀ of m·(x + d·∫x dt) = ∬(u − F) dt² by least squares in x, over every friction F.
+    """Return inertia m and beginning t₀ of m·(x + d·∫x dt) = ∬(u − F) dt² by least squares in x, over every friction F.
 
     Fitted is the way since the handle last was near.
     """

@@ -80,7 +80,7 @@ class Sliding:
         return len(self.velocity)
 
     def at(self, velocity: Floats) -> Floats:
-        """Effort that keeps these velocities up (N·m or N)."""
+        """Return the effort that keeps these velocities up (N·m or N)."""
         level = np.where(velocity > 0.0, self.up.value, -self.down.value)
         return np.asarray(level + self.damping.value * velocity)
 

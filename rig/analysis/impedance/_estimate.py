@@ -80,7 +80,7 @@ class Impedance:
 
     @classmethod
     def exact(cls, lines_hz: Floats, z: Complexes, method: str = "exact") -> Impedance:
-        """An impedance that is known and not measured: no variance, full coherence, no residual."""
+        """Return an impedance that is known and not measured: no variance, full coherence, no residual."""
         lines = np.asarray(lines_hz, dtype=np.float64)
         ones, none = np.ones(len(lines)), np.zeros(len(lines))
         return cls(lines, np.asarray(z, dtype=np.complex128), none, ones, ones, 0.0, 0, 0, method)
@@ -92,16 +92,16 @@ class Impedance:
 
     @property
     def phase_deg(self) -> Floats:
-        """Phase at each line (degrees), −180 to 180: no unwrapping, because ±90° are what matters."""
+        """Return the phase at each line (degrees), −180 to 180: no unwrapping, because ±90° are what matters."""
         return np.asarray(np.degrees(np.angle(self.z)))
 
     @property
     def deviation(self) -> Floats:
-        """Standard deviation of the real part at each line, of the imaginary part, and of the magnitude."""
+        """Return the standard deviation of the real part at each line, of the imaginary part, and of the magnitude."""
         return np.sqrt(0.5 * self.variance)
 
     def spread(self, z_score: float) -> Floats:
-        """How far the real part (or |Z|) may be off at each line, one-sided, for the confidence that `z_score` means.
+        """Return the one-sided uncertainty of the real part (or |Z|) at each line, for the confidence of `z_score`.
 
         2 means 97.7 %. With few realisations the variance is itself uncertain, so Student's distribution stands in
         for the normal one: four realisations ask for 2.5 deviations instead of 2.
@@ -130,7 +130,7 @@ class Impedance:
 
 
 def periodic(runs: Sequence[ExcitedRun], *, residual_band_hz: tuple[float, float] | None = None) -> Impedance:
-    """Impedance by the ratio of lines, with the excitation as instrument.
+    """Return the impedance by the ratio of lines, with the excitation as instrument.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def periodic(runs: Sequence[ExcitedRun], *, residual_band_hz: tuple[float, float
 
 
 def residual_share(runs: Sequence[ExcitedRun], band: tuple[float, float]) -> float:
-    """Share of the velocity's power off the excited lines, between the ends of a band (Hz), over all runs.
+    """Return the share of the velocity's power off the excited lines, between the ends of a band (Hz), over all runs.
 
     A transform of the whole record has bins between the lines: P periods put P − 1 of them between neighbours. What
     is there does not repeat with the excitation: chatter of an estimator, a limit cycle, noise. NaN for a band
@@ -223,7 +223,7 @@ def _transform(run: ExcitedRun, channel: Floats) -> Complexes:
 def _with_instrument(
     lines: Sequence[_Lines], channel: Literal["effort", "velocity"], of: VarianceFrom
 ) -> Complexes:
-    """Products with the conjugate reference: one row for each realisation, or for each period of the only one."""
+    """Return products with the conjugate reference: a row for each realisation, or each period of the only one."""
     products = [np.asarray(getattr(one, channel) * one.reference.conj()) for one in lines]
     return np.stack([p.mean(axis=0) for p in products]) if of == "realisations" else products[0]
 

@@ -70,7 +70,7 @@ def fit(
     band: tuple[float, float] | None = None,
     subtract: Complexes | RigidRig | None = None,
 ) -> Fit:
-    """Weighted least squares of m·jω + b + K/(jω) on an impedance.
+    """Return the weighted least squares of m·jω + b + K/(jω) on an impedance.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def _has_variance(variance: Floats) -> bool:
 
 
 def _weights(variance: Floats) -> Floats:
-    """One over the deviation of each real number; a line of variance zero weighs like the best of the others."""
+    """Return one over the deviation of each real number; a line of variance zero weighs like the best of the others."""
     if not _has_variance(variance):
         return np.ones(len(variance))
     usable = np.isfinite(variance) & (variance > 0.0)

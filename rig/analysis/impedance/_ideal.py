@@ -47,7 +47,7 @@ Channel = Literal["external", "motor"]
 
 
 def ideal_wall(stiffness: float, damping: float, lines_hz: ArrayLike) -> Complexes:
-    """K/(jω) + B at these frequencies (Hz): the wall that is asked for."""
+    """Return K/(jω) + B at these frequencies (Hz): the wall that is asked for."""
     return np.asarray(stiffness / _s(lines_hz) + damping)
 
 
@@ -58,7 +58,7 @@ def bare(
     scheme: SchemeLike | None = None,
     seen: Literal["handle", "sensed"] = "handle",
 ) -> Complexes:
-    """Impedance of the rig without a wall, friction left out: m·s + b for a rigid one.
+    """Return the impedance of the rig without a wall, friction left out: m·s + b for a rigid one.
 
     Parameters are those of `rendered`.
     """
@@ -77,7 +77,7 @@ def rendered(
     channel: Channel = "external",
     images: bool = True,
 ) -> Complexes:
-    """Impedance of the rig with its sampled wall, exact for a linear estimator.
+    """Return the impedance of the rig with its sampled wall, exact for a linear estimator.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def _sampled(loop: LinearLoop, plant: _Plant, lines: Floats, images: bool) -> _S
 
 
 def _transfer(s: Complexes, a: Matrix, b: Floats, row: int) -> Complexes:
-    """Row of (s·1 − A)⁻¹·b for each s."""
+    """Return the row of (s·1 − A)⁻¹·b for each s."""
     resolvent = s[:, None, None] * np.eye(len(b)) - a
     states = np.linalg.solve(resolvent, np.broadcast_to(b[:, None], (len(s), len(b), 1)))
     return np.asarray(states[:, row, 0])

@@ -88,7 +88,7 @@ class ExcitedRun:
 
     @property
     def bins(self) -> NDArray[np.int64]:
-        """Bin of each line in the transform of one period."""
+        """Return the bin of each line in the transform of one period."""
         return np.rint(self.lines_hz * self.period_samples / self.rate_hz).astype(np.int64)
 
     def effort_gain(self, frequency_hz: Floats) -> Complexes:
@@ -102,7 +102,7 @@ class ExcitedRun:
         return np.asarray(s * np.exp(s * self.position_delay_s))
 
     def level_position(self) -> Floats:
-        """Position less its mean and, with two periods or more, its steady drift.
+        """Return the position less its mean and, with two periods or more, its steady drift.
 
         A free rig wanders while it excites. The drift is the mean change from a sample to the one a period later,
         which is zero for whatever is periodic. Left in, the jump from the record's end to its start adds drift to

@@ -53,7 +53,7 @@ class WelchSettings:
     estimator: Literal["h1", "instrument"] = "h1"
 
     def segment(self, samples: int, rate_hz: float) -> int:
-        """Samples in a segment of a record of so many."""
+        """Return the samples in a segment of a record of so many."""
         if self.segment_s is None:
             return max(1, int(samples / (SEGMENTS - (SEGMENTS - 1) * self.overlap)))
         return min(samples, max(1, round(self.segment_s * rate_hz)))
@@ -72,7 +72,7 @@ def estimate_welch(
     *,
     residual_band_hz: tuple[float, float] | None = None,
 ) -> Impedance:
-    """Impedance from averaged spectra, on the transform's grid between the lowest and the highest line.
+    """Return the impedance from averaged spectra, on the transform's grid between the lowest and the highest line.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def estimate_welch(
 
 
 def aligned(run: ExcitedRun) -> tuple[Floats, Floats, Floats]:
-    """Excitation, effort and velocity of a run as signals of time, all at the instants of its samples.
+    """Return the excitation, effort and velocity of a run as signals of time, all at the instants of its samples.
 
     Delays, hold and derivative act on the transform of the whole record, which is exact because it is periodic.
     """
@@ -213,7 +213,7 @@ class _Spectra:
 
 
 def _independent(window: Floats, step: int, count: int) -> float:
-    """Segments without overlap that would average noise as well: n/(1 + 2·Σ (1 − k/n)·ρ_k), ρ of the shifted window.
+    """Return the equivalent independent segments: n/(1 + 2·Σ (1 − k/n)·ρ_k), ρ of the shifted window.
 
     Source: Welch, IEEE Trans. Audio Electroacoust. 15 (1967), 70.
     """

@@ -125,7 +125,7 @@ def limit_cycle(
 
 
 def reading(amplitude: float, duty: float) -> float:
-    """First harmonic of the reading of a motion of this amplitude whose mean reading is a whole number + duty (count).
+    """Return the first harmonic of the reading of such a motion, whose mean reading is an integer + duty (count).
 
     The bias of the motion follows from the mean; at an amplitude of 0 it is that of a single edge, (2/π)·sin(π·duty).
     """
@@ -181,7 +181,7 @@ class _Open:
         )
 
     def motion(self, read: float) -> Complex:
-        """Motion of the encoder's side at every frequency, if it is in phase with this reading (count)."""
+        """Return the motion of the encoder's side at every frequency, if it is in phase with this reading (count)."""
         x = read * self.loop - 1j * self.rubs[0] * self.rubbed[0]
         if not any(self.rubs[1:]):
             return np.asarray(x)
@@ -193,11 +193,11 @@ class _Open:
         return np.asarray(x + rub * self.rubbed[1])
 
     def crossings(self, duty: float) -> list[float]:
-        """Frequencies at which the motion is in phase with a reading across a single edge."""
+        """Return the frequencies at which the motion is in phase with a reading across a single edge."""
         return [frequency for frequency, _ in self._in_phase(reading(0.0, duty))]
 
     def _in_phase(self, read: float) -> list[tuple[float, float]]:
-        """Frequency and amplitude wherever the motion is in phase with the reading."""
+        """Return the frequency and amplitude wherever the motion is in phase with the reading."""
         x = self.motion(read)
         place = np.flatnonzero((x.imag[1:] > 0.0) != (x.imag[:-1] > 0.0))
         share = x.imag[place] / (x.imag[place] - x.imag[place + 1])
@@ -222,7 +222,7 @@ class _Open:
 
 
 def _law(loop: LinearLoop, stiffness: float, damping: float, hz: Vector, z: Complex) -> Complex:
-    """K + B·H·h: effort over the reading, both at the ticks."""
+    """Return K + B·H·h: effort over the reading, both at the ticks."""
     ticks = np.arange(loop.divider)
     used = np.ones((len(hz), loop.divider), complex)
     if loop.extrapolate:

@@ -93,7 +93,7 @@ class Waves:
 
     @classmethod
     def of(cls, loop: LinearLoop, theta: Vector, rig: Damping, *, late: bool = True) -> Waves:
-        """Waves of these phases; not `late`: as if the effort acted at once."""
+        """Return the waves of these phases; not `late`: as if the effort acted at once."""
         n = loop.divider
         lag_s, delay = (loop.subject.model.amplifier.lag_s, loop.delay_ticks) if late else (0.0, 0)
         lag = lag_s / loop.tick_s
@@ -118,11 +118,11 @@ class Waves:
         )
 
     def at(self, which: NDArray[np.intp]) -> Waves:
-        """Waves of some of the phases."""
+        """Return the waves of some of the phases."""
         return Waves(*(getattr(self, each.name)[which] for each in fields(self)))
 
     def needed(self, sign: float) -> Vector:
-        """Share of the rig's damping that a damper of ±1 asks for, without a spring, at each phase."""
+        """Return the share of the rig's damping that a damper of ±1 asks for, without a spring, at each phase."""
         reading = self.read.sum(axis=1)
         heard = (np.abs(self.heard) ** 2 * self.given).sum(axis=1)
         both = sign * (self.heard * self.along).sum(axis=1)
@@ -144,7 +144,7 @@ class Waves:
 
 
 def needed_per_damping(loop: LinearLoop, rig: Damping, *, late: bool = True, negative: bool = False) -> float:
-    """Share of the rig's damping that each unit of B asks for at K = 0; not `late`: as if the effort acted at once.
+    """Return the share of the rig's damping that each unit of B needs at K = 0; `late`=False: without the delay.
 
     `negative` asks for a wall of negative damping.
     """
@@ -159,7 +159,7 @@ def needed_per_damping(loop: LinearLoop, rig: Damping, *, late: bool = True, neg
 
 
 def passive_stiffness(loop: LinearLoop, dampings: Sequence[float], rig: Damping) -> list[float]:
-    """Largest K with which a wall of each B is passive on a rigid rig of damping `rig`; 0 where B alone is not."""
+    """Return the largest K with which a wall of each B is passive on a rigid rig; 0 where B alone is not passive."""
     if not rig.passive(loop):
         return [0.0] * len(dampings)
     b, phases = np.asarray(dampings, float), _phases()

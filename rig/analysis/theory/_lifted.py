@@ -100,7 +100,7 @@ class Lifted:
         return len(self.into)
 
     def ticks(self, stiffness: ArrayLike, damping: ArrayLike) -> tuple[Matrix, Matrix]:
-        """First tick and any other one, for walls of any broadcast shape: shape (…, n, n)."""
+        """Return the first tick and any other one, for walls of any broadcast shape: shape (…, n, n)."""
         k, b = np.broadcast_arrays(np.asarray(stiffness, float), np.asarray(damping, float))
         law = (k[..., None] - self.loop.compensated) * self.position + b[..., None] * self.velocity
         closed = self.tick - self.into[:, None] * law[..., None, :]
@@ -114,7 +114,7 @@ class Lifted:
         )
 
     def radius(self, stiffness: ArrayLike, damping: ArrayLike) -> Vector:
-        """Spectral radius of Φ for each wall: the loop grows by this factor in each velocity period, at last."""
+        """Return spectral radius of Φ for each wall: the loop grows by this factor in each velocity period, at last."""
         return _at_the_worse_place(self, np.maximum, _radius, stiffness, damping)
 
     def stable(self, stiffness: ArrayLike, damping: ArrayLike) -> Flags:
@@ -122,7 +122,7 @@ class Lifted:
         return _at_the_worse_place(self, np.logical_and, _decays, stiffness, damping)
 
     def frequency(self, stiffness: float, damping: float) -> float:
-        """Frequency (Hz) of the mode that decides, not aliased to the velocity rate.
+        """Return the frequency (Hz) of the mode that decides, not aliased to the velocity rate.
 
         An eigenvalue of Φ gives a frequency only up to multiples of 1/T2. Between, the mode's position follows from its
         eigenvector, tick by tick: (that part of the exponential) × (something of period T2). The strongest harmonic of
@@ -202,7 +202,7 @@ def spectral_radius(
     *,
     operator: str | Operator | None = None,
 ) -> Vector:
-    """Spectral radius over one velocity period, for a rig under a scheme: below 1 the wall is linearly stable.
+    """Return spectral radius over one velocity period, for a rig under a scheme: below 1 the wall is linearly stable.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ def spectral_radius(
 
 
 def _sampling(loop: LinearLoop, position: Vector, plant: int) -> Matrix:
-    """V: the estimator runs; the slope is the difference of its last two velocities, per tick."""
+    """Return V: the estimator runs; the slope is the difference of its last two velocities, per tick."""
     e = loop.estimator
     held, slope = plant + e.order, plant + e.order + 1
     matrix = np.eye(len(position))
@@ -239,7 +239,7 @@ def _sampling(loop: LinearLoop, position: Vector, plant: int) -> Matrix:
 
 
 def _between(loop: LinearLoop, size: int, plant: int) -> Matrix:
-    """E: one more tick of extrapolation; without extrapolation the slope is zero for ever."""
+    """Return E: one more tick of extrapolation; without extrapolation the slope is zero for ever."""
     matrix = np.eye(size)
     held = plant + loop.estimator.order
     matrix[held, held + 1] = 1.0

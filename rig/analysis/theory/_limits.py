@@ -68,7 +68,7 @@ class Limit:
 
     @property
     def highest(self) -> float:
-        """Largest stable stiffness at all, islands included."""
+        """Return the largest stable stiffness at all, islands included."""
         return self.islands[-1].high if self.islands else self.stiffness
 
 
@@ -105,7 +105,7 @@ class StabilityMap:
 
     @property
     def stable(self) -> Flags:
-        """Where the wall is linearly stable."""
+        """Return where the wall is linearly stable."""
         return np.asarray(self.radius < 1.0)
 
 
@@ -116,7 +116,7 @@ def k_max(
     *,
     operator: str | Operator | None = None,
 ) -> Limit:
-    """Largest stable stiffness at a damping; arguments as in `rig.analysis.theory._loop.resolve`."""
+    """Return the largest stable stiffness at a damping; arguments as in `rig.analysis.theory._loop.resolve`."""
     return k_max_curve(rig, scheme, [damping], operator=operator)[0]
 
 
@@ -127,7 +127,7 @@ def k_max_curve(
     *,
     operator: str | Operator | None = None,
 ) -> tuple[Limit, ...]:
-    """Largest stable stiffness at each of many dampings, in one computation."""
+    """Return the largest stable stiffness at each of many dampings, in one computation."""
     lifted = as_lifted(rig, scheme, operator)
     b = _dampings(dampings)
     k = stiffnesses(lifted, float(b.max(initial=0.0)))
@@ -142,7 +142,7 @@ def k_max_curve(
 def b_max(
     rig: RigLike | Lifted, scheme: SchemeLike | None = None, *, operator: str | Operator | None = None
 ) -> DampingLimit:
-    """Largest damping at the lowest stiffness, and beyond it as far as islands of stiffness go."""
+    """Return the largest damping at the lowest stiffness, and beyond it as far as islands of stiffness go."""
     lifted = as_lifted(rig, scheme, operator)
     loop = lifted.loop
     highest = DAMPING_REACH * loop.subject.inertia / loop.period_s + loop.subject.damping
@@ -173,7 +173,7 @@ def stability_map(
     *,
     operator: str | Operator | None = None,
 ) -> StabilityMap:
-    """Spectral radius at every pair of stiffness and damping."""
+    """Return the spectral radius at every pair of stiffness and damping."""
     k, b = np.asarray(stiffnesses, float).ravel(), np.asarray(dampings, float).ravel()
     return StabilityMap(k, b, as_lifted(rig, scheme, operator).radius(k[:, None], b))
 
@@ -188,7 +188,7 @@ def as_lifted(
 
 
 def stiffnesses(lifted: Lifted, damping: float) -> Vector:
-    """Stiffnesses of a scan for dampings up to this one, from the lowest up in equal ratios."""
+    """Return the stiffnesses of a scan for dampings up to this one, from the lowest up in equal ratios."""
     loop = lifted.loop
     motor = loop.subject.model.mechanics.motor_inertia * (math.pi / loop.tick_s) ** 2
     damped = 4.0 * (loop.subject.damping + abs(damping)) / loop.tick_s
@@ -208,7 +208,7 @@ def _dampings(given: Sequence[float] | Vector) -> Vector:
 
 
 def _between(lifted: Lifted, low: Vector, high: Vector, damping: Vector, stable_below: Flags) -> Vector:
-    """Where stability changes within each step, by bisection of all steps together."""
+    """Return where stability changes within each step, by bisection of all steps together."""
     for _ in range(BISECTIONS):
         middle = np.sqrt(low * high)
         below = (lifted.radius(middle, damping) < 1.0) == stable_below
@@ -233,7 +233,7 @@ def _limit(lifted: Lifted, damping: float, k: Vector, edges: list[float], stable
 
 
 def _last_island(lifted: Lifted, damping: float, highest: float) -> tuple[float, float]:
-    """Largest damping at which some stiffness is stable, and the most stable one: from a grid, then by bisection."""
+    """Return the largest damping with a stable stiffness, and that stiffness: from a grid, then by bisection."""
     reach = min(highest, ISLAND_REACH * damping) if damping > 0.0 else highest
     scanned = stiffnesses(lifted, reach)
     k = np.geomspace(float(scanned[0]), float(scanned[-1]), ISLAND_STIFFNESSES)

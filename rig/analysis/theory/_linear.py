@@ -71,14 +71,14 @@ class Realisation:
         return len(self.b)
 
     def response(self, frequency_hz: ArrayLike) -> NDArray[np.complex128]:
-        """H(e^{jωT2}), velocity over position (1/s), at these frequencies."""
+        """Return H(e^{jωT2}), velocity over position (1/s), at these frequencies."""
         z = np.exp(2j * np.pi * self.period_s * np.atleast_1d(np.asarray(frequency_hz, dtype=np.float64)))
         resolvent = z[:, None, None] * np.eye(self.order) - self.a
         states = np.linalg.solve(resolvent, np.broadcast_to(self.b[:, None], (len(z), self.order, 1)))
         return np.asarray(states[..., 0] @ self.c + self.d)
 
     def impulse(self, samples: int) -> Vector:
-        """Response to a position of 1 at the first sample and 0 afterwards."""
+        """Return the response to a position of 1 at the first sample and 0 afterwards."""
         return _impulse(self.a, self.b, self.c, self.d, samples)
 
 
@@ -128,19 +128,19 @@ class _Probe:
     resolution: float
 
     def motion(self, counts: NDArray[np.int64]) -> Vector:
-        """Velocities per unit of travel for one count: 1/s."""
+        """Return the velocities per unit of travel for one count: 1/s."""
         prepared = self.estimator.prepare(self.settings, self.resolution, self.period_s)
         return run(prepared, *inputs(counts, self.period_s))[0] / self.resolution
 
     def impulse(self, *, rest: int, length: int, size: int = IMPULSE, place: int = 0) -> Vector:
-        """Response per count to an impulse of `size` counts after `rest` samples at `place`."""
+        """Return the response per count to an impulse of `size` counts after `rest` samples at `place`."""
         counts = np.full(rest + length, place, np.int64)
         counts[rest] += size
         return self.motion(counts)[rest:] / size
 
 
 def _settled_response(probe: _Probe) -> tuple[int, Vector]:
-    """Length of rest after which time no longer matters, and h until it has faded.
+    """Return the length of rest after which time no longer matters, and h until it has faded.
 
     A recursive Kalman filter, say, is linear all along but only settles to one response.
     """
@@ -159,7 +159,7 @@ def _settled_response(probe: _Probe) -> tuple[int, Vector]:
 
 
 def _nonlinearity(probe: _Probe, rest: int, h: Vector) -> str:
-    """Why h is not the whole truth about the estimator; empty for a linear one."""
+    """Return why h is not the whole truth about the estimator; empty for a linear one."""
     if not np.isfinite(h).all() or not h.any():
         return "its response to an impulse is zero or not a number"
     length = len(h)
@@ -180,7 +180,7 @@ def _nonlinearity(probe: _Probe, rest: int, h: Vector) -> str:
 
 
 def _wandering(samples: int) -> NDArray[np.int64]:
-    """A random walk with leaps: the same one always."""
+    """Return a random walk with leaps: the same one always."""
     random = np.random.default_rng(1)
     leaps = random.integers(-300, 301, samples) * (random.random(samples) < 0.1)
     return np.asarray(np.cumsum(random.integers(-2, 3, samples) + leaps))
@@ -201,7 +201,7 @@ def _impulse(a: Matrix, b: Vector, c: Vector, d: float, samples: int) -> Vector:
 
 
 def _places(length: int) -> NDArray[np.int64]:
-    """Rows of the Hankel matrix: every sample at first, then farther and farther apart."""
+    """Return the rows of the Hankel matrix: every sample at first, then farther and farther apart."""
     far = np.geomspace(1.0, max(2.0, length), HANKEL).round().astype(np.int64)
     places: NDArray[np.int64] = np.unique(np.concatenate([np.arange(min(LARGEST_ORDER, length)), far]))
     return places[places < length]

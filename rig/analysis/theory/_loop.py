@@ -47,7 +47,7 @@ class Subject:
 
     @property
     def damping(self) -> float:
-        """Damping of a slow rigid motion (N·m·s/rad or N·s/m): motor, link, and back-EMF under voltage drive.
+        """Return damping of a slow rigid motion (N·m·s/rad or N·s/m): motor, link, and back-EMF under voltage drive.
 
         The hand is left out: conditions of passivity ask for any hand, the lightest included.
         """
@@ -55,7 +55,7 @@ class Subject:
 
     @property
     def port_damping(self) -> float:
-        """Damping that the motor side meets, whatever passive thing holds the link; its back-EMF behind the lag.
+        """Return damping that the motor side meets, whatever passive thing holds the link; its back-EMF behind the lag.
 
         On a rigid rig all of it. On two masses the link's damper sits behind the capstan, and the least that the two
         show together, over all frequencies and all passive hands, is that of both in series: b_m + c·b_l/(c + b_l).
@@ -68,7 +68,7 @@ class Subject:
 
     @property
     def inertia(self) -> float:
-        """Inertia of a rigid motion, without the hand (kg·m² or kg)."""
+        """Return the inertia of a rigid motion, without the hand (kg·m² or kg)."""
         return self.model.mechanics.motor_inertia + self.model.mechanics.loaded_link_inertia
 
 
@@ -103,7 +103,7 @@ class LinearLoop:
 
     @property
     def late_s(self) -> float:
-        """Electrical lag and computation delay: how late an effort acts beside the hold (s)."""
+        """Return the electrical lag and computation delay: how late an effort acts beside the hold (s)."""
         return self.subject.model.amplifier.lag_s + self.delay_ticks * self.tick_s
 
 
@@ -141,7 +141,7 @@ def linear_loop(
     operator: str | Operator | None = None,
     estimator: Realisation | None = None,
 ) -> LinearLoop:
-    """Matrices of a rig under a scheme; None for the experiment's own scheme.
+    """Return the matrices of a rig under a scheme; None for the experiment's own scheme.
 
     `estimator` is its realisation where that is known already, from another hand on the same rig under the same scheme:
     finding it takes longer than everything else here.
@@ -185,7 +185,7 @@ def linear_loop(
 
 
 def cogging_stiffness(subject: Subject) -> tuple[float, float]:
-    """Stiffness that cogging gives the motor (N·m/rad or N/m) where it is softest and stiffest; 0 counts, too.
+    """Return stiffness that cogging gives the motor (N·m/rad or N/m) where it is softest and stiffest; 0 counts, too.
 
     Asked is from the experiment's wall to the end of the window; of a model alone, a whole period.
     """
@@ -203,7 +203,7 @@ def cogging_stiffness(subject: Subject) -> tuple[float, float]:
 
 
 def _stiffer(continuous: StateSpace, stiffness: float) -> StateSpace:
-    """The rig with a spring at its motor."""
+    """Return the rig with a spring at its motor."""
     if stiffness == 0.0:
         return continuous
     a, motor = continuous.a.copy(), continuous.sensed_position

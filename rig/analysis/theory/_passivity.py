@@ -96,12 +96,12 @@ class PassivityBound:
 
     @property
     def stiffness(self) -> float:
-        """Largest K of a passive wall, lag and delay counted; exact on a rigid rig, on two masses sufficient."""
+        """Return largest K of a passive wall, lag and delay counted; exact on a rigid rig, on two masses sufficient."""
         return self.bounds[0].stiffness
 
     @property
     def binding(self) -> Bound:
-        """The condition with the smallest stiffness, approximate rules aside; of equals the first."""
+        """Return the condition with the smallest stiffness, approximate rules aside; of equals the first."""
         proven = (bound for bound in self.bounds if bound.meaning != "approximate")
         return min(proven, key=lambda bound: bound.stiffness)
 
@@ -113,7 +113,7 @@ def passivity_bound(
     *,
     operator: str | Operator | None = None,
 ) -> PassivityBound:
-    """Multi-rate passivity and the conditions of the literature, at a damping of the wall (N·m·s/rad or N·s/m).
+    """Return multi-rate passivity and the conditions of the literature, at a damping of the wall (N·m·s/rad or N·s/m).
 
     Raises `rig.core.errors.ConfigError` as `rig.analysis.theory._loop.linear_loop` does.
     """
@@ -129,7 +129,7 @@ def passivity_bound(
 
 
 def passive_curve(lifted: Lifted, dampings: Sequence[float]) -> list[float]:
-    """Largest K of a passive wall at each damping, as `PassivityBound.stiffness`."""
+    """Return the largest K of a passive wall at each damping, as `PassivityBound.stiffness`."""
     return passive_stiffness(lifted.loop, dampings, _port(lifted.loop))
 
 
@@ -147,7 +147,7 @@ def _largest_damping(loop: LinearLoop) -> float:
 
 
 def beta(loop: LinearLoop, *, negative: bool = False) -> float:
-    """Damping of the rig that each unit of the wall's asks for, because it acts through this estimator and its hold.
+    """Return the damping of the rig that each unit of the wall's needs, because of this estimator and its hold.
 
     For velocities held over T2 this is Colgate and Schenkel's expression for H, the estimator, maximised over ω. In
     general the effort of a period is the vector g·H·θ with g_i = 1, or 1 + i·(1 − z⁻¹)/N when extrapolated, and the rig
@@ -159,7 +159,7 @@ def beta(loop: LinearLoop, *, negative: bool = False) -> float:
 
 
 def diolaiti(rig: RigLike | Lifted, scheme: SchemeLike | None, stiffness: float) -> Diolaiti:
-    """Where an undamped wall of this stiffness lies in the plane of Diolaiti et al.; see `Diolaiti`."""
+    """Return where an undamped wall of this stiffness lies in the plane of Diolaiti et al.; see `Diolaiti`."""
     loop = as_lifted(rig, scheme).loop
     mechanics, quantum = loop.subject.model.mechanics, loop.subject.model.encoder.resolution
     coulomb = mechanics.motor_coulomb + mechanics.link_coulomb
@@ -265,7 +265,7 @@ def _rigid(subject: Subject) -> bool:
 
 
 def rigid_b_max(loop: LinearLoop) -> float:
-    """Rule for the largest damping of a rigid rig: b + (π/2)·J/τ, τ the delay of the velocity path.
+    """Return the rule for the largest damping of a rigid rig: b + (π/2)·J/τ, τ the delay of the velocity path.
 
     The loop of a damper is an integrator 1/(J·s) behind a delay: that of the estimator at zero frequency, half the
     hold, lag and computation. It takes them all for a pure delay without attenuation, so it is low: by 4 % where the
@@ -278,7 +278,7 @@ def rigid_b_max(loop: LinearLoop) -> float:
 
 
 def estimator_delay_s(loop: LinearLoop) -> float:
-    """Delay of the estimator for slow motions (s): of the difference and of its filter."""
+    """Return the delay of the estimator for slow motions (s): of the difference and of its filter."""
     frequency = SLOW * 0.5 / loop.period_s
     value = complex(loop.estimator.response(frequency)[0]) / (2j * math.pi * frequency)
     return -math.atan2(value.imag, value.real) / (2.0 * math.pi * frequency)

@@ -138,7 +138,7 @@ class Theory(Shown, Drawn):
     cutoffs: str | None = None
 
     def brief(self) -> list[Item]:
-        """The largest stable stiffness without damping, and the largest damping, of each scheme."""
+        """Return the largest stable stiffness without damping, and the largest damping, of each scheme."""
         stiffness, damping = (unit_of(name, self.motion) for name in ("stiffness", "damping"))
         rows = [
             Row(
@@ -160,7 +160,7 @@ def theory_of(
     operator: str | Operator | None = None,
     damping: float | None = None,
 ) -> Theory:
-    """Limits, bounds and curves of a rig under schemes.
+    """Return the limits, bounds and curves of a rig under schemes.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ def theory_of(
 def _linear(
     subject: Subject, schemes: Sequence[Scheme]
 ) -> tuple[list[tuple[Scheme, LinearLoop]], tuple[NotLinear, ...]]:
-    """Loops of the schemes that are linear, and the others; the first of these is raised if there are only these."""
+    """Return the loops of the linear schemes, and the errors of the others; raise the first if all are nonlinear."""
     loops: list[tuple[Scheme, LinearLoop]] = []
     refused: list[NotLinear] = []
     first: NotLinearError | None = None
@@ -265,7 +265,7 @@ def _of_scheme(lifted: Lifted, scheme: Scheme, experiment: Experiment | None, da
 
 
 def _dampings(largest: DampingLimit, passive: float, damping: float) -> Floats:
-    """Where the curve is computed: evenly, on both sides of the cliff, and where passivity is possible."""
+    """Return where the curve is computed: evenly, on both sides of the cliff, and where passivity is possible."""
     reach = CURVE_REACH * max(largest.with_islands, damping)
     return np.unique(
         [

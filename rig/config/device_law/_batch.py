@@ -22,14 +22,14 @@ _FORMATS = {"i8": "b", "i16": "h"}
 
 
 def counts_in_a_tick(experiment: Experiment) -> float:
-    """Most counts that the handle passes in a tick at the speed that ends a run."""
+    """Return the most counts that the handle passes in a tick at the speed that ends a run."""
     return experiment.rig.limits.speed / (
         experiment.rig.encoder.resolution * experiment.controller.position_rate
     )
 
 
 def batch_layout(experiment: Experiment) -> int:
-    """Layout: differences in one byte where the fastest handle fits with a margin, else in two.
+    """Return the layout: differences in one byte where the fastest handle fits with a margin, else in two.
 
     Raises `PlanError` where two do not hold them either.
     """
@@ -47,12 +47,12 @@ def batch_layout(experiment: Experiment) -> int:
 
 
 def sample_bytes(layout: int) -> int:
-    """Bytes of one sample in a layout."""
+    """Return the bytes of one sample in a layout."""
     return struct.calcsize("<" + "".join(_FORMATS[kind] for kind in BATCH_LAYOUTS[layout] if kind))
 
 
 def batch_samples(experiment: Experiment) -> int:
-    """Samples to a frame: as many as fit, but none waits longer than `LONGEST_FRAME_S` or a tick."""
+    """Return the samples to a frame: as many as fit, but none waits longer than `LONGEST_FRAME_S` or a tick."""
     room = RAW_LIMIT - _overhead()
     fitting = room // sample_bytes(batch_layout(experiment))
     in_time = math.floor(LONGEST_FRAME_S * experiment.controller.position_rate)
@@ -68,5 +68,5 @@ def bytes_per_second(experiment: Experiment) -> float:
 
 
 def _overhead() -> int:
-    """Bytes of a raw BATCH without samples."""
+    """Return the bytes of a raw BATCH without samples."""
     return encoded_bytes(messages.Batch) - 2

@@ -64,14 +64,14 @@ _KEYS = {
 
 
 def arithmetic_of(rates: Rates) -> Arithmetic:
-    """Arithmetic of the law on a device: what is asked for, else integers where the estimator has them."""
+    """Return the arithmetic of the law on a device: what is asked for, else integers where the estimator has them."""
     if rates.arithmetic != "auto":
         return rates.arithmetic
     return "fixed" if rates.estimator == FIXED_ESTIMATOR else "float32"
 
 
 def law_parameters(controller: ControllerState, arithmetic: Arithmetic) -> Values:
-    """Values of the parameters that this law reads, but for those that say how its samples travel.
+    """Return the values of the parameters that this law reads, but for those that say how its samples travel.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def law_parameters(controller: ControllerState, arithmetic: Arithmetic) -> Value
 
 
 def live_parameters(controller: ControllerState, arithmetic: Arithmetic, numbers: Sequence[float]) -> Values:
-    """Values of the parameters that make another wall while the law runs.
+    """Return the values of the parameters that make another wall while the law runs.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def live_parameters(controller: ControllerState, arithmetic: Arithmetic, numbers
 
 
 def rendered_wall(values: Mapping[str, Value], controller: ControllerState) -> DeviceWall:
-    """The wall that a device renders, in SI.
+    """Return the wall that a device renders, in SI.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def _check_work(c: Control) -> None:
 
 
 def _places(c: Control) -> Values:
-    """Window, start and homing in whole counts from the reference, such that they decide as the host does."""
+    """Return window, start and homing in whole counts from the reference, such that they decide as the host does."""
     delta, target, tolerance = abs(c["resolution"]), c["home_target"], c["home_tolerance"]
     target_bits = round(target / delta * 2**SETPOINT_BITS)
     return {
@@ -246,17 +246,17 @@ def _places(c: Control) -> Values:
 
 
 def _least(position: float, delta: float) -> int:
-    """First count that is at a position or above."""
+    """Return the first count that is at a position or above."""
     return _first(lambda t: delta * t >= position, position / delta)
 
 
 def _most(position: float, delta: float) -> int:
-    """Last count that is at a position or below."""
+    """Return the last count that is at a position or below."""
     return _first(lambda t: delta * t > position, position / delta) - 1
 
 
 def _first(passes: Callable[[int], bool], near: float) -> int:
-    """Least count that passes a test that is false below some count and true from it on, within 32 bits."""
+    """Return the least count that passes a test that is false below some count and true from it on, within 32 bits."""
     if not abs(near) < 2.0**31:
         return I32[near > 0.0] + (near > 0.0)
     at = math.floor(near) - 2

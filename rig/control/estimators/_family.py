@@ -25,12 +25,12 @@ BUILT_IN = {
 
 
 def names() -> list[str]:
-    """Names of all estimators, built-in ones first."""
+    """Return the names of all estimators, built-in ones first."""
     return [*BUILT_IN, *plugins.names("rig.estimators", BUILT_IN)]
 
 
 def broken(name: str) -> str:
-    """Why a third party's estimator cannot be used, "" where it can."""
+    """Return why a third party's estimator cannot be used, "" where it can."""
     try:
         get(name)
     except ConfigError as error:

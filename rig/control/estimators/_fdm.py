@@ -17,7 +17,7 @@ WRAP = 1 << 32
 
 @kernel("i8(i8, i8)", inline=True)
 def count_difference(newer: int, older: int) -> int:
-    """Difference of two counts of a 32-bit counter that may have wrapped between them."""
+    """Return the difference of two counts of a 32-bit counter that may have wrapped between them."""
     return ((newer - older + WRAP // 2) & (WRAP - 1)) - WRAP // 2
 
 
@@ -25,7 +25,7 @@ def count_difference(newer: int, older: int) -> int:
 def update(
     count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
 ) -> float:
-    """Velocity over the elapsed periods; zero for the first sample, which has no predecessor."""
+    """Return the velocity over the elapsed periods; zero for the first sample, which has no predecessor."""
     if state_i[STARTED] == 0:
         state_i[STARTED] = 1
         state_i[PREVIOUS] = count

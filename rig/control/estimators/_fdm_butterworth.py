@@ -32,7 +32,7 @@ LONGEST_GAP = 1000  # after more lost periods the filter has settled whatever th
 def update(
     count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
 ) -> float:
-    """Filtered velocity; over a gap the filter runs once for each lost period on the mean slope."""
+    """Return the filtered velocity; over a gap the filter runs once for each lost period on the mean slope."""
     slope = fdm.update(count, edge_age_s, elapsed_ticks, state_f, state_i, parameters)
     out = slope
     for _ in range(min(elapsed_ticks, LONGEST_GAP)):
@@ -51,7 +51,7 @@ def update(
 
 
 def low_pass(name: str, order: int, cutoff_hz: float, period_s: float) -> list[list[float]]:
-    """Second-order sections b0, b1, b2, 1, a1, a2 of the filter.
+    """Return the second-order sections b0, b1, b2, 1, a1, a2 of the filter.
 
     Raises `ConfigError`, in the name of the estimator `name`, for a cut-off at or above Nyquist, and for one so far
     below the rate that rounding changes the gain at rest.
@@ -76,7 +76,7 @@ def low_pass(name: str, order: int, cutoff_hz: float, period_s: float) -> list[l
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Coefficients b0, b1, b2, a1, a2 of each section."""
+    """Return the coefficients b0, b1, b2, a1, a2 of each section."""
     order = settings["order"]
     if order != int(order):
         raise ConfigError(

@@ -2,16 +2,8 @@
 
 The filter of `rig.control.estimators._fdm_butterworth`, of order 2, on integers: counts per velocity period in the
 format Q(w−f).f, with w = `word_bits` and f = `state_bits`; coefficients with `coefficient_bits` behind the point;
-products summed whole in 64 bits and rounded once per period. `rig.control._fixed_point` has the rules, and says what
-rounding does to a low pass. Direct form I: the state is input and output themselves, so that no hidden sum can
-overflow. Everything is int64 up to the output, which becomes SI at the very end.
-
-With 16 fractional bits, rounding costs less than 1e-4 counts a period at f_c = fs/10; the remaining error is that of
-the coefficients. With 2 to 4, the reading of the FPGA of Koul et al. that explains its figure 7, the dead zone decides:
-rounding to zero at f_c = fs/20 with 4 bits, all motion below 0.78 counts a period reads as rest. That is 2.4 rad/s at
-20 kHz, and a tenth of it at 2 kHz.
-
-Velocities beyond ±2^(w−1−f) counts a period saturate: 32768 with the defaults, 65 million counts a second at 2 kHz.
+products summed whole in 64 bits and rounded once per period. `rig.control._fixed_point` has the rules and the effects
+of rounding on a low pass. Velocities beyond ±2^(w−1−f) counts a period saturate: 32768 with the defaults.
 
 Source: Koul et al., section III ("second-order fixed-point Butterworth"); its word length and rounding are not given.
 """
@@ -57,7 +49,7 @@ NUMERATORS = ("unit-gain", "nearest")
 def update(
     count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
 ) -> float:
-    """Filtered velocity; over a gap the filter runs once for each lost period on the mean slope."""
+    """Return the filtered velocity; over a gap the filter runs once for each lost period on the mean slope."""
     if state_i[fdm.STARTED] == 0:
         state_i[fdm.STARTED] = 1
         state_i[fdm.PREVIOUS] = count
@@ -76,6 +68,7 @@ def update(
     a1, a2, bits = int(parameters[A1]), int(parameters[A2]), int(parameters[COEFFICIENT_BITS])
     x1, x2, y1, y2 = state_i[X1], state_i[X2], state_i[Y1], state_i[Y2]
     for _ in range(min(elapsed_ticks, LONGEST_GAP)):
+        # Direct form I: the state is input and output themselves, so that no hidden sum can overflow.
         total = b0 * x + b1 * x1 + b2 * x2 - a1 * y1 - a2 * y2
         x1, x2 = x, x1
         y1, y2 = saturate(shift_right(total, bits, rounding), word_bits), y1
@@ -113,7 +106,7 @@ def biquad(settings: Mapping[str, Any], period_s: float) -> Biquad:
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Integers of the filter, in the order of the indices above."""
+    """Return the integers of the filter, in the order of the indices above."""
     f = biquad(settings, period_s)
     form = [f.coefficient_bits, f.state.fraction_bits, f.state.word_bits, f.rounding]
     return [float(n) for n in (f.b0, f.b1, f.b2, f.a1, f.a2, *form)] + [f.state.lsb / period_s]
@@ -129,6 +122,9 @@ ESTIMATOR = Estimator(
     settings=(
         Setting("cutoff_hz", 200.0, 0.1, 1e6, "Hz", "-3 dB frequency of the low pass"),
         Setting("coefficient_bits", 14, 2, 30, "bit", "fractional bits of the coefficients"),
+        # With 16, rounding costs less than 1e-4 counts a period at f_c = fs/10. With 2 to 4, the reading of the FPGA of
+        # Koul et al. that explains its figure 7, a dead zone decides: at f_c = fs/20 with 4 bits, rounded to zero, all
+        # motion below 0.78 counts a period (2.4 rad/s at 20 kHz) reads as rest.
         Setting("state_bits", 16, 0, 30, "bit", "fractional bits of input and output (counts per period)"),
         Setting(
             "word_bits", 32, 4, WIDEST, "bit", "length of their saturating words, sign and fraction included"

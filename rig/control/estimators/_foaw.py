@@ -9,18 +9,8 @@ Two ways to draw the line are two estimators, because the choice of an anchor ha
 - `foaw-end` (`rig.control.estimators._foaw_end`): the chord through the newest and the oldest sample;
 - `foaw-best` (`rig.control.estimators._foaw_best`): the least-squares line.
 
-This file is what they share: the memory of samples, the settings, and three decisions.
-
-Band. d = 1 count by default: the chord through two rounded samples can miss a true ramp by up to one count,
-so half a count, the rounding error itself, would cut ramps. It is widened by 1e-9 because with whole counts a
-residual of exactly d is frequent, and rounding must not decide it.
-
-Time. Samples keep the period in which they were taken, so that lost ones bend nothing. The limit of the window
-counts periods, not samples: it bounds the delay whatever was lost, and a gap longer than it is a restart from
-the mean slope over the gap.
-
-Stop. The paper's "n = max{1, 2, 3, …} such that" can mean the longest window up to the first that fails
-(`first`, what every public code does) or the longest that passes at all (`global`).
+This file has the memory of samples and the settings of both. A gap longer than the window is a restart from the mean
+slope over the gap.
 
 Source: Janabi-Sharifi, Hayward and Chen, IEEE TCST 8(6), 2000, as given by Chawda et al., section II.C.
 """
@@ -44,11 +34,15 @@ SAMPLES, PREVIOUS, COUNTS = OWN_INTS, OWN_INTS + 1, OWN_INTS + 2  # state_i
 PERIODS = COUNTS + SLOTS  # period of each sample, from the first one
 INTS = PERIODS + SLOTS
 
+# The paper's "n = max{1, 2, 3, …} such that" can mean the longest window up to the first that fails (`first`, what
+# every public code does) or the longest that passes at all (`global`).
 STOPS = ("first", "global")
 STOP_FIRST = STOPS.index("first")
+# With whole counts a residual of exactly the band is frequent, and rounding must not decide it.
 ROUNDING_MARGIN = 1e-9
 
 SETTINGS: tuple[Setting | Choice, ...] = (
+    # Not half a count, the rounding error: the chord through two rounded samples can miss a true ramp by a whole one.
     Setting("band", 1.0, 0.1, 1e6, "counts", "largest distance of a sample from the line"),
     Setting("window_limit", 16.0, 1.0, LONGEST, "velocity periods", "longest window"),
     Choice(
@@ -65,6 +59,7 @@ def remember(count: int, elapsed_ticks: int, state_i: Ints) -> int:
         last = (slot - 1) & MASK
         moved = count_difference(count, state_i[PREVIOUS])
         state_i[COUNTS + slot] = state_i[COUNTS + last] + moved
+        # Periods and not samples, so that lost ones bend nothing and the window's limit bounds the delay.
         state_i[PERIODS + slot] = state_i[PERIODS + last] + elapsed_ticks
     state_i[PREVIOUS] = count
     state_i[SAMPLES] += 1
@@ -72,7 +67,7 @@ def remember(count: int, elapsed_ticks: int, state_i: Ints) -> int:
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Band in counts with its margin, limit in periods, index of the stop rule; `ConfigError` for half periods."""
+    """Return band (counts) with its margin, limit (periods), index of the stop rule; refuse half periods."""
     limit = settings["window_limit"]
     if limit != round(limit):
         raise ConfigError(

@@ -5,13 +5,8 @@ rise = intercept + slope · span. The slope comes from sums that grow by one sam
 gaps it is equation (6)). Where the line stands decides which samples it passes, and `anchor` chooses that:
 
 - `lsq`: the least-squares intercept (default);
-- `last`: through the newest sample, as some public codes do. A least-squares slope through one rounded sample
-  can miss a true ramp by more than one count, so that about one ramp window in fifty is cut at d = 1; take d ≥ 1.5;
-- `literal`: the a_n of equation (6) as printed, which is where the chord of the two ends crosses t = 0, the start
-  of the run. Turned about a point k periods in the past, the line misses the newest samples by
-  k · |slope − chord|. Within some tens of samples only those windows remain in which the two slopes agree, which
-  over two periods they always do: a steady ramp then has 3 to 25 times the noise. Kept because it is what the
-  paper says.
+- `last`: through the newest sample, as some public codes do; take d ≥ 1.5;
+- `literal`: the a_n of equation (6) as printed, with 3 to 25 times the noise on a steady ramp.
 
 See `rig.control.estimators._foaw` for band, time and stop rule.
 """
@@ -38,7 +33,7 @@ LSQ, LITERAL = ANCHORS.index("lsq"), ANCHORS.index("literal")
 def update(
     count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
 ) -> float:
-    """Slope of the longest accepted line; zero for the first sample. The line of two samples always passes."""
+    """Return slope of the longest accepted line; zero for the first sample. The line of two samples always passes."""
     newest = foaw.remember(count, elapsed_ticks, state_i)
     position, period = state_i[COUNTS + newest], state_i[PERIODS + newest]
     band, limit, anchor = parameters[BAND], int(parameters[LIMIT]), int(parameters[ANCHOR])
@@ -61,11 +56,16 @@ def update(
         points = n + 1
         slope = (points * sum_product - sum_span * sum_rise) / (points * sum_square - sum_span * sum_span)
         intercept = 0.0
+        # `last`: a least-squares slope through one rounded sample can miss a true ramp by more than one count: about
+        # one ramp window in fifty is cut at d = 1.
         if anchor == LSQ:
             intercept = (sum_rise - slope * sum_span) / points
+        # As printed: where the chord of the two ends crosses t = 0, the start of the run. Turned about a point k
+        # periods in the past, the line misses the newest samples by k · |slope − chord|, so that long windows fail.
         elif anchor == LITERAL:
             intercept = period * (rise / span - slope)
-        outside = 0  # counted to the end, not stopped at the first: so the compiler makes vectors of the loop
+        # Counted to the end, not stopped at the first: the compiler makes vectors of this loop.
+        outside = 0
         for i in range(first, n + 1):
             outside += abs(state_f[RISE + i] - slope * state_f[SPAN + i] - intercept) > band
         if n == 1 or outside == 0:
@@ -77,7 +77,7 @@ def update(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Numbers of `foaw.design` and the index of the anchor."""
+    """Return the numbers of `foaw.design` and the index of the anchor."""
     return [*foaw.design(settings, resolution, period_s), float(ANCHORS.index(settings["anchor"]))]
 
 

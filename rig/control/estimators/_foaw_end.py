@@ -21,7 +21,7 @@ from rig.realtime.plugs import ESTIMATOR_SIGNATURE
 def update(
     count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
 ) -> float:
-    """Slope of the longest accepted chord; zero for the first sample. The chord of two samples always passes."""
+    """Return slope of the longest accepted chord; zero for the first sample. The chord of two samples always passes."""
     newest = foaw.remember(count, elapsed_ticks, state_i)
     position, period = state_i[COUNTS + newest], state_i[PERIODS + newest]
     band, limit = parameters[BAND], int(parameters[LIMIT])

@@ -1,19 +1,13 @@
-"""FOAW where the motion is straight, Levant where it bends: both run always, and FOAW's window decides who is heard.
+"""FOAW where the motion is straight, Levant where it bends: both run always, and FOAW's window decides their weights.
 
-Chawda et al. (section V) name a combination of the two as possibly better than each, and leave it at that. This is one
-reading of it, not the paper's. The two fail in opposite places: FOAW's chord over n periods carries Δ/(n·T) of noise,
-which is much where the motion bends and the window is short, or where the rate is so high that even the
-longest window is short; Levant's error is of the order of 2·√(C·Δ), below which no exact differentiator comes, whatever
-the rate, and that is much for a motion that is straight. So
+Chawda et al. (section V) name a combination of the two as possibly better than each, without a definition. This one is
+the project's. FOAW's chord over n periods has Δ/(n·T) of noise, which is large where the motion bends and the window is
+short; Levant's error is of the order of 2·√(C·Δ), which is large for a straight motion. So
 
     v = w·v_FOAW + (1 − w)·v_Levant,   w = straight · precise,
 
-    straight   0 up to `fast_window`, 1 from `slow_window`, linear in between: a long window says that the motion was
-               straight, so that its delay costs nothing;
+    straight   0 up to `fast_window`, 1 from `slow_window`, linear in between;
     precise    (2·√(C·Δ))² / ((2·√(C·Δ))² + (Δ/(n·T))²): the weight by inverse squares of the two bounds.
-
-A weight rather than a switch, because every jump of the velocity is a knock that the wall's damping gives to the
-hand; and both always run, so that neither starts in the middle of an impact.
 
 On thirteen signals (a wall bounce at 1 to 50 kHz with 1 and 20 µm, hits of both rigs; 2026-11-20) its RMS error was
 0.73 to 1.17 times that of the better of the two, with the two windows chosen on these same signals. It pays at 1 to
@@ -44,12 +38,13 @@ FAST, SLOW, BOUND = OUTPUT + 1, OUTPUT + 2, OUTPUT + 3
 def update(
     count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
 ) -> float:
-    """Weighted velocity; WINDOW is that of FOAW, which decided the weight."""
+    """Return the weighted velocity; WINDOW is that of FOAW, which decided the weight."""
     started = state_i[foaw.SAMPLES] > 0
     moved = count_difference(count, state_i[foaw.PREVIOUS])
     straight = foaw_end.update(count, edge_age_s, elapsed_ticks, state_f, state_i, parameters)
     if not started:
         return 0.0
+    # Both always run, so that neither starts in the middle of an impact.
     error, u1, u = levant.advance(
         state_f[ERROR],
         state_f[U1],
@@ -66,12 +61,13 @@ def update(
     window = float(state_i[WINDOW])
     bounds = parameters[BOUND] * window * window
     weight = (window - parameters[FAST]) / (parameters[SLOW] - parameters[FAST])
+    # A weight and not a switch: each jump of the velocity is a knock that the wall's damping gives to the hand.
     weight = min(max(weight, 0.0), 1.0) * bounds / (bounds + 1.0)
     return float(weight * straight + (1.0 - weight) * bent)
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Numbers of FOAW, of Levant, and the two windows; `ConfigError` when these are not in order."""
+    """Return the numbers of FOAW, of Levant, and the two windows; `ConfigError` when these are not in order."""
     fast, slow, limit = settings["fast_window"], settings["slow_window"], settings["window_limit"]
     if not fast < slow <= limit:
         raise ConfigError(

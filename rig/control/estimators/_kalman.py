@@ -5,19 +5,12 @@ Bélanger recommends), or (position, velocity) driven by white acceleration (`do
 with an error of variance r. Inside, lengths are counts and times are periods: then the transition matrix holds no
 number but 1 and ½, r is 1/12, and q becomes one dimensionless intensity q·T⁵/Δ² (q·T³/Δ² for `double`).
 
-What q means. In the steady state the filter is a differentiator with a low pass at ω0 ≈ (q/(r·T))^(1/6), or ^(1/4)
-for `double`. The low pass of `double` is a second-order Butterworth filter with its lag of √2/ω0; `triple` follows a
-constant acceleration without lag and pays with a peak near ω0. q has the unit of position squared per s⁵ (s³):
-radians or millimetres in place of metres change it by their square. As r goes with Δ², a finer encoder or a
-faster rate raises the bandwidth of one and the same q. So `bandwidth_hz` is the setting to begin with, and q the
-one to copy from a paper.
+In the steady state the filter is a differentiator with a low pass at ω0 ≈ (q/(r·T))^(1/6), or ^(1/4) for `double`. The
+low pass of `double` is a second-order Butterworth filter with its lag of √2/ω0; `triple` follows a constant
+acceleration without lag and pays with a peak near ω0. Begin with `bandwidth_hz`; q is the setting to copy from a paper,
+in position² per s⁵ (s³).
 
-What the paper has: q = 2.5e4 with `variance = "paper"`, at 1 kHz and 1 µm, is 327 Hz, beyond what 1 kHz can
-carry: nearly a finite difference. Its Q has (7−i−j)! where the integral of the noise has (7−i−j); `noise =
-"printed"` keeps that. The matrix so printed has a negative eigenvalue, so it is no covariance of anything, and from
-ω0·T ≈ 1.6 on neither is what the recursion makes of it; the gains stay finite and stable. From ω0·T ≈ 4 on the
-predicted variance turns negative after the start: the design refuses more than `PRINTED_LIMIT`. Fading or a gap can
-still do it, and the recursion then begins again from its prior covariance.
+The paper's q = 2.5e4 with `variance = "paper"`, at 1 kHz and 1 µm, is 327 Hz: nearly a finite difference.
 
 Fading. When innovations are larger than the model explains, the propagated covariance is multiplied by
 λ = max(1, (Ĉ0 − r − Q11)/M11), M = A·P·Aᵀ. With one measured quantity the variants of the literature differ only in
@@ -68,7 +61,9 @@ LONGEST_MEMORY = 64
 LONGEST_GAP = 1000  # periods; after a longer one it restarts on the mean slope
 PRIOR = 1.0  # variance of the unknown first velocity, counts² per period²
 DEFAULT_BANDWIDTH_HZ = 200.0  # as fdm-butterworth has
-PRINTED_LIMIT = 3.0  # largest ω0·T for the printed noise
+# Largest ω0·T for the noise as the paper prints it: its Q has (7−i−j)! where the integral has (7−i−j), and a negative
+# eigenvalue. From ω0·T ≈ 4 on the predicted variance turns negative after the start.
+PRINTED_LIMIT = 3.0
 
 FADINGS = ("none", "instant", "window", "stf")
 NO_FADING, MEAN, STRONG_TRACKING = 0, 2, 3
@@ -82,7 +77,7 @@ _SIX = types.UniTuple(types.float64, 6)
 def _propagated(
     p11: float, p12: float, p13: float, p22: float, p23: float, p33: float
 ) -> tuple[float, float, float, float, float, float]:
-    """A·P·Aᵀ over one period, A = [[1, 1, ½], [0, 1, 1], [0, 0, 1]]."""
+    """Return A·P·Aᵀ over one period, A = [[1, 1, ½], [0, 1, 1], [0, 0, 1]]."""
     a12 = p12 + p22 + 0.5 * p23
     a13 = p13 + p23 + 0.5 * p33
     a23 = p23 + p33
@@ -94,10 +89,11 @@ def _propagated(
 def _corrected(
     p11: float, p12: float, p13: float, p22: float, p23: float, p33: float, r: float
 ) -> tuple[float, float, float, float, float, float]:
-    """Gain k1, k2, k3 and the lower block p22, p23, p33 of the covariance after the update, in Joseph's form.
+    """Return gain k1, k2, k3 and the lower block p22, p23, p33 of the covariance after the update, in Joseph's form.
 
     Its first row is r·(k1, k2, k3): with one measured quantity that is exact for the optimal gain.
     """
+    # Joseph's form and not (1 − K·C)·P: it stays symmetric and positive under rounding.
     s = p11 + r
     k1, k2, k3 = p11 / s, p12 / s, p13 / s
     p22 += k2 * (k2 * s - 2.0 * p12)
@@ -127,7 +123,8 @@ def _innovation_variance(innovation: float, state_f: Floats, state_i: Ints, para
         memory = int(parameters[MEMORY])
         state_f[SQUARES + seen % memory] = square
         remembered = min(seen + 1, memory)
-        total = 0.0  # summed again: a running sum would keep the rounding of one huge innovation forever
+        # Summed again: a running sum would keep the rounding of one huge innovation for ever.
+        total = 0.0
         for i in range(remembered):
             total += state_f[SQUARES + i]
         return float(total / remembered)
@@ -156,7 +153,8 @@ def _gain(
             p22, p23, p33 = fade * p22, fade * p23, fade * p33
         p11, p12, p13 = p11 + q11, p12 + q12, p13 + q13
         p22, p23, p33 = p22 + q22, p23 + q23, p33 + q33
-    if not p11 > 0.0:  # the printed noise, which is no covariance, can come to this
+    # The printed noise, which is no covariance, can come to this after fading or a gap: begin again from the prior.
+    if not p11 > 0.0:
         p11, p12, p13, p22, p23, p33 = r, 0.0, 0.0, PRIOR, 0.0, parameters[PRIOR33]
     k1, k2, k3, p22, p23, p33 = _corrected(p11, p12, p13, p22, p23, p33, r)
     state_f[P11], state_f[P12], state_f[P13] = r * k1, r * k2, r * k3
@@ -168,10 +166,8 @@ def _gain(
 def update(
     count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
 ) -> float:
-    """Velocity after this sample; zero for the first one. It predicts each elapsed period and updates once.
-
-    The position is kept less the newest count, so that large counts cost no digits.
-    """
+    """Return the velocity after this sample; zero for the first one. A gap is predicted over, with one update."""
+    # The position is stored less the newest count, so that large counts cost no digits.
     scale = parameters[RESOLUTION] / parameters[PERIOD]
     moved = count_difference(count, state_i[PREVIOUS])
     state_i[PREVIOUS] = count
@@ -200,7 +196,7 @@ def update(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Variances, prior, options and steady gain, in counts and periods; `ConfigError` for what contradicts itself."""
+    """Return variances, prior, options and steady gain in counts and periods; refuse contradictory settings."""
     order, r = ORDERS[settings["model"]], VARIANCES[settings["variance"]]
     printed, steady = settings["noise"] == "printed", settings["gain"] == "steady"
     _check_options(order, printed, steady, settings["fading"], settings["fading_window"])

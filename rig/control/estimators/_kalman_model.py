@@ -17,7 +17,7 @@ from rig.core.errors import ConfigError
 
 
 def process_noise(order: int, *, printed: bool = False) -> Floats:
-    """Covariance of one period's process noise for a unit intensity, in counts and periods.
+    """Return the covariance of one period's process noise for a unit intensity, in counts and periods.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def process_noise(order: int, *, printed: bool = False) -> Floats:
 
 
 def steady_gain(noise: Floats, r: float) -> Floats:
-    """Gain to which the recursion converges, from the discrete algebraic Riccati equation.
+    """Return the gain to which the recursion converges, from the discrete algebraic Riccati equation.
 
     Parameters
     ----------

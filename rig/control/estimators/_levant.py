@@ -4,17 +4,11 @@ A copy x of the position is driven along by u, and u is the velocity once x slid
 
     e = x − f,   x' = u,   u = u1 − λ·|e|^½·sign(e),   u1' = −α·sign(e),      α = μ1·C, λ = μ2·√C.
 
-*C* decides everything. Too small, and the estimate loses a hard impact; too large, and it passes the encoder's
-noise: the error grows with √(C·Δ). Look at μ1·C·T²/Δ, the change of velocity it may follow in one period, in counts:
-where that is above a count or two, the implicit form IS the finite difference as long as the motion keeps to C, so
-that at 1 kHz and 1 µm no C that a wall needs leaves it anything to filter. `rig.experiments.estimation.lipschitz`
-measures C from a recorded hit.
+Too small a C, and the estimate loses a hard impact; too large, and it passes the encoder's noise: the error grows with
+√(C·Δ). Where μ1·C·T²/Δ, the change of velocity in one period in counts, is above a count or two, the implicit form is
+the finite difference. `rig.experiments.estimation.lipschitz` measures C from a recorded hit.
 
-*The sign* is set-valued at zero, and the discretisation decides what becomes of that. The explicit ones cannot rest
-there: they chatter forever, at a handle at rest too, by 1.17·α·T rms (explicit, gains hba-sc), which damping turns
-into a buzz of the motor. The implicit one solves for the sign at the end of the step and rests exactly.
-
-Everything is kept in counts and periods: α becomes α·T²/Δ, λ becomes λ·T/√Δ, and T = 1 below.
+Everything is in counts and periods: α becomes α·T²/Δ, λ becomes λ·T/√Δ, and T = 1 below.
 
 Source: Levant 1998; Chawda et al., equations (9) to (14); the implicit form is the I-STD of the differentiator
 toolbox of Mojallizadeh et al.
@@ -62,12 +56,12 @@ LONGEST_GAP = 1000  # periods; after a longer one it restarts on the mean slope
 
 @kernel("UniTuple(f8, 3)(f8, f8, f8, f8, i8)", inline=True)
 def step(error: float, u1: float, alpha: float, lambda_: float, scheme: int) -> tuple[float, float, float]:
-    """One period: (x − f before, u1) to (x − f after, u1, u), all in counts and periods.
+    """Advance by one period: from (x − f before, u1) to (x − f after, u1, u), in counts and periods.
 
-    `error` is the old x against the new sample. The explicit schemes correct x for the next period, the
-    implicit one for this one: it asks which sign at the end of the step is consistent with the step. Inside the
-    band |b| ≤ α every error can be removed at once, and x lies on the sample.
+    `error` is the old x against the new sample.
     """
+    # The sign is set-valued at zero. The explicit schemes cannot rest there: they chatter for ever, at a handle at rest
+    # too, by 1.17·α·T rms (explicit, gains hba-sc), which damping turns into a buzz of the motor.
     if scheme <= SEMI_IMPLICIT:
         push = 0.0
         if error != 0.0:
@@ -78,6 +72,8 @@ def step(error: float, u1: float, alpha: float, lambda_: float, scheme: int) -> 
         if scheme == EXPLICIT:
             u1 -= alpha * push
         return error + u, u1, u
+    # The implicit one solves for the sign at the end of the step. Inside the band |b| ≤ α every error can be removed at
+    # once, and x lies on the sample.
     b = -error - u1
     beyond = abs(b) - alpha
     if beyond <= 0.0:
@@ -94,7 +90,7 @@ def step(error: float, u1: float, alpha: float, lambda_: float, scheme: int) -> 
 def advance(
     error: float, u1: float, moved: int, elapsed_ticks: int, alpha: float, lambda_: float, scheme: int
 ) -> tuple[float, float, float]:
-    """Over the elapsed periods, along the straight line that ends `moved` counts away; as `step` otherwise."""
+    """Advance over the elapsed periods along the straight line that ends `moved` counts away, as `step`."""
     slope = moved / elapsed_ticks
     if elapsed_ticks > LONGEST_GAP:
         return 0.0, slope, slope
@@ -108,7 +104,7 @@ def advance(
 def update(
     count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
 ) -> float:
-    """Velocity; zero for the first sample, on which the copy x starts at rest."""
+    """Return the velocity; zero for the first sample, on which the copy x starts at rest."""
     if state_i[STARTED] == 0:
         state_i[STARTED] = 1
         state_i[PREVIOUS] = count
@@ -172,7 +168,7 @@ def _outside(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """α·T²/Δ and λ·T/√Δ, then the indices of scheme and output."""
+    """Return α·T²/Δ and λ·T/√Δ, then the indices of scheme and output."""
     mu1, mu2 = multipliers(settings)
     return own_parameters(settings, mu1, mu2, resolution, period_s)
 

@@ -7,23 +7,10 @@ two of these points,
 
     v = Δ·(b − b')/(E − E'),
 
-the mean velocity from edge to edge. It has no rounding noise but that of the clock, |δv|/v ≤ 64 ns/(E − E'): a steady
-motion reads exactly at any speed. Below one edge a period this is period counting; above, it is the M/T method over
-one period.
-
-* *Between edges.* In the time a since the last edge the handle cannot have gone further than one count: |v| ≤ Δ/a. The
-  estimate of a handle that stops therefore decays as Δ/a, and never reaches zero by that alone. The lines of a real
-  encoder are not evenly spaced: `unevenness` says by how much (counts) a gap may exceed one count, and |v| ≤ (1 +
-  unevenness)·Δ/a, lest a wide gap at speed look like a stop.
-* *Reversal.* Going back over the boundary that was crossed last is a distance of zero: the estimate is zero at that
-  edge, as the mean velocity since the edge before is, and has its new sign from the next one on. A handle that
-  toggles one count reads zero.
-* *Unknown boundaries.* A fresh edge time with an unchanged count means an even number of edges, and it is unknown over
-  which boundary: the estimate is zero and restarts. So does it with the edge before the first sample.
-* *Limits.* The last edge is taken to have had the direction of the net motion since the sample before. Of a handle
-  that turned after several edges within one period the distance is one count off, once; |v| ≤ Δ/a holds all the same.
-  Uneven lines are not averaged over more than one period: see `rig.control.estimators._period_frequency`. Where edge
-  times are not known and edges count as happening at their samples, this is the finite difference, held between counts.
+the mean velocity from edge to edge, with a rounding noise of |δv|/v ≤ 64 ns/(E − E') only. Below one edge a period this
+is period counting; above, it is the M/T method over one period. Uneven lines are not averaged over more than one
+period: see `rig.control.estimators._period_frequency`. Without edge times it is the finite difference, held between
+counts.
 
 Source: Ohmae et al. 1982, for the M/T method; edges instead of clock ticks at both ends, reversal and decay follow
 from the geometry above.
@@ -64,7 +51,8 @@ FLOATS = 3
 
 @kernel("f8(f8)", inline=True)
 def plausible_age(edge_age_s: float) -> float:
-    """Age of the last edge from 0 to `OLDEST_EDGE_S`; what is no number is as old as can be."""
+    """Return the age of the last edge from 0 to `OLDEST_EDGE_S`; what is no number is as old as can be."""
+    # `not <=` and not `>`: it takes NaN as well.
     if not edge_age_s <= OLDEST_EDGE_S:
         return OLDEST_EDGE_S
     return max(edge_age_s, 0.0)
@@ -88,7 +76,9 @@ def boundary_distance(moved: int, upwards: int, upwards_before: int) -> int:
 
 @kernel("f8(f8, f8, f8)", inline=True)
 def still_possible(speed: float, age: float, gap: float) -> float:
-    """Velocity (counts/s) no faster than one gap between lines (counts) since the last edge."""
+    """Return the velocity (counts/s) no faster than one gap between lines (counts) since the last edge."""
+    # In the time since the last edge the handle has not passed another line. The lines of a real encoder are not evenly
+    # spaced: `unevenness` widens the gap, or a wide one at speed would look like a stop.
     silence = age - EDGE_TIME_S
     if abs(speed) * silence <= gap:
         return speed
@@ -97,7 +87,7 @@ def still_possible(speed: float, age: float, gap: float) -> float:
 
 @kernel("i8(f8, f8, f8)", inline=True)
 def window(span: float, age: float, period_s: float) -> int:
-    """Velocity periods over which the estimate looks: from edge to edge, or since the last edge if that is longer."""
+    """Return the velocity periods from edge to edge, or since the last edge if that is longer."""
     return max(int(max(span, age) / period_s + 0.5), 1)
 
 
@@ -105,7 +95,7 @@ def window(span: float, age: float, period_s: float) -> int:
 def update(
     count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
 ) -> float:
-    """Slope between the last two edges, but no faster than the silence since the last one allows."""
+    """Return the slope between the last two edges, but no faster than the silence since the last one allows."""
     period_s, age = parameters[PERIOD], plausible_age(edge_age_s)
     elapsed_s = elapsed_ticks * period_s
     if state_i[STARTED] == 0:
@@ -114,8 +104,12 @@ def update(
         moved = count_difference(count, state_i[PREVIOUS])
         if has_fresh_edge(moved, age, state_f[AGE], elapsed_s, period_s):
             age = min(age, elapsed_s)
+            # The last edge counts as one in the direction of the net motion. After a turn among several edges of one
+            # period the distance is one count off, once.
             upwards = 1 if moved > 0 else 0
             state_f[SPAN], state_f[SPEED] = 0.0, 0.0
+            # A fresh edge time with an unchanged count is an even number of edges, over an unknown boundary: restart. A
+            # reversal over the last boundary is a distance of zero, so that a toggling count reads zero.
             if moved != 0 and state_i[KNOWN] != 0:
                 span = max(state_f[AGE] + elapsed_s - age, EDGE_TIME_S)
                 state_f[SPAN] = span
@@ -129,7 +123,7 @@ def update(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Widest gap between two lines in counts."""
+    """Return the widest gap between two lines in counts."""
     return [1.0 + settings["unevenness"]]
 
 

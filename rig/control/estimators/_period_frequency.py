@@ -53,7 +53,7 @@ AGES = period.FLOATS  # state_f: and its age then (s)
 def update(
     count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
 ) -> float:
-    """Slope from the edge before the window to the last one, but no faster than the silence since allows."""
+    """Return the slope from the edge before the window to the last one, but no faster than the silence since allows."""
     period_s, age = parameters[PERIOD], plausible_age(edge_age_s)
     elapsed_s = elapsed_ticks * period_s
     if state_i[STARTED] == 0:
@@ -93,7 +93,7 @@ def update(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Gap, and window in whole periods, rounded up; `ConfigError` when it is longer than the memory."""
+    """Return the gap, and window in whole periods, rounded up; `ConfigError` when it is longer than the memory."""
     periods = math.ceil(settings["window_s"] / period_s * (1.0 - 1e-9))
     if periods > LONGEST:
         raise ConfigError(

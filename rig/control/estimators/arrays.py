@@ -81,7 +81,7 @@ def estimate(
     width: Any = None,  # an int; `**parameters` of a caller would not type-check beside it
     **parameters: float | str,
 ) -> Floats:
-    """Velocity at each sample, by the named estimator, as it would have come out of the loop.
+    """Return the velocity at each sample, by the named estimator, as it would have come out of the loop.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ _QUADRATURE = 4001  # directions; more change the contraction by less than 1e-6
 
 
 def hba_mu1(mu2: float) -> float:
-    """Smallest μ1 that the homogeneity-based approach admits, (μ2² + 4)/(μ2² − 4); infinite for μ2 ≤ 2."""
+    """Return the smallest μ1 that the homogeneity-based approach admits, (μ2² + 4)/(μ2² − 4); infinite for μ2 ≤ 2."""
     square = mu2 * mu2
     return (square + 4.0) / (square - 4.0) if mu2 > 2.0 else math.inf
 
@@ -52,7 +52,7 @@ def crossing() -> tuple[float, float]:
 
 
 def half_cycle_contraction(mu1: float, mu2: float) -> float:
-    """Largest |x2| after a half cycle against the one before, over every disturbance |f̈| ≤ C.
+    """Return the largest |x2| after a half cycle against the one before, over every disturbance |f̈| ≤ C.
 
     Below 1 the error of the continuous differentiator contracts whatever the signal does, and convergence takes
     a finite time; 0 says that no disturbance brings it across x1 = 0 at all.
@@ -83,7 +83,7 @@ def half_cycle_contraction(mu1: float, mu2: float) -> float:
 
 
 def worst_case_mu2(mu1: float) -> float:
-    """Smallest μ2 with which the error contracts in every half cycle; infinite for μ1 ≤ 1."""
+    """Return the smallest μ2 with which the error contracts in every half cycle; infinite for μ1 ≤ 1."""
     if mu1 <= 1.0:
         return math.inf
     low, high = 0.0, LARGEST_MU2

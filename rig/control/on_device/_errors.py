@@ -19,6 +19,6 @@ class NotOnDeviceError(PlanError):
 
 
 def refusal(key: str, value: object, why: str, remedy: str) -> NotOnDeviceError:
-    """Error for a key whose value a law on the device does not support."""
+    """Return the error for a key whose value a law on the device does not support."""
     shown = f'"{value}"' if isinstance(value, str) else f"{value:g}" if isinstance(value, float) else value
     return NotOnDeviceError(key, shown, why, remedy)

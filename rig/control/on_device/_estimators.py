@@ -44,7 +44,7 @@ Values = dict[str, Value]
 
 
 def estimator_parameters(prepared: Prepared) -> Values:
-    """Choice and numbers of an estimator.
+    """Return the choice and the numbers of an estimator.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def _biquad(own: Floats) -> Values:
 
 
 def _low_pass(own: Floats) -> Values:
-    """Trapezoidal integrators in place of coefficients; firmware/law/law.h derives them."""
+    """Return the trapezoidal integrators in place of coefficients; firmware/law/law.h derives them."""
     sections = own[fdm_butterworth.B0 :].reshape(-1, fdm_butterworth.SECTION).tolist()
     # All zeros are at -1, so it does not matter which section scipy gave them to, nor where the odd one stands.
     sections.sort(key=lambda section: section[-1] == 0.0)

@@ -73,7 +73,7 @@ def options(name: str, law: Floats) -> tuple[bool, bool]:
 
 
 def float_wall(c: Control, law: Floats) -> Values:
-    """The wall in float32: its surface as a whole count and a fraction, so that depth is exact near it."""
+    """Return the wall in float32: its surface as a whole count and a fraction, so that depth is exact near it."""
     delta, quantum, period_s = _scales(c)
     surface = c["wall_position"] / delta
     return {
@@ -85,7 +85,7 @@ def float_wall(c: Control, law: Floats) -> Values:
 
 
 def float_wall_in_si(values: Mapping[str, Value], c: Control) -> DeviceWall:
-    """Inverse of `float_wall`, to float32: 2⁻²⁴ of stiffness and damping, 2⁻²⁵ counts of the position."""
+    """Return the inverse of `float_wall`, to float32: 2⁻²⁴ of stiffness and damping, 2⁻²⁵ counts of the position."""
     delta, quantum, period_s = _scales(c)
     surface = values["float_surface"] + values["float_surface_fraction"]
     return DeviceWall(
@@ -96,7 +96,7 @@ def float_wall_in_si(values: Mapping[str, Value], c: Control) -> DeviceWall:
 
 
 def float_guard(c: Control) -> Values:
-    """Constant effort, limits and servo in float32."""
+    """Return the constant effort, limits and servo in float32."""
     delta, quantum, period_s = _scales(c)
     return {
         "float_constant": c["constant_effort"] / quantum,
@@ -113,7 +113,7 @@ def float_guard(c: Control) -> Values:
 def designed_wall(
     c: Control, name: str, law: Floats, velocity: Format, added_quanta: float = 0.0
 ) -> FixedWall:
-    """The wall in integers, with room in its sums for an effort of so many quanta besides.
+    """Return the wall in integers, with room in its sums for an effort of so many quanta besides.
 
     Raises `PlanError` for a wall that the words of the device cannot hold.
     """
@@ -143,7 +143,7 @@ def designed_wall(
 
 
 def fixed_wall(wall: FixedWall) -> Values:
-    """The wall in integers, as parameters; 64 bits travel as two halves."""
+    """Return the wall in integers, as parameters; 64 bits travel as two halves."""
     return {
         "fixed_surface": wall.surface,
         "fixed_stiffness": wall.stiffness,
@@ -154,7 +154,7 @@ def fixed_wall(wall: FixedWall) -> Values:
 
 
 def fixed_wall_in_si(values: Mapping[str, Value], c: Control) -> DeviceWall:
-    """Inverse of `fixed_wall`, to the rounding of `rig.control._fixed_wall.design_wall`.
+    """Return the inverse of `fixed_wall`, to the rounding of `rig.control._fixed_wall.design_wall`.
 
     That is half a 2⁻ˢ of a quantum for an LSB of depth or velocity (s = fixed_shift), and 2⁻⁹ counts of the position.
     """
@@ -169,7 +169,7 @@ def fixed_wall_in_si(values: Mapping[str, Value], c: Control) -> DeviceWall:
 
 
 def fixed_guard(c: Control, velocity: Format) -> Values:
-    """Limits and servo in integers.
+    """Return the limits and servo in integers.
 
     Raises `PlanError` for a servo that the words of the device cannot hold.
     """
@@ -202,5 +202,5 @@ def _halves(name: str, value: int) -> Values:
 
 
 def _scales(c: Control) -> tuple[float, float, float]:
-    """Travel for a count, effort of a quantum, velocity period."""
+    """Return the travel for a count, effort of a quantum, velocity period."""
     return abs(c["resolution"]), c["effort_quantum"], c["tick_s"] * c["velocity_divider"]

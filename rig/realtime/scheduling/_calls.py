@@ -85,7 +85,7 @@ def timer_slack() -> int:
 
 
 def stack_top() -> int:
-    """Address above the stack of the calling thread; 0 where the C library does not say."""
+    """Return the address above the stack of the calling thread; 0 where the C library does not say."""
     library = _libc()
     if not hasattr(library, "pthread_getattr_np"):
         return 0

@@ -71,7 +71,7 @@ take, give_back = _LOCK.take, _LOCK.give_back
 
 
 def locked_bytes() -> int:
-    """Size of the locked mappings; with "on fault", their pages count from their first touch on."""
+    """Return the size of the locked mappings; with "on fault", their pages count from their first touch on."""
     return status_kilobytes("VmLck") * 1024
 
 

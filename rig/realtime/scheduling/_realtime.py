@@ -52,7 +52,7 @@ class Realtime:
 
     @property
     def messages(self) -> list[str]:
-        """Sentences to print, each refusal with its remedy; empty when all was granted or nothing requested."""
+        """Return sentences to print, each refusal with its remedy; empty when all was granted or nothing requested."""
         return [check.sentence for check in self.refusals]
 
     @property

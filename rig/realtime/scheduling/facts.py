@@ -36,7 +36,7 @@ def number_of(path: Path) -> int | None:
 
 
 def preemption(root: Path = ROOT) -> str:
-    """How the kernel lets one task interrupt another: PREEMPT_RT, PREEMPT, PREEMPT_DYNAMIC (mode), or none."""
+    """Return how the kernel lets one task interrupt another: PREEMPT_RT, PREEMPT, PREEMPT_DYNAMIC (mode), or none."""
     version = text_of(root / "proc/sys/kernel/version")
     if text_of(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in version:
         return "PREEMPT_RT"
@@ -66,7 +66,7 @@ def _built_mode(root: Path) -> str:
 
 
 def rt_runtime_us(root: Path = ROOT) -> int | None:
-    """How much of each period real-time tasks may run before the kernel stops them; -1: without end."""
+    """Return how much of each period real-time tasks may run before the kernel stops them; -1: without end."""
     return number_of(root / "proc/sys/kernel/sched_rt_runtime_us")
 
 
@@ -126,7 +126,7 @@ def status_kilobytes(name: str, root: Path = ROOT) -> int:
 
 
 def described(cpu: int | None, root: Path = ROOT) -> dict[str, Any]:
-    """All of it for a recording; `cpu` is where the loop runs, None anywhere."""
+    """Return all of it for a recording; `cpu` is where the loop runs, None anywhere."""
     chosen = governors(root)
     of_cpu = [chosen[cpu]] if cpu in chosen else sorted(set(chosen.values()))
     return {
