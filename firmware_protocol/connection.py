@@ -1,31 +1,8 @@
-"""The conversation: bytes in, events out, and the states of the device that both ends agree on.
+"""Turn bytes into events and messages into frames, with the states of the device that both ends agree on.
 
-No port, no clock, no thread here. The owner of the link hands bytes to `receive_data`, takes events
-until `next_event` returns None, and writes what `send` returns. One class serves both roles: a host
-built on it and a device built on it can be joined back to back in a test.
-
-How the state moves. The device owns the state; `TRANSITIONS` says which of the host's messages it takes
-in which state and where each leads. A transaction takes effect with its answer: the device moves when it
-sends the reply (for an ACK: with status OK), the host when it receives it, both by the same lines. A
-COMMAND has no reply and takes effect when it is received. The host also adopts the state that the device
-reports in STATE, IDENTITY and ACK(BAD_STATE), so that a host that was restarted, or missed a fault,
-is synchronised again.
-
-Rules that no table of states can hold stand beside it:
-
-* FAULT is entered by the device alone (`fault`), from every state, and left only by DISARM with CLEAR_FAULT.
-* Session 0 means "not armed". ARM carries the new session in its header; 0 and the number used last are
-  refused, so that frames of a process that died cannot belong to the next run. STREAM and BATCH frames
-  of another session are counted and dropped, on both sides. Transactions are taken from any session: a
-  new host must be able to disarm.
-* STREAM frames are counted by their sequence; one that came twice or is older than one already delivered
-  is dropped. BATCH frames are dropped only when they come twice in a row: an older one fills a gap.
-* IDENTIFY is answered whatever its major version says. For every other frame the device counts and drops
-  a foreign major; the host raises `IncompatibleMajorError`.
-* The sequences of a stream begin at 0 with each session.
-
-Whatever bytes come, `next_event` gives events or raises `RemoteProtocolError`, nothing else, and memory
-stays bounded.
+The owner of the link hands bytes to `receive_data`, takes events until `next_event` returns None, and writes what
+`send` returns. One class serves host and device, so a test can join both back to back. It must not have a port, a clock
+or a thread; whatever bytes come, it gives events or raises `RemoteProtocolError`, and its memory stays bounded.
 """
 
 from __future__ import annotations
@@ -74,6 +51,8 @@ _QUESTIONS: tuple[type[Message], ...] = (
 )
 _SETTING: tuple[type[Message], ...] = (m.SetBegin, m.SetChunk)
 
+# The device owns the state. A transaction takes effect with its answer: the device moves when it sends the reply (for
+# an ACK: with status OK), the host when it receives it. A COMMAND has no reply and takes effect when it is received.
 # State → message of the host → state after it. What is not here is refused.
 TRANSITIONS: dict[State, dict[type[Message], State]] = {
     State.BOOT: {m.Identify: State.IDENTIFIED},
@@ -247,6 +226,7 @@ class Connection:
 
     def _event(self, raw: bytes) -> Event | None:
         major, type_id, _, session, sequence = HEADER.unpack_from(raw)
+        # IDENTIFY is answered whatever its major version: a host must be able to read which device it has found.
         if major != MAJOR and not (type_id == _IDENTIFY and self.role is Role.DEVICE):
             self.statistics.foreign_major += 1
             if self.role is Role.HOST:
@@ -266,6 +246,8 @@ class Connection:
     def _stream(self, layout: Layout, raw: bytes, session: int, sequence: int) -> Event | None:
         statistics = self.statistics
         if session != self.session:
+            # Frames of a process that died cannot belong to the next run. Transactions are taken from any session: a
+            # new host must be able to disarm.
             statistics.stale_session += 1
             return None
         after = self.state
@@ -298,6 +280,7 @@ class Connection:
             return False
         if step > 0x7FFF:  # half of the circle lies behind
             self.statistics.reordered += 1
+            # An older BATCH fills a gap in a recording; an older STATE or COMMAND must not act.
             return layout.delivery is Delivery.BATCH
         self.statistics.lost += step - 1
         self._received[layout.type_id] = sequence
@@ -324,6 +307,8 @@ class Connection:
         if event.request not in _NEXT[self.state]:
             return Status.BAD_STATE, int(self.state)
         message = event.message
+        # Session 0 means "not armed". The number used last is refused, so that late frames of the previous run cannot
+        # be taken for the new one's.
         if isinstance(message, m.Arm) and event.session in {0, self._last_session}:
             return Status.STALE_SESSION, event.session
         if (
@@ -471,7 +456,7 @@ class Connection:
         self._move(after)
 
     def _believe(self, reply: Message) -> None:
-        """Host: take the state from an answer that has it."""
+        """Host: take the state from an answer that has it, so that both ends agree again after a restart."""
         if isinstance(reply, m.Identity):
             self._move(_STATES.get(reply.state, self.state))
         elif isinstance(reply, m.Ack) and reply.status == Status.BAD_STATE:
@@ -488,6 +473,7 @@ class Connection:
             self._last_session = session
         for type_id in LAYOUTS:
             if m.delivery_of(type_id) is not Delivery.TRANSACTION:
+                # The sequences of a stream begin at 0 with each session.
                 self._to_send.pop(type_id, None)
                 self._received.pop(type_id, None)
 

@@ -1,12 +1,8 @@
-"""Frames: COBS, one 0x00 behind each, CRC-32 inside.
+"""Encode and decode frames: COBS, one 0x00 behind each, CRC-32 inside.
 
     wire = COBS(raw) 0x00        raw = header, payload, CRC-32/ISO-HDLC of both (little-endian)
 
-A 0x00 occurs nowhere but between frames, so a receiver that lost its place finds it at the next one. Raw
-frames are so short that no run of 254 bytes without a zero exists: the block code 0xFF, about whose end
-COBS encoders disagree, never occurs, and every raw frame has exactly one encoding. The CRC has Hamming
-distance 5 or more at these lengths (decoded); a flipped bit on the wire can spread through COBS, so the
-tests try every single one.
+A 0x00 occurs nowhere but between frames, so a receiver that lost its place finds it at the next one.
 """
 
 from __future__ import annotations
@@ -20,6 +16,8 @@ from firmware_protocol.errors import LocalProtocolError, RemoteProtocolError
 HEADER_BYTES = 6
 CRC_BYTES = 4
 SHORT_RAW_LIMIT = 60  # with stuffing and delimiter 62 bytes: one 64-byte packet of full-speed USB
+# No run of 254 bytes without a zero exists in so short a frame: the block code 0xFF, about whose end COBS encoders
+# disagree, never occurs, and every raw frame has exactly one encoding.
 RAW_LIMIT = 252  # BATCH; with stuffing 253, below the 254 where a COBS block would have to be split
 ENCODED_LIMIT = RAW_LIMIT + 1
 RAW_MINIMUM = HEADER_BYTES + CRC_BYTES
@@ -73,6 +71,8 @@ def decode_frame(encoded: bytes | bytearray) -> bytes:
     if here != size:
         raise FrameError(Defect.COBS)
     raw = bytes(frame[1:-CRC_BYTES])
+    # Hamming distance 5 or more at these lengths (decoded). A flipped bit on the wire can spread through COBS, so the
+    # tests try every single one.
     if crc32(raw) != int.from_bytes(frame[-CRC_BYTES:], "little"):
         raise FrameError(Defect.CRC)
     return raw

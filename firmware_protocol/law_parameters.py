@@ -1,10 +1,7 @@
-"""Parameters of the law that runs on the device itself: what a host has designed, in the device's own units.
+"""List the parameters of the law that runs on the device itself, in the device's own units.
 
-The device knows no radians: lengths are counts, velocities counts per velocity period, currents quanta, times ticks. A
-host designs everything, filters included (`rig.config.device_law`), and the device only multiplies. Integers of the
-fixed law that need 64 bits travel as two halves. What is not in use (another estimator, the other arithmetic) is not
-sent, and it is not read. Source of what each is: firmware/law/law.h.
-
+A host designs everything, filters included (`rig.config.device_law`), and the device only multiplies: lengths are
+counts, velocities counts per velocity period, currents quanta, times ticks. Source of what each is: firmware/law/law.h.
 Live parameters may change while the device is armed, between two ticks, when the handle is in free space.
 """
 

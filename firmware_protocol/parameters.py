@@ -1,11 +1,7 @@
-"""THE table of parameters, and the block in which they travel.
+"""List the device's parameters, and encode the block in which they travel.
 
-A block is a sequence of entries, each an id (u16) and a value in four bytes, both little-endian, rising
-by id. It is activated as a whole or not at all. The same values always make the same bytes, so that
-the CRC-32 of the block that holds every parameter is the fingerprint of a configuration: ARM carries it.
-
-Everything is in the form that a device computes with: counts, ticks, quanta. Defaults lie on the safe side: a
-device that was never configured gives no current.
+A block is a sequence of entries, each an id (u16) and a value in four bytes, both little-endian, rising by id. It is
+activated as a whole or not at all. Defaults lie on the safe side: a device that was never configured gives no current.
 """
 
 from __future__ import annotations

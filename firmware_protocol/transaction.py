@@ -72,6 +72,8 @@ def after_answer(t: Transaction, nonce: int, request: int, status: int, detail: 
     late = t.step == CHUNK and status == _OK and detail != t.offset
     if t.step < 0 or nonce != t.nonce or request != t.step or late:
         return t
+    # Pure integers: `Connection` calls it, and a loop that owns the link compiles the same function, so that parameters
+    # change in one way before and during a run.
     step, offset = DONE, t.offset
     if status != _OK:
         step = REFUSED

@@ -37,6 +37,7 @@ class Assembler:
         """Reserve room for a block, or return why it is refused."""
         if message.length > self._limit:
             return Status.BAD_LENGTH
+        # The same BEGIN again changes nothing: a repeat after a lost ACK is harmless.
         if message != self._begun:
             self._begun = message
             self._block = bytearray(message.length)
@@ -68,6 +69,7 @@ class Assembler:
 
 def page(content: bytes, offset: int, size: int) -> bytes:
     """At most `size` bytes of a reply from `offset`; empty behind its end."""
+    # Each request names the first byte wanted, so that reading needs no memory on the device.
     return content[offset : offset + size]
 
 

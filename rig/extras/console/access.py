@@ -1,10 +1,7 @@
-"""Who may open the page, and what a browser may load with it.
+"""Check who may open the page, and what a browser may load with it.
 
-A token is required on loopback too: any page of any site can open a socket to it, and any user of this computer. It
-stands in the fragment of the URL, which no browser sends, and comes back in the head of a request: as the second
-subprotocol that a socket offers, the only header that a page can add there, or as the bearer token of a download. The
-Host is checked as well as the Origin: a foreign DNS name that points at this computer (DNS rebinding) makes the two
-agree. A participant's screen has a token of its own, which opens nothing but that screen.
+The server calls it for every request. A participant's screen has a token of its own, which opens nothing but that
+screen.
 """
 
 from __future__ import annotations
@@ -49,12 +46,16 @@ class Access:
     """
 
     def __init__(self, port: int, hosts: Iterable[str] = ()) -> None:
+        # On loopback too: any page of any site can open a socket to it, and any user of this computer.
         self._token, self.participants = secrets.token_urlsafe(24), secrets.token_urlsafe(24)
         self._hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost")} | set(hosts)
+        # In the fragment, which no browser sends to a server or in a Referer.
         self.url = f"http://127.0.0.1:{port}/#{self._token}"
 
     def host_allowed(self, headers: Headers) -> bool:
         """Return True if a request was meant for this page."""
+        # The Host as well as the Origin: a foreign DNS name that points at this computer (DNS rebinding) makes the two
+        # agree.
         return _only(headers, "Host") in self._hosts
 
     def origin_allowed(self, headers: Headers) -> bool:
@@ -78,6 +79,7 @@ class Access:
     def guest(self, request: HttpRequest) -> str | None:
         """Return the name of the page that opens a socket with the right token; None for any other request."""
         path, _, query = request.path.partition("?")
+        # The second subprotocol: the only header that a page can add to the opening of a socket.
         token = _only(request.headers, "Sec-WebSocket-Protocol").partition(SHOWN)[2]
         pages, participants = self.token_right(token), self.participants_right(token)
         right = {"/live": pages, "/participant": participants, "/hold": pages or participants}[path]

@@ -1,10 +1,7 @@
-"""Who operates: one page, as long as its heartbeats arrive; the others only watch.
+"""Decide who operates: one page, as long as its heartbeats arrive; the others only watch.
 
-The page's heartbeat comes from a worker of its own, since browsers throttle the timers of hidden pages, and says that
-the page itself has answered that worker. A beat is due within `BEAT_S`; a page that is silent for `LOST_S` operates no
-more, and what it moves stops. A server that looks late did not listen either, and beats may wait in its socket: it
-looks once more. So silence lasts for `LOST_S` and two looks at most, however late they are; a server that is later than
-`rig.extras.console.talk.SILENT_S` is taken to hang by the job itself.
+The server calls `expire` every `LOOK_S`. The page's heartbeat comes from a worker of its own, since browsers throttle
+the timers of hidden pages, and shows that the page itself has answered that worker.
 """
 
 from __future__ import annotations
@@ -71,6 +68,8 @@ class Lease:
         late, self._looked = now - self._looked > 2.0 * LOOK_S, now
         if self._by is None or now - self._last_beat_s <= LOST_S:
             return None
+        # A server that looks late did not listen either, and beats may wait in its socket: look once more. One that is
+        # later than `rig.extras.console.talk.SILENT_S` is taken to hang by the job itself.
         if late and not self._doubted:
             self._doubted = True
             return None

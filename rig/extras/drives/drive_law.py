@@ -1,12 +1,9 @@
-"""The wall that a moteus renders itself, by its mode 13, "stay within": what it has, and what must be true of it.
+"""Describe the wall that a moteus renders itself, by its mode 13, "stay within", and check what must be true of it.
 
-Beyond a bound its position controller holds that bound, in each of its control cycles: torque = −kp_scale·kp·(position
-− bound) − kd_scale·kd·velocity + feed-forward, limited by the command's maximum torque. No page clamps it, so it pulls
-a handle that leaves.
-
-Source: mjbots/moteus at db1a762, opened: docs/protocol/registers.md 0x000 and 0x040 to 0x048, 0x023 and 0x024 (scales
-shrink; kd's is limited to kp's, which the firmware there does not do); docs/protocol/diagnostic.md "d within";
-docs/reference/configuration.md servo.pid_position (units), servo.pwm_rate_hz, pll_filter_hz; fw/bldc_servo_control.h
+Beyond a bound: torque = −kp_scale·kp·(position − bound) − kd_scale·kd·velocity + feed-forward, limited by the command's
+maximum torque. No page clamps it, so it pulls a handle that leaves. Source: mjbots/moteus at db1a762,
+docs/protocol/registers.md 0x000, 0x023, 0x024 and 0x040 to 0x048; docs/protocol/diagnostic.md "d within";
+docs/reference/configuration.md servo.pid_position, servo.pwm_rate_hz, pll_filter_hz; fw/bldc_servo_control.h
 ISR_DoStayWithinBounds and ISR_DoPositionCommon; fw/pid.h.
 """
 

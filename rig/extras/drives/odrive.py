@@ -1,9 +1,4 @@
-"""An ODrive: who it is, how it is set up, and what must be true of it before a handle hangs on it.
-
-CAN Simple reports neither limits nor the watchdog: they are parameters, read by the numbers of their endpoints
-(messages RxSdo and TxSdo). These numbers differ from one firmware to the next; the maker publishes them as
-``flat_endpoints.json``. Without that file every ODrive is refused: settings read from the drive are more reliable than
-settings entered from memory.
+"""Check an ODrive before a handle hangs on it: which drive it is, how it is set up, and what must be true of it.
 
 Source: the description of the messages of 0.6.10 (DBC) that the package odrive-can carries;
 odriverobotics/ODriveResources, examples/can_param_access.py and can_watchdog.py; names of parameters from odrive

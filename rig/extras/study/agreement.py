@@ -1,14 +1,9 @@
-"""How well a person's verdicts and the automatic ones agree: Cohen's kappa, and the tables behind it.
+"""Measure how well a person's verdicts and the automatic ones agree: Cohen's kappa, and the tables behind it.
 
     κ = (p_o − p_e) / (1 − p_e)
 
 p_o is the share on which both agree, p_e the share on which they would by chance, both weighted where classes have an
-order. An automatic limit cycle is a buzz. κ alone misleads where one class is rare, so the agreement on each of the two
-classes stands beside it: of all verdicts "stable" by one or the other, the share that both gave (Cicchetti and
-Feinstein, Journal of Clinical Epidemiology 43, 1990).
-
-The trials of one person are not independent, so the interval is over people, for five or more: Student's, by the
-jackknife that leaves out one person at a time. ``rig/session/README.md`` says how often it holds what it promises.
+order. An automatic limit cycle is a buzz. ``rig/session/README.md`` states how often the interval holds.
 """
 
 from __future__ import annotations
@@ -151,6 +146,8 @@ def _agreement(
     value = _number(kappa(counts, weights))
     ends = _problem(counts, classes, value) or _jackknife(tables, weights)
     low, high = (None, None) if isinstance(ends, str) else ends
+    # κ alone misleads where one class is rare: the agreement on each of two classes stands beside it (Cicchetti and
+    # Feinstein, Journal of Clinical Epidemiology 43, 1990).
     positive, negative = (_specific(counts, place) if len(classes) == 2 else None for place in (0, 1))
     return Agreement(
         name=name,
@@ -198,6 +195,8 @@ def _jackknife(tables: Floats, weights: Weights) -> tuple[float, float] | str:
         who = "person" if people == 1 else "people"
         return f"verdicts of {people} {who}; an interval over people needs at least {LEAST_PEOPLE}"
     counts = tables.sum(axis=0)
+    # The trials of one person are not independent: the interval is over people, by the jackknife that leaves out one at
+    # a time.
     without = np.array([kappa(counts - one, weights) for one in tables])
     if not np.isfinite(without).all():
         return "κ is not defined when one of the people is left out (jackknife)"

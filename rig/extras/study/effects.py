@@ -1,14 +1,7 @@
-"""Order and fatigue: whether limits, verdicts and trials change during a session.
-
-People tire and learn at their own pace, so each participant has a slope of their own, by least squares, and the
-interval is Student's over these slopes: it is for other people of the same kind, where an interval over trials would
-take 150 trials of a person for 150 people.
+"""Estimate order and fatigue: whether limits, verdicts and trials change during a session.
 
 These slopes were not planned: they are exploratory, and p of those of one quantity are corrected for their number
-(Holm). Limits of a condition and damping where most are censored are left out: they are the end of the levels.
-
-What people and conditions differ in is taken out first, by a mean for each participant under each condition and damping
-where runs are repeated, else by one for each participant and one for each condition and damping.
+(Holm).
 """
 
 from __future__ import annotations
@@ -100,6 +93,7 @@ def slopes(runs: Sequence[RunRow], trials: Sequence[TrialRow]) -> tuple[Slope, .
     for measure in MEASURES:
         counted = [run for run in runs if run.state == "complete" and measure in run.limits]
         beyond = beyond_of((run.condition, run.damping, run.limits[measure]) for run in counted)
+        # Mostly censored limits are the end of the levels, not of a person.
         counted = [run for run in counted if not beyond[run.condition, run.damping].mostly]
         limits = np.array([run.limits[measure].value for run in counted])
         cells = [(run.participant, run.condition, run.damping) for run in counted]
@@ -229,6 +223,8 @@ def _over(
     Where all have the conditions' means in common, those are estimated from the same values and leave one slope fewer
     free: of two conditions, each searched once, this is the two-sample test of a crossover.
     """
+    # A slope for each person, and Student's interval over these: an interval over trials would take 150 trials of a
+    # person for 150 people.
     slopes = np.array(list(each.values()))
     count = len(slopes)
     if count == 0:

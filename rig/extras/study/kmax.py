@@ -1,17 +1,8 @@
-"""K_max by condition and damping: of each participant, with an interval over repeats, and over participants.
+"""Estimate K_max by condition and damping: of each participant, with an interval over repeats, and over participants.
 
-By the rule, a participant's K_max is the mean over repeats, with Student's interval from three repeats on and a
-bootstrap over them (BCa, Efron 1987) from ten on; the other one stands beside it. With two repeats, or when all came
-out alike, repeats do not show how sure one can be: the interval is then that of all verdicts together (the posterior of
-the stiffness), which need not hold the mean of the limits; that of a single run is its own. K50 is estimated from all
-verdicts together in any case (`Observed` says why), with their interval, which takes it to be one K50 in all repeats:
-of a person whose limit wanders from repeat to repeat it is too narrow. ``rig/session/README.md`` says how often these
-intervals hold what they promise.
-
-A limit beyond the levels is *censored*. It enters with the end of the levels and is counted, so a mean with censored
-limits is a bound, and differences are biased: usually towards zero, but unequal spread can make a difference out of
-nothing. Where most limits of a cell are censored, its mean is little more than the end of the levels, and scatters as
-little: it has no interval, and no difference with it has an interval or p.
+By the rule it is the mean over repeats; K50 is estimated from all verdicts together. A limit beyond the levels is
+*censored*: it enters with the end of the levels and is counted, so a mean with censored limits is a bound.
+``rig/session/README.md`` states how often these intervals hold.
 """
 
 from __future__ import annotations
@@ -69,6 +60,8 @@ class Beyond:
     @property
     def mostly(self) -> bool:
         """Return True if most are, so that a mean of them is little more than the end of the levels."""
+        # Then a mean is little more than the end of the levels, and scatters as little: no interval, and no difference
+        # with it has an interval or p.
         return 2 * self.count > self.limits
 
 

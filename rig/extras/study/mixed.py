@@ -1,21 +1,11 @@
-"""Differences between conditions over participants: a linear mixed model of their limits, by statsmodels.
+"""Fit differences between conditions over participants: a linear mixed model of their limits, by statsmodels.
 
     limit ~ 0 + condition:damping + order + block
             + (1 | participant) + (1 | participant:condition) + (1 | participant:damping)
 
-A value is the mean over the repeats of a participant in a cell, a condition at a damping: repeats of one person are no
-more people. Each cell has a mean of its own. *Order* (place in the block) and *block* are straight lines that take out
-what order and fatigue do; one that cannot be separated from conditions and participants is left out. The random parts
-of condition and damping are there where each person has several values of them; else they are the residual. A cell of
-which most limits are censored is left out: its mean is the end of the levels.
-
-Means and differences are REML estimates with Student's intervals, which for two conditions are the paired test. Degrees
-of freedom are participants − 1, or what values leave beside participants and fixed parts where that is less (a
-crossover whose order is taken out leaves participants − 2). Whether a factor matters at all is a likelihood ratio of ML
-fits. `rig/session/README.md` says how often intervals and ratios hold what they promise.
-
-statsmodels comes with the extra ``haptic-rig[report]`` and is imported on use. Without it, or where the model cannot be
-had, `Mixed.problem` says why, and the paired tests of `rig.extras.study.kmax` remain.
+Estimates are REML with Student's intervals, which for two conditions are the paired test; whether a factor matters is a
+likelihood ratio of ML fits. Without statsmodels (``haptic-rig[report]``), or where the model does not converge,
+`Mixed.problem` gives the reason, and the paired tests of `rig.extras.study.kmax` remain.
 """
 
 from __future__ import annotations
@@ -143,12 +133,15 @@ def fit_mixed(values: Sequence[Observed], measure: Measure, conditions: Sequence
     `conditions` are in the order in which they are compared: each with those before it.
     """
     beyond = beyond_of((one.condition, one.damping, one.limit) for one in values)
+    # A cell of which most limits are censored has the end of the levels as its mean.
     kept = [one for one in values if not beyond[one.condition, one.damping].mostly]
     cells = _sort_cells({(one.condition, one.damping) for one in kept}, conditions)
     problem = _problem(kept, cells, censored=len(cells) < len(beyond))
     if problem:
         return Mixed(measure=measure, problem=problem)
     design = _Design.of(kept, cells)
+    # Participants − 1, or what values leave beside participants and fixed parts where that is less: a crossover whose
+    # order is taken out leaves participants − 2.
     if design.degrees < 1:
         return Mixed(
             measure=measure,

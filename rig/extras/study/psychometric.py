@@ -1,13 +1,7 @@
-"""Psychometric functions: where verdicts change from stable to not, how gradually, and how often a person lapses.
+"""Fit psychometric functions: where verdicts change from stable to not, how gradually, and how often a person lapses.
 
 The posterior on the grid of `rig.session.search._psychometric`, of all verdicts of a participant's complete runs under
-a condition at one damping, whatever rule asked for them. Its K50 is the one that K_max is made of
-(`rig.extras.study.trials.half_way`). The interval assumes one K50 in all repeats: if a person's K50 drifts between them
-it is too narrow, and Student's interval over the repeats' own limits shows that.
-
-Over participants K50 is the mean of their own, with Student's interval over them. Spread and lapse rate there are of
-all verdicts together, where differences between people make the spread wider, and have no interval: verdicts of one
-person are no independent draws from all people. Catch trials are left out, as they are in the searches.
+a condition at one damping, whatever rule asked for them; catch trials are left out, as in the searches.
 """
 
 from __future__ import annotations
@@ -193,6 +187,8 @@ def together(
     each: Sequence[PsychometricFit], levels: tuple[float, ...], verdicts: Sequence[tuple[float, bool]]
 ) -> PsychometricFit:
     """The function of several participants under one condition, of whose verdicts these are all."""
+    # Student's interval over people's own K50: it shows a K50 that drifts between repeats, for which the posterior's is
+    # too narrow.
     own = np.array([one.threshold.mean for one in each])
     interval = student(own, rounding_of([rounding_deviation(one.step) for one in each]))
     pooled = fit("", each[0].condition, each[0].damping, each[0].judge, levels, verdicts)
@@ -205,6 +201,8 @@ def together(
         threshold=Posterior(mean=float(own.mean()), low=interval.low, high=interval.high),
         above=sum(one.above for one in each),
         below=sum(one.below for one in each),
+        # Of all verdicts together, where differences between people widen it; no interval, since one person's verdicts
+        # are no independent draws from all people.
         spread=Posterior(mean=pooled.spread.mean, low=math.nan, high=math.nan),
         lapse_rate=Posterior(mean=pooled.lapse_rate.mean, low=math.nan, high=math.nan),
     )

@@ -48,6 +48,7 @@ Holds = bool | None  # None: the hit does not show it
 def cures(agrees: Callable[[Cure], bool]) -> tuple[Cure, ...]:
     """Sets of the smallest size that make theory and hits agree when they are taken out; none if no set does."""
     for size in range(1, len(FOUR) + 1):
+        # All sets of one first, then of two: a larger set that contains a cure cures, too, and would name too much.
         found = tuple(taken for taken in combinations(FOUR, size) if agrees(taken))
         if found:
             return found
@@ -58,8 +59,10 @@ def cause_of(found: Sequence[Cure]) -> str:
     """Which of `CAUSES` these cures stand for."""
     if not found:
         return NONE
+    # None of them is needed by itself.
     if len(found[0]) > 1:
         return OTHERS
+    # Several single cures: an interaction, each of them is needed.
     return found[0][0] if len(found) == 1 else EACH
 
 

@@ -119,6 +119,7 @@ def edges_of(values: Sequence[float], *, by_ratio: bool = False) -> Floats:
     if len(values) == 1:
         return values[0] + np.array([-0.5, 0.5])
     at = np.asarray(values)
+    # Each wall stands for the cell about it, half-way to its neighbours, in K by ratio; within the map's range.
     between = np.sqrt(at[1:] * at[:-1]) if by_ratio else 0.5 * (at[1:] + at[:-1])
     return np.concatenate([at[:1], between, at[-1:]])
 

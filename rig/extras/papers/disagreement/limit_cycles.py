@@ -53,6 +53,8 @@ class Cycle:
     @classmethod
     def of(cls, motion: Floats, counts: Ints, rate_hz: float) -> Cycle:
         """That of a motion (count) and the counts that it was read as."""
+        # Counted, not fitted: it is defined for a cycle whose phase wanders, as toggling between two ticks makes it,
+        # where a line fitted over the whole time finds little.
         frequency = 0.5 * np.count_nonzero(np.diff(counts)) * rate_hz / len(counts)
         if frequency == 0.0:
             return cls(amplitude=0.0, frequency_hz=0.0, share=0.0)
