@@ -500,12 +500,12 @@ def _bites(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     if not bitten:
         yield "watchdog_bites", {"ms": lived_ms, "bite": slow_us * 1e-3}
         yield from dict.fromkeys(
-            ("watchdog_time", "reset_told"), "not judged: the watchdog does not reset the board"
+            ("watchdog_time", "reset_reported"), "not judged: the watchdog does not reset the board"
         ).items()
         return
     yield "watchdog_bites", None
     is_reported = bool(trial.board.meet_again()[7])
-    yield "reset_told", None if is_reported else {}
+    yield "reset_reported", None if is_reported else {}
     found = [(lived_ms, slow_us * 1e-3)]
     lived_ms, bitten = _starve(trial.board, fast_us)
     found.append((lived_ms, fast_us * 1e-3))
@@ -594,7 +594,7 @@ STEPS: dict[Step, tuple[str, ...]] = {
     _wires: ("sync_bits", "encoder_count", "edge_time", "encoder_failed", "sync_time"),
     _writing: ("write_whole", "write_waits_not", "write_room"),
     _meanwhile: ("time_steps_back", "time_width", "read_room", "read_waits_not", "inputs_bits"),
-    _bites: ("watchdog_bites", "watchdog_time", "reset_told"),
+    _bites: ("watchdog_bites", "watchdog_time", "reset_reported"),
     _current: ("measured_flows", "off_until_enabled", "starts_from_zero", "zero_at_once", "off_at_once"),
     _leaving: ("bootloader",),
 }

@@ -521,7 +521,7 @@ void wrong_watchdog_time__of_another_unit(struct simulated_board *spoilt)
     of(spoilt)->feed_watchdog = in_half_microseconds;
 }
 
-void wrong_reset_told(struct simulated_board *spoilt)
+void wrong_reset_reported(struct simulated_board *spoilt)
 {
     of(spoilt);
     spoilt->reports_reset = false;

@@ -94,7 +94,7 @@ struct drive {
         uint64_t received_at;
         unsigned parts;   /* of the awaited sample */
         float torques[DRIVE_IN_FLIGHT];
-        unsigned differs; /* samples in succession whose set-point is none of them */
+        unsigned differs; /* samples in succession whose set-point matches none of them */
         bool obeys_another;
     } odrive;
 };

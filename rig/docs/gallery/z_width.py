@@ -2,7 +2,7 @@
 A Z-width, measured and computed
 ================================
 
-Hits climb a ladder of stiffnesses at each damping, and so find the stiffest wall that a simulated rig renders. Steps of
+An ascending series of hits at each damping finds the stiffest wall that a simulated rig renders. Steps of
 15 % and one place of the encoder make it quick; 6 % and two places are the default.
 """
 

@@ -29,7 +29,7 @@ def describe_run(request: Run, experiment: Experiment, digest: str) -> list[str]
         f"changed: {', '.join(changed) or 'nothing'}",
         f"a {trial.kind} trial of {longest_s:g} s at most",
         f"wall: K {wall.stiffness:g} {stiffness}, B {wall.damping:g} {damping}, law {wall.law}",
-        f"without a page: {'continues to its end' if request.goes_on else ENDS}",
+        f"without a page: {'continues to its end' if request.is_detached else ENDS}",
         f"experiment {digest}",
     ]
 

@@ -181,7 +181,7 @@ class Jobs:
         finally:
             self._starts = ""
         job = self.running = Job(name, content, process, is_detached=is_detached, asks=asks)
-        job.answer({"job": name, "content": content, "goes_on": is_detached})
+        job.answer({"job": name, "content": content, "is_detached": is_detached})
         self._task = asyncio.create_task(self._follow(job))
         if stops != self._stops:
             job.end()

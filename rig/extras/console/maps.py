@@ -42,7 +42,7 @@ class RunMap(Request, MapRequest):
     rig: Name = "koul-compliant"
     changes: Changes = field(default_factory=dict)
     ratio: Annotated[float, Ge(1.0001), Le(1e6)] = 1.06
-    goes_on: bool = False
+    is_detached: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -161,7 +161,7 @@ class MapService(Service):
         self._shared.must_operate(client)
         refuse_reserved(request.changes)
         content = {**asdict(request), "output": str(self._directory)}
-        job = await self._shared.jobs.start(JOB, content, is_detached=request.goes_on)
+        job = await self._shared.jobs.start(JOB, content, is_detached=request.is_detached)
         return {"pid": job.pid}
 
     async def _end(self, client: Client, request: EndMap) -> None:

@@ -50,14 +50,14 @@ class Stop(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Run(Request):
-    """Start a run: `rig` is a built-in one or a file, `goes_on` lets it outlive the page."""
+    """Start a run: `rig` is a built-in one or a file, `is_detached` lets it outlive the page."""
 
     job: Literal["hit", "play"]
     rig: Name = "koul-compliant"
     url: Name = "sim://"
     changes: Changes = field(default_factory=dict)
     duration_s: Annotated[float, Ge(1), Le(3600)] = 120.0
-    goes_on: bool = False
+    is_detached: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -85,7 +85,7 @@ class Runs(Service):
             "duration_s": request.duration_s, "hand": str(self._hand.path), "verified": self._verified,
             "digest": digest,
         }  # fmt: skip
-        is_detached = request.goes_on and request.job != PLAY
+        is_detached = request.is_detached and request.job != PLAY
         job = await self._shared.jobs.start(request.job, content, is_detached=is_detached)
         self._live.look_at_newest()
         return {"pid": job.pid}

@@ -45,7 +45,7 @@ def main() -> int:
     """Do the job on standard input."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     job: Mapping[str, Any] = json.loads(sys.stdin.readline())
-    talk = Talk(bool(job.get("goes_on")))
+    talk = Talk(bool(job.get("is_detached")))
     threading.Thread(target=talk.listen, name="rig-console", daemon=True).start()
     compiling.listen(lambda busy: talk.tell("compiling", busy=busy))
     try:

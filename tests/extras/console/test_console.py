@@ -116,7 +116,7 @@ def test_an_automated_hit_may_outlive_its_page(tmp_path: Path) -> None:
     async def whole() -> None:
         async with asyncio.timeout(100), served(tmp_path, own=True) as console:
             async with console.hold(NAME) as hold, beating(hold), console.page(NAME) as page:
-                assert "result" in await page.ask("run", job="hit", goes_on=True)
+                assert "result" in await page.ask("run", job="hit", is_detached=True)
                 try:
                     await page.until(lambda page: phase(page) in ("homing", "settle", "trial"))
                 except BaseException:  # too busy, too: no console ends this run

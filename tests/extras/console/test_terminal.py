@@ -154,7 +154,7 @@ def test_terminal_and_page_show_what_is_agreed_to_and_nothing_else_is_armed(
         with SharedHand.create(tmp_path / "hand") as hand:
             live = Live(shared, hand, terminal, own=True)
             runs = Runs(shared, live, hand, terminal, verified=True)
-            wanted = {"job": "hit", "url": REAL, "changes": {"wall.stiffness": 55}, "goes_on": True}
+            wanted = {"job": "hit", "url": REAL, "changes": {"wall.stiffness": 55}, "is_detached": True}
             running = asyncio.create_task(ask(runs, page, "run", **wanted))
             while terminal._asked is None:
                 await asyncio.sleep(0.001)

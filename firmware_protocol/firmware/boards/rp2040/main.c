@@ -12,7 +12,7 @@
 #include "reset.h"
 #include "timekeeping.h"
 
-/* Longest time of one poll of the link. Nearer to the next tick no poll begins, unless there was none since the last
+/* Longest time of one poll of the link. Nearer to the next tick no poll begins, except for the first since the last
  * tick. */
 #define POLL_CYCLES (CLOCK_HZ / 100000u)
 

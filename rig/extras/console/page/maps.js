@@ -52,7 +52,7 @@ export class Maps {
       repeats: make("input", { type: "number", min: 1, value: 1 }),
       changes: make("textarea", { rows: 2, placeholder: "key = value, one per line", ariaLabel: "Other settings, one per line" }),
     };
-    this.goesOn = make("input", { type: "checkbox", checked: true });
+    this.detached = make("input", { type: "checkbox", checked: true });
     this.start = make("button", { type: "button", className: "first", textContent: "Start the map", onclick: () => this.#run() });
     this.end = make("button", { type: "button", textContent: "End this map", hidden: true, onclick: () => this.#ask("map-end") });
     this.busy = make("p", { className: "quiet", role: "status" });
@@ -62,7 +62,7 @@ export class Maps {
     return make("div", { className: "side" },
       make("section", { className: "panel" }, make("h2", { textContent: "Maps, including those made by commands" }), make("div", { className: "list" }, make("table", {}, this.list))),
       make("section", { className: "panel" }, make("h2", { textContent: "New map of a simulated rig" }), ...Object.values(this.rows),
-        make("label", { className: "quiet", title: "the map is computed to its end even if this page closes" }, this.goesOn, " continue when this page closes"),
+        make("label", { className: "quiet", title: "the map is computed to its end even if this page closes" }, this.detached, " continue when this page closes"),
         make("p", {}, this.start), this.busy));
   }
 
@@ -79,7 +79,7 @@ export class Maps {
     const { domain, rig, hand, schemes, changes, damping, stiffness, way, offsets, repeats } = this.form;
     const lines = (area) => area.value.split("\n").map((line) => line.trim()).filter(Boolean);
     const pushed = domain.value === "frequency" ? {} : hand.value === "none" ? { "trial.kind": "constant-effort" } : { "trial.kind": "human", "operator.grip": hand.value };
-    const content = { domain: domain.value, rig: rig.value, schemes: lines(schemes), damping: damping.value.trim(), stiffness: stiffness.value.trim(), goes_on: this.goesOn.checked,
+    const content = { domain: domain.value, rig: rig.value, schemes: lines(schemes), damping: damping.value.trim(), stiffness: stiffness.value.trim(), is_detached: this.detached.checked,
       changes: { ...pushed, ...Object.fromEntries(lines(changes).map(setting)) } };
     if (domain.value === "time") Object.assign(content, { way: way.value, offsets: offsets.value.trim(), repeats: Number(repeats.value) || 1 });
     this.busy.textContent = "starting …";

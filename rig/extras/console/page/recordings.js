@@ -106,7 +106,7 @@ export class Recordings {
       make("td", { textContent: one.problem ?? `K ${written(one.stiffness)}, B ${written(one.damping)}, ${scheme(one)}` }));
   }
 
-  // Where the picture of one comes, once it is in sight; null where there is none.
+  // The element for the picture of a recording, loaded once it is in sight; null without a picture.
   #place({ name, picture }, show) {
     return picture && show ? make("img", { alt: "", dataset: { name } }) : null;
   }

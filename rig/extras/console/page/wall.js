@@ -20,7 +20,7 @@ export class Wall {
     this.estimator = new Estimator(facts, () => this.#theory());
     this.rig = make("select", { onchange: () => this.#load() }, ...facts.rigs.map((name) => make("option", { value: name, textContent: name })));
     this.url = make("input", { type: "text", value: "sim://", ariaLabel: "Device" });
-    this.goesOn = make("input", { type: "checkbox" });
+    this.detached = make("input", { type: "checkbox" });
     this.bands = make("canvas", { className: "regions", role: "img" });
     this.legend = make("p", { className: "quiet", role: "status" });
     this.sets = make("p", { className: "quiet", role: "status" });
@@ -39,7 +39,7 @@ export class Wall {
   #run() {
     return make("section", { className: "panel" }, make("h2", { textContent: "Run" }),
       field("rig", this.rig), field("device", this.url),
-      make("label", { className: "quiet", title: "an automatic hit runs to its end even if this page closes" }, this.goesOn, " continue when this page closes"),
+      make("label", { className: "quiet", title: "an automatic hit runs to its end even if this page closes" }, this.detached, " continue when this page closes"),
       make("p", {}, this.play, " ", this.hit), this.verdict);
   }
 
@@ -186,7 +186,7 @@ export class Wall {
   async #start(job) {
     this.verdict.replaceChildren("starting …");
     try {
-      await this.link.ask("run", { job, rig: this.rig.value, url: this.url.value, changes: this.#changes(), goes_on: this.goesOn.checked });
+      await this.link.ask("run", { job, rig: this.rig.value, url: this.url.value, changes: this.#changes(), is_detached: this.detached.checked });
     } catch (error) {
       this.verdict.replaceChildren();
       this.#trouble(error);
