@@ -32,7 +32,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Any:
 @pytest.mark.exhaustive(
     "tests/extras/papers/test_reproduction.py::test_the_command_writes_one_report_and_resumes_from_its_journal"
 )
-def test_quick_reproduces_the_paper_in_one_report_and_goes_on_from_its_journal(
+def test_quick_reproduces_the_paper_in_one_report_and_resumes_from_its_journal(
     place: Any, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert rig.cli.run(["reproduce", "koul", "--quick", *ALONE, "-o", str(place)]) == 0

@@ -162,7 +162,7 @@ def test_cells_end_half_way_to_their_neighbours() -> None:
         ({"wall.damping_on": "entry"}, "wall.damping_on = 'entry'"),
     ],
 )
-def test_what_theory_says_nothing_about_is_refused(experiment: Any, changes: Any, text: str) -> None:
+def test_a_wall_without_theory_is_refused(experiment: Any, changes: Any, text: str) -> None:
     changed = config.override(experiment, changes)
     with pytest.raises(PlanError, match=text):
         _ = plan_of(

@@ -6,7 +6,6 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -26,6 +25,7 @@ from rig.extras.papers.reproduction import Paper, Reproduction, draw_into, rende
 from rig.extras.papers.rules import ClaimStatus, Ruling
 from rig.views.report import _template as template
 from rig.views.report import _writing as writing
+from tests.conformance.pages import ParsedPage
 from tests.conformance.sweep_work import raise_as_given
 
 NASTY = "</script><script>alert('K < B & \"C\"')</script>"
@@ -61,36 +61,6 @@ PAGE = """{% extends "extras/papers/page.html.j2" %}
 {% endcall %}
 {% endblock %}
 """
-
-
-class _Page(HTMLParser):
-    """Collects what a test asks of a page, and checks that what opens closes."""
-
-    VOID = ("meta", "img", "br")
-
-    def __init__(self, page: str) -> None:
-        super().__init__()
-        self.ids: list[str] = []
-        self.sources: list[str] = []
-        self.texts: list[str] = []
-        self.scripts = 0
-        self._open: list[str] = []
-        self.feed(page)
-        assert not self._open
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        values = dict(attrs)
-        self.ids += [v] if (v := values.get("id")) else []
-        self.sources += [v for name in ("src", "href") if (v := values.get(name))]
-        self.scripts += tag == "script"
-        if tag not in self.VOID:
-            self._open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self._open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        self.texts.append(data)
 
 
 @pytest.fixture
@@ -223,7 +193,7 @@ def test_numbers_are_shown_with_three_digits(value: float, text: str) -> None:
     assert float(writing.three(value)) == pytest.approx(value, rel=5e-3)
 
 
-def test_what_is_not_finite_is_said_to_be_missing() -> None:
+def test_a_value_that_is_not_finite_has_a_sign_of_its_own() -> None:
     assert writing.three(None) == writing.three(float("nan")) == "–"
     assert writing.three(float("inf")) == "∞"
 
@@ -241,20 +211,20 @@ def test_lists_in_a_sentence_are_joined_and_equal_texts_gathered() -> None:
 
 
 def test_a_page_has_every_section_and_verdict_and_needs_nothing_from_elsewhere(templates: None) -> None:
-    page = _Page(render(made_up(), {"drawn": PNG}))
+    page = ParsedPage(render(made_up(), {"drawn": PNG}))
     assert {"claims", "figure-5", "provenance", "numbers"} <= set(page.ids)
     assert "#figure-5" in page.sources  # the navigation knows it
-    said = " ".join(page.texts)
+    text = page.text
     for verdict in ("reproduced", "reproduced only with luck", "not reproduced"):
-        assert verdict in said
-    assert "(no picture)" in said  # of the one that failed
+        assert verdict in text
+    assert "(no picture)" in text  # of the one that failed
     assert all(source.startswith(("data:image/png;base64,", "#")) for source in page.sources)
 
 
 def test_text_is_escaped_wherever_it_stands(templates: None) -> None:
     page = render(made_up(), {})
     assert NASTY not in page
-    assert _Page(page).scripts == 1
+    assert ParsedPage(page).scripts == 1
     assert "alert" in page
 
 
@@ -274,10 +244,6 @@ def test_numbers_are_attached_as_json_that_any_reader_takes(templates: None, tmp
     assert json.loads(attached, parse_constant=refuse) == alone
     assert alone["numbers"] == {"a": None, "b": [1.5, NASTY]}
     assert [claim["verdict"] for claim in alone["claims"]] == [claim.verdict for claim in made.claims]
-
-
-def test_the_same_reproduction_gives_the_same_bytes(templates: None) -> None:
-    assert render(made_up(), {"drawn": PNG}) == render(made_up(), {"drawn": PNG})
 
 
 def test_pictures_lie_beside_the_report_by_paper_and_name(templates: None, tmp_path: Path) -> None:
@@ -309,35 +275,24 @@ def test_the_command_writes_one_report_and_resumes_from_its_journal(
     )
     monkeypatch.setitem(PAPERS, "koul", known)
     command = ["reproduce", "koul", "--quick", "--json", "--workers", "1", "-o", str(tmp_path)]
-    told = []
+    results = []
     for kept in (0, 3):
         assert rig.cli.run(command) == 0
         out, err = capfd.readouterr()
-        told.append(json.loads(out))
-        assert (told[-1]["kept"], told[-1]["numbers"]) == (kept, {"sum": 3})
+        results.append(json.loads(out))
+        assert (results[-1]["kept"], results[-1]["numbers"]) == (kept, {"sum": 3})
         assert "no picture" in err
-    assert told[0]["claims"] == told[1]["claims"]
-    page = _Page(Path(told[0]["report"]).read_text(encoding="utf-8"))
+    assert results[0]["claims"] == results[1]["claims"]
+    page = ParsedPage(Path(results[0]["report"]).read_text(encoding="utf-8"))
     assert "figure-5" in page.ids
     assert sum(source.startswith("data:image/png;base64,") for source in page.sources) == 1
     assert rig.cli.run([*command[:3], "-o", str(tmp_path)]) == 0
     printed = capfd.readouterr().out
-    assert all(claim["claim"] in printed for claim in told[0]["claims"])
+    assert all(claim["claim"] in printed for claim in results[0]["claims"])
 
 
 def test_a_page_that_calls_for_what_it_does_not_get_is_an_error(templates: None) -> None:
     made = made_up()
     without = SimpleNamespace(template=made.paper.template, words=lambda _: {}, name="made-up", pictures={})
     with pytest.raises(UndefinedError, match="nasty"):
-        render(
-            Reproduction(
-                paper=without,  # type: ignore[arg-type]
-                title="",
-                source="",
-                claims=(),
-                numbers={},
-                provenance={},
-                seconds=0.0,
-            ),
-            {},
-        )
+        render(replace(made, paper=without), {})  # type: ignore[arg-type]

@@ -45,7 +45,7 @@ QUICK = {
 }
 CODES = "P[-_]?[0-9]+"
 NASTY = "half\tasleep\nand <b>bored</b>"
-TAKEN = (
+TAKEN = [
     "HED",
     "sex",
     "handedness",
@@ -55,7 +55,7 @@ TAKEN = (
     "participant_id",
     "group",
     "session_id",
-)
+]
 REQUIRED = {"TaskName", "SamplingFrequency"}  # of a motion file's JSON, BIDS 1.10
 UNITS = {"s", "rad", "rad/s", "m", "m/s", "N.m", "N", "A"}
 
@@ -201,7 +201,7 @@ def test_a_run_holds_the_recording_and_says_what_each_column_is(dataset: Any, hi
     assert re.fullmatch(r"\d+\.\d{6}", first[0])  # seconds, as the standard writes latencies
 
 
-def test_scans_say_what_was_hit_and_what_was_said_of_it(dataset: Any, study: Any) -> None:
+def test_scans_have_the_wall_and_the_verdict_of_each_trial(dataset: Any, study: Any) -> None:
     session = read_study([study]).sessions[0]
     rows = table(dataset / "sub-P01" / "sub-P01_scans.tsv")
     assert len(rows) == len(session.state.trials) == len(list(dataset.glob("sub-P01/motion/*_motion.tsv")))
@@ -283,7 +283,7 @@ def test_less_can_be_kept_and_dates_can_be_moved(study: Any, tmp_path: Path, hit
     assert all(date.startswith("1925-01-01T") for date in dates)
 
 
-def test_what_is_missing_or_was_changed_is_left_out_and_said(hit: Any, tmp_path: Path) -> None:
+def test_missing_and_changed_recordings_are_left_out_and_listed(hit: Any, tmp_path: Path) -> None:
     person = Person(threshold=lambda condition, damping: 430.0)
     mapping = protocol(search={"settings": {"turns": 2, "most": 4}, "step": 100.0}, order={"repeats": 1})
     with without_sync(), sitting(tmp_path / "P01", mapping, person, recorded=hit) as one:
@@ -355,10 +355,10 @@ def test_csv_reads_back_equal_and_a_table_says_what_each_file_is(
 
 
 def test_the_command_says_what_it_wrote(study: Any, tmp_path: Path) -> None:
-    told = CliRunner().invoke(
+    result = CliRunner().invoke(
         rig, ["session", "export", str(study / "P01"), "--bids", str(tmp_path / "bids"), "--json"]
     )
-    assert told.exit_code == 0, told.output
-    assert json.loads(told.stdout)["bids"]["recordings"] == len(runs_of(tmp_path / "bids"))
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["bids"]["recordings"] == len(runs_of(tmp_path / "bids"))
     nothing = CliRunner().invoke(rig, ["session", "export", str(study)])
     assert isinstance(nothing.exception, ConfigError)

@@ -8,7 +8,6 @@ import re
 from collections.abc import Iterator
 from dataclasses import replace
 from html import escape
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +35,7 @@ from rig.session.engine._state import SessionState
 from rig.session.search._psychometric import LAPSE_RATES
 from rig.views.plots import style
 from rig.views.report._writing import interval
+from tests.conformance.pages import ParsedPage
 from tests.conformance.studies import Person, protocol, sitting, without_sync, write_study
 
 NASTY = "</script><script>alert('K < B & \"C\"')</script> $\\frac$ http://evil"
@@ -72,7 +72,7 @@ def mapping_of(**sections: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """Three people, to whom everything happens that can."""
+    """Three people, with every kind of deviation."""
     where = tmp_path_factory.mktemp("study")
     mapping = mapping_of()
     with without_sync():
@@ -119,56 +119,8 @@ def page(found: Any, drawn: Any) -> Any:
     return render(found, {path.stem: path.read_bytes() for path in drawn.values() if path.suffix == ".png"})
 
 
-def _flat(page: Any) -> Any:
-    """The text of a page in one line."""
-    return " ".join(_Page(page).text.split())
-
-
-class _Page(HTMLParser):
-    """Collects what a test asks of a page, and checks that what opens closes."""
-
-    VOID = ("meta", "img", "br")
-
-    def __init__(self, page: str) -> None:
-        super().__init__()
-        self.ids: list[str] = []
-        self.sources: list[str] = []
-        self.text = ""
-        self.numbers = ""
-        self.scripts = 0
-        self.tables: list[list[list[str]]] = []
-        self._open: list[str] = []
-        self.feed(page)
-        assert not self._open
-
-    def handle_starttag(self, tag: Any, attrs: Any) -> None:
-        values = dict(attrs)
-        self.ids += [v] if (v := values.get("id")) else []
-        self.sources += [v for name in ("src", "href") if (v := values.get(name))]
-        self.scripts += tag == "script"
-        if tag == "table":
-            self.tables.append([])
-        elif tag == "tr":
-            self.tables[-1].append([])
-        elif tag in ("td", "th"):
-            self.tables[-1][-1].append("")
-        if tag not in self.VOID:
-            self._open.append(tag)
-
-    def handle_endtag(self, tag: Any) -> None:
-        assert self._open.pop() == tag
-
-    def handle_data(self, data: Any) -> None:
-        if self._open[-1:] in (["td"], ["th"]):
-            self.tables[-1][-1][-1] += data
-        if self._open[-1:] == ["script"]:
-            self.numbers += data
-        elif self._open[-1:] != ["style"]:
-            self.text += data
-
-
 def test_the_page_is_whole_and_needs_nothing_else(page: Any) -> None:
-    read = _Page(page)
+    read = ParsedPage(page)
     assert page.startswith("<!DOCTYPE html>")
     assert set(SECTIONS) <= set(read.ids)
     assert len(set(read.ids)) == len(read.ids)
@@ -183,7 +135,7 @@ def test_the_page_is_whole_and_needs_nothing_else(page: Any) -> None:
 def test_the_first_page_has_the_results_alone(page: Any, found: Any) -> None:
     """A summary, the picture, the means and what must be known of them; in print the rest begins on a new page."""
     first, rest = page.split('<section id="kmax">')
-    assert _Page(page).ids[0] == "results"
+    assert ParsedPage(page).ids[0] == "results"
     assert first.count("<table>") == 1
     assert first.count("<img ") == 1
     assert all(message in " ".join(first.split()) for message in map(escape, found.messages))
@@ -192,15 +144,14 @@ def test_the_first_page_has_the_results_alone(page: Any, found: Any) -> None:
     assert "#results { break-after: page; }" in page
 
 
-@pytest.mark.parametrize(("people", "why"), [(1, "1 participant;"), (2, "2 participants;")])
 def test_below_three_participants_there_is_no_p_no_interval_over_them_and_one_sentence_why(
-    people: int, why: str, tmp_path: Path
+    tmp_path: Path,
 ) -> None:
     mapping = protocol(search={"step": 50.0, "settings": {"turns": 2}}, order={"repeats": 2})
     with without_sync():
-        write_study(tmp_path, mapping, {f"P{n:02d}": person(40.0 * n) for n in range(people)})
+        write_study(tmp_path, mapping, {f"P{n:02d}": person(40.0 * n) for n in range(2)})
     found = analyse([tmp_path])
-    read = _Page(render(found, {}))
+    read = ParsedPage(render(found, {}))
     assert not [
         head for head, *_ in read.tables if any(name.startswith("p") and "Holm" in name for name in head)
     ]
@@ -209,14 +160,14 @@ def test_below_three_participants_there_is_no_p_no_interval_over_them_and_one_se
     assert all("participant" in row or "95 %" not in row for row in over)
     text = " ".join(read.text.split())
     (sentence,) = re.findall(r"No interval and no p value for [^;]*?: ([^.]*)", text)
-    assert sentence.startswith(why)
+    assert sentence.startswith("2 participants;")
     for one in (*found.paired, *found.over_participants, *found.slopes):
         assert all(math.isnan(value) for value in (one.low, one.high))
         assert one.problem
 
 
 def test_texts_of_users_are_text(page: Any) -> None:
-    read = _Page(page)
+    read = ParsedPage(page)
     assert read.scripts == 1  # the numbers
     assert read.text.count(NASTY) >= 3  # title, question, note
     assert "uniform <i>" in read.text
@@ -226,7 +177,7 @@ def test_texts_of_users_are_text(page: Any) -> None:
 
 
 def test_the_numbers_are_those_of_the_analysis(page: Any, found: Any, tmp_path: Path) -> None:
-    printed = json.loads(_Page(page).numbers)
+    printed = json.loads(ParsedPage(page).numbers)
     assert printed == json.loads(json.dumps(numbers(found), allow_nan=False))
     assert len(printed["runs"]) == len(found.runs)
     paths = write_session_report(found, {}, tmp_path)
@@ -248,26 +199,18 @@ def test_pictures_that_fail_cost_the_page_nothing_else(
     assert ": no fonts" in capsys.readouterr().err
 
 
-def test_every_limit_of_the_main_table_is_printed(page: Any, found: Any) -> None:
-    text = _Page(page).text
-    for one in found.over_participants:
-        assert f"{one.mean:.4g}" in text
-    for session in found.study.sessions:
-        assert session.code in text
-
-
 def test_numbers_have_units_and_the_experiment_is_the_one_in_effect(found: Any) -> None:
     assert all("N·m/rad" in one.detail and "N·m·s/rad" in one.detail for one in invalid_trials(found.study))
     effective = numbers(found)["provenance"]["experiments"]
     assert effective["_dual $x"]["operator"]["press"] == 2.0
     assert effective["_dual $x"]["controller"]["position_rate"] == 20_000
-    said = _with_units(found.study.sessions[0], "heard 0.113 above 0.1; felt 2e-05 above 1e-05; it moved")
-    assert said == "heard 0.113 above 0.1 N·m; felt 2e-05 above 1e-05 rad/s; it moved"
+    text = _with_units(found.study.sessions[0], "heard 0.113 above 0.1; felt 2e-05 above 1e-05; it moved")
+    assert text == "heard 0.113 above 0.1 N·m; felt 2e-05 above 1e-05 rad/s; it moved"
 
 
 def test_every_deviation_is_listed(found: Any, page: Any) -> None:
-    told = [(one.participant, one.what, one.detail) for one in deviations(found.study)]
-    kinds = [(code, what) for code, what, _ in told]
+    listed = [(one.participant, one.what, one.detail) for one in deviations(found.study)]
+    kinds = [(code, what) for code, what, _ in listed]
     assert kinds == [
         ("P01", "redone"),
         ("P01", "continued"),
@@ -279,7 +222,7 @@ def test_every_deviation_is_listed(found: Any, page: Any) -> None:
         ("P03", "skipped"),
         ("P03", "ended"),
     ]
-    details = {what: detail for _, what, detail in told}
+    details = {what: detail for _, what, detail in listed}
     holds = {
         "continued": ("1 min 30 s",),
         "stopped": ("the operator left",),
@@ -296,13 +239,13 @@ def test_every_deviation_is_listed(found: Any, page: Any) -> None:
     assert len(useless) == sum(trial.void == "invalid" for trial in found.trials) + sum(
         trial.automatic == "invalid" and trial.void in ("redone", "restarted") for trial in found.trials
     )
-    text = _Page(page).text
+    text = ParsedPage(page).text
     for one in (*deviations(found.study), *useless, *notes(found.study)):
         assert one.detail in text
 
 
-def test_a_difference_that_is_the_same_for_all_is_told_without_an_interval(found: Any) -> None:
-    told = [
+def test_a_difference_that_is_the_same_for_all_has_no_interval(found: Any) -> None:
+    alike = [
         replace(
             one,
             difference=25.0,
@@ -315,13 +258,13 @@ def test_a_difference_that_is_the_same_for_all_is_told_without_an_interval(found
         for one in found.paired
         if one.measure == "rule"
     ]
-    text = _flat(render(replace(found, paired=tuple(told), mixed=()), {}))
+    text = ParsedPage(render(replace(found, paired=tuple(alike), mixed=()), {})).flat_text
     assert "+25 N·m/rad without interval and p value: they are alike." in text
     assert "p = –" not in text
 
 
 def test_methods_have_every_number_of_protocol_experiment_and_result_and_no_key_of_ours(found: Any) -> None:
-    told = {paragraph.heading: paragraph.text for paragraph in methods(found)}
+    paragraphs = {paragraph.heading: paragraph.text for paragraph in methods(found)}
     study, counts = found.study, found.counts()
     x = effective(found)["uniform <i>"]
     limits, judged = x.rig.limits, x.verdict
@@ -351,11 +294,11 @@ def test_methods_have_every_number_of_protocol_experiment_and_result_and_no_key_
         ],
         "Software": ["haptic-rig 0.1.0"],
     }
-    assert list(told) == list(parts)
+    assert list(paragraphs) == list(parts)
     for heading, some in parts.items():
         for part in some:
-            assert str(part) in told[heading], (heading, part)
-    whole = " ".join(told.values())
+            assert str(part) in paragraphs[heading], (heading, part)
+    whole = " ".join(paragraphs.values())
     assert {"of skipped searches", "of unfinished searches", "practice", "redone", "restarted"} <= set(counts)
     assert not re.search(r"\bnan\b|None|\{|\}|  |\.\.| [.,;:)]|\( ", whole)
     keys = {*parameters(), *(f"{section}.{key}" for section, key in protocol_keys())}
@@ -387,7 +330,7 @@ def protocol_keys() -> Iterator[Any]:
         ("grid", {"repeats": 1}, "Every level was presented 1 time, in a new random order"),
     ],
 )
-def test_each_rule_is_told_with_the_settings_in_force(
+def test_each_rule_is_described_with_the_settings_in_force(
     rule: str, settings: Any, words: str, tmp_path: Path
 ) -> None:
     mapping = protocol(
@@ -435,10 +378,6 @@ def test_the_same_study_gives_the_same_pictures(found: Any, drawn: Any, tmp_path
         figure.set_layout_engine("none")  # it is laid out once
 
 
-def key(figure: Any) -> list[str]:
-    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
-
-
 def one_person(where: Path, trials: int = 10_000, *, invalid: float = 0.0, repeats: int = 1) -> Any:
     mapping = protocol(
         search={"step": 50.0, "settings": {"turns": 2, "most": 10}},
@@ -450,17 +389,22 @@ def one_person(where: Path, trials: int = 10_000, *, invalid: float = 0.0, repea
     return analyse([where])
 
 
-def test_what_is_rounding_is_no_effect(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    return one_person(tmp_path_factory.mktemp("alone"))
+
+
+def test_rounding_is_no_effect(alone: Any) -> None:
     """One run less its own mean is zero, and stands on an axis of its own size, not of the rounding's."""
-    figure = pictures(found := one_person(tmp_path))["effects"](found)
-    limit = found.runs[0].limits["rule"].value
+    figure = pictures(alone)["effects"](alone)
+    limit = alone.runs[0].limits["rule"].value
     for axes in (*figure.axes[:3], figure.axes[5]):
         low, high = axes.get_ylim()
         assert 0.09 * limit <= high - low <= 0.5 * limit
     assert all(list(axes.lines[0].get_ydata()) == [0.0] for axes in figure.axes[:3])
 
 
-@pytest.mark.parametrize("trials", [1, 3, 10_000])
+@pytest.mark.parametrize("trials", [1, 3])
 def test_axes_that_count_have_whole_ticks(trials: int, tmp_path: Path) -> None:
     found = one_person(tmp_path, trials)
     panels = [*pictures(found)["effects"](found).axes, *pictures(found)[tracks_name("P01")](found).axes]
@@ -473,9 +417,9 @@ def test_axes_that_count_have_whole_ticks(trials: int, tmp_path: Path) -> None:
 
 def test_a_panel_without_data_says_so(tmp_path: Path) -> None:
     figure = pictures(found := one_person(tmp_path, 1))["effects"](found)
-    said = [[text.get_text() for text in axes.texts] for axes in figure.axes]
+    texts = [[text.get_text() for text in axes.texts] for axes in figure.axes]
     empty, useless = ["no run is complete"], ["no trial was invalid, redone or aborted"]
-    assert said == [empty, empty, empty, [], useless, empty]
+    assert texts == [empty, empty, empty, [], useless, empty]
 
 
 def test_a_circle_has_the_area_of_its_verdicts(found: Any) -> None:
@@ -489,8 +433,8 @@ def test_a_circle_has_the_area_of_its_verdicts(found: Any) -> None:
     assert shown <= {round(area * count, 6) for count in counts | {1}}
 
 
-def test_legends_lie_within_their_picture(found: Any, tmp_path: Path) -> None:
-    for some in (found, one_person(tmp_path)):
+def test_legends_lie_within_their_picture(found: Any, alone: Any) -> None:
+    for some in (found, alone):
         for name in ("psychometric", tracks_name("P01")):
             figure = pictures(some)[name](some)
             figure.get_layout_engine().execute(figure)
@@ -501,22 +445,22 @@ def test_legends_lie_within_their_picture(found: Any, tmp_path: Path) -> None:
             assert all(box.y1 <= axes.get_tightbbox().y0 for axes in figure.axes if axes.axison)
 
 
-def test_a_single_damping_is_no_z_width(found: Any, tmp_path: Path) -> None:
+def test_a_single_damping_is_no_z_width(found: Any, alone: Any) -> None:
     assert zwidth_figure(found, "rule")._suptitle.get_text().startswith("Z-width, limit by the search rule")
-    assert "Z-width" not in zwidth_figure(one_person(tmp_path), "rule")._suptitle.get_text()
+    assert "Z-width" not in zwidth_figure(alone, "rule")._suptitle.get_text()
 
 
-def test_no_column_is_dashes_only(found: Any, tmp_path: Path) -> None:
-    for some in (found, one_person(tmp_path / "one"), one_person(tmp_path / "two", repeats=2)):
-        read = _Page(render(some, {}))
+def test_no_column_is_dashes_only(found: Any, alone: Any, tmp_path: Path) -> None:
+    for some in (found, alone, one_person(tmp_path, repeats=2)):
+        read = ParsedPage(render(some, {}))
         for head, *rows in read.tables:
             for number, name in enumerate(head):
                 assert not rows or any(row[number] != "–" for row in rows), (name, head)
 
 
-def test_a_slope_that_is_not_there_is_a_sentence_and_no_row(tmp_path: Path) -> None:
-    read = _Page(render(some := one_person(tmp_path), {}))
-    assert all(one.problem for one in some.slopes)
+def test_a_missing_slope_is_a_sentence_and_no_row(alone: Any) -> None:
+    read = ParsedPage(render(alone, {}))
+    assert all(one.problem for one in alone.slopes)
     assert "No slope of limit (rule) per place in the block" in " ".join(read.text.split())
     assert not any("slope" in head or head[0] == "of" for head, *_ in read.tables)
 
@@ -528,31 +472,12 @@ def test_a_table_keeps_its_columns_where_a_single_cell_says_something() -> None:
     assert drop_empty_columns(empty).head == ["who", "a"]
 
 
-def test_limits_beyond_the_levels_are_marked(tmp_path: Path) -> None:
-    mapping = protocol(
-        search={"highest": 300.0, "settings": {"turns": 2, "most": 8}},
-        condition=[{"name": "dual", "scheme": "dual:20k/2k"}],
-        order={"repeats": 1},
-    )
-    with without_sync():
-        write_study(tmp_path, mapping, {"P01": person(), "P02": person(10.0)})
-    found = analyse([tmp_path])
-    figure = zwidth_figure(found, "rule")
-    triangles = [
-        c for c in figure.axes[0].collections if c.get_paths() and len(c.get_paths()[0].vertices) == 4
-    ]
-    assert len(triangles) == 3  # two people and their mean
-    page = render(found, {})
-    assert "≥ 300" in _Page(page).text
-    assert "2 of 2 limits are censored" in _flat(page)
-
-
 @pytest.mark.parametrize("trials", [0, 1])
 def test_a_session_that_has_hardly_begun_has_a_page(trials: int, tmp_path: Path) -> None:
     with without_sync(), sitting(tmp_path / "P01", mapping_of(), person()) as one:
         one.run(trials)
     found = analyse([tmp_path], AnalysisOptions(measure="K50 person"))
-    read = _Page(render(found, {}))
+    read = ParsedPage(render(found, {}))
     assert "no limit" in read.text.lower()
     for draw in pictures(found).values():
         figure = draw(found)
@@ -574,17 +499,24 @@ def test_a_study_beyond_the_levels_has_bounds_and_no_tests(tmp_path: Path) -> No
     found = analyse([tmp_path])
     ((one, _),) = summarise_differences(found)
     assert (one.bound, one.beyond.count, one.beyond.limits, math.isnan(one.p)) == ("least", 5, 10, True)
-    text = _flat(render(found, {}))
+    text = ParsedPage(render(found, {})).flat_text
     assert re.search(r"dual − uniform, at B = 0: ≥ \+\d\S* N·m/rad with 5 of 10 limits censored", text)
     assert "p (Holm) =" not in text
     assert "5 above of 5" in text
+    assert "≥ " in text
+    triangles = [
+        c
+        for c in zwidth_figure(found, "rule").axes[0].collections
+        if c.get_paths() and len(c.get_paths()[0].vertices) == 4
+    ]
+    assert len(triangles) == 6  # five people and their mean
     assert "No model for censored values (Tobit) was used" in text
     for draw in pictures(found).values():
         figure = draw(found)
         figure.get_layout_engine().execute(figure)
 
 
-def test_where_the_mean_over_dampings_is_a_bound_the_summary_tells_each_damping(found: Any) -> None:
+def test_where_the_mean_over_dampings_is_a_bound_the_summary_has_each_damping(found: Any) -> None:
     """One damping beyond the levels takes the difference over all of them with it, and not those of the others."""
     rule = [one for one in found.paired if one.measure == "rule"]
     assert [one.damping for one in rule] == [0.0, 0.5, None]
@@ -601,7 +533,7 @@ def test_where_the_mean_over_dampings_is_a_bound_the_summary_tells_each_damping(
 
 
 @pytest.mark.parametrize(
-    ("people", "told"),
+    ("people", "sentence"),
     [
         (1, "1 of the 2 rows was used (row 0: 1 participant), so the order was not balanced"),
         (2, "Each row was that of 1 participant, so the order was balanced over them"),
@@ -609,20 +541,20 @@ def test_where_the_mean_over_dampings_is_a_bound_the_summary_tells_each_damping(
     ],
 )
 def test_an_order_is_balanced_where_each_row_is_there_equally_often(
-    people: int, told: str, tmp_path: Path
+    people: int, sentence: str, tmp_path: Path
 ) -> None:
     sessions = {f"P0{n}": person() for n in range(1, people + 1)}
     write_study(tmp_path, protocol(order={"repeats": 1}, search={"step": 200.0}), sessions)
     texts = {paragraph.heading: paragraph.text for paragraph in methods(analyse([tmp_path]))}
-    assert told in texts["Order and blinding"]
+    assert sentence in texts["Order and blinding"]
 
 
-@pytest.mark.parametrize(("drive", "told"), [("voltage", True), ("current", False)])
-def test_a_voltage_drive_is_told(drive: str, told: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("drive", "is_damped"), [("voltage", True), ("current", False)])
+def test_the_damping_of_a_voltage_drive_is_reported(drive: str, is_damped: bool, tmp_path: Path) -> None:
     changes = {"rig.amplifier.drive": drive, "operator.press": 2.0}
     write_study(tmp_path, protocol(study={"changes": changes}, search={"step": 200.0}), {"P01": person()})
     texts = {paragraph.heading: paragraph.text for paragraph in methods(analyse([tmp_path]))}
-    assert ("back-EMF damped the handle by 0.0253 N·m·s/rad" in texts["Apparatus"]) is told
+    assert ("back-EMF damped the handle by 0.0253 N·m·s/rad" in texts["Apparatus"]) is is_damped
 
 
 def test_lapse_rates_that_no_verdict_shows_and_intervals_that_are_absent_are_dashes(found: Any) -> None:
@@ -639,7 +571,7 @@ def test_lapse_rates_that_no_verdict_shows_and_intervals_that_are_absent_are_das
     assert sorted(row[8] for row in rows) == ["0.0 %", "6.0 %", "–", "–"]
     assert {row[5] for row in rows} == {"–"}
     pictures(changed)["psychometric"](changed).draw_without_rendering()
-    assert not re.search(r"\bnan\b", _Page(render(changed, {})).text)
+    assert not re.search(r"\bnan\b", ParsedPage(render(changed, {})).text)
 
 
 @pytest.mark.parametrize(
@@ -666,25 +598,16 @@ def test_the_command_writes_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyP
     png.write_bytes(b"made up")
     asked: list[Any] = []
 
-    def draws(found: Any, place: Path, endings: Any, **_: Any) -> dict[str, Path]:  # told above
+    def draws(found: Any, place: Path, endings: Any, **_: Any) -> dict[str, Path]:
         asked.append(endings)
         return {png.name: png}
 
     monkeypatch.setattr(cli_report, "draw_session", draws)
-    words = [
-        "session",
-        "analyse",
-        str(tmp_path),
-        "--json",
-        "-o",
-        str(tmp_path / "out"),
-        "--format",
-        "pdf",
-    ]
-    told = CliRunner().invoke(rig, words)
-    assert told.exit_code == 0, told.output
+    words = ["session", "analyse", str(tmp_path), "--json", "-o", str(tmp_path / "out"), "--format", "pdf"]
+    result = CliRunner().invoke(rig, words)
+    assert result.exit_code == 0, result.output
     assert asked == [("png", "pdf")]
-    answer = json.loads(told.stdout)
+    answer = json.loads(result.stdout)
     assert answer["report"] == str(tmp_path / "out" / PAGE)
     assert answer["pictures"] == {"zwidth.png": str(png)}
     assert "data:image/png;base64,bWFkZSB1cA==" in (tmp_path / "out" / PAGE).read_text(encoding="utf-8")

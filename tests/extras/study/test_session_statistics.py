@@ -26,7 +26,7 @@ from tests.benchmarks import null_studies
 
 
 def blank(kind: Any, **known: Any) -> Any:
-    """A row that says nothing but what is given."""
+    """Return a row with these values and no others."""
     return kind(**dict.fromkeys(one.name for one in fields(kind) if one.default is MISSING) | known)
 
 
@@ -123,12 +123,7 @@ TABLES = st.integers(2, 4).flatmap(
 )
 
 
-def test_kappa_of_a_table_by_hand() -> None:
-    """70 of 100 agree; by chance 60 × 50 + 40 × 50 of 10,000 = 0.5."""
-    assert agreement.kappa([[40, 20], [10, 30]]) == pytest.approx((0.70 - 0.50) / (1 - 0.50))
-
-
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(
     counts=TABLES, weights=st.sampled_from([("none", None), ("linear", "linear"), ("quadratic", "quadratic")])
 )
@@ -146,16 +141,7 @@ def test_kappa_is_that_of_statsmodels(counts: Any, weights: Any) -> None:
     assert value == pytest.approx(theirs.kappa, abs=1e-9)
 
 
-@given(counts=TABLES)
-def test_kappa_is_one_without_confusions_and_does_not_ask_who_is_who(counts: Any) -> None:
-    table = np.array(counts, dtype=float)
-    assert agreement.kappa(table) == pytest.approx(agreement.kappa(table.T), nan_ok=True)
-    diagonal = np.diag(np.diag(table))
-    if np.count_nonzero(diagonal) > 1:
-        assert agreement.kappa(diagonal, "quadratic") == pytest.approx(1.0)
-
-
-def test_what_goes_into_which_table() -> None:
+def test_verdicts_are_counted_in_their_tables() -> None:
     rows = [
         trial_row(),
         trial_row(verdict="buzz", automatic="limit cycle", passes=False),
@@ -174,17 +160,6 @@ def test_what_goes_into_which_table() -> None:
     assert (linear.kappa, linear.share) == (pytest.approx(1.0), 1.0)
     assert four.counts == ((1, 0, 0, 1), (0, 2, 0, 0), (0, 0, 1, 0), (1, 0, 0, 0))
     assert (four.left_out, four.low) == (0, None)
-
-
-def test_without_a_person_there_is_no_agreement_and_alike_verdicts_have_no_kappa() -> None:
-    assert (
-        agreement.agreements([trial_row(judged_by="automatic"), trial_row(judged_by="", void="not judged")])
-        == ()
-    )
-    two = agreement.agreements([trial_row() for _ in range(5)])[0]
-    assert (two.share, two.kappa, two.low) == (1.0, None, None)
-    assert (two.positive, two.negative) == (1.0, None)
-    assert "always “stable”" in two.problem
 
 
 def judged(*counts: Any, people: int = 1) -> Any:
@@ -212,7 +187,7 @@ def judged(*counts: Any, people: int = 1) -> Any:
     ],
 )
 @pytest.mark.parametrize("people", [1, 6])
-def test_a_table_that_cannot_tell_has_no_interval_and_says_why(
+def test_a_table_without_information_has_no_interval_and_a_reason(
     counts: tuple[int, ...], kappa: float | None, why: str, people: int
 ) -> None:
     two = agreement.agreements(judged(*counts, people=people))[0]
@@ -226,6 +201,12 @@ def test_agreement_on_a_rare_class_stands_beside_kappa() -> None:
     two, three, *_ = agreement.agreements(judged(95, 2, 2, 1))
     assert (two.positive, two.negative) == (pytest.approx(190 / 194), pytest.approx(2 / 6))
     assert (three.positive, three.negative) == (None, None)
+    alike, *_ = agreement.agreements(judged(5, 0, 0, 0))
+    assert (alike.share, alike.positive, alike.negative) == (1.0, 1.0, None)
+    assert (
+        agreement.agreements([trial_row(judged_by="automatic"), trial_row(judged_by="", void="not judged")])
+        == ()
+    )
 
 
 def test_an_interval_of_kappa_is_over_people_where_there_are_enough() -> None:
@@ -288,7 +269,8 @@ def test_people_who_all_differ_by_the_same_give_no_interval_and_no_p(apart: floa
     assert "1 participant; an" in alone.problem
 
 
-@given(p=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=6))
+@settings(max_examples=30)
+@given(p=st.lists(st.floats(0.0, 1.0, allow_subnormal=False), min_size=1, max_size=6))
 def test_holm_is_what_testing_all_families_gives(p: list[float]) -> None:
     """Closed testing: a difference stands when every family that it is in does, each by Bonferroni."""
     numbers = range(len(p))
@@ -433,7 +415,7 @@ def test_the_mixed_model_is_that_of_the_formula() -> None:
         )
         for row in rows
         if (row.participant, row.block, row.order)
-        not in (("P03", 1, 1), ("P05", 3, 4))  # so that a block can be told
+        not in (("P03", 1, 1), ("P05", 3, 4))  # so that order and block differ
     ]
     model = model_of(rows)
     pandas = import_module("pandas")
@@ -485,10 +467,9 @@ def test_the_mixed_model_is_that_of_the_formula() -> None:
         assert test.p == pytest.approx(stats.chi2.sf(2 * (whole - other), degrees), rel=1e-2)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_in_a_balanced_study_the_likelihoods_are_those_of_its_strata(seed: int) -> None:
-    """The closed form by which `null_studies` counts how often a ratio finds what is not there."""
-    drawn = np.random.default_rng(seed)
+def test_in_a_balanced_study_the_likelihoods_are_those_of_its_strata() -> None:
+    """The closed form by which `null_studies` counts how often a ratio finds an effect that does not exist."""
+    drawn = np.random.default_rng(1)
     means = 400.0 + null_studies.study(9, drawn)
     rows = [
         run_row(f"P{person:02d}", "ab"[condition], float(damping), float(value))
@@ -541,7 +522,7 @@ def test_below_eight_people_there_are_no_likelihood_ratios() -> None:
     assert not any("likelihood" in note for note in enough.notes)
 
 
-def test_a_variance_that_is_estimated_as_zero_is_said_and_printed_as_nothing() -> None:
+def test_a_variance_estimated_as_zero_is_noted() -> None:
     """People who differ in nothing but chance: the optimiser stops somewhere near zero."""
     rows = runs_of_people(people=8, between=0.0, interaction=0.0, effect=0.0, dampings=(0.0, 3.0), seed=2)
     model = model_of(rows)
@@ -554,10 +535,10 @@ def test_an_order_that_cannot_be_separated_from_the_conditions_is_left_out() -> 
     rows = [replace(row, order=1 + (row.condition == "b"), block=1) for row in runs_of_people()]
     model = model_of(rows)
     assert model.slopes == ()
-    assert any("order cannot be separated from the conditions" in note for note in model.notes)
+    assert any("order cannot be separated" in note for note in model.notes)
 
 
-def test_limits_beyond_the_levels_are_said() -> None:
+def test_limits_beyond_the_levels_are_noted() -> None:
     rows = runs_of_people(people=8)
     limit = LimitInterval(value=430.0, low=400.0, high=500.0, censored="above", share=0.5)
     rows[3] = replace(rows[3], limits={"rule": limit})
@@ -599,7 +580,7 @@ def test_a_cell_that_is_mostly_beyond_the_levels_is_left_out_and_so_is_the_mean_
         ([run_row(f"P{n}", name) for n in range(5) for name in "ab"], "all limits are equal"),
     ],
 )
-def test_too_little_is_said_in_a_sentence(rows: Any, why: str) -> None:
+def test_too_few_data_give_a_reason_and_no_contrast(rows: Any, why: str) -> None:
     model = model_of(rows)
     assert why in model.problem
     assert model.contrasts == ()
@@ -717,34 +698,28 @@ def test_a_slope_without_an_interval_says_why(people: int, pace: float, why: str
     assert math.isnan(found.low)
 
 
-def test_fatigue_is_found_and_what_cannot_be_told_is_said() -> None:
+def test_fatigue_is_found_and_an_inseparable_slope_has_a_reason() -> None:
     rows = runs_of_people(people=8, scatter=5.0, block=-12.0)
-    found = {slope.along: slope for slope in effects.slopes(rows, []) if slope.measure == "rule"}
+    drawn = np.random.default_rng(8)
+    timed = [
+        trial_row(f"P{p}", trial=n, response_time_s=math.exp(0.004 * n + drawn.normal(0.0, 0.3)))
+        for p in range(5)
+        for n in range(1, 30)
+    ]
+    slopes = effects.slopes(rows, timed)
+    found = {slope.along: slope for slope in slopes if slope.measure == "rule"}
+    (alone,) = [slope for slope in slopes if slope.of == "response time"]
+    tested = [found["block"], found["order"]]
+    assert [one.holm for one in tested] == kmax.holm(
+        [one.p for one in tested]
+    )  # a correction for each quantity
+    assert alone.holm == alone.p
     assert found["block"].low <= -12.0 <= found["block"].high < 0.0
     assert found["order"].low <= 0.0 <= found["order"].high
     assert "cannot be separated" in found["trial"].problem  # the same for all runs here
     once = [replace(row, block=1) for row in rows if row.block == 1]
     alone = {slope.along: slope for slope in effects.slopes(once[:2], []) if slope.measure == "rule"}
     assert alone["order"].problem != ""
-
-
-def test_slopes_are_corrected_within_a_quantity() -> None:
-    drawn = np.random.default_rng(8)
-    rows = [
-        replace(row, middle_trial=float(drawn.uniform(1.0, 99.0)))
-        for row in runs_of_people(people=8, block=-3.0)
-    ]
-    timed = [
-        trial_row(f"P{p}", trial=n, response_time_s=math.exp(0.004 * n + drawn.normal(0.0, 0.3)))
-        for p in range(5)
-        for n in range(1, 30)
-    ]
-    found = effects.slopes(rows, timed)
-    limits = [slope for slope in found if slope.measure == "rule"]
-    assert [slope.holm for slope in limits] == kmax.holm([slope.p for slope in limits])
-    assert max(slope.holm / slope.p for slope in limits) == pytest.approx(3.0)
-    (alone,) = [slope for slope in found if slope.of == "response time"]
-    assert alone.holm == alone.p
 
 
 def test_blocks_count_what_happened_in_them() -> None:
@@ -786,7 +761,7 @@ def test_known_functions_lie_within_their_intervals() -> None:
     assert (held >= 34).all()
 
 
-def test_a_function_tells_its_levels_and_whether_it_saw_both_kinds() -> None:
+def test_a_function_has_its_levels_and_is_bounded_by_both_kinds_of_verdicts() -> None:
     verdicts = [(200.0, True), (100.0, True), (200.0, False), (200.0, True)]
     found = psychometric.fit("P01", "a", 0.0, "person", LEVELS, verdicts)
     assert (found.levels, found.verdicts, found.stable) == ((100.0, 200.0), (1, 3), (1, 2))
@@ -797,7 +772,7 @@ def test_a_function_tells_its_levels_and_whether_it_saw_both_kinds() -> None:
     assert share[1] == pytest.approx(0.5)
 
 
-def test_one_series_tells_little_and_five_tell_where_the_limit_is() -> None:
+def test_one_series_has_a_wide_interval_and_five_a_narrow_one() -> None:
     """A single verdict that is not stable may be a lapse: the median stays near it, and the interval is wide."""
     series = [(level, level < 450.0) for level in LEVELS if level <= 450.0]
     one, five = half_way(LEVELS, series), half_way(LEVELS, series * 5)
@@ -821,7 +796,7 @@ def test_k50_beyond_the_levels_is_their_end_also_after_slips() -> None:
 
 
 def test_over_participants_k50_is_the_mean_of_theirs_with_an_interval_over_them() -> None:
-    """Verdicts of few people, however many, do not tell where others have their limit."""
+    """Verdicts of few people, however many, do not show where others have their limit."""
     drawn = np.random.default_rng(8)
     verdicts, each = [], []
     for code, threshold in (("P01", 350.0), ("P02", 430.0), ("P03", 560.0)):
