@@ -36,11 +36,7 @@ needs_distributed = pytest.mark.skipif(not find_spec("distributed"), reason="dis
 
 
 class Cluster:
-    """A scheduler and workers with one thread each, all on this machine; they end with the block.
-
-    All tests share it, and many kill some of it: each asks for as many workers as it needs (`have`). They stand in the
-    order in which the fewest have to be started.
-    """
+    """A scheduler and workers, shared by all tests: each test requests its number of workers (`have`)."""
 
     def __init__(self, directory: Any) -> None:
         self._directory = directory
@@ -145,6 +141,7 @@ def test_two_workers_give_the_bits_of_one_process(cluster: Any, tmp_path: Path) 
 
 @needs_distributed
 @pytest.mark.signals
+@pytest.mark.exhaustive("::test_a_scheduler_that_dies_ends_the_sweep_with_what_is_done")
 def test_ctrl_c_on_a_cluster_and_the_rest_in_this_process(cluster: Any, tmp_path: Path) -> None:
     cluster.have(2)
     tasks = sines_of(60, wait_s=0.02)
@@ -187,6 +184,7 @@ def test_another_haptic_rig_on_the_workers_is_refused_with_both_versions(
 
 
 @needs_distributed
+@pytest.mark.exhaustive("::test_another_haptic_rig_on_the_workers_is_refused_with_both_versions")
 def test_work_that_the_workers_do_not_have_is_refused(
     cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -216,6 +214,7 @@ def test_a_worker_killed_in_the_middle_loses_nothing_and_duplicates_nothing(
 
 
 @needs_distributed
+@pytest.mark.exhaustive("::test_a_worker_killed_in_the_middle_loses_nothing_and_duplicates_nothing")
 def test_a_result_that_died_with_its_worker_before_it_was_fetched_is_computed_again(
     cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -245,6 +244,7 @@ def test_a_result_that_died_with_its_worker_before_it_was_fetched_is_computed_ag
 
 
 @needs_distributed
+@pytest.mark.exhaustive("::test_a_task_that_fails_there_is_named_here")
 def test_a_task_that_kills_every_worker_is_named(cluster: Any, tmp_path: Path) -> None:
     cluster.have(1)
     allowed = cluster.ask(lambda dask_scheduler: dask_scheduler.allowed_failures)
@@ -261,7 +261,8 @@ def test_a_task_that_kills_every_worker_is_named(cluster: Any, tmp_path: Path) -
 
 
 @needs_distributed
-def test_a_sweep_waits_for_workers_and_says_so(cluster: Any, tmp_path: Path) -> None:
+@pytest.mark.exhaustive("::test_two_workers_give_the_bits_of_one_process")
+def test_a_sweep_waits_for_workers(cluster: Any, tmp_path: Path) -> None:
     cluster.have(0)
     tasks, waited = sines_of(4), []
 
@@ -290,7 +291,9 @@ def test_a_scheduler_that_dies_ends_the_sweep_with_what_is_done(cluster: Any, tm
 
 @needs_distributed
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense://x"])
-def test_no_scheduler_there_is_said_with_the_remedy(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_scheduler_the_remedy_is_to_start_one(
+    address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(clusters, "CONNECT_S", 0.1)
     with pytest.raises(
         ConfigError, match=r"no reply from a Dask scheduler at .*start one with `dask scheduler`"

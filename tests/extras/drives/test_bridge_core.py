@@ -1,4 +1,4 @@
-"""The bridge in virtual time: what it tells a drive, and that every way ends in zero torque."""
+"""The bridge in virtual time: the commands that it sends to a drive, and that every way ends in zero torque."""
 
 from __future__ import annotations
 
@@ -29,7 +29,6 @@ from tests.conformance.bridged import (
 )
 from tests.conformance.device import check_device
 from tests.conformance.faults import FarEnd, check_faults
-from tests.conformance.firmware import need_compiler
 from tests.conformance.host import RUN_PARAMETERS, Host
 
 WATCHDOG_S = 0.005  # five periods: the drive's own
@@ -38,11 +37,6 @@ SLACK_S = 0.003
 RUN_TICKS = 8
 both = pytest.mark.parametrize("kind", KINDS)
 PERIOD_NS = 1_000_000
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _compiler() -> None:
-    need_compiler()
 
 
 @both
@@ -133,8 +127,8 @@ def test_arming_waits_until_the_drive_is_prepared_and_gives_no_torque_meanwhile(
     assert world.mode == world.far.rest
 
 
-def test_who_arms_right_after_disarming_waits_until_the_drive_is_on_again() -> None:
-    """Its last reply is from before it was told to stop."""
+def test_arming_right_after_disarming_waits_until_the_drive_is_on_again() -> None:
+    """Its last reply is from before the stop."""
     world, host = armed()
     push(host, 5)
     assert host.disarm().status == 0
@@ -146,7 +140,7 @@ def test_who_arms_right_after_disarming_waits_until_the_drive_is_on_again() -> N
 
 
 @both
-def test_a_drive_that_nobody_arms_is_switched_off_again(kind: str) -> None:
+def test_a_drive_that_is_not_armed_is_switched_off_again(kind: str) -> None:
     world = Bridged(kind=kind)
     host = Host(world)
     host.identify()
@@ -242,7 +236,7 @@ ENDINGS: dict[str, tuple[Way, Strike, int]] = {
     [(kind, ending) for kind in KINDS for ending in ENDINGS if kind == "moteus" or "garbled" not in ending],
 )  # a CAN controller passes on no frame that was garbled
 def test_a_fault_at_any_line_of_a_run(kind: str, ending: str) -> None:
-    """Zero torque in bounds, whatever is lost where; it is counted, and no old count is told as a new one."""
+    """Zero torque in bounds, whatever is lost where; it is counted, and no old count is reported as a new one."""
     way, strike, length = ENDINGS[ending]
     of_the_run = RUN_TICKS * (1 if way == "to drive" else 2)  # the adapter says OK, too
     for first in range(0, of_the_run, 1 if strike is drop and length == 1 else 5):
@@ -274,8 +268,8 @@ HAPPENINGS: dict[str, tuple[str, float, int]] = {
     "moteus: under voltage": ("voltage", 3.0, DriveFault.UNDER_VOLTAGE),
     "moteus: its watchdog": ("expire", 0.0, DriveFault.DRIVE_LEFT),
     "moteus: a power cut": ("reboot", 0.0, DriveFault.DRIVE_LEFT),
-    "moteus: stopped by somebody": ("mode", 0, DriveFault.DRIVE_LEFT),
-    "moteus: held by somebody": ("mode", 12, DriveFault.DRIVE_LEFT),
+    "moteus: stopped by another host": ("mode", 0, DriveFault.DRIVE_LEFT),
+    "moteus: held by another host": ("mode", 12, DriveFault.DRIVE_LEFT),
     "moteus: a second master": ("master", 0.1, DriveFault.OTHER_MASTER),
     "odrive: over voltage": ("voltage", 60.0, DriveFault.OVER_VOLTAGE),
     "odrive: too hot": ("temperature", 120.0, DriveFault.TEMPERATURE),
@@ -284,20 +278,20 @@ HAPPENINGS: dict[str, tuple[str, float, int]] = {
     "odrive: another error": ("fault", 0x2, DriveFault.DRIVE_INTERNAL),
     "odrive: its watchdog": ("expire", 0.0, DriveFault.DRIVE_LEFT),
     "odrive: a power cut": ("reboot", 0.0, DriveFault.DRIVE_LEFT),
-    "odrive: stopped by somebody": ("estop", 0.0, DriveFault.DRIVE_LEFT),
-    "odrive: held by somebody at its USB port": ("mode", 3, DriveFault.DRIVE_LEFT),
+    "odrive: stopped by another host": ("estop", 0.0, DriveFault.DRIVE_LEFT),
+    "odrive: held through its USB port": ("mode", 3, DriveFault.DRIVE_LEFT),
     "odrive: off the bus": ("bus-off", 0.0, DriveFault.DRIVE_SILENT),
     "odrive: a second master": ("master", 0.1, DriveFault.OTHER_MASTER),
 }
 
 
 @pytest.mark.parametrize("what", HAPPENINGS)
-def test_a_drive_that_stops_by_itself_or_for_somebody_else(what: str) -> None:
+def test_a_drive_that_stops_by_itself_or_for_another_host(what: str) -> None:
     name, value, fault = HAPPENINGS[what]
     world, host = armed(Bridged(kind=what.partition(":")[0]))
     push(host, 10)
     world.happen(name, value)
-    for _ in range(5 if world.far.name == "moteus" else 15):  # an ODrive tells it with its heartbeat
+    for _ in range(5 if world.far.name == "moteus" else 15):  # an ODrive reports it with its heartbeat
         state = host.next_state()
         if state.fault:
             break
@@ -357,7 +351,7 @@ def test_a_position_that_jumps_by_turns_is_no_motion(kind: str, turns: int) -> N
 
 
 @both
-def test_a_fault_while_the_drive_is_prepared_is_told_in_the_words_of_the_drive(kind: str) -> None:
+def test_a_fault_while_the_drive_is_prepared_has_the_text_of_the_drive(kind: str) -> None:
     world = Bridged(kind=kind)
     device = FramedDevice(world)
     device.configure(RUN_PARAMETERS)
@@ -423,20 +417,20 @@ def test_an_answer_of_before_is_not_taken_for_a_new_one() -> None:
     """Each question names another sender, which the answer repeats."""
     world, host = armed()
     push(host, 5)
-    said: list[bytes] = []
+    lines: list[bytes] = []
 
     def keep(line: bytes) -> bytes:
-        said.append(line)
+        lines.append(line)
         return line
 
     def stale(line: bytes) -> bytes:
-        return said[0] if line.startswith(b"rcv") else line
+        return lines[0] if line.startswith(b"rcv") else line
 
     now = world.lines["from drive"]
     world.strikes = {("from drive", now + place): keep for place in (0, 1)}
     before = host.next_state().sample_index
     host.command(CURRENT)
-    said[:] = [line for line in said if line.startswith(b"rcv")]
+    lines[:] = [line for line in lines if line.startswith(b"rcv")]
     now = world.lines["from drive"]
     world.strikes = {("from drive", now + place): stale for place in (0, 1)}
     state = host.next_state()
@@ -484,7 +478,6 @@ def test_structures_are_those_of_the_header() -> None:
 
 
 def switched(world: Bridged, pins: int) -> None:
-    """Let the drive tell these pins of aux1."""
     world.drive._others[0x05E] = (lambda words: pins, WHOLE)
 
 

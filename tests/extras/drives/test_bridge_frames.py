@@ -17,16 +17,10 @@ from rig.devices.device import DeviceUrl
 from rig.extras.drives.bus import AdapterBus, CanBus, CanFrame, open_bus
 from rig.extras.drives.library import BRIDGE, Adapter, CanFrameBytes, library
 from tests.conformance.bridged import CURRENT, Bridged, armed, push
-from tests.conformance.firmware import need_compiler
 from tests.firmware import build
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _compiler() -> None:
-    need_compiler()
-
-
-def heard(text: bytes, *, checksum: bool = False) -> tuple[list[CanFrame], Adapter]:
+def parse_lines(text: bytes, *, checksum: bool = False) -> tuple[list[CanFrame], Adapter]:
     adapter, frame = Adapter(checksum=checksum), CanFrameBytes()
     frames = [
         CanFrame(frame.id, frame.data)
@@ -36,7 +30,7 @@ def heard(text: bytes, *, checksum: bool = False) -> tuple[list[CanFrame], Adapt
     return frames, adapter
 
 
-def line(frame: CanFrame, *, checksum: bool = False) -> bytes:
+def make_line(frame: CanFrame, *, checksum: bool = False) -> bytes:
     into = ctypes.create_string_buffer(256)
     adapter = Adapter(checksum=checksum)
     count = library().fdcanusb_make(ctypes.byref(adapter), ctypes.byref(frame.as_struct()), into)
@@ -46,13 +40,13 @@ def line(frame: CanFrame, *, checksum: bool = False) -> bytes:
 def test_a_line_as_the_maker_shows_it() -> None:
     """Of docs/protocol/can.md, and its flags for CAN FD at the higher rate."""
     data = bytes.fromhex("01000a07206000200150ff140400130d")
-    assert line(CanFrame(0x8001, data)) == b"can send 8001 01000A07206000200150FF140400130D BF\n"
-    (frame,), _ = heard(b"rcv 100 2404000a005000000170ff230d181400 E B F\r\n")
+    assert make_line(CanFrame(0x8001, data)) == b"can send 8001 01000A07206000200150FF140400130D BF\n"
+    (frame,), _ = parse_lines(b"rcv 100 2404000a005000000170ff230d181400 E B F\r\n")
     assert frame == CanFrame(0x100, bytes.fromhex("2404000a005000000170ff230d181400"))
 
 
 def test_a_prefix_makes_a_long_identifier() -> None:
-    assert line(CanFrame(0x12348001, b"\x50")).startswith(b"can send 12348001 50 ")
+    assert make_line(CanFrame(0x12348001, b"\x50")).startswith(b"can send 12348001 50 ")
 
 
 @pytest.mark.parametrize(
@@ -62,15 +56,15 @@ def test_a_prefix_makes_a_long_identifier() -> None:
         b"rc 100 21\r\n", b"rcv 100 " + b"21" * 65 + b"\r\n", b"rcv 100 " + b"2" * 400 + b"\r\n", b"\xff\xfe\r\n",
     ],
 )  # fmt: skip
-def test_what_is_no_line_is_counted_and_nothing_else(text: bytes) -> None:
-    frames, adapter = heard(text)
+def test_a_malformed_line_is_only_counted(text: bytes) -> None:
+    frames, adapter = parse_lines(text)
     assert frames == []
     assert adapter.garbled == 1
-    assert heard(text + b"OK\r\nrcv 100 21\r\n")[0] == [CanFrame(0x100, b"\x21")]
+    assert parse_lines(text + b"OK\r\nrcv 100 21\r\n")[0] == [CanFrame(0x100, b"\x21")]
 
 
-def test_what_the_adapter_says_of_its_own_is_counted() -> None:
-    _, adapter = heard(b"OK\r\nERR bad id\r\nOK\r\n")
+def test_replies_of_the_adapter_itself_are_counted() -> None:
+    _, adapter = parse_lines(b"OK\r\nERR bad id\r\nOK\r\n")
     assert (adapter.sent, adapter.refused, adapter.garbled) == (2, 1, 0)
 
 
@@ -82,13 +76,15 @@ def test_what_the_adapter_says_of_its_own_is_counted() -> None:
 def test_a_line_with_a_checksum_arrives_or_does_not(
     identifier: int, data: bytes, place: int, bits: int
 ) -> None:
-    sent = line(CanFrame(identifier, data), checksum=True).removeprefix(b"can send ").rsplit(b" BF ", 1)[0]
+    sent = (
+        make_line(CanFrame(identifier, data), checksum=True).removeprefix(b"can send ").rsplit(b" BF ", 1)[0]
+    )
     plain = b"rcv " + sent + b" "
     sealed = plain + b"*%02X\r\n" % _crc(plain)
-    assert heard(sealed, checksum=True)[0] == [CanFrame(identifier, data)]
+    assert parse_lines(sealed, checksum=True)[0] == [CanFrame(identifier, data)]
     at = place % (len(sealed) - 2)
     broken = sealed[:at] + bytes((sealed[at] ^ bits,)) + sealed[at + 1 :]
-    frames, _ = heard(broken, checksum=True)
+    frames, _ = parse_lines(broken, checksum=True)
     assert all(
         frame == CanFrame(identifier, data) for frame in frames
     )  # a letter may change its case in the star
@@ -107,7 +103,7 @@ def _crc(text: bytes) -> int:
 @settings(max_examples=25)
 @given(st.binary(max_size=600), st.booleans())
 def test_any_bytes_do_no_harm(data: bytes, checksum: bool) -> None:
-    heard(data, checksum=checksum)
+    parse_lines(data, checksum=checksum)
 
 
 # ---------------------------------------------------------------------- the maker's library as the oracle
@@ -117,10 +113,12 @@ def test_the_makers_library_reads_a_torque_command_as_it_is_meant() -> None:
     multiplex = pytest.importorskip("moteus.multiplex")
     world, host = armed()
     push(host, 5)
-    said: list[bytes] = []
-    world.strikes = {("to drive", number): lambda sent: said.append(sent) or sent for number in range(10_000)}
+    lines: list[bytes] = []
+    world.strikes = {
+        ("to drive", number): lambda sent: lines.append(sent) or sent for number in range(10_000)
+    }
     push(host, 2)
-    (text,) = {one.split(b" ")[3] for one in said[:1]}
+    (text,) = {one.split(b" ")[3] for one in lines[:1]}
     frame = bytes.fromhex(text.decode())
     written = {
         one.register: one.value
@@ -157,7 +155,7 @@ def test_a_can_interface_that_is_not_there() -> None:
         open_bus(DeviceUrl.parse("moteus://no-such-can"))
 
 
-def test_an_adapter_is_heard_through_a_pseudo_terminal() -> None:
+def test_an_adapter_works_through_a_pseudo_terminal() -> None:
     master, slave = os.openpty()
     try:
         bus = open_bus(DeviceUrl.parse(f"moteus://{os.ttyname(slave)}?checksum=off"))
@@ -201,7 +199,7 @@ def test_a_frame_of_a_can_socket(identifier: int, data: bytes) -> None:
     end.close()
 
 
-def test_what_is_no_data_frame_is_passed_over() -> None:
+def test_a_frame_without_data_is_ignored() -> None:
     bus, end = can_ends()
     remote, error = 0x40000001, 0x20000040  # CAN_RTR_FLAG; CAN_ERR_FLAG with CAN_ERR_BUSOFF
     for identifier in (remote, error):
@@ -216,15 +214,15 @@ def test_what_is_no_data_frame_is_passed_over() -> None:
     bus.close()
 
 
-def test_an_odrive_is_told_what_its_makers_description_says() -> None:
+def test_an_odrive_receives_the_frames_of_its_makers_description() -> None:
     """Each frame of a run, from arming to the end, read by a library that knows nothing of us."""
     base = pytest.importorskip("odrive_can").get_dbc()
-    told: list[tuple[str, dict[str, object]]] = []
+    sent: list[tuple[str, dict[str, object]]] = []
 
     def read(message: bytes) -> bytes:
         identifier, size = struct.unpack_from("=IB", message)
         one = base.get_message_by_frame_id(identifier)
-        told.append((one.name, dict(one.decode(message[8 : 8 + size]))))
+        sent.append((one.name, dict(one.decode(message[8 : 8 + size]))))
         return message
 
     world = Bridged(kind="odrive")
@@ -232,21 +230,21 @@ def test_an_odrive_is_told_what_its_makers_description_says() -> None:
     _, host = armed(world)
     push(host, 20)
     world._to_drive(world.bridge.stop())
-    assert told[:4] == [
+    assert sent[:4] == [
         ("Axis0_Clear_Errors", {"Identify": 0}),
         ("Axis0_Set_Controller_Mode", {"Control_Mode": "TORQUE_CONTROL", "Input_Mode": "PASSTHROUGH"}),
         ("Axis0_Set_Input_Torque", {"Input_Torque": 0.0}),
         ("Axis0_Set_Axis_State", {"Axis_Requested_State": "CLOSED_LOOP_CONTROL"}),
     ]
-    torques = [fields["Input_Torque"] for name, fields in told if name == "Axis0_Set_Input_Torque"]
+    torques = [fields["Input_Torque"] for name, fields in sent if name == "Axis0_Set_Input_Torque"]
     assert torques.count(pytest.approx(CURRENT * 1e-3 * 0.05)) > 15
     assert torques[-1] == 0.0
-    assert told[-1] == ("Axis0_Set_Axis_State", {"Axis_Requested_State": "IDLE"})
-    names = {name for name, _ in told}
-    assert names == {name for name, _ in told[:4]}
+    assert sent[-1] == ("Axis0_Set_Axis_State", {"Axis_Requested_State": "IDLE"})
+    names = {name for name, _ in sent}
+    assert names == {name for name, _ in sent[:4]}
 
 
-def test_what_happens_on_the_bus_is_counted() -> None:
+def test_bus_statistics_are_reported() -> None:
     world = Bridged()
     world.run(0.1)
     facts = world.bridge.facts.as_mapping()

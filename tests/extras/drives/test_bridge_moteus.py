@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import Any
 
 import pytest
 
@@ -22,15 +20,10 @@ from rig.extras.drives.bus import CanFrame
 from rig.extras.drives.moteus import MoteusConversation, find, fit, switches_of
 from sim_backend.drives.moteus import MoteusOptions, SimulatedMoteus
 from tests.conformance.bridged import SAFE, Bridged, MemoryBus, bridged_rig, found
-from tests.conformance.firmware import need_compiler
 from tests.conformance.host import RUN_PARAMETERS, Host
+from tests.extras.drives.conftest import other
 
 TURN = 4 * 4096  # counts
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _compiler() -> None:
-    need_compiler()
 
 
 def moteus(**settings: str) -> SimulatedMoteus:
@@ -41,11 +34,9 @@ def moteus(**settings: str) -> SimulatedMoteus:
 def refusal(
     drive: SimulatedMoteus, model: RigModel | None = None, kind: type[RigError] = DeviceRefusedError
 ) -> str:
-    mode = drive._words.copy()
     with pytest.raises(kind) as caught:
         found(drive, model or bridged_rig())
     assert caught.value.remedy
-    del mode
     return str(caught.value)
 
 
@@ -78,15 +69,6 @@ def test_a_drive_that_is_set_up_otherwise(setting: str, value: str, says: str) -
     assert says in refusal(moteus(**{setting: value}))
 
 
-def other(**parts: Any) -> RigModel:
-    """The rig with parts that are otherwise: ``encoder`` and ``amplifier`` by their keys, or whole."""
-    model = bridged_rig()
-    for name, changed in parts.items():
-        part = replace(getattr(model, name), **changed) if isinstance(changed, dict) else changed
-        model = replace(model, **{name: part})
-    return model
-
-
 @pytest.mark.parametrize(
     ("model", "says"),
     [
@@ -107,9 +89,9 @@ def test_an_experiment_that_is_about_another_rig(model: RigModel, says: str) -> 
 
 def test_all_differences_are_named_at_once() -> None:
     model = other(amplifier={"effort_per_ampere": 0.05, "drive": "voltage"})
-    said = refusal(moteus(), model)
-    assert "N·m/A" in said
-    assert "voltage" in said
+    text = refusal(moteus(), model)
+    assert "N·m/A" in text
+    assert "voltage" in text
 
 
 def test_another_generation_of_firmware() -> None:
@@ -129,7 +111,7 @@ def test_another_id_on_the_bus() -> None:
         found(moteus(), bridged_rig(), number=7)
 
 
-def test_a_second_master_is_heard_before_a_word_is_said() -> None:
+def test_a_second_master_is_found_before_the_first_frame_is_sent() -> None:
     bus = MemoryBus(moteus())
     bus.heard.append(CanFrame(0x8001, b"\x11\x00"))
     with pytest.raises(DeviceRefusedError, match="second bus master"):
@@ -138,7 +120,7 @@ def test_a_second_master_is_heard_before_a_word_is_said() -> None:
 
 
 @pytest.mark.parametrize(("mode", "says"), [(10, "position"), (12, "zero velocity"), (15, "brake")])
-def test_a_drive_that_somebody_drives(mode: int, says: str) -> None:
+def test_a_drive_under_another_host_is_refused(mode: int, says: str) -> None:
     drive = moteus()
     drive.happen("mode", mode)
     drive.run(drive.ticks + 3000)
@@ -154,7 +136,7 @@ def test_a_drive_that_has_stopped_with_a_fault() -> None:
     assert "fault 34" in refusal(drive)
 
 
-def test_what_a_killed_bridge_left_behind_is_taken() -> None:
+def test_a_drive_after_a_killed_bridge_is_accepted() -> None:
     drive = moteus()
     drive.happen("mode", 10)
     drive.run(drive.ticks + 3000)

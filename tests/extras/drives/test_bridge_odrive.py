@@ -41,15 +41,10 @@ from tests.conformance.bridged import (
     push,
     write_endpoints,
 )
-from tests.conformance.firmware import need_compiler
 from tests.conformance.host import RUN_PARAMETERS, Host
+from tests.extras.drives.conftest import other
 
 TURN = 4 * 4096  # counts
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _compiler() -> None:
-    need_compiler()
 
 
 def drive_with(settings: dict[str, str] | None = None, **options: Any) -> SimulatedOdrive:
@@ -59,7 +54,7 @@ def drive_with(settings: dict[str, str] | None = None, **options: Any) -> Simula
 def refusal(
     drive: SimulatedOdrive, model: RigModel | None = None, kind: type[RigError] = DeviceRefusedError
 ) -> str:
-    """What is said; the drive has not left its rest."""
+    """Return the message; the drive stays at rest."""
     with pytest.raises(kind) as caught:
         found_odrive(drive, model or bridged_rig())
     assert caught.value.remedy
@@ -105,15 +100,6 @@ def test_a_drive_that_is_set_up_otherwise(path: str, value: str, says: str) -> N
     assert says in refusal(drive_with({path: value}))
 
 
-def other(**parts: Any) -> RigModel:
-    """The rig with parts that are otherwise."""
-    model = bridged_rig()
-    for name, changed in parts.items():
-        part = replace(getattr(model, name), **changed) if isinstance(changed, dict) else changed
-        model = replace(model, **{name: part})
-    return model
-
-
 @pytest.mark.parametrize(
     ("model", "says"),
     [
@@ -144,8 +130,8 @@ def test_all_that_is_wrong_is_named_at_once_with_what_to_type() -> None:
 
 def test_another_version_of_firmware_or_of_the_file() -> None:
     assert "firmware 0.5.6" in refusal(drive_with(firmware=(0, 5, 6)), kind=IncompatibleDeviceError)
-    said = refusal(drive_with(firmware=(0, 6, 9)), kind=IncompatibleDeviceError)
-    assert "firmware 0.6.9, but flat_endpoints.json is for 0.6.11" in said
+    text = refusal(drive_with(firmware=(0, 6, 9)), kind=IncompatibleDeviceError)
+    assert "firmware 0.6.9, but flat_endpoints.json is for 0.6.11" in text
     numbers = replace(endpoints(), by_path={})
     with pytest.raises(IncompatibleDeviceError, match=r"has no parameter axis0\.config"):
         found_odrive(drive_with(), bridged_rig(), numbers=numbers)
@@ -158,7 +144,7 @@ def test_another_node_on_the_bus() -> None:
         found_odrive(drive_with(), bridged_rig(), node=7)
 
 
-def test_a_second_master_is_heard_before_a_word_is_said() -> None:
+def test_a_second_master_is_found_before_the_first_frame_is_sent() -> None:
     bus = MemoryBus(drive_with())
     bus.heard.append(CanFrame(CanSimpleCommand.SET_INPUT_TORQUE, bytes(4)))
     with pytest.raises(DeviceRefusedError, match="second bus master"):
@@ -166,7 +152,7 @@ def test_a_second_master_is_heard_before_a_word_is_said() -> None:
     assert bus.said == 0
 
 
-def test_a_drive_that_somebody_drives_or_that_has_stopped_with_an_error() -> None:
+def test_a_drive_under_another_host_or_stopped_with_an_error_is_refused() -> None:
     driven = drive_with({odrive.WATCHDOG: "0"})
     driven.receive(Frame(CanSimpleCommand.SET_AXIS_STATE, struct.pack("<I", 8)))
     assert "closed loop: another program drives it" in refusal(driven)
@@ -175,7 +161,7 @@ def test_a_drive_that_somebody_drives_or_that_has_stopped_with_an_error() -> Non
     assert "error 0x00000020" in refusal(stopped)
 
 
-def test_what_a_killed_bridge_left_behind_is_taken() -> None:
+def test_a_drive_after_a_killed_bridge_is_accepted() -> None:
     left = drive_with()
     left.receive(Frame(CanSimpleCommand.SET_AXIS_STATE, struct.pack("<I", 8)))
     left.run(left.ticks + 80)  # its watchdog has ended it
@@ -264,7 +250,7 @@ def test_without_its_heartbeat_a_drive_may_have_stopped() -> None:
 
 
 def test_a_drive_that_changes_a_torque_is_counted_and_left() -> None:
-    """Somebody has set at its USB port what was refused at the start."""
+    """Its USB port sets a limit that was refused at the start."""
     world, host = armed(Bridged(kind="odrive"))
     push(host, 5)
     world.drive._write(odrive.MOST_TORQUE, 0.97 * CURRENT * 1e-3 * 0.05)  # less than measuring sees

@@ -1,4 +1,4 @@
-"""A bridge as a process, in real time: the link that starts it, the command, and what is left when either is killed."""
+"""A bridge as a process, in real time: the link that starts it, the command, and zero torque after either is killed."""
 
 from __future__ import annotations
 
@@ -29,7 +29,6 @@ from rig.extras.drives.serve import look
 from sim_backend.drives import simulated_drive
 from sim_backend.drives.process import serve as serve_drive
 from tests.conformance.bridged import SAFE, SLOW, WATCHED, bridged_rig, plain_drive, write_endpoints
-from tests.conformance.firmware import need_compiler
 
 PATIENCE_S = 5.0
 
@@ -37,7 +36,6 @@ PATIENCE_S = 5.0
 @pytest.fixture(scope="module")
 def port() -> Iterator[str]:
     """A simulated moteus behind a port, for all tests."""
-    need_compiler()
     with simulated_drive("moteus", bridged_rig(), settings=SAFE) as served:
         yield served.path
 
@@ -71,7 +69,6 @@ def test_a_link_starts_a_bridge_and_ends_it_and_one_that_is_killed_is_a_lost_lin
 
 
 def test_a_drive_on_a_can_bus_is_asked_by_its_frames(tmp_path: Path) -> None:
-    need_compiler()
     there, stop, bus = threading.Event(), threading.Event(), str(tmp_path / "bus")
     options = {"place": bus, "settings": SAFE, "stop": stop, "announce": lambda _: there.set()}
     drive = threading.Thread(target=serve_drive, args=("moteus", bridged_rig()), kwargs=options)
@@ -90,7 +87,6 @@ def test_a_drive_on_a_can_bus_is_asked_by_its_frames(tmp_path: Path) -> None:
 )
 def test_an_odrive_gets_no_torque_when_its_bridge_is_killed(tmp_path: Path) -> None:
     """A link starts its bridge on a bus; the drive's own watchdog ends the torque."""
-    need_compiler()
     there, stop, bus = threading.Event(), threading.Event(), str(tmp_path / "bus")
     slow = {odrive.WATCHDOG_S: "0.05", odrive.ENCODER_MS: "10", odrive.TORQUES_MS: "10"}
     options = {"place": bus, "settings": WATCHED | slow, "stop": stop, "announce": lambda _: there.set()}
@@ -111,10 +107,10 @@ def test_an_odrive_gets_no_torque_when_its_bridge_is_killed(tmp_path: Path) -> N
             os.kill(device.link.process, signal.SIGKILL)
             until, state = time.monotonic() + PATIENCE_S, 8
             while state != 1 and time.monotonic() < until:
-                heard = watching.receive(PATIENCE_S)
+                frame = watching.receive(PATIENCE_S)
                 state = (
-                    heard.data[4]
-                    if heard is not None and heard.id == odrive.OdriveCommand.HEARTBEAT
+                    frame.data[4]
+                    if frame is not None and frame.id == odrive.OdriveCommand.HEARTBEAT
                     else state
                 )
             assert state == 1
@@ -126,9 +122,8 @@ def test_an_odrive_gets_no_torque_when_its_bridge_is_killed(tmp_path: Path) -> N
         drive.join(PATIENCE_S)
 
 
-def test_a_host_that_goes_ends_its_bridge_and_the_drive_is_told_to_stop() -> None:
+def test_a_host_that_is_gone_ends_its_bridge_and_stops_the_drive() -> None:
     """However it goes: the kernel closes the socket of one that is killed."""
-    need_compiler()
     bus, drive = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     near, host = socket.socketpair()
     ear, mouth = os.pipe()
@@ -138,7 +133,7 @@ def test_a_host_that_goes_ends_its_bridge_and_the_drive_is_told_to_stop() -> Non
     ends = {"host": near.fileno(), "bus": bus.fileno(), "wake": ear, "host_stays": False}
     running = threading.Thread(target=bridge.run, kwargs=ends)
     running.start()
-    assert drive.recv(100)[8:10] == b"\x11\x00"  # it is asked, and told nothing
+    assert drive.recv(100)[8:10] == b"\x11\x00"  # a query without a command
     host.close()
     running.join(PATIENCE_S)
     assert not running.is_alive()
@@ -151,7 +146,7 @@ def test_a_host_that_goes_ends_its_bridge_and_the_drive_is_told_to_stop() -> Non
     os.close(mouth)
 
 
-def test_what_is_wrong_with_the_drive_is_said_by_the_link(port: str) -> None:
+def test_a_link_reports_the_refusal_of_its_bridge(port: str) -> None:
     model = bridged_rig()
     other = replace(model, amplifier=replace(model.amplifier, effort_per_ampere=1.0))
     with pytest.raises(DeviceRefusedError, match="the experiment has 1"):

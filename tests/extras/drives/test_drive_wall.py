@@ -29,7 +29,6 @@ from rig.extras.drives import own_wall
 from rig.extras.drives.faults import DriveFault
 from sim_backend.board.configuration import describe
 from tests.conformance.bridged import Bridged
-from tests.conformance.firmware import need_compiler
 from tests.conformance.host import Host
 from tests.conformance.walled import DEEP, GAINS, Walled, walled, within
 from tests.extras.drives.test_bridge_core import ENDINGS, RAMP_S, SLACK_S, WATCHDOG_S
@@ -38,11 +37,6 @@ COUNT = 2.0 * math.pi / 16384  # rad
 LIFETIME_S = 0.020
 SHAPE = 2.48  # 3 dB frequency over natural frequency of the drive's filter (fw/motor_position.h of moteus)
 RUN_MS = 8
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _compiler() -> None:
-    need_compiler()
 
 
 # ---------------------------------------------------------------------- physics
@@ -142,7 +136,7 @@ def test_the_drive_holds_stiffer_walls_than_a_law_behind_the_bridge(where: str) 
 
 
 def test_an_effort_that_changes_within_a_tick_is_no_wrong_current() -> None:
-    """Much damping makes the drive's torque follow its filter, faster than a bridge at 1 kHz hears of it."""
+    """Much damping makes the drive's torque follow its filter, faster than a bridge at 1 kHz receives it."""
     keys = {"wall__stiffness": 0.7, "wall__damping": 0.04, "wall__position": -0.02, "trial__start": -0.03}
     x = walled(**keys, rig__mechanics__motor_coulomb=0.003)
     run = Walled(x, {"servo.pid_position.kd": "40"}, inside=True)
@@ -194,6 +188,34 @@ def test_a_host_that_falls_silent_sees_the_wall_fade() -> None:
     assert len(set(scales)) >= 9  # a ramp of ten ticks
 
 
+def stop_bridge(run: Walled) -> None:
+    run.world._to_drive(run.world.bridge.stop())
+    run.world.alive = False
+
+
+@pytest.mark.parametrize(
+    ("end", "within_s", "mode", "fault"),
+    [
+        (stop_bridge, 0.001, 0, 0),
+        (
+            lambda run: run.world.bridge.lose_bus(run.world._now),
+            WATCHDOG_S + SLACK_S,
+            None,
+            DriveFault.BUS_LOST,
+        ),
+        (lambda run: run.host.command(mode=Mode.STOP), 0.0005, None, 0),
+    ],
+    ids=["the bridge ends", "the adapter is pulled out", "the host stops"],
+)
+def test_an_end_is_zero_torque(end: Any, within_s: float, mode: int | None, fault: int) -> None:
+    run = within()
+    end(run)
+    run.world.run(within_s)
+    assert run.world.torque == 0.0
+    assert mode in (None, run.world.mode)
+    assert run.world.bridge.fault == fault
+
+
 def test_a_bridge_that_is_killed_leaves_it_to_the_watchdog_of_the_drive() -> None:
     run = within()
     run.world.alive = False
@@ -201,29 +223,6 @@ def test_a_bridge_that_is_killed_leaves_it_to_the_watchdog_of_the_drive() -> Non
     assert (run.world.mode, run.world.torque) == (11, 0.0)
     run.world.run(0.01)
     assert abs(run.world.far.register(0x003)) < 1e-3
-
-
-def test_a_bridge_that_ends_switches_the_drive_off() -> None:
-    run = within()
-    run.world._to_drive(run.world.bridge.stop())
-    run.world.alive = False
-    run.world.run(0.001)
-    assert run.world.mode == 0
-
-
-def test_an_adapter_that_is_pulled_out() -> None:
-    run = within()
-    run.world.bridge.lose_bus(run.world._now)
-    run.world.run(WATCHDOG_S + SLACK_S)
-    assert run.world.torque == 0.0
-    assert run.world.bridge.fault == DriveFault.BUS_LOST
-
-
-def test_a_stop_of_the_host_acts_at_once() -> None:
-    run = within()
-    run.host.command(mode=Mode.STOP)
-    run.world.run(0.0005)
-    assert run.world.torque == 0.0
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
@@ -265,7 +264,7 @@ def test_a_drive_that_leaves_its_wall(event: str, value: float, fault: DriveFaul
     assert run.world.torque == 0.0
 
 
-def test_who_lets_the_hold_to_run_switch_go_has_no_wall() -> None:
+def test_without_the_hold_to_run_switch_there_is_no_wall() -> None:
     run = Walled(walled(**DEEP), inside=True, hold_to_run=1)  # no pin is wired: it is never held
     run.run(0.02)
     assert (run.world.mode, run.world.torque) == (10, 0.0)
@@ -368,10 +367,10 @@ def test_a_recording_has_the_effort_of_the_drive_and_what_it_was_set_to(tmp_path
     hear = world.bridge.hear_bus
 
     def noted(line: bytes, now: int) -> bytes:
-        said = hear(line, now)
+        sent = hear(line, now)
         if world.mode == 13:
             rendered[world.bridge.facts.replies] = world.far.register(0x03A)
-        return said
+        return sent
 
     world.bridge.hear_bus = noted  # type: ignore[method-assign]
     device = FramedDevice(world)
@@ -380,9 +379,9 @@ def test_a_recording_has_the_effort_of_the_drive_and_what_it_was_set_to(tmp_path
     )
     recording, judgement = result.recorded.recording, result.recorded.judgement
     trial = recording.rows[recording.rows["phase"] == Phase.TRIAL]
-    told = np.array(sorted(rendered.values()))
+    efforts = np.array(sorted(rendered.values()))
     assert judgement.verdict.kind == Kind.STABLE, judgement.verdict.reasons
-    assert np.abs(trial["effort_applied"]).max() == pytest.approx(np.abs(told).max(), abs=1e-3)
+    assert np.abs(trial["effort_applied"]).max() == pytest.approx(np.abs(efforts).max(), abs=1e-3)
     assert judgement.verdict.peak_effort == pytest.approx(np.abs(trial["effort_applied"]).max())
     assert recording.header["extra"]["arithmetic"] == "drive"
     settings = recording.header["identity"]["settings"]
@@ -419,10 +418,10 @@ def test_the_makers_library_reads_our_wall_as_its_own() -> None:
     """The same registers with the same values as `make_stay_within` of the library; both are float32."""
     multiplex, moteus = pytest.importorskip("moteus.multiplex"), pytest.importorskip("moteus")
     run = within()
-    said: list[bytes] = []
-    run.world.strikes = {("to drive", n): lambda sent: said.append(sent) or sent for n in range(10_000)}
+    lines: list[bytes] = []
+    run.world.strikes = {("to drive", n): lambda sent: lines.append(sent) or sent for n in range(10_000)}
     run.run(0.002)
-    frame = bytes.fromhex(said[-1].split(b" ")[3].decode())
+    frame = bytes.fromhex(lines[-1].split(b" ")[3].decode())
     resolution = moteus.PositionResolution()
     for name in vars(resolution):
         setattr(resolution, name, multiplex.F32)

@@ -79,7 +79,6 @@ class Inlets:
         self.markers: list[tuple[float, dict[str, Any]]] = []
 
     def pull(self) -> None:
-        """Take what is there."""
         values, stamps = self.streams["samples"].pull_chunk(timeout=0.05, max_samples=100_000)
         self.values += values
         self.stamps += stamps
@@ -87,7 +86,6 @@ class Inlets:
         self.markers += [(at, json.loads(text[0])) for at, text in zip(times, texts, strict=True)]
 
     def forget(self) -> None:
-        """Begin anew."""
         self.values, self.stamps, self.markers = [], [], []
 
     def offset_s(self) -> float:
@@ -115,7 +113,7 @@ class Inlets:
 
 @pytest.fixture(scope="module")
 def streamed(pylsl: Any) -> Iterator[tuple[LslMarks, Inlets]]:
-    """The process that streams the loops of this one, and somebody who listens."""
+    """The process that streams the loops of this one, and its inlets."""
     name = f"test-{uuid.uuid4().hex[:8]}"
     with LslMarks(name=name, expected=("rotary", 1000.0)) as marks:
         marks.wait()
@@ -162,9 +160,9 @@ def test_inlets_receive_every_row_at_its_time_and_what_a_session_marks(
     assert at["verdict"][1] == {"trial": 7, "mark": "verdict", "verdict": "buzz"}
     assert at["contact"][0] == pytest.approx(expected_s[400], abs=1e-8)
     assert {content["trial"] for _, content in inlets.markers} == {7}
-    told = json.dumps([content for _, content in inlets.markers])
-    assert "560" not in told, "a session is blind unless it says otherwise"
-    assert "dual-rate" not in told
+    text = json.dumps([content for _, content in inlets.markers])
+    assert "560" not in text, "a session is blind unless it says otherwise"
+    assert "dual-rate" not in text
 
 
 @pytest.mark.quiet
@@ -203,7 +201,7 @@ def test_a_hit_in_real_time_is_streamed_as_it_is_recorded(
     assert streamed_at == [(one.name, one.tick) for one in found_marks(recording) if one.name in named]
 
 
-def test_a_session_goes_on_when_the_process_that_streams_is_gone(
+def test_a_session_continues_without_the_process_that_streams(
     pylsl: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
     marks = LslMarks(name=f"test-{uuid.uuid4().hex[:8]}", rate=-1.0)
@@ -219,7 +217,7 @@ def test_a_session_goes_on_when_the_process_that_streams_is_gone(
 
 def test_an_ended_session_leaves_no_process_and_says_what_was_sent(pylsl: Any) -> None:
     with LslMarks(name=f"test-{uuid.uuid4().hex[:8]}") as marks:
-        marks.push("begins", trial=1)  # before anybody listens: the pipe keeps it
+        marks.push("begins", trial=1)  # before the process reads: the pipe stores it
         marks.wait()
         served = marks.close()
     assert served is not None

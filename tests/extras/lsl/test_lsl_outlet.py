@@ -31,7 +31,7 @@ def marks_of(chunk: Chunk, *names: str) -> list[tuple[int, int]]:
     return [(one.content["tick"], one.time_ns) for one in chunk.markers if one.content["mark"] in names]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.lists(st.integers(0, 40), max_size=12), st.integers(2, 24))
 def test_every_row_is_seen_once_and_in_order_or_counted_as_lost(pieces: list[int], capacity: int) -> None:
     loop = HandTurnedLoop(capacity)
@@ -90,16 +90,16 @@ def test_markers_are_at_the_samples_in_which_things_begin_across_chunks_too() ->
         }
         assert marks_of(chunk, "phase") == [(tick, at[tick]) for tick in (0, 2, 3, 9, 11)]
         assert marks_of(chunk, "contact") == [(4, at[4]), (7, at[7])]
-        told = contents(chunk)
-        assert [one["phase"] for one in told if one["mark"] == "phase"] == [
+        found = contents(chunk)
+        assert [one["phase"] for one in found if one["mark"] == "phase"] == [
             "homing", "settle", "trial", "release", "done",
         ]  # fmt: skip
-        assert [one["contact"] for one in told if one["mark"] == "contact"] == [1, 2]
-        assert told[0] == {
+        assert [one["contact"] for one in found if one["mark"] == "contact"] == [1, 2]
+        assert found[0] == {
             "mark": "begin", "tick": 0, "device_time": 100_000_000, "rig": "test-rig", "motion": "rotary",
             "position_rate": 1000.0, "rate": 1000.0, "wall": {"stiffness": 560.25, "damping": 0.75},
         }  # fmt: skip
-        clock = next(one for one in told if one["mark"] == "clock")
+        clock = next(one for one in found if one["mark"] == "clock")
         assert 0.0 < clock["bound_s"] < 1e-3
 
 
@@ -131,15 +131,15 @@ def test_blinded_markers_say_nothing_of_the_wall() -> None:
     follower = Follower(loop.ring, blind=True)
     loop.leave(4, parameter_set=[0, 0, 3, 3], phase=T, flags=1)
     loop.end()
-    told = contents(follower.poll())
-    assert {one["mark"] for one in told} == {"begin", "clock", "phase", "contact", "wall", "end"}
-    text = json.dumps(told)
+    found = contents(follower.poll())
+    assert {one["mark"] for one in found} == {"begin", "clock", "phase", "contact", "wall", "end"}
+    text = json.dumps(found)
     assert "560" not in text
     assert "0.75" not in text
     assert "stiffness" not in text
 
 
-def test_blinded_markers_tell_no_rate_by_which_conditions_differ() -> None:
+def test_blinded_markers_have_no_rate_by_which_conditions_differ() -> None:
     loop = HandTurnedLoop()
     loop.compare_clocks()
     loop.leave(4)
@@ -156,6 +156,7 @@ trees = st.recursive(
 )  # fmt: skip
 
 
+@settings(max_examples=40)
 @given(st.dictionaries(st.sampled_from([*sorted(SECRETS), "mark", "trial"]), trees, max_size=5))
 def test_no_secret_survives_at_any_depth_and_all_else_does(content: dict[str, Any]) -> None:
     def keys(tree: Any) -> list[str]:
@@ -239,6 +240,7 @@ def test_a_run_of_another_kind_is_followed_by_its_rows_alone() -> None:
 # ---------------------------------------------------------------------- markers from elsewhere
 
 
+@settings(max_examples=40)
 @given(st.lists(st.integers(1, 9), max_size=8))
 def test_lines_are_taken_whole_whatever_pieces_they_come_in(cuts: list[int]) -> None:
     lines = [{"at": 5 + i, "marker": {"mark": "ü", "n": i}} for i in range(3)]
@@ -270,7 +272,7 @@ def test_lines_are_taken_whole_whatever_pieces_they_come_in(cuts: list[int]) -> 
 # ---------------------------------------------------------------------- refusals
 
 
-def test_what_cannot_be_meant_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_impossible_settings_and_a_missing_library_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ConfigError, match="rate"):
         serve(rate=0.0)
     with pytest.raises(ConfigError, match="position rate"):
@@ -305,16 +307,16 @@ def test_a_long_text_is_cut_and_not_lost(character: str, length: int) -> None:
     line = marker_line(7, {"mark": "note", "trial": 3, "text": text})
     assert len(line) <= LINE_BYTES
     found = json.loads(line)["marker"]
-    told = text.replace("\ud800", "?")
-    assert found["text"] == told or (found["text"][-1] == CUT and told.startswith(found["text"][:-1]))
+    whole = text.replace("\ud800", "?")
+    assert found["text"] == whole or (found["text"][-1] == CUT and whole.startswith(found["text"][:-1]))
     assert (found["mark"], found["trial"]) == ("note", 3)
     if length <= 500 and character != "\x1f":
-        assert found["text"] == told  # as long as a note at the console may be
-    elif found["text"] != told:
+        assert found["text"] == whole  # as long as a note at the console may be
+    elif found["text"] != whole:
         assert len(line) > LINE_BYTES - 16  # no more is cut than must be
 
 
-def test_what_is_lost_says_why_and_each_reason_once(
+def test_lost_markers_are_reported_once_for_each_reason(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     reader, writer = os.pipe()
