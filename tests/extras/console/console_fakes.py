@@ -1,4 +1,4 @@
-"""A page that keeps what it is told, and errands that are done here instead of in a process of their own."""
+"""A page that stores its messages, and errands that run in this process."""
 
 import asyncio
 import json
@@ -28,14 +28,14 @@ class Page:
 
     def __init__(self, name: str = "a page of 8") -> None:
         self.name = name
-        self.told: list[dict[str, Any]] = []
+        self.messages: list[dict[str, Any]] = []
         self.answers: dict[int, Any] = {}
 
     def put(self, message: str) -> None:
-        self.told.append(json.loads(message))
+        self.messages.append(json.loads(message))
 
     def put_newest(self, message: dict[str, Any]) -> None:
-        self.told.append(message)
+        self.messages.append(message)
 
     def compiles(self, busy: bool) -> None:
         pass
@@ -45,8 +45,6 @@ class Page:
 
 
 class Here(Errands):
-    """Errands that are done in this process."""
-
     async def run(self, errand: str, *, compiling: Any = None, **content: Any) -> tuple[Any, bytes]:
         result = ERRANDS[errand](**json.loads(json.dumps(content)))
         return result if isinstance(result, tuple) else (result, b"")

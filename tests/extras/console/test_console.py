@@ -28,7 +28,6 @@ NAME = "the-first-page"
 
 @asynccontextmanager
 async def beating(hold: ClientConnection) -> AsyncIterator[None]:
-    """A page that is there."""
 
     async def beat() -> None:
         while True:
@@ -53,13 +52,12 @@ async def dragged(page: Page) -> None:
 
 
 def inside(page: Page) -> bool:
-    """Whether the newest place of the handle that was told is in the wall."""
-    told = page.newest("hand")
-    return told is not None and told["motions"][-1][2] > 0.0
+    """Return True if the newest position of the handle is in the wall."""
+    message = page.newest("hand")
+    return message is not None and message["motions"][-1][2] > 0.0
 
 
 async def over(page: Page) -> None:
-    """Wait until nothing runs."""
     await page.until(lambda page: (page.newest("state") or {"job": 1})["job"] is None)
 
 

@@ -1,4 +1,4 @@
-"""The view of maps: what a page is told of a directory that grows, and a map that it starts is the command's."""
+"""The view of maps: a page receives each cell of a growing map once, and starts the same map as the command."""
 
 import json
 from dataclasses import asdict, replace
@@ -33,17 +33,17 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-class Told:
+class FakeTalk:
     """In place of a job's line to its console."""
 
     def __init__(self) -> None:
-        self.said: list[tuple[str, dict[str, Any]]] = []
+        self.sent: list[tuple[str, dict[str, Any]]] = []
 
     def tell(self, say: str, **content: Any) -> None:
-        self.said.append((say, content))
+        self.sent.append((say, content))
 
     def progress(self, **content: Any) -> None:
-        self.said.append(("progress", content))
+        self.sent.append(("progress", content))
 
 
 def started(**fields: Any) -> dict[str, Any]:
@@ -55,13 +55,13 @@ def started(**fields: Any) -> dict[str, Any]:
     return asdict(request)
 
 
-def test_a_page_is_told_the_plan_then_every_cell_by_criterion(root: Path) -> None:
+def test_a_page_receives_the_plan_then_every_cell_by_criterion(root: Path) -> None:
     page = Page()
 
     async def body() -> Any:
         service = MapService(shared(root / "recordings"))
         facts = await ask(service, page, "map-watch", map=NAME)
-        while not page.told:
+        while not page.messages:
             await ask(service, page, "maps")
         await service.close()
         return facts
@@ -71,7 +71,7 @@ def test_a_page_is_told_the_plan_then_every_cell_by_criterion(root: Path) -> Non
         [0.0, 0.3], 3.0, ["zero at 0.1 count", "zero at 0.6 count"],
     )  # fmt: skip
     assert facts["units"] == {"stiffness": "N·m/rad", "damping": "N·m·s/rad"}
-    (cells,) = page.told
+    (cells,) = page.messages
     assert (cells["say"], cells["map"], cells["anew"]) == ("cells", NAME, True)
     assert (cells["state"], cells["done"], cells["total"]) == ("finished", 4, 4)
     found = maps.map_into(PLAN, root / "maps" / NAME)
@@ -87,7 +87,7 @@ def test_a_page_is_told_the_plan_then_every_cell_by_criterion(root: Path) -> Non
             assert cell[2:] == [passes[row[f"passes_{name}_true"]] for name in facts["criteria"]]
 
 
-def test_what_a_journal_gains_is_told_once_and_who_writes_it_makes_it_running(
+def test_new_lines_of_a_journal_are_sent_once_and_its_writer_makes_it_running(
     root: Path, tmp_path: Path
 ) -> None:
     there, growing = root / "maps" / NAME, tmp_path / "growing"
@@ -113,22 +113,22 @@ def test_what_a_journal_gains_is_told_once_and_who_writes_it_makes_it_running(
     assert map_errands.growth(str(growing), rest["place"])["state"] == "stopped"
 
 
-def test_time_left_is_told_by_weight_from_what_came_since_the_first_column() -> None:
+def test_time_left_is_by_weight_since_the_first_column() -> None:
     facts = {"schemes": [{"weight": 20_000}, {"weight": 1000}], "dampings": [0.0, 0.1], "stripes": [""]}
     watched = Watched(Path("a map"), facts, set())
-    told = [
+    growth = [
         {"columns": [], "place": 0, "state": "running"},
         {"columns": [{"scheme": 0}], "place": 1, "state": "running"},
         {"columns": [{"scheme": 0}], "place": 2, "state": "running"},
     ]
     left = []
-    for now_s, grown in zip((0.0, 100.0, 110.0), told, strict=True):
+    for now_s, grown in zip((0.0, 100.0, 110.0), growth, strict=True):
         watched.take(grown, now_s)
         left.append(json.loads(watched.progress_message([], now_s, anew=False))["left_s"])
     assert left == [None, None, pytest.approx(10.0 * 2000 / 20_000)]
 
 
-def test_theory_is_told_along_the_dampings_of_the_map(root: Path) -> None:
+def test_theory_is_sent_along_the_dampings_of_the_map(root: Path) -> None:
     (curve,) = map_errands.theory(str(root / "maps" / NAME))
     assert (curve["damping"][0], curve["damping"][-1]) == (0.0, 0.3)
     assert min(curve["stiffness"]) > 0.0
@@ -169,25 +169,26 @@ def test_a_hit_that_the_map_does_not_have_is_refused(root: Path, key: str, stiff
     assert not (root / "nowhere").exists()
 
 
-@pytest.mark.parametrize("name", ["..", "../maps", "/etc", "", ".", f"{NAME}/..", "a\0b", "<script>", "link"])
-@pytest.mark.parametrize("do", ["map-watch", "map-theory"])
-def test_a_map_is_named_inside_its_directory_or_not_at_all(root: Path, do: str, name: str) -> None:
-    link = root / "maps" / "link"
-    if not link.is_symlink():
-        link.symlink_to(root / "maps" / NAME)
-    if (do, name) == ("map-watch", ""):
-        return  # shows none
-    with pytest.raises(ConfigError, match="is not a directory here"):
-        run(lambda: ask(MapService(shared(root / "recordings")), Page(), do, map=name))
+def test_a_map_is_named_inside_its_directory_or_not_at_all(root: Path) -> None:
+    (root / "maps" / "link").symlink_to(root / "maps" / NAME)
+    hostile = ("..", "../maps", "/etc", ".", f"{NAME}/..", "a\0b", "<script>", "link")
+    for do, names in (("map-watch", hostile), ("map-theory", ("", *hostile))):
+        for name in names:
+            with pytest.raises(ConfigError, match="is not a directory here"):
+                run(
+                    lambda do=do, name=name: ask(
+                        MapService(shared(root / "recordings")), Page(), do, map=name
+                    )
+                )
 
 
 def test_a_damaged_plan_is_listed_with_its_reason(root: Path) -> None:
     broken = root / "maps" / "<b>broken"
     broken.mkdir()
     (broken / maps.PLAN).write_text("{")
-    told = {one["name"]: one for one in map_errands.directories(str(root / "maps"))}
-    assert "is damaged" in told["<b>broken"]["problem"]
-    assert (told[NAME]["problem"], told[NAME]["state"]) == (None, "finished")
+    listed = {one["name"]: one for one in map_errands.directories(str(root / "maps"))}
+    assert "is damaged" in listed["<b>broken"]["problem"]
+    assert (listed[NAME]["problem"], listed[NAME]["state"]) == (None, "finished")
 
 
 @pytest.mark.parametrize(
@@ -224,7 +225,7 @@ def test_the_page_starts_the_map_that_the_command_starts(
     )  # the page's choice
     content = started(**{**fields, "changes": {**held, **fields.get("changes", {})}})
     with pytest.raises(ConfigError, match="not in this test"):
-        map_jobs.zwidth({**content, "output": str(tmp_path)}, Told())
+        map_jobs.zwidth({**content, "output": str(tmp_path)}, FakeTalk())
     (by_command, there), (by_page, here) = asked
     assert by_page == by_command
     assert here == there
@@ -238,14 +239,14 @@ def test_a_job_names_its_directory_once_it_is_there_and_ends_with_it(tmp_path: P
         "ratio": 3.0,
         "offsets": "0.1",
     }
-    told = Told()
-    done = map_jobs.zwidth({**started(**fields, changes=SHORT), "output": str(tmp_path)}, told)
-    (named,) = [content["map"] for say, content in told.said if say == "mapping"]
+    talk = FakeTalk()
+    done = map_jobs.zwidth({**started(**fields, changes=SHORT), "output": str(tmp_path)}, talk)
+    (named,) = [content["map"] for say, content in talk.sent if say == "mapping"]
     assert done == {"map": named}
     assert map_errands.growth(str(tmp_path / named), 0)["state"] == "finished"
 
 
-def test_only_who_operates_starts_and_ends_maps_and_no_page_chooses_a_program(root: Path) -> None:
+def test_only_the_operating_page_starts_and_ends_maps_and_no_page_chooses_a_program(root: Path) -> None:
     async def body() -> None:
         common = shared(root / "recordings")
         service = MapService(common)
@@ -255,7 +256,7 @@ def test_only_who_operates_starts_and_ends_maps_and_no_page_chooses_a_program(ro
             await ask(service, Page("operator"), "map-end")
         for do in ("map-run", "map-end"):
             with pytest.raises(ConfigError, match="another page operates"):
-                await ask(service, Page("somebody"), do)
+                await ask(service, Page("another"), do)
         assert common.jobs.running is None
 
     run(body)
@@ -265,6 +266,6 @@ def test_only_who_operates_starts_and_ends_maps_and_no_page_chooses_a_program(ro
     "field",
     [{"ratio": 0.5}, {"repeats": 0}, {"way": "x"}, {"domain": "x"}, {"schemes": ["x"] * 40}, {"odd": 1}],
 )
-def test_what_is_no_plan_is_refused_before_a_process_starts(field: dict[str, Any]) -> None:
+def test_an_impossible_plan_is_refused_before_a_process_starts(field: dict[str, Any]) -> None:
     with pytest.raises(RigError, match="map-run"):
         started(**field)

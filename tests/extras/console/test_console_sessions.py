@@ -1,4 +1,4 @@
-"""The sessions' view beyond what any desk does: whose keys count, what is told to whom, and what Live withholds."""
+"""The sessions' view beyond what any desk does: whose keys count, who sees what, and what Live withholds."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_a_desk_that_cannot_look_ends_its_session_and_says_so(
     reply = asked(page, asker, READY)
     assert page.service._seat is not None
     page.service._seat.look = lambda _: {}["a defect"]  # type: ignore[method-assign]
-    with pytest.raises(StoppedError):  # as one that nobody answers
+    with pytest.raises(StoppedError):  # as a question without an answer
         reply.result(PATIENCE_S)
     assert "a defect" in page.client.newest["trouble"]["message"]
 
@@ -163,16 +163,16 @@ def test_a_participant_answers_verdicts_and_items_and_nothing_else(
     assert reply.result(PATIENCE_S).value == "not <b>very</b>"
 
 
-def test_a_participant_is_told_no_wall_and_no_trouble_of_an_operator_who_may_know(page: AtPage) -> None:
+def test_a_participant_sees_no_wall_and_no_trouble_of_an_unblinded_operator(page: AtPage) -> None:
     seen = DeskView(
         state="trouble", say="", blinded=False, condition="dual", stiffness=25.5, last="invalid: secret"
     )
     page.desk.show(seen)
     page.sees("K = 25.5")
-    told = page.participant.newest["participant"]
-    assert told["cue"] == "Please wait"
-    assert told["saying"] == "You may let go of the handle."
-    assert not {"25.5", "dual", "secret"} & set(json.dumps(told).replace('"', " ").split())
+    message = page.participant.newest["participant"]
+    assert message["cue"] == "Please wait"
+    assert message["saying"] == "You may let go of the handle."
+    assert not {"25.5", "dual", "secret"} & set(json.dumps(message).replace('"', " ").split())
 
 
 def test_a_participant_reads_an_instruction_for_each_state_and_no_word_of_the_operators() -> None:
@@ -204,13 +204,11 @@ def test_pages_are_blind_until_a_view_says_otherwise(page: AtPage) -> None:
     assert not page.shared.blinded
     page.desk.show(DeskView(state="again", blinded=True))
     page.sees("again")
-    page.in_loop(page.told({"say": "ended"}))
+    page.in_loop(page.receive({"say": "ended"}))
     assert not page.shared.blinded
 
 
 class Page(FakeClient):
-    """What reaches a page of the live view."""
-
     def __init__(self) -> None:
         super().__init__("page")
         self.followed: Any = None
@@ -272,19 +270,19 @@ def test_a_real_rig_needs_a_word_at_the_terminal(
     assert page.jobs.started == {}
 
 
-def test_what_may_be_begun_and_resumed_is_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_protocols_and_sessions_to_resume_are_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     write_template("first-steps", tmp_path / "mine.toml")
     (tmp_path / "other.toml").write_text("[study]\n")
     (tmp_path / "broken.toml").write_text("[[[")
     assert [one["name"] for one in protocols()] == ["mine.toml", *template_names()]
     monkeypatch.setattr(session_desk, "DeviceRunner", lambda **_: FakeRunner())
-    told: list[Any] = []
+    sent: list[Any] = []
     talk = Talk(is_detached=False)
-    monkeypatch.setattr(talk, "tell", lambda say, **content: told.append((say, content)))
+    monkeypatch.setattr(talk, "tell", lambda say, **content: sent.append((say, content)))
     done = session_desk.session({**CONTENT, "person": PERSON}, talk)
     assert done["stands"] == "session of P01: complete"
-    assert [say for say, _ in told[:2]] == ["setup", "view"]
+    assert [say for say, _ in sent[:2]] == ["setup", "view"]
     assert resumable() == []
     monkeypatch.setattr(talk, "hear", lambda _: {"kind": "reply", "number": 1, "action": "abort"})
     left = session_desk.session({**CONTENT, "code": "P02"}, talk)
@@ -304,7 +302,7 @@ PERSON = {"thresholds": [], "spread": 15.0, "lapse_rate": 0.0, "people_sd": 0.0}
 
 
 def test_a_stop_does_not_end_a_job_that_asks_and_a_console_that_closes_does() -> None:
-    """The job is a process that answers what it hears, and ends with its input."""
+    """The job is a process that echoes its input, and ends with it."""
     program = "import sys; print('{\"say\": \"up\"}', flush=True); [print(x, end='', flush=True) for x in sys.stdin]"
 
     async def closed() -> tuple[list[str], int]:
@@ -314,17 +312,17 @@ def test_a_stop_does_not_end_a_job_that_asks_and_a_console_that_closes_does() ->
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
         )
-        job, heard = Job("session", {}, process, is_detached=False, asks=True), []
+        job, lines = Job("session", {}, process, is_detached=False, asks=True), []
         assert process.stdout is not None
-        heard.append((await process.stdout.readline()).decode())
+        lines.append((await process.stdout.readline()).decode())
         job.end()
-        heard.append((await process.stdout.readline()).decode())
+        lines.append((await process.stdout.readline()).decode())
         assert process.returncode is None
         await job.close()
-        return heard, await process.wait()
+        return lines, await process.wait()
 
-    heard, code = asyncio.run(closed())
-    assert (json.loads(heard[1]), code) == ({"kind": "stop"}, 0)
+    lines, code = asyncio.run(closed())
+    assert (json.loads(lines[1]), code) == ({"kind": "stop"}, 0)
 
 
 def test_a_dragged_hand_is_of_who_operates(page: AtPage) -> None:

@@ -22,15 +22,15 @@ def rows_of(count: int, first: int = 0) -> np.ndarray:
 
 
 def filled(pieces: list[int], raw_rows: int, buckets: int) -> tuple[History, np.ndarray]:
-    history, told = History(raw_rows, buckets), np.zeros(0, ROW)
+    history, added = History(raw_rows, buckets), np.zeros(0, ROW)
     for count in pieces:
-        rows = rows_of(count, len(told))
+        rows = rows_of(count, len(added))
         history.add(rows)
-        told = np.concatenate((told, rows))
-    return history, told
+        added = np.concatenate((added, rows))
+    return history, added
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     pieces=st.lists(st.integers(0, 700), min_size=1, max_size=8),
     first=st.integers(-50, 3000),
@@ -40,30 +40,30 @@ def filled(pieces: list[int], raw_rows: int, buckets: int) -> tuple[History, np.
 def test_a_cut_is_the_least_and_greatest_of_the_rows_that_it_names(
     pieces: list[int], first: int, length: int, step: int
 ) -> None:
-    history, told = filled(pieces, raw_rows=512, buckets=64)
+    history, added = filled(pieces, raw_rows=512, buckets=64)
     cut = history.cut(COLUMNS, first, first + length, step)
     assert cut.step >= step
-    assert history.rows == len(told)
+    assert history.rows == len(added)
     assert cut.low.shape == cut.high.shape == (len(COLUMNS), len(cut.times))
     for point, seconds in enumerate(cut.times):
         begin = cut.first + point * cut.step
-        meant = told[begin : begin + cut.step]
+        meant = added[begin : begin + cut.step]
         assert len(meant) == cut.step, "whole points only"
         assert first <= begin < first + length or cut.step != step
-        assert seconds == (meant["device_time"][0] - told["device_time"][0]) * 1e-9
+        assert seconds == (meant["device_time"][0] - added["device_time"][0]) * 1e-9
         for place, name in enumerate(COLUMNS):
             assert cut.low[place, point] == meant[name].min()
             assert cut.high[place, point] == meant[name].max()
 
 
-def test_what_is_no_longer_there_row_by_row_is_there_by_bucket() -> None:
-    history, told = filled([300] * 10, raw_rows=512, buckets=256)
+def test_old_rows_are_available_by_bucket() -> None:
+    history, added = filled([300] * 10, raw_rows=512, buckets=256)
     cut = history.cut(COLUMNS, 0, 3000, 1)
     assert cut.step == BUCKET
     assert (cut.first, len(cut.times)) == (0, 3000 // BUCKET)
     fresh = history.cut(COLUMNS, history.oldest_row, 3000, 1)
     assert (fresh.step, len(fresh.times)) == (1, 512)
-    assert (fresh.low[1] == told["tick"][-512:]).all()
+    assert (fresh.low[1] == added["tick"][-512:]).all()
 
 
 def test_memory_does_not_grow_and_a_new_loop_begins_anew() -> None:

@@ -1,4 +1,4 @@
-"""Jobs and who answers for them: STOP in every phase, an operator who goes, and processes that say what is no message.
+"""Jobs and their operator: STOP in every phase, an operator who leaves, and processes that print anything.
 
 A job here is a small program in place of `rig.extras.console.worker`.
 """
@@ -28,11 +28,11 @@ WAITS = "import time; time.sleep(60)"
 
 
 class Here:
-    """Jobs of this test's program, and what they said."""
+    """Jobs of this test's program, and their messages."""
 
     def __init__(self, program: str, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.told: list[dict[str, Any]] = []
-        self.jobs = Jobs(lambda job, message: self.told.append(dict(message)))
+        self.messages: list[dict[str, Any]] = []
+        self.jobs = Jobs(lambda job, message: self.messages.append(dict(message)))
         self.begun = asyncio.Event()
         start = asyncio.create_subprocess_exec
 
@@ -44,7 +44,7 @@ class Here:
 
     async def ended(self) -> None:
         async with asyncio.timeout(PATIENCE_S):
-            while {"say": "ended"} not in self.told:
+            while {"say": "ended"} not in self.messages:
                 await asyncio.sleep(0.01)
 
 
@@ -107,7 +107,7 @@ def test_of_two_jobs_at_once_one_is_refused(monkeypatch: pytest.MonkeyPatch) -> 
     play(WAITS, monkeypatch, body)
 
 
-def test_a_job_without_an_operator_ends_unless_it_goes_on(
+def test_a_job_without_an_operator_ends_unless_it_is_detached(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def body(here: Here) -> None:
@@ -116,9 +116,9 @@ def test_a_job_without_an_operator_ends_unless_it_goes_on(
             beats = asyncio.create_task(runs(shared, hand).every_beat())
             shared.lease.take("a-page-here")
             await here.jobs.start("play", {})
-            shared.lease.release("a-page-here")  # whoever then closes the page answers for nothing
+            shared.lease.release("a-page-here")  # the page may close then
             await here.ended()
-            here.told.clear()
+            here.messages.clear()
             going = await here.jobs.start("hit", {}, is_detached=True)
             await asyncio.sleep(0.3)
             assert here.jobs.running is going
@@ -129,7 +129,7 @@ def test_a_job_without_an_operator_ends_unless_it_goes_on(
     play(WAITS, monkeypatch, body)
 
 
-def test_a_console_that_cannot_watch_ends_what_it_moves_also_what_would_go_on(
+def test_a_console_that_cannot_watch_ends_its_jobs_also_detached_ones(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def body(here: Here) -> None:
@@ -144,8 +144,8 @@ def test_a_console_that_cannot_watch_ends_what_it_moves_also_what_would_go_on(
     play(WAITS, monkeypatch, body)
 
 
-def test_what_is_no_message_is_not_heard(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever a library prints, on either stream and however much of it, the job is followed to its end."""
+def test_output_that_is_no_message_is_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A library may print anything on either stream: the job is followed to its end."""
     noise = "print('42'); print('null'); print('[]'); print('{}'); print('{\"say\": 1}')"
     program = (
         f"import sys; {noise}; sys.stderr.write('x' * 1_000_000 + '\\nthe last word\\n');"
@@ -155,7 +155,7 @@ def test_what_is_no_message_is_not_heard(monkeypatch: pytest.MonkeyPatch) -> Non
     async def body(here: Here) -> None:
         await here.jobs.start("hit", {})
         await here.ended()
-        up, failed, ended = here.told
+        up, failed, ended = here.messages
         assert (up, ended) == ({"say": "up"}, {"say": "ended"})
         assert failed["remedy"] == "the last word"
 
@@ -165,15 +165,15 @@ def test_what_is_no_message_is_not_heard(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_a_job_that_cannot_be_followed_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     async def body(here: Here) -> None:
         def tell(job: Job, message: Mapping[str, Any]) -> None:
-            here.told.append(dict(message))
+            here.messages.append(dict(message))
             if message["say"] == "up":
                 raise KeyError("a defect")
 
         here.jobs = Jobs(tell)
         job = await here.jobs.start("hit", {}, is_detached=True)
         await here.ended()
-        assert [one["say"] for one in here.told] == ["up", "failed", "ended"]
-        assert "a defect" in here.told[1]["error"]
+        assert [one["say"] for one in here.messages] == ["up", "failed", "ended"]
+        assert "a defect" in here.messages[1]["error"]
         assert not Path(f"/proc/{job.pid}").exists()
 
     play('import time; print(\'{"say": "up"}\', flush=True); time.sleep(60)', monkeypatch, body)
@@ -185,18 +185,18 @@ IMPORTS = 'print(\'{"say": "progress"}\', flush=True)\nimport time\ntime.sleep(6
 def test_a_job_that_is_stopped_while_it_imports_was_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     """As one that answers an interrupt itself: no exit code, and no line of a traceback."""
 
-    told: list[dict[str, Any]] = []
+    failed: list[dict[str, Any]] = []
 
     async def body(here: Here) -> None:
         await here.jobs.start("hit", {})
         async with asyncio.timeout(PATIENCE_S):
-            while {"say": "progress"} not in here.told:
+            while {"say": "progress"} not in here.messages:
                 await asyncio.sleep(0.01)
         here.jobs.end()
         await here.ended()
-        told.extend(one for one in here.told if one["say"] == "failed")
+        failed.extend(one for one in here.messages if one["say"] == "failed")
 
     play(IMPORTS, monkeypatch, body)
-    assert [(one["kind"], one["error"]) for one in told] == [
+    assert [(one["kind"], one["error"]) for one in failed] == [
         ("StoppedError", "stopped before anything moved")
     ]

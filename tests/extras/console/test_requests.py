@@ -7,7 +7,7 @@ from contextlib import suppress
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.core.errors import ConfigError
@@ -42,19 +42,17 @@ def test_a_request_is_what_it_says() -> None:
     ("message", "named"),
     [
         ({}, "unknown request"),
-        ({"do": "shutdown"}, "unknown request"),
         ({"do": ["run"]}, "unknown request"),
         ({"do": "operate"}, "take"),
         ({"do": "operate", "take": "yes"}, "take"),
         ({"do": "operate", "take": True, "else": 1}, "else"),
-        ({"do": "run", "job": "format"}, "job"),
         ({"do": "run", "job": "hit", "changes": {"a": {"b": 1}}}, "changes"),
         ({"do": "run", "job": "hit", "rig": "x" * 5000}, "rig"),
         ({"do": "hand", "position": None}, "position"),
         ({"do": "hand", "position": 1.0, "number": -1}, "number"),
     ],
 )
-def test_what_is_wrong_is_named(message: Any, named: str) -> None:
+def test_a_wrong_field_is_named(message: Any, named: str) -> None:
     with pytest.raises(ConfigError, match=named):
         request_of(json.dumps(message), KINDS)
 
@@ -70,11 +68,12 @@ def test_a_wrong_field_is_named_with_its_value_and_what_is_allowed() -> None:
 @pytest.mark.parametrize(
     "text", ["NaN", '{"do":"hand","position":NaN}', '{"do":"hand","position":1e999}', "[" * 9999, b"\xff"]
 )
-def test_what_is_no_json_of_ours_is_refused(text: str | bytes) -> None:
+def test_text_that_is_no_json_is_refused(text: str | bytes) -> None:
     with pytest.raises(ConfigError):
         request_of(text, KINDS)
 
 
+@settings(max_examples=40)
 @given(st.dictionaries(FIELDS, VALUES, max_size=6) | VALUES, st.sampled_from([*KINDS, ""]))
 def test_any_message_is_a_request_or_an_error_of_ours(message: Any, do: str) -> None:
     if isinstance(message, dict) and do:

@@ -1,9 +1,10 @@
-"""A console and its pages, without a browser: who is let in, what they are told, who operates, and STOP."""
+"""A console and its pages, without a browser: access, messages, the operating page, and STOP."""
 
 from __future__ import annotations
 
 import asyncio
 import errno
+import itertools
 import os
 import socket
 import urllib.error
@@ -32,6 +33,7 @@ from rig.extras.console.live import Live
 from rig.realtime import control_words
 from tests.conformance.console import Served, served
 from tests.conformance.lsl_loop import INFO, HandTurnedLoop
+from tests.conformance.tiers import first_by_default
 from tests.extras.console.console_fakes import Here
 
 UPGRADE = (
@@ -95,26 +97,25 @@ def test_the_page_is_served_to_its_own_name_alone(tmp_path: Path) -> None:
     play(tmp_path, scenario, hosts=("tunnel:9000",))
 
 
-@pytest.mark.parametrize("path", SOCKETS)
-def test_a_socket_of_another_site_is_refused(path: str, tmp_path: Path) -> None:
+def test_a_socket_of_another_site_is_refused(tmp_path: Path) -> None:
     async def scenario(console: Served) -> None:
-        for origin in ("http://evil.example", f"https://{console.address}", "null"):
+        for path in SOCKETS:
+            for origin in ("http://evil.example", f"https://{console.address}", "null"):
+                with pytest.raises(InvalidStatus) as refused:
+                    await console.socket(path, origin=origin)
+                assert refused.value.response.status_code == 403
             with pytest.raises(InvalidStatus) as refused:
-                await console.socket(path, origin=origin)
-            assert refused.value.response.status_code == 403
-        with pytest.raises(InvalidStatus) as refused:
-            await console.socket(path, host="evil.example")
-        assert refused.value.response.status_code == 421
+                await console.socket(path, host="evil.example")
+            assert refused.value.response.status_code == 421
 
     play(tmp_path, scenario)
 
 
-@pytest.mark.parametrize(
-    "shown", [{"token": "wrong"}, {"token": ""}, {"client": ""}, {"client": "short"}, {"client": 65 * "a"}]
-)
-def test_without_the_token_a_socket_is_closed(shown: dict[str, str], tmp_path: Path) -> None:
+def test_without_the_token_a_socket_is_closed(tmp_path: Path) -> None:
+    wrong = ({"token": "wrong"}, {"token": ""}, {"client": ""}, {"client": "short"}, {"client": 65 * "a"})
+
     async def scenario(console: Served) -> None:
-        for path in SOCKETS:
+        for path, shown in itertools.product(SOCKETS, wrong):
             async with console.socket(path, **shown) as socket:
                 with pytest.raises(ConnectionClosed) as closed:
                     await socket.recv()
@@ -124,15 +125,15 @@ def test_without_the_token_a_socket_is_closed(shown: dict[str, str], tmp_path: P
     play(tmp_path, scenario)
 
 
-def test_a_running_loop_is_found_followed_and_told(tmp_path: Path) -> None:
+def test_a_running_loop_is_found_and_followed(tmp_path: Path) -> None:
     loop = HandTurnedLoop(4096, shared=True)
     loop.ring.put(control_words.PHASE, int(Phase.TRIAL))
 
     async def scenario(console: Served) -> None:
         async with console.page() as page:
             await page.ask("look", pid=os.getpid())
-            told = await page.until(lambda page: page.newest("loop"))
-            assert told["experiment"] == INFO["experiment"]
+            loop_message = await page.until(lambda page: page.newest("loop"))
+            assert loop_message["experiment"] == INFO["experiment"]
             for _ in range(20):
                 loop.leave(100, flags=int(RowFlag.INSIDE))
                 await asyncio.sleep(0.005)
@@ -197,10 +198,10 @@ def test_a_loop_that_cannot_be_read_costs_its_scope_and_no_server(
 
     async def scenario(console: Served) -> None:
         async with console.page() as page:
-            monkeypatch.setattr(Followed, "poll", broken)  # told to whoever is there
+            monkeypatch.setattr(Followed, "poll", broken)
             await page.ask("look", pid=os.getpid())
-            told = await page.until(lambda page: page.newest("trouble"))
-            assert "a defect" in told["message"]
+            trouble = await page.until(lambda page: page.newest("trouble"))
+            assert "a defect" in trouble["message"]
             await searched(2)
             assert polled == 1, "it is not looked at again"
             assert (await page.ask("operate", take=True))["result"] == {"operates": True}
@@ -215,7 +216,7 @@ def test_a_loop_that_cannot_be_read_costs_its_scope_and_no_server(
 @pytest.mark.parametrize(
     "where", ["rig.extras.console.live.Live._tell_state", "rig.extras.console.view.View.frames"]
 )
-def test_a_defect_in_what_is_shown_is_told_and_ends_no_server(
+def test_a_defect_in_the_view_is_reported_and_ends_no_server(
     where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(where, lambda *_: {}["a defect"])
@@ -224,15 +225,15 @@ def test_a_defect_in_what_is_shown_is_told_and_ends_no_server(
     async def scenario(console: Served) -> None:
         async with console.page() as page:
             await page.ask("look", pid=os.getpid())
-            told = await page.until(lambda page: page.newest("trouble"))
-            assert "a defect" in told["message"]
+            trouble = await page.until(lambda page: page.newest("trouble"))
+            assert "a defect" in trouble["message"]
             assert "result" in await page.ask("operate", take=True)
 
     with HandTurnedLoop(64, shared=True).ring:
         play(tmp_path, scenario)
 
 
-def test_a_console_that_cannot_watch_over_its_runs_ends_aloud(
+def test_a_console_that_cannot_watch_its_runs_ends_with_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def scenario(console: Served) -> None:
@@ -263,7 +264,7 @@ def test_stop_reaches_the_loop_by_either_socket(tmp_path: Path) -> None:
     play(tmp_path, scenario)
 
 
-def test_stop_reaches_loops_that_nobody_looks_at(tmp_path: Path) -> None:
+def test_stop_reaches_loops_that_no_page_shows(tmp_path: Path) -> None:
     async def scenario(console: Served) -> None:
         async with console.hold() as hold:
             with HandTurnedLoop(64, shared=True).ring as ring:
@@ -274,8 +275,10 @@ def test_stop_reaches_loops_that_nobody_looks_at(tmp_path: Path) -> None:
     play(tmp_path, scenario, own=True)
 
 
-@pytest.mark.parametrize("say", [b"", b"GET / HTTP/1.1\r\n", UPGRADE], ids=["nothing", "half", "no token"])
-def test_who_has_no_token_holds_no_place_and_keeps_no_page_out(
+@pytest.mark.parametrize(
+    "say", first_by_default([UPGRADE, b"", b"GET / HTTP/1.1\r\n"]), ids=["no token", "nothing", "half"]
+)
+def test_a_client_without_token_holds_no_place_and_keeps_no_page_out(
     say: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rig.extras.console.bounds.DOOR_S", 60.0)
@@ -322,7 +325,7 @@ FRAMES = {
     ],
     ids=[*FRAMES, "an endless line", "an endless head", "a long head", "two ends", "empty lines"],
 )
-@pytest.mark.parametrize("piece", [1 << 20, 700], ids=["at once", "in pieces"])
+@pytest.mark.parametrize("piece", first_by_default([1 << 20, 700]), ids=["at once", "in pieces"])
 def test_before_the_token_the_server_parses_one_bounded_head_and_no_frame(
     say: bytes, piece: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -344,10 +347,10 @@ def test_before_the_token_the_server_parses_one_bounded_head_and_no_frame(
 
     async def scenario(console: Served) -> None:
         reader, writer = await knock(console, b"")
-        said = say.replace(b"ADDRESS", console.address.encode())
+        data_sent = say.replace(b"ADDRESS", console.address.encode())
         with suppress(ConnectionError):
-            for first in range(0, len(said), piece):
-                writer.write(said[first : first + piece])
+            for first in range(0, len(data_sent), piece):
+                writer.write(data_sent[first : first + piece])
                 await writer.drain()
                 await asyncio.sleep(0)
         await left(reader)
@@ -371,8 +374,8 @@ def test_a_header_that_is_sent_twice_is_as_a_missing_one(
 ) -> None:
     async def scenario(console: Served) -> None:
         head = UPGRADE.partition(b"\r\n")[2].replace(twice + b"\r\n", b"")
-        said = f"GET {path} HTTP/1.1\r\n".encode() + 2 * (twice + b"\r\n") + head
-        reader, writer = await knock(console, said.replace(b"TOKEN", console.token.encode()))
+        text = f"GET {path} HTTP/1.1\r\n".encode() + 2 * (twice + b"\r\n") + head
+        reader, writer = await knock(console, text.replace(b"TOKEN", console.token.encode()))
         assert (await reader.readline()).split()[1] == str(status).encode()
         writer.close()
 
@@ -432,7 +435,7 @@ def test_a_flood_of_beats_is_cut_off_and_stops_all_the_same(
     play(tmp_path, scenario)
 
 
-def test_a_participants_screen_is_told_what_it_shows_and_nothing_else(tmp_path: Path) -> None:
+def test_a_participants_screen_receives_what_it_shows_and_nothing_else(tmp_path: Path) -> None:
     """At the wire, while a loop runs whose wall every page may see."""
     loop = HandTurnedLoop(4096, shared=True)
 
@@ -465,7 +468,7 @@ def test_a_participants_screen_is_told_what_it_shows_and_nothing_else(tmp_path: 
         play(tmp_path, scenario)
 
 
-def test_a_handle_is_dragged_by_nobody_while_something_else_moves_the_hand(tmp_path: Path) -> None:
+def test_a_page_cannot_drag_a_handle_that_something_else_moves(tmp_path: Path) -> None:
     """A session's hand is in the same file."""
 
     async def scenario(console: Served) -> None:
@@ -501,7 +504,7 @@ def test_a_real_rig_is_armed_from_no_page_alone(tmp_path: Path) -> None:
     play(tmp_path, scenario)
 
 
-def test_what_is_no_request_is_answered_and_too_much_is_cut_off(
+def test_a_malformed_request_is_answered_and_a_flood_is_cut_off(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rig.extras.console.server.CLOSE_S", 0.05)
@@ -537,15 +540,18 @@ def test_a_defect_costs_an_answer_and_no_socket(tmp_path: Path, monkeypatch: pyt
 
     async def scenario(console: Served) -> None:
         async with console.page() as page:
-            for do, content, told in (("operate", {"take": True}, "ZeroDivision"), ("maps", {}, "a defect")):
+            for do, content, reason in (
+                ("operate", {"take": True}, "ZeroDivision"),
+                ("maps", {}, "a defect"),
+            ):
                 answer = await page.ask(do, **content)  # at once, and later
-                assert told in answer["error"]["error"]
+                assert reason in answer["error"]["error"]
                 assert "report it" in answer["error"]["remedy"]
 
     play(tmp_path, scenario)
 
 
-def test_a_page_that_reads_nothing_delays_nobody(tmp_path: Path) -> None:
+def test_a_page_that_reads_nothing_delays_no_other(tmp_path: Path) -> None:
     loop = HandTurnedLoop(1 << 12, shared=True)
 
     async def scenario(console: Served) -> None:
@@ -586,7 +592,7 @@ def test_a_page_that_reads_nothing_takes_no_more_memory(
     play(tmp_path, scenario)
 
 
-def test_what_theory_says_of_a_wall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_receives_the_theory_of_a_wall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Errands, "run", Here.run)
 
     async def scenario(console: Served) -> None:
@@ -609,19 +615,19 @@ def test_settings_of_an_estimator_are_those_of_the_registry_and_checked_as_overr
 
     async def scenario(console: Served) -> None:
         async with console.page() as page:
-            told = {one["name"]: one for one in (page.newest("hello") or {})["estimators"]}
-            assert list(told) == estimators.names()
-            cutoff, order = told["fdm-butterworth"]["settings"]
+            listed = {one["name"]: one for one in (page.newest("hello") or {})["estimators"]}
+            assert list(listed) == estimators.names()
+            cutoff, order = listed["fdm-butterworth"]["settings"]
             known = estimators.get("fdm-butterworth").settings
             assert [{**asdict(one)} for one in known] == [
                 {name: value for name, value in one.items() if name != "whole"} for one in (cutoff, order)
             ]
             assert (cutoff["whole"], order["whole"]) == (False, True)
-            assert told["kalman"]["settings"][0]["choices"] == ["triple", "double"]
+            assert listed["kalman"]["settings"][0]["choices"] == ["triple", "double"]
             changes = {"controller.estimator": "fdm-butterworth", "controller.parameters.cutoff_hz": 90}
             made = (await page.ask("experiment", changes=changes))["result"]
             assert made["controller"]["parameters"] == {"cutoff_hz": 90}
-            for key, value, told_of in (
+            for key, value, reason in (
                 ("cutoff_hz", 1e9, "out of range"),
                 ("cutoff_hz", "many", "not a number"),
                 ("noise", 1.0, "unknown parameter 'noise'"),
@@ -630,7 +636,7 @@ def test_settings_of_an_estimator_are_those_of_the_registry_and_checked_as_overr
                 for do in ("experiment", "regions"):
                     more = {"damping": 0.1} if do == "regions" else {}
                     answer = await page.ask(do, changes=wrong, **more)
-                    assert told_of in answer["error"]["error"], answer
+                    assert reason in answer["error"]["error"], answer
 
     play(tmp_path, scenario)
 
@@ -665,7 +671,7 @@ def test_a_port_that_is_taken_is_an_error_that_names_it(tmp_path: Path) -> None:
 def test_a_console_of_a_test_neither_looks_at_a_loop_of_another_process_nor_stops_it(
     tmp_path: Path, searched: Searched, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its STOP ended runs of whoever else worked on the machine."""
+    """Its STOP ended runs of other processes on the machine."""
 
     async def scenario(console: Served) -> None:
         async with console.page() as page:

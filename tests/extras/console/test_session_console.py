@@ -1,7 +1,7 @@
 """A session with a console, as an operator has it: in a terminal, on a simulated rig, in real and in virtual time.
 
-A machine without time for a loop ends hits in real time early; the session asks then, and goes on. Where every hit ends
-so, there is nothing to see, and the test says so.
+A machine without time for a loop ends hits in real time early: the session asks then, and continues. Where every hit
+ends so, the test fails with this reason.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from rig.session.terminal._held import RELEASED_S
 from rig.session.terminal._live import snapshot_of
 from rig.session.terminal.desk import ConsoleDesk, at_console
 from tests.conformance.terminal import PATIENCE_S, Program, Terminal
+from tests.rig.session.session_desks import is_alive
 
 ROOT = Path(__file__).parents[3]
 RATE = 250  # Hz: a loop that a loaded machine has time for
@@ -115,7 +116,7 @@ READ_S = 0.5  # within which the console has read a key
 
 
 class Operator:
-    """Somebody at the terminal of a session in virtual time, which runs in this process, beside the test."""
+    """The operator of a session in virtual time, which runs in a thread of this process."""
 
     def __init__(
         self, terminal: Terminal, directory: Path, session: Callable[[DeskFor], SessionResult]
@@ -172,7 +173,7 @@ class Operator:
 
 
 class OperatorOfProgram(Operator):
-    """Somebody at the terminal of ``rig session run``."""
+    """The operator of ``rig session run``, a process."""
 
     rested = 0  # hits after which the device had no current
 
@@ -182,15 +183,15 @@ class OperatorOfProgram(Operator):
 
     @property
     def over(self) -> bool:
-        return not alive(self.pid)
+        return not is_alive(self.pid)
 
     def result(self) -> Any:
         """Exit code and standard error of the program; the device was at rest after each hit."""
         code, err = self._program.wait()
         lines = err.splitlines()
-        said = [line for line in lines if line != AT_REST]
-        self.rested += len(lines) - len(said)
-        return code, "\n".join(said)
+        messages = [line for line in lines if line != AT_REST]
+        self.rested += len(lines) - len(messages)
+        return code, "\n".join(messages)
 
     def close(self) -> None:
         self._program.end()
@@ -212,9 +213,7 @@ def start(terminal: Terminal, tmp_path: Path) -> Iterator[Start]:
             words = (str(path), "P01", "--study", str(study))
             started.append(OperatorOfProgram(terminal, tmp_path, words))
             return started[-1]
-        runner = DeviceRunner(
-            url="sim://?firmware=0"
-        )  # whose hits last long enough for somebody to act in them
+        runner = DeviceRunner(url="sim://?firmware=0")  # its hits last long enough to act in them
         session = partial(run_session, path, "P01", study=study, runner=runner)
         started.append(Operator(terminal, tmp_path, session))
         return started[-1]
@@ -236,13 +235,6 @@ def currents(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
     monkeypatch.setattr(running_trial, "_conclude", witness)
     return found
-
-
-def alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 def child_of(pid: int) -> int:

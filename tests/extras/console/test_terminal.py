@@ -50,9 +50,9 @@ def at_a_terminal(monkeypatch: pytest.MonkeyPatch, body: Callable[[Terminal, int
 
 
 async def agrees(terminal: Terminal, *lines: str) -> bool:
-    told = await asyncio.gather(terminal.insist(REAL, lines), return_exceptions=True)
-    assert told == [None] or "arm was not typed at the console's terminal" in str(told[0])
-    return told == [None]
+    results = await asyncio.gather(terminal.insist(REAL, lines), return_exceptions=True)
+    assert results == [None] or "arm was not typed at the console's terminal" in str(results[0])
+    return results == [None]
 
 
 async def asks(terminal: Terminal, *lines: str) -> asyncio.Task[bool]:
@@ -72,7 +72,7 @@ def test_the_word_lets_it_be_armed_and_nothing_else_does(monkeypatch: pytest.Mon
     at_a_terminal(monkeypatch, body)
 
 
-def test_what_was_typed_before_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_word_typed_before_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     async def body(terminal: Terminal, person: int) -> None:
         os.write(person, b"arm\narm\n")
         await asyncio.sleep(0.05)
@@ -140,7 +140,7 @@ def test_a_word_arms_nothing_for_a_page_that_stopped_or_went(
 def test_terminal_and_page_show_what_is_agreed_to_and_nothing_else_is_armed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The rig, its changes, how long, whether it goes on without a page, and one digest in both places."""
+    """The rig, its changes, how long, if it continues without a page, and one digest in both places."""
 
     async def body(terminal: Terminal, person: int) -> None:
         page, started = Page(), list[dict[str, Any]]()
@@ -158,14 +158,14 @@ def test_terminal_and_page_show_what_is_agreed_to_and_nothing_else_is_armed(
             running = asyncio.create_task(ask(runs, page, "run", **wanted))
             while terminal._asked is None:
                 await asyncio.sleep(0.001)
-            (told,) = page.told
+            (consent_message,) = page.messages
             os.write(person, b"arm\n")
             await running
-        assert page.told[-1] == {"say": "consent", "lines": None}
+        assert page.messages[-1] == {"say": "consent", "lines": None}
         shown = capsys.readouterr().out
-        for line in told["lines"]:
+        for line in consent_message["lines"]:
             assert line in shown
-        text = "\n".join(told["lines"])
+        text = "\n".join(consent_message["lines"])
         for part in (REAL, "koul-compliant", "wall.stiffness = 55", " s at most", "continues to its end"):
             assert part in text
         (content,) = started
@@ -195,7 +195,7 @@ def test_a_resumed_session_has_the_digest_that_it_began_with(
         session_desk.session({**CONTENT, "digest": agreed}, talk)
 
 
-def test_what_a_session_does_although_something_speaks_against_it_is_agreed_to() -> None:
+def test_the_operator_agrees_to_each_exception_of_a_session() -> None:
     begun = BeginSession(do="session", protocol="a.toml", code="P01", arm_anyway=True, lossy_anyway=True)
     lines = consent.describe_session(begun, REAL, "1234 5678")
     assert lines[0] == f"{REAL} for the session of P01 with a.toml"
@@ -213,6 +213,6 @@ def test_a_console_ends_though_it_waits_for_a_word(tmp_path: Path, monkeypatch: 
             await page.say("run", job="hit", url=REAL)
             while terminal._asked is None:
                 await asyncio.sleep(0.01)
-            assert "result" in await page.ask("operate", take=True), "it is heard meanwhile"
+            assert "result" in await page.ask("operate", take=True), "requests are served meanwhile"
 
     at_a_terminal(monkeypatch, body)

@@ -1,4 +1,4 @@
-"""A session's desk with somebody at it: a terminal, or a page of the console; what stands there, and what is pressed.
+"""A session's desk with an operator: at a terminal, or at a page of the console; its texts, and the keys.
 
 The page's desk, seat and service are the real ones; between them, in place of processes and sockets, are queues.
 """
@@ -13,13 +13,14 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Coroutine
+from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
 from tempfile import TemporaryDirectory
 from typing import Any, cast
 
-from rig.core.errors import RigError
+from rig.core.errors import RigError, StoppedError
 from rig.core.present import plain
 from rig.extras.console.client import Client
 from rig.extras.console.jobs import Job, Jobs
@@ -31,6 +32,7 @@ from rig.extras.console.sessions import JOB, Sessions
 from rig.extras.console.talk import Talk
 from rig.extras.console.terminal import Terminal as Consents
 from rig.realtime.hand import SharedHand
+from rig.session.engine._desk import Desk, Reply
 from rig.session.planning._protocol import Keys
 from rig.session.terminal._asking import AskingDesk
 from rig.session.terminal._pointer import HandKind
@@ -49,8 +51,33 @@ def until(condition: Callable[[], bool], what: str) -> None:
         threading.Event().wait(0.005)
 
 
+def answered(reply: Future[Reply]) -> tuple[str, str]:
+    found = reply.result(PATIENCE_S)
+    return found.action, found.value
+
+
+def watched(desk: Desk) -> StoppedError:
+    """Return the error by which this desk ends a hit."""
+    watch, deadline = desk.watch(), time.monotonic() + PATIENCE_S
+    assert watch is not None
+    try:
+        while time.monotonic() < deadline:
+            watch(0, 3)
+            threading.Event().wait(0.005)  # the supervision of a loop calls it as often
+    except StoppedError as error:
+        return error
+    raise AssertionError("nothing ended the hit")
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
 class Place(ABC):
-    """A desk, and somebody who sits there."""
+    """A desk and its operator."""
 
     desk: AskingDesk
 
@@ -74,7 +101,7 @@ class Place(ABC):
     @property
     @abstractmethod
     def rings(self) -> int:
-        """How often somebody was rung for."""
+        """Number of rings."""
 
     @abstractmethod
     def press(self, key: str) -> None:
@@ -86,11 +113,11 @@ class Place(ABC):
 
     @abstractmethod
     def hang(self) -> None:
-        """From now on nothing is heard of it."""
+        """Send nothing from now on."""
 
     @abstractmethod
     def leave(self) -> None:
-        """There is nobody any more."""
+        """Remove the operator and their terminal."""
 
     def close(self) -> None:
         self.desk.close()
@@ -147,11 +174,11 @@ class Line(Talk):
     def __init__(self, page: AtPage) -> None:
         super().__init__(is_detached=False)
         self._page = page
-        self.heard: SimpleQueue[Any] = self._answers
+        self.replies: SimpleQueue[Any] = self._answers
 
     def tell(self, say: str, /, **content: Any) -> None:
         message = json.loads(json.dumps({"say": say, **plain(content)}))
-        self._page.in_loop(self._page.told(message))
+        self._page.in_loop(self._page.receive(message))
 
     @property
     def silent_s(self) -> float:
@@ -170,11 +197,11 @@ class FakeJob:
         self._page.leave()
 
     def answer(self, value: Any) -> None:
-        self._page.line_.heard.put(json.loads(json.dumps(value)))
+        self._page.line_.replies.put(json.loads(json.dumps(value)))
 
 
 class FakeClient:
-    """A page: what it was told last, and everything."""
+    """A page: its newest messages, and the text of all."""
 
     def __init__(self, name: str, *, participant: bool = False) -> None:
         self.name, self.participant = name, participant
@@ -201,7 +228,7 @@ class AtPage(Place):
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever)
         self._thread.start()
-        self.hung_s = 0.0  # since when nothing is heard
+        self.hung_s = 0.0  # since when it is silent
         self.client = FakeClient("operator")
         self.participant = FakeClient("participant", participant=True)
         self._place = TemporaryDirectory()
@@ -225,7 +252,7 @@ class AtPage(Place):
     def in_loop(self, work: Coroutine[Any, Any, Any]) -> Any:
         return asyncio.run_coroutine_threadsafe(work, self._loop).result(PATIENCE_S)
 
-    async def told(self, message: Any) -> bool:
+    async def receive(self, message: Any) -> bool:
         return self.service.job_says(cast("Job", self.job), message)
 
     def ask(self, do: str, client: FakeClient | None = None, **content: Any) -> Any:
@@ -250,21 +277,21 @@ class AtPage(Place):
 
     @property
     def screen(self) -> str:
-        told = self.session
-        if "asked" not in told:
+        view = self.session
+        if "asked" not in view:
             return ""
-        parts = [told["place"], told["state"], told["saying"], told["question"]]
-        parts.append("  ".join(f"[{key}] {text}" for key, text in told["offered"]))
+        parts = [view["place"], view["state"], view["saying"], view["question"]]
+        parts.append("  ".join(f"[{key}] {text}" for key, text in view["offered"]))
         parts += [
-            "" if told["entry"] is None else f"{told['entry']}, then enter:",
-            told["notice"],
-            told["hand"],
-            told["last"],
+            "" if view["entry"] is None else f"{view['entry']}, then enter:",
+            view["notice"],
+            view["hand"],
+            view["last"],
         ]
-        parts += [f"{name} {text}" for name, text in told["facts"]]
-        parts += [f"{name} {text}" for name, _, text in told["gauges"]]
-        parts += [f"{key} {meaning}" for key, meaning in told["keys"]] if told["help"] else []
-        return "\n".join([*parts, *told["lines"]])
+        parts += [f"{name} {text}" for name, text in view["facts"]]
+        parts += [f"{name} {text}" for name, _, text in view["gauges"]]
+        parts += [f"{key} {meaning}" for key, meaning in view["keys"]] if view["help"] else []
+        return "\n".join([*parts, *view["lines"]])
 
     @property
     def all_shown(self) -> str:
@@ -285,7 +312,7 @@ class AtPage(Place):
         self.hung_s = time.monotonic()
 
     def leave(self) -> None:
-        self.line_.heard.put(None)
+        self.line_.replies.put(None)
 
     def close(self) -> None:
         super().close()

@@ -38,6 +38,12 @@ def study(**keys: Any) -> dict[str, Any]:
     return {"title": "fakes", "preset": "koul-rigid", "seed": 5, "changes": changes, **keys}
 
 
+SHORT_SEARCH: Mapping[str, Any] = {  # one trial
+    "rule": "staircase", "lowest": 100.0, "highest": 600.0, "step": 100.0,
+    "settings": {"turns": 2, "most": 1, "steps": [2, 1]},
+}  # fmt: skip
+
+
 def protocol_of(**sections: Any) -> Protocol:
     """A short protocol about koul-rigid; sections replace those here."""
     table: dict[str, Any] = {
@@ -183,9 +189,9 @@ class ScriptedDesk(Desk):
 
     def ask(self, question: Question) -> Reply:
         self.questions.append(question)
-        said = self.answer(question)
-        if said is not None:
-            return said
+        reply = self.answer(question)
+        if reply is not None:
+            return reply
         if question.kind == "verdict":
             return Reply(action="judge", value="stable", took_s=1.0)
         if question.kind == "item":

@@ -18,7 +18,7 @@ ROWS = {(row["rule"], row["lapse_rate"], row["spread"]): row for row in TABLE["r
 GRADUAL = {(row["rule"], row["lapse_rate"], row["spread"]): row for row in TABLE["gradual"]}
 SERIES = ("ascending × 5", "ascending × 1")
 OTHERS = [name for name in observers.RULES if name not in SERIES]
-AGAIN = 60  # sessions
+AGAIN = 40  # sessions
 
 
 @cache
@@ -32,12 +32,6 @@ def test_the_table_holds_every_case() -> None:
 
 def test_the_guide_shows_the_committed_table() -> None:
     assert observers.main(["--check"]) == 0, f"run {observers.REGENERATE} --guide"
-
-
-def test_the_guide_has_every_generated_section_once() -> None:
-    text = observers.GUIDE.read_text(encoding="utf-8")
-    for section in observers.SECTIONS:
-        assert text.count(f"<!-- generated: {section} -->") == 1
 
 
 @pytest.mark.parametrize("rule", first_by_default(observers.RULES, 3))
@@ -57,7 +51,7 @@ def test_one_slip_in_fifty_makes_the_ascending_rule_read_low_and_no_other() -> N
     for name in OTHERS:
         found = again((name, 0.02, 15.0))
         assert abs(found["bias"]) < 5.0, name
-        assert found["covered"] >= 0.9, name  # of 60; the table's are checked below
+        assert found["covered"] >= 0.9, name  # the table's are checked below
     assert again(("psi", 0.02, 15.0))["hits"] < ascended["hits"] / 2
 
 
@@ -96,7 +90,7 @@ def test_a_limit_beyond_the_levels_is_marked_where_it_is_and_nowhere_else() -> N
     assert now["marked"] == marked["psi", 0.05, 15.0] == 1.0
 
 
-def test_more_sessions_do_not_mend_the_ascending_rule() -> None:
+def test_more_sessions_do_not_repair_the_ascending_rule() -> None:
     row = ROWS["ascending × 5", 0.02, 15.0]
     assert row["bias"] < -5.0 * row["scatter"] / math.sqrt(12)
     for name in OTHERS:
@@ -113,7 +107,7 @@ def test_more_slips_lower_the_ascending_rule_alone(spread: Any) -> None:
     assert all(abs(loss[name]) < 8.5 for name in OTHERS)
 
 
-def test_a_study_is_made_of_its_seed_and_tells_observers_apart() -> None:
+def test_a_study_follows_from_its_seed_and_separates_observers() -> None:
     make = {"psi": partial(search.make, "psi", levels=observers.LEVELS, hits=8)}
     people = [Observer(threshold=threshold, spread=15.0) for threshold in (300.0, 600.0)]
     found = study(make, people, sessions=4, seed=5, off_lattice=12.5)

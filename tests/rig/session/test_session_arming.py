@@ -1,4 +1,4 @@
-"""What the arming gate refuses of a study: said before anybody touches the handle, consented to once."""
+"""Walls of a study that the arming gate refuses: named before a person touches the handle, consented to once."""
 
 from __future__ import annotations
 
@@ -94,14 +94,14 @@ def test_a_study_whose_walls_are_refused_does_not_begin(tmp_path: Path) -> None:
     assert not (tmp_path / "study").exists()
 
 
-def test_a_blinded_operator_hears_how_many_walls_are_refused_and_nothing_of_them(tmp_path: Path) -> None:
+def test_a_blinded_operator_sees_how_many_walls_are_refused_and_none_of_them(tmp_path: Path) -> None:
     with pytest.raises(PlanError) as refused:
         run_session(
             written(tmp_path), "P01", at(ScriptedDesk()), runner=RealRunner(), study=tmp_path / "study"
         )
-    said = str(refused.value)
-    assert "8 walls of 2 searches" in said
-    assert not any(word in said for word in ("hidden", "0.211", "60", "120"))
+    text = str(refused.value)
+    assert "8 walls of 2 searches" in text
+    assert not any(word in text for word in ("hidden", "0.211", "60", "120"))
 
 
 def test_with_consent_given_once_a_session_goes_through_all_walls(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Bands of impact speed and press: what lies outside, what becomes of it, who hears why, and the simulated hand."""
+"""Bands of impact speed and press: what lies outside, its consequences and reasons, and the simulated hand."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def hit(automatic: str = "stable", **numbers: float | None) -> HitOutcome:
         (hit("invalid", impact_velocity=0.5), ()),  # it says nothing anyhow
     ],
 )
-def test_what_lies_outside_is_invalid_or_kept_as_the_protocol_says(
+def test_a_hit_outside_is_invalid_or_kept_as_in_the_protocol(
     one: HitOutcome, outside: tuple[str, ...]
 ) -> None:
     found = judge_bands(one, BOTH, "rotary")
@@ -161,7 +161,7 @@ def test_a_hit_outside_is_repeated_and_a_blinded_operator_reads_no_effort(tmp_pa
 
 
 def test_a_hit_that_is_kept_is_judged_and_marked_after_its_verdict_alone(tmp_path: Path) -> None:
-    """That a press was judged tells that the wall was not unstable."""
+    """A judged press would reveal that the wall was not unstable."""
     desk, result, events = session_with(tmp_path, outside="keep")
     assert (result.invalid, result.outside, result.trials) == (0, 1, 3)
     asked = [view for view in desk.views if view.state == "verdict?"]
@@ -207,14 +207,14 @@ def test_a_simulated_hand_aims_at_the_middle_whichever_wall_comes_first(walls: W
 
 def test_a_rehearsal_keeps_within_the_bands(walls: Walls, tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text(STUDY)
-    nobody = Person(thresholds={})
+    person = Person(thresholds={})
     result = run_session(
         tmp_path / "study.toml",
         "P01",
-        rehearsal_desk(nobody),
+        rehearsal_desk(person),
         runner=DeviceRunner(),
         study=tmp_path,
-        person=nobody,
+        person=person,
     )
     trials = [event.content for event in read(tmp_path / "P01" / "session.log") if event.kind == "trial"]
     assert len(trials) == 3
@@ -229,7 +229,9 @@ def test_the_plan_warns_of_a_band_that_the_simulated_hand_does_not_keep(walls: W
     assert found["trial.press"].outcome is Outcome.OK
     assert found["trial.impact_speed"].outcome is Outcome.OK
     changes = {**walls.protocol.study.changes, "operator.press": 1.0, "operator.reach_s": 0.1}
-    own = replace(walls.protocol, study=replace(walls.protocol.study, changes=changes))  # said: it stays
+    own = replace(
+        walls.protocol, study=replace(walls.protocol.study, changes=changes)
+    )  # given by the study: it stays
     found = {one.name: one for one in check(own, Path()).checks}
     assert found["trial.press"].outcome is Outcome.WARNING
     assert "required 0.17 to 0.23 N·m" in found["trial.press"].text
@@ -237,6 +239,6 @@ def test_the_plan_warns_of_a_band_that_the_simulated_hand_does_not_keep(walls: W
     assert "operator.reach_s" in found["trial.impact_speed"].remedy
 
 
-def test_who_reads_a_protocol_or_analyses_a_study_does_not_pay_for_the_simulated_hand() -> None:
+def test_reading_a_protocol_or_analysing_a_study_does_not_import_the_simulated_hand() -> None:
     script = "import sys, rig.session.planning._load, rig.extras.study; print({'numba', 'scipy'} & set(sys.modules))"
     assert subprocess.check_output([sys.executable, "-c", script], text=True) == "set()\n"

@@ -1,4 +1,4 @@
-"""A session in which something breaks: the hit is in the log, no trial is lost, and nobody is unblinded."""
+"""A session in which something breaks: the hit is in the log, no trial is lost, and the operator stays blinded."""
 
 from __future__ import annotations
 
@@ -11,9 +11,6 @@ import pytest
 
 from rig import config
 from rig.core.errors import ConfigError, LawError, LinkLostError, PlanError, RigError, StoppedError
-from rig.experiments.trials._trial import TrialEnd
-from rig.loop.layout import EndReason
-from rig.session.engine import _hits as hits
 from rig.session.engine._clock import WallClock
 from rig.session.engine._conduct import conduct
 from rig.session.engine._desk import Desk, DeskView, Question, Reply
@@ -66,7 +63,7 @@ class Breaks(Desk):
         self.error = error
 
     def show(self, view: DeskView) -> None:
-        """Nobody looks."""
+        pass
 
     def ask(self, question: Question) -> Reply:
         return Reply(action="go")
@@ -101,36 +98,13 @@ def test_a_desk_that_breaks_in_a_hit_loses_no_trial(tmp_path: Path) -> None:
         started(tmp_path / "P01", quick()) as session,
         pytest.raises(RigError, match="trial 1 ended by an error"),
     ):
-        # The device in Python: the compiled one has hit the wall before anybody looks.
+        # The device in Python: the compiled one hits the wall before the desk is called.
         conduct(session, DeviceRunner(url="sim://?firmware=0"), Breaks(error))
     (trial,) = (event.content for event in events_of(tmp_path / "P01") if event.kind == "trial")
     assert (tmp_path / "P01" / trial["recording"]).is_file()
     assert (trial["ended"], trial["automatic"]) == ("stopped", "invalid")
     assert 0.0 < trial["heat"] < 1.0
     assert "a bug of the console" in events_of(tmp_path / "P01")[-1].content["detail"]
-
-
-def test_a_law_that_ends_a_hit_is_survived_with_its_recording(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ran = hits.hit
-
-    def broken(request: Any, admit: Any, watch: Any) -> Any:
-        (result,) = ran(request, admit, watch)
-        error = LawError("the law returned a value that is not finite")
-        left = result.recorded
-        error.recording = left.path
-        vars(error)["end"] = TrialEnd(
-            left.experiment, left.path, EndReason.NONFINITE, {}, (), left.recording, left.judgement
-        )
-        raise error
-
-    monkeypatch.setattr(hits, "hit", broken)
-    runner = DeviceRunner()
-    with started(tmp_path / "P01", quick()) as session:
-        with pytest.raises(RigError, match="trial 1 ended"):
-            conduct(session, runner, ScriptedDesk())
-        assert [trial.trial for trial in session.state.trials] == [1]
 
 
 class Attends(ScriptedDesk):
@@ -147,19 +121,19 @@ class Attends(ScriptedDesk):
 
 
 class Slow(WallClock):
-    """A clock that remembers what it was told."""
+    """A clock that stores its calls."""
 
     def __init__(self) -> None:
-        self.told: list[float] = []
+        self.calls: list[float] = []
 
     def took(self, seconds: float) -> None:
-        self.told.append(seconds)
+        self.calls.append(seconds)
 
     def resume_at(self, at: float) -> None:
-        self.told.append(at)
+        self.calls.append(at)
 
 
-def test_whoever_sits_there_follows_the_session_and_its_clock_hears_how_long_hits_take(
+def test_a_desk_follows_the_session_and_its_clock_receives_the_duration_of_hits(
     tmp_path: Path,
 ) -> None:
     desk = Attends()
@@ -167,17 +141,17 @@ def test_whoever_sits_there_follows_the_session_and_its_clock_hears_how_long_hit
         session.clock = clock = Slow()
         conduct(session, FakeRunner(), desk)
         assert desk.session is session
-    assert clock.told == [1.5, 1.5]
+    assert clock.calls == [1.5, 1.5]
 
 
-def test_a_clock_goes_on_where_the_log_ends(tmp_path: Path) -> None:
+def test_a_clock_continues_where_the_log_ends(tmp_path: Path) -> None:
     leaves = ScriptedDesk(lambda question: Reply(action="abort") if question.kind == "verdict" else None)
     with started(tmp_path / "P01") as session:
         conduct(session, FakeRunner(), leaves)
     last = events_of(tmp_path / "P01")[-1].at
     clock = Slow()
     with resume(tmp_path / "P01", clock=clock):
-        assert clock.told == [last]
+        assert clock.calls == [last]
 
 
 # ------------------------------------------------------------------------------------------------------- blinding
@@ -201,15 +175,15 @@ def refusing(error: Exception) -> FakeRunner:
         ValueError("412"),
     ],
 )
-def test_no_error_tells_a_blinded_operator_a_wall(tmp_path: Path, error: Exception) -> None:
-    with started(tmp_path / "P01") as session, pytest.raises(RigError) as told:
+def test_no_error_reveals_a_wall_to_a_blinded_operator(tmp_path: Path, error: Exception) -> None:
+    with started(tmp_path / "P01") as session, pytest.raises(RigError) as raised:
         conduct(session, refusing(error), ScriptedDesk())
     event = events_of(tmp_path / "P01")[-1]
     assert event.kind == "stopped"
-    assert "412" not in str(told.value) + line_of_event(event)
+    assert "412" not in str(raised.value) + line_of_event(event)
     assert "412" in event.content["detail"]
-    assert told.value.exit_code == getattr(error, "exit_code", RigError.exit_code)
-    assert told.value.__suppress_context__
+    assert raised.value.exit_code == getattr(error, "exit_code", RigError.exit_code)
+    assert raised.value.__suppress_context__
 
 
 def test_a_wall_that_an_experiment_refuses_stays_hidden(
@@ -225,27 +199,27 @@ def test_a_wall_that_an_experiment_refuses_stays_hidden(
         return experiment
 
     monkeypatch.setattr(config, "override", strict)
-    with started(tmp_path / "P01") as session, pytest.raises(PlanError) as told:
+    with started(tmp_path / "P01") as session, pytest.raises(PlanError) as raised:
         conduct(session, FakeRunner(), ScriptedDesk())
-    assert not re.search(r"[1-9]\d\d", str(told.value))
-    assert "was refused before anything moved" in told.value.message
+    assert not re.search(r"[1-9]\d\d", str(raised.value))
+    assert "was refused before anything moved" in raised.value.message
 
 
 @pytest.mark.parametrize("error", [LinkLostError("the cable is out"), StoppedError("stopped")])
-def test_what_names_no_wall_is_told_as_it_is(tmp_path: Path, error: RigError) -> None:
+def test_an_error_without_a_wall_is_raised_unchanged(tmp_path: Path, error: RigError) -> None:
     runner = FakeRunner({1: ({**INVALID, "ended": "link_closed"}, error)})
     runner.simulated = False
     if isinstance(error, StoppedError):
         error.signal = 2
-    with started(tmp_path / "P01") as session, pytest.raises(type(error)) as told:
+    with started(tmp_path / "P01") as session, pytest.raises(type(error)) as raised:
         conduct(session, runner, ScriptedDesk())
-    assert told.value is error
+    assert raised.value is error
     assert [event.kind for event in events_of(tmp_path / "P01")][-2:] == ["trial", "stopped"]
 
 
-def test_who_sees_walls_reads_the_error_itself(tmp_path: Path) -> None:
+def test_an_unblinded_operator_sees_the_error_itself(tmp_path: Path) -> None:
     error = PlanError("K = 412 is unstable")
     with started(tmp_path / "P01", protocol_of(study=study(blind="participant"))) as session:
-        with pytest.raises(PlanError) as told:
+        with pytest.raises(PlanError) as raised:
             conduct(session, refusing(error), ScriptedDesk())
-        assert told.value is error
+        assert raised.value is error

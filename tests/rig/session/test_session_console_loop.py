@@ -33,7 +33,7 @@ class Ends:
 
 @pytest.fixture
 def console(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[program._Console, Ends]]:
-    """A console whose session is this process; nothing is typed, and nobody waits at its standard input."""
+    """A console whose session is this process; nothing is typed."""
     hear, to_console = os.pipe()
     from_console, say = os.pipe()
     typed, types = os.pipe()
@@ -45,7 +45,7 @@ def console(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[program._Console,
         os.close(descriptor)
 
 
-def test_stop_is_in_the_loops_memory_before_the_session_hears_of_it(
+def test_stop_is_in_the_loops_memory_before_the_session_receives_it(
     console: tuple[program._Console, Ends], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also when the session's program hangs, and its pipe takes nothing any more."""

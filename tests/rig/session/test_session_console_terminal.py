@@ -23,6 +23,7 @@ from rig.core.errors import ConfigError, RigError, StoppedError
 from rig.session.engine._desk import DeskView, Question, Reply
 from rig.session.terminal.desk import ConsoleDesk, at_console
 from tests.conformance.terminal import PATIENCE_S, Program, Terminal
+from tests.rig.session.session_desks import answered, is_alive, watched
 from tests.rig.session.session_fakes import FakeRunner, protocol_of
 
 ROOT = Path(__file__).parents[3]
@@ -37,7 +38,7 @@ def terminal() -> Iterator[Terminal]:
 
 @contextmanager
 def console(terminal: Terminal, **options: Any) -> Iterator[tuple[ConsoleDesk, ThreadPoolExecutor]]:
-    """A desk at this terminal, and a thread to ask from, which ends also where nobody answers any more."""
+    """Yield a desk at this terminal, and a thread to ask from, which ends with the terminal."""
     with ThreadPoolExecutor(1) as asker, ConsoleDesk(place=Path(terminal.path), **options) as desk:
         try:
             yield desk, asker
@@ -48,25 +49,6 @@ def console(terminal: Terminal, **options: Any) -> Iterator[tuple[ConsoleDesk, T
 
 def asking(desk: ConsoleDesk, asker: ThreadPoolExecutor, question: Question) -> Future[Reply]:
     return asker.submit(desk.ask, question)
-
-
-def answered(reply: Future[Reply]) -> tuple[str, str]:
-    found = reply.result(PATIENCE_S)
-    return found.action, found.value
-
-
-def watched(desk: ConsoleDesk) -> StoppedError:
-    """What ends a hit that this desk watches."""
-    watch, deadline = desk.watch(), time.monotonic() + PATIENCE_S
-    assert watch is not None
-    pause = threading.Event()
-    try:
-        while time.monotonic() < deadline:
-            watch(0, 3)
-            pause.wait(0.005)  # it is called as often as that by who supervises a loop
-    except StoppedError as error:
-        return error
-    raise AssertionError("nothing ended the hit")
 
 
 def assert_given_back(terminal: Terminal) -> None:
@@ -115,7 +97,7 @@ def test_a_stopped_console_ends_the_hit_and_is_replaced(terminal: Terminal) -> N
         error = watched(desk)
         assert "no message from the console for 0.3 s" in error.message
         assert "resume" in error.remedy
-        for number in range(200):  # a pipe that nobody reads must not hold the session up
+        for number in range(200):  # a full pipe must not block the session
             desk.show(
                 DeskView(state="hold", code="P07", lines=tuple(f"line {number}" * 20 for _ in range(8)))
             )
@@ -139,7 +121,7 @@ def test_a_console_that_dies_is_started_anew_with_the_same_question(terminal: Te
         terminal.type("3")
         assert answered(reply) == ("judge", "unstable")
         before = desk.pid
-        os.kill(before, signal.SIGKILL)  # in a hit: a new one comes, and the hit goes on
+        os.kill(before, signal.SIGKILL)  # in a hit: a new one comes, and the hit continues
         watch, deadline = desk.watch(), time.monotonic() + PATIENCE_S
         assert watch is not None
         while desk.pid == before and time.monotonic() < deadline:
@@ -236,16 +218,9 @@ def test_a_console_whose_session_is_gone_gives_the_terminal_back(terminal: Termi
         os.kill(started.pid, signal.SIGKILL)
         terminal.wait("rig session resume")
         pause, deadline = threading.Event(), time.monotonic() + PATIENCE_S
-        while state_of(child) != "Z" and time.monotonic() < deadline:
+        while is_alive(child) and time.monotonic() < deadline:
             pause.wait(0.005)
         assert_given_back(terminal)
-
-
-def state_of(pid: int) -> str:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
-    except OSError:
-        return "Z"
 
 
 @pytest.mark.parametrize("refused", ["file", "pipe", "second pipe", "Popen", "Thread"])

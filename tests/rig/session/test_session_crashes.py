@@ -1,4 +1,4 @@
-"""A session that dies at any write, flush or rename goes on as if nothing had happened: nothing lost, nothing twice."""
+"""A session that dies at any write, flush or rename is resumed without a trace: nothing lost, nothing twice."""
 
 from __future__ import annotations
 
@@ -15,7 +15,14 @@ from rig.session.engine._rehearsal import Day, Person
 from rig.session.engine._state import SessionState
 from rig.session.planning._protocol import Protocol
 from tests.conformance.tiers import first_by_default
-from tests.rig.session.session_fakes import FakeRunner, decisions, protocol_of, rehearsed, started
+from tests.rig.session.session_fakes import (
+    SHORT_SEARCH,
+    FakeRunner,
+    decisions,
+    protocol_of,
+    rehearsed,
+    started,
+)
 from tests.rig.session.session_fuse import DeadError, Full, Fuse, fused
 
 PERSON = Person(thresholds={"dual-hidden": 330.0, "uniform-hidden": 330.0}, lapse_rate=0.1)
@@ -24,13 +31,7 @@ PERSON = Person(thresholds={"dual-hidden": 330.0, "uniform-hidden": 330.0}, laps
 def short() -> Protocol:
     """Two runs of one trial each, a question, a rest: every kind of write, and few of them."""
     return protocol_of(
-        search={
-            "rule": "staircase",
-            "lowest": 100.0,
-            "highest": 600.0,
-            "step": 100.0,
-            "settings": {"turns": 2, "most": 1, "steps": [2, 1]},
-        },
+        search=SHORT_SEARCH,
         rest={"every": 1, "seconds": 5.0},
         question=[{"name": "tired", "text": "How tired?", "when": "block"}],
     )
@@ -40,8 +41,8 @@ def finish(session: Session) -> SessionState:
     return rehearsed(session, FakeRunner(), PERSON)
 
 
-def go_on(directory: Path) -> SessionState:
-    """What a person does after a crash: resume, or start again if there is nothing to resume."""
+def continue_session(directory: Path) -> SessionState:
+    """Resume as a person does after a crash, or start again if there is nothing to resume."""
     try:
         session = resume(directory, clock=Day())
     except ConfigError as error:
@@ -93,14 +94,14 @@ def test_death_at_every_write_flush_and_rename(
         with fused(monkeypatch, fuse), suppress(DeadError):
             finish(started(directory, short()))
         assert fuse.dead
-        go_on(directory)
+        continue_session(directory)
         check_equal(directory, calm)
 
 
 def test_a_disk_that_is_full_at_any_write_ends_the_session_in_order(
     tmp_path: Path, calm: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The process lives, says so, and leaves what can be gone on with when there is room again."""
+    """The process lives, reports it, and leaves a session that can be resumed when there is space again."""
     whole = Fuse()
     with fused(monkeypatch, whole):
         finish(started(tmp_path / "counted" / "P01", short()))
@@ -109,7 +110,7 @@ def test_a_disk_that_is_full_at_any_write_ends_the_session_in_order(
         full = Full(place)
         with fused(monkeypatch, full), pytest.raises(RecordingError, match="No space left"):
             finish(started(directory, short()))
-        go_on(directory)
+        continue_session(directory)
         check_equal(directory, calm)
 
 
@@ -125,6 +126,6 @@ def test_death_in_the_middle_of_coming_back(
         with fused(monkeypatch, Fuse(28)), suppress(DeadError):
             finish(started(directory, short()))
         with fused(monkeypatch, Fuse(place)), suppress(DeadError):
-            go_on(directory)
-        go_on(directory)
+            continue_session(directory)
+        continue_session(directory)
         check_equal(directory, calm)

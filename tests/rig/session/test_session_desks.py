@@ -1,11 +1,10 @@
-"""What a session's desk does for whoever sits there, at a terminal and at a page of the console alike."""
+"""A session's desk for its operator, at a terminal and at a page of the console alike."""
 
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,12 +13,12 @@ import pytest
 from rig.core.errors import ConfigError, StoppedError
 from rig.realtime.hand import SharedHand, Wish
 from rig.session.engine._conduct import conduct
-from rig.session.engine._desk import Action, DeskView, Question, Reply
+from rig.session.engine._desk import Action, DeskView, Question
 from rig.session.planning._protocol import Keys
 from rig.session.terminal._held import RELEASED_S
 from rig.session.terminal._pointer import HandKind
 from tests.conformance.terminal import PATIENCE_S
-from tests.rig.session.session_desks import PLACES, Place, until
+from tests.rig.session.session_desks import PLACES, Place, answered, until, watched
 from tests.rig.session.session_fakes import INVALID, LOST, FakeRunner, protocol_of, started
 
 READY: tuple[Action, ...] = ("go", "pause", "skip", "redo", "note", "abort")
@@ -37,7 +36,7 @@ def asker() -> Iterator[ThreadPoolExecutor]:
 
 @pytest.fixture(params=PLACES)
 def sit(request: pytest.FixtureRequest, asker: ThreadPoolExecutor) -> Iterator[Sit]:
-    """Makes a desk, and somebody who sits there; ends before `asker`, who may be asking."""
+    """Makes a desk with an operator; ends before `asker`, which may be waiting."""
     places: list[Place] = []
 
     def make(
@@ -48,26 +47,8 @@ def sit(request: pytest.FixtureRequest, asker: ThreadPoolExecutor) -> Iterator[S
 
     yield make
     for place in places:
-        place.leave()  # who still asks, asks nobody
+        place.leave()  # a question that still waits ends
         place.close()
-
-
-def answered(reply: Future[Reply]) -> tuple[str, str]:
-    found = reply.result(PATIENCE_S)
-    return found.action, found.value
-
-
-def watched(place: Place) -> StoppedError:
-    """What ends a hit that this desk watches."""
-    watch, deadline = place.desk.watch(), time.monotonic() + PATIENCE_S
-    assert watch is not None
-    try:
-        while time.monotonic() < deadline:
-            watch(0, 3)
-            threading.Event().wait(0.005)  # it is called as often as that by who supervises a loop
-    except StoppedError as error:
-        return error
-    raise AssertionError("nothing ended the hit")
 
 
 def test_a_session_is_shown_and_answered_by_keys(sit: Sit, asker: ThreadPoolExecutor) -> None:
@@ -119,7 +100,7 @@ def test_space_stops_the_hit_that_runs_and_not_the_next_one(sit: Sit, asker: Thr
     place.desk.show(DeskView(state="hold"))
     place.sees("hold")
     place.press("space")
-    assert "stopped at the console" in str(watched(place))
+    assert "stopped at the console" in str(watched(place.desk))
     reply = asker.submit(place.desk.ask, READY_QUESTION)
     place.sees("ready?")
     place.press("space")
@@ -131,17 +112,17 @@ def test_space_stops_the_hit_that_runs_and_not_the_next_one(sit: Sit, asker: Thr
     watch(0, 3)
 
 
-def test_a_hit_ends_when_nothing_is_heard_of_who_shows_it(sit: Sit) -> None:
+def test_a_silent_desk_ends_a_hit(sit: Sit) -> None:
     place = sit(silence_s=0.3)
     place.desk.show(DeskView(state="hold", code="P07"))
     place.sees("P07")
     place.hang()
-    error = watched(place)
+    error = watched(place.desk)
     assert "no message from the console for 0.3 s" in error.message
     assert "resume" in error.remedy
 
 
-def test_a_question_ends_when_nobody_can_answer(sit: Sit, asker: ThreadPoolExecutor) -> None:
+def test_a_question_ends_with_its_desk(sit: Sit, asker: ThreadPoolExecutor) -> None:
     place = sit()
     reply = asker.submit(place.desk.ask, VERDICT)
     place.sees("the verdict?")
@@ -151,6 +132,9 @@ def test_a_question_ends_when_nobody_can_answer(sit: Sit, asker: ThreadPoolExecu
     assert caught.value.remedy
 
 
+@pytest.mark.exhaustive(
+    "tests/rig/session/test_session_reasons.py::test_the_reason_is_shown_before_any_question"
+)
 def test_a_blinded_desk_says_at_once_why_a_trial_is_invalid_and_names_no_wall(
     sit: Sit, asker: ThreadPoolExecutor, tmp_path: Path
 ) -> None:
@@ -206,7 +190,7 @@ def test_the_hand_follows(sit: Sit, hand: SharedHand) -> None:
     place.press("home")
     again = wished(hand, lambda one: one.position < 0.1)
     assert (again.position, again.press) == (pytest.approx(0.0), 0.0)
-    wished(hand, lambda one: one.sequence > again.sequence + 2)  # said again and again: else it would rest
+    wished(hand, lambda one: one.sequence > again.sequence + 2)  # repeated: else the hand would rest
 
 
 def test_the_hand_of_the_keys_is_back_before_a_trial_and_keys_in_a_note_do_not_move_it(
@@ -222,7 +206,7 @@ def test_the_hand_of_the_keys_is_back_before_a_trial_and_keys_in_a_note_do_not_m
     wished(hand, lambda one: one.press == 0.0)
     place.press("n")
     place.sees("note, then enter:")
-    for key in ("end", "left"):  # of the line that is typed, as far as somebody thinks of it
+    for key in ("end", "left"):  # they belong to the line that is typed
         place.press(key)
     place.line("abc")
     assert answered(reply) == ("note", "abc")
@@ -235,6 +219,7 @@ def test_a_key_that_moves_the_hand_means_nothing_else(sit: Sit, hand: SharedHand
         sit(Keys(go="right"), hand=("keyboard", hand.path))
 
 
+@pytest.mark.exhaustive("tests/rig/session/test_session_console.py::test_a_stuck_key_answers_no_question")
 def test_a_key_that_repeats_from_before_the_question_judges_nothing_until_it_was_released(
     sit: Sit, asker: ThreadPoolExecutor
 ) -> None:

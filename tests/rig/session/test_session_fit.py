@@ -54,7 +54,7 @@ class Helper(ScriptedDesk):
         return Reply(action="abort") if question.kind == "ready" and done >= self.leaves_after else None
 
     @property
-    def told(self) -> list[str]:
+    def requests(self) -> list[str]:
         return [one.text for one in self.questions if one.kind == "item"]
 
 
@@ -62,14 +62,14 @@ def test_the_session_asks_for_what_a_block_needs_and_for_nothing_that_is_there(t
     desk, session = Helper(), started(tmp_path / "P01", factorial())
     state = run_with(session, FakeRunner(), desk)
     assert state.ended == "complete"
-    assert desk.told == [f"Fit to the rig: {DAMPER}."]
+    assert desk.requests == [f"Fit to the rig: {DAMPER}."]
     assert state.answered == {}  # it is no question of the study's
     kinds = [(event.kind, event.content.get("block")) for event in session.log.events]
     assert kinds.index(("answered", 3)) < kinds.index(("block", 3))
     last_first = replace(factorial(), condition=factorial().condition[::-1])
     desk = Helper()
     run_with(started(tmp_path / "P02", last_first), FakeRunner(), desk)
-    assert desk.told == [f"Fit to the rig: {DAMPER}.", f"Take off the rig: {DAMPER}."]
+    assert desk.requests == [f"Fit to the rig: {DAMPER}.", f"Take off the rig: {DAMPER}."]
 
 
 def test_a_corrected_answer_changes_nothing_of_what_was_done(tmp_path: Path) -> None:
@@ -80,16 +80,16 @@ def test_a_corrected_answer_changes_nothing_of_what_was_done(tmp_path: Path) -> 
     assert isinstance(SessionState.of(read(log)).next(), DoTrial)
 
 
-def test_whoever_resumes_is_asked_again_because_nobody_knows_what_is_on_the_rig(tmp_path: Path) -> None:
+def test_a_resumed_session_asks_again_for_the_fitted_part(tmp_path: Path) -> None:
     desk = Helper(leaves_after=3)
     assert run_with(started(tmp_path / "P01", factorial()), FakeRunner(), desk).stopped
     desk = Helper()
     state = run_with(resume(tmp_path / "P01"), FakeRunner(), desk)
     assert state.ended == "complete"
-    assert desk.told == ["Take off what was fitted to the rig.", f"Fit to the rig: {DAMPER}."]
+    assert desk.requests == ["Take off what was fitted to the rig.", f"Fit to the rig: {DAMPER}."]
 
 
-def test_a_part_of_the_machine_needs_somebody_who_fits_it_between_blocks() -> None:
+def test_a_changed_part_of_the_machine_needs_a_fit_and_blocks_by_condition() -> None:
     with pytest.raises(ConfigError) as caught:
         protocol_of(condition=[{"name": "damped", "changes": DAMPED}])
     assert "condition 1.changes.rig.mechanics.link_damping = 0.02" in str(caught.value)

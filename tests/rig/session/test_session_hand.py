@@ -1,4 +1,4 @@
-"""A runner opens its simulated device anew when somebody takes the hand over that was scripted before."""
+"""A runner opens its simulated device anew when the operator takes over the scripted hand."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ HELD = config.override(presets.load("koul-compliant"), {"trial.kind": "human"})
 
 @dataclass
 class Opened:
-    """A device that only knows where it was opened."""
+    """A device with only its URL."""
 
     url: str
 
 
-def test_whoever_takes_the_hand_over_gets_another_device(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hand_taken_over_by_the_operator_needs_another_device(monkeypatch: pytest.MonkeyPatch) -> None:
     closed = []
 
     @contextmanager

@@ -1,11 +1,11 @@
-"""Answers to the questionnaire: one function says what is one, for the console, the engine and a correction."""
+"""Answers to the questionnaire: one function parses them for the console, the engine and a correction."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.core.present import plain
@@ -50,10 +50,11 @@ TEXT = describe_item(Item(name="remarks", text="Anything?", kind="text"))
         (TEXT, "--5", "--5"),
     ],
 )
-def test_what_is_an_answer(item: dict[str, Any], text: str, kept: str | int | None) -> None:
+def test_an_answer_is_parsed_by_its_item(item: dict[str, Any], text: str, kept: str | int | None) -> None:
     assert parse_answer(item, text) == kept
 
 
+@settings(max_examples=40)
 @given(st.sampled_from([SCALE, CHOICE, TEXT]), st.text(max_size=12) | st.integers(-20, 20).map(str))
 def test_an_answer_that_was_parsed_is_parsed_again_to_itself(item: dict[str, Any], text: str) -> None:
     once = parse_answer(item, text)
@@ -62,16 +63,16 @@ def test_an_answer_that_was_parsed_is_parsed_again_to_itself(item: dict[str, Any
 
 @pytest.mark.parametrize(("text", "kept"), [("--5", None), ("8", None), ("-2", "-2"), ("07", "7")])
 def test_the_console_takes_what_the_engine_takes(text: str, kept: str | None) -> None:
-    told = Conversation(KeyMap.of(Keys()))
+    conversation = Conversation(KeyMap.of(Keys()))
     question = Question(kind="item", text="How tired?", actions=("answer", "abort"), item=SCALE)
-    told.ask(plain(question), 0.0)
-    assert words.question(told, 0.0) == "How tired?  (-2 to 7)"
-    assert words.list_offered(told)[0] == ("enter", "answer")
-    answers = [answer for key in (*text, "enter") for answer in told.press(key)]
+    conversation.ask(plain(question), 0.0)
+    assert words.question(conversation, 0.0) == "How tired?  (-2 to 7)"
+    assert words.list_offered(conversation)[0] == ("enter", "answer")
+    answers = [answer for key in (*text, "enter") for answer in conversation.press(key)]
     assert answers == ([] if kept is None else [Answer("answer", kept)])
-    assert (told.notice == f"please give {describe_answer(SCALE)}") is (kept is None)
+    assert (conversation.notice == f"please give {describe_answer(SCALE)}") is (kept is None)
 
 
-def test_what_is_wanted_names_the_choices() -> None:
+def test_the_expected_answer_names_the_choices() -> None:
     assert describe_answer(CHOICE) == "a number from 1 to 4, or one of: left, right, 3, 1"
     assert describe_answer(SCALE) == "a number from -2 to 7"

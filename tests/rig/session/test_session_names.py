@@ -6,7 +6,7 @@ from pathlib import Path
 from unicodedata import normalize
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.core.errors import ConfigError
@@ -59,6 +59,7 @@ def test_titles_that_differ_beyond_ascii_have_directories_of_their_own(one: str,
     assert directory_of(one) != directory_of(other)
 
 
+@settings(max_examples=40)
 @given(st.text(min_size=1, max_size=400).filter(str.strip))
 def test_any_title_names_one_directory_that_a_file_system_takes(title: str) -> None:
     name = directory_of(title)

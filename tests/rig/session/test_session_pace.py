@@ -1,4 +1,4 @@
-"""What a computer or a link loses: measured before a session, told, kept in its log, refused where it is hopeless."""
+"""Samples that a computer or a link loses: measured before a session, logged, refused where it is hopeless."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_a_thread_that_is_woken_late_loses_samples_too() -> None:
 def test_an_answer_that_never_came_is_one_lost_sample() -> None:
     link = replace(measured({}), lost=1, exchanges=np.delete(measured({}).exchanges, slice(500, 551), axis=0))
     assert pace_of(link, 1000, LIMITS).lost_share == 1 / 2000
-    assert pace_of(replace(link, late=1), 1000, LIMITS).lost_share == 51 / 2000  # it came: somebody slept
+    assert pace_of(replace(link, late=1), 1000, LIMITS).lost_share == 51 / 2000  # it came: the host slept
 
 
 def test_the_rate_that_is_proposed_is_the_highest_that_these_answers_keep() -> None:
@@ -102,7 +102,7 @@ class SlowRunner(FakeRunner):
         return self.found
 
 
-def test_a_hopeless_session_is_refused_unless_somebody_accepts_that() -> None:
+def test_a_hopeless_session_is_refused_unless_the_operator_accepts_it() -> None:
     bad = pace_of(measured(dict.fromkeys(range(0, 2000, 100), 4.5e-3)), 1000, LIMITS)
     walls = Walls(protocol_of(), preset("koul-rigid"))
     with pytest.raises(PlanError, match="nearly every trial would be invalid") as refused:
@@ -114,7 +114,7 @@ def test_a_hopeless_session_is_refused_unless_somebody_accepts_that() -> None:
     refuse_lossy(walls, SlowRunner(replace(bad, hopeless=False)))
 
 
-def test_what_was_measured_stands_in_the_log_and_is_told() -> None:
+def test_the_measured_loss_is_in_the_log_and_its_line() -> None:
     bad = pace_of(measured(dict.fromkeys(range(0, 2000, 100), 4.5e-3)), 1000, LIMITS)
     opened = Event(
         1,

@@ -32,15 +32,15 @@ SIMULATED = {"place": {"url": None, "realtime": True}, "device": "koul-rigid", "
 
 
 class Runner(FakeRunner):
-    """A rig that says what it is."""
+    """A rig with given facts."""
 
     def __init__(self, **facts: Any) -> None:
         super().__init__()
-        self.said = facts
+        self.given = facts
         self.simulated = bool(facts["simulated"])
 
     def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
-        return self.said
+        return self.given
 
 
 class Tired(ScriptedDesk):
@@ -65,14 +65,14 @@ def left(directory: Path, **facts: Any) -> Path:
     return directory / "P01"
 
 
-def gone_on(directory: Path, told: bool = False, **facts: Any) -> None:
+def resume_and_leave(directory: Path, other_device: bool = False, **facts: Any) -> None:
     with pytest.raises(StoppedError):
         sessions.resume_session(
-            directory, lambda *_: Tired(2), runner=Runner(**facts), at="trial", other_device=told
+            directory, lambda *_: Tired(2), runner=Runner(**facts), at="trial", other_device=other_device
         )
 
 
-def test_the_log_says_where_to_go_on(tmp_path: Path) -> None:
+def test_the_log_names_the_rig_to_resume_on(tmp_path: Path) -> None:
     directory = left(tmp_path, **REAL)
     assert sessions.took_place(directory) == Place("serial:///dev/ttyACM0", True, False)
     whole = f"rig session resume {directory} --url serial:///dev/ttyACM0 --verified"
@@ -99,18 +99,18 @@ def test_another_device_is_refused_and_nothing_written(
     directory = left(tmp_path, **REAL)
     before = (directory / LOG).read_bytes()
     with pytest.raises(ConfigError, match=words) as refused:
-        gone_on(directory, **facts)
+        resume_and_leave(directory, **facts)
     assert "`other_device`" in refused.value.remedy
     assert "`url` serial:///dev/ttyACM0" in refused.value.remedy
     assert (directory / LOG).read_bytes() == before
-    gone_on(directory, told=True, **facts)
+    resume_and_leave(directory, other_device=True, **facts)
     assert len(sessions.session_state(directory)[0].trials) > 2
 
 
-def test_the_same_device_goes_on_wherever_it_is_plugged_in(tmp_path: Path) -> None:
+def test_the_same_device_is_accepted_at_any_port(tmp_path: Path) -> None:
     directory = left(tmp_path, **REAL)
     place = {"url": "serial:///dev/ttyACM1", "realtime": True}
-    gone_on(directory, **{**REAL, "place": place, "serial_number": None})
+    resume_and_leave(directory, **{**REAL, "place": place, "serial_number": None})
     assert sessions.took_place(directory).url == "serial:///dev/ttyACM1"
 
 
@@ -130,7 +130,7 @@ def test_an_analysis_says_what_changed_within_a_session(
     tmp_path: Path, facts: dict[str, Any], words: str
 ) -> None:
     directory = left(tmp_path, **REAL)
-    gone_on(directory, told=True, **facts)
+    resume_and_leave(directory, other_device=True, **facts)
     messages = [one for one in read_study([directory]).messages if "the session is not complete" not in one]
     messages = [one for one in messages if "protocol.toml" not in one]
     assert words in "".join(messages)
@@ -138,6 +138,6 @@ def test_an_analysis_says_what_changed_within_a_session(
 
 
 def test_the_runner_says_where_it_is_and_what_runs() -> None:
-    said = DeviceRunner().facts(preset("koul-rigid"), {})
-    assert said["place"] == {"url": None, "realtime": False}
-    assert {"haptic-rig", "sources", "numpy", "platform"} <= said["versions"].keys()
+    facts = DeviceRunner().facts(preset("koul-rigid"), {})
+    assert facts["place"] == {"url": None, "realtime": False}
+    assert {"haptic-rig", "sources", "numpy", "platform"} <= facts["versions"].keys()

@@ -21,7 +21,15 @@ from rig.recording.files import make_directories, sha256_of
 from rig.session.engine._directory import LOG, PROTOCOL, TRIALS, Session, resume
 from rig.session.engine._log import Event, SessionLog, read
 from rig.session.engine._rehearsal import Day, Person
-from tests.rig.session.session_fakes import TEXT, FakeRunner, decisions, protocol_of, rehearsed, started
+from tests.rig.session.session_fakes import (
+    SHORT_SEARCH,
+    TEXT,
+    FakeRunner,
+    decisions,
+    protocol_of,
+    rehearsed,
+    started,
+)
 
 PERSON = Person(thresholds={"dual-hidden": 330.0, "uniform-hidden": 330.0})
 DIRECTORY = Path("sessions", "fakes", "P01")
@@ -79,7 +87,6 @@ class Disk:
         return tree(self._inode(self._root))
 
     def close(self) -> None:
-        """Let go of what it keeps open."""
         for descriptor in self._kept:
             os.close(descriptor)
 
@@ -128,17 +135,10 @@ def cut_anywhere(root: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[t
 
 def finished(directory: Path) -> None:
     """A session of two trials, from its beginning to its end."""
-    search = {
-        "rule": "staircase",
-        "lowest": 100.0,
-        "highest": 600.0,
-        "step": 100.0,
-        "settings": {"turns": 2, "most": 1, "steps": [2, 1]},
-    }
-    go_on(started(directory, protocol_of(search=search)))
+    conduct_session(started(directory, protocol_of(search=SHORT_SEARCH)))
 
 
-def go_on(session: Session) -> None:
+def conduct_session(session: Session) -> None:
     rehearsed(session, FakeRunner(), PERSON)
 
 
@@ -172,7 +172,7 @@ def test_directories_are_made_once_and_not_in_the_place_of_a_file(
 def test_a_first_participant_survives_a_power_cut_at_any_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of a study whose directories nobody had made before."""
+    """The directories of the study do not exist before."""
     root = tmp_path / "cache"
     root.mkdir()
     with cut_anywhere(root, monkeypatch) as cuts:
@@ -187,11 +187,11 @@ def test_a_first_participant_survives_a_power_cut_at_any_time(
         directory = put(tree, tmp_path / str(number)) / DIRECTORY
         check_kept(directory, acknowledged)
         if chance == 0.0 and read(directory / LOG)[-1].kind != "ended":
-            go_on(resume(directory, clock=Day()))
+            conduct_session(resume(directory, clock=Day()))
             assert decisions(read(directory / LOG)) == calm
 
 
-def test_a_recording_that_nobody_logged_survives_a_power_cut_while_it_is_set_aside(
+def test_a_recording_without_a_log_entry_survives_a_power_cut_while_it_is_set_aside(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     root = tmp_path / "cache"

@@ -1,4 +1,4 @@
-"""What somebody who waits for a rehearsal sees."""
+"""The progress of a rehearsal at a terminal."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Terminal:
 
 
 @pytest.fixture
-def said(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def printed(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     lines: list[str] = []
     monkeypatch.setattr(
         session_progress.click, "echo", lambda text, nl=True, err=False: lines.append(f"{err} {text}")
@@ -37,7 +37,7 @@ def ready(trial: int, block: int = 2) -> DeskView:
     return DeskView(state="ready", trial=trial, trials=104, block=block, blocks=5, practice=block == 0)
 
 
-def test_a_terminal_has_one_line(monkeypatch: pytest.MonkeyPatch, said: list[str]) -> None:
+def test_a_terminal_has_one_line(monkeypatch: pytest.MonkeyPatch, printed: list[str]) -> None:
     monkeypatch.setattr(session_progress.sys, "stderr", Terminal())
     with Rehearsed(quiet=False, clock=clock(3.0).__next__) as seen:
         for trial in (1, 2, 3, 4):
@@ -45,7 +45,7 @@ def test_a_terminal_has_one_line(monkeypatch: pytest.MonkeyPatch, said: list[str
         seen.looks(DeskView(state="homing"))
         seen.on_event(Event(1, 0.0, "paused", {"reason": "requested by the operator"}))
     start = "True \r\033[K"
-    assert said == [
+    assert printed == [
         f"{start}trial 1 of about 104, practice",
         f"{start}trial 2 of about 104, block 2 of 5",
         f"{start}trial 3 of about 104, block 2 of 5",
@@ -54,20 +54,20 @@ def test_a_terminal_has_one_line(monkeypatch: pytest.MonkeyPatch, said: list[str
     ]
 
 
-def test_elsewhere_events_are_lines_and_the_time_is_told_once(said: list[str]) -> None:
+def test_without_a_terminal_events_are_lines_and_the_time_is_printed_once(printed: list[str]) -> None:
     with Rehearsed(quiet=False, clock=clock(0.5).__next__) as seen:
         for trial in range(1, 8):
             seen.looks(ready(trial))
         seen.on_event(Event(1, 0.0, "paused", {"reason": "requested by the operator"}))
-    assert said == [
+    assert printed == [
         "True   trial 4 of about 104, block 2 of 5, about 50 s left",
         "True   paused: requested by the operator",
     ]
 
 
-def test_nothing_is_said_to_a_program(said: list[str]) -> None:
+def test_a_quiet_rehearsal_prints_nothing(printed: list[str]) -> None:
     with Rehearsed(quiet=True) as seen:
         for trial in range(1, 8):
             seen.looks(ready(trial))
         seen.on_event(Event(1, 0.0, "paused", {"reason": "requested by the operator"}))
-    assert said == []
+    assert printed == []

@@ -24,10 +24,11 @@ from rig.session.engine._run import rehearsal_desk, run_session
 from rig.session.planning._load import load_walls, protocol_from_mapping
 from tests.conformance.studies import Person as SimulatedPerson
 from tests.conformance.studies import protocol, sitting, without_sync
+from tests.conformance.tiers import first_by_default
 from tests.rig.session.session_fakes import FakeRunner
 from tests.system.session_study import PROTOCOL
 
-NOBODY = Person(thresholds={})
+PERSON = Person(thresholds={})
 NEUTRAL = [
     ("seed = 11", 'seed = 11\nnotes = "fitted a new cable"'),
     ("[trial]", '[trial]\nsay = "Push into the wall until it stops you and stay there."'),
@@ -49,7 +50,7 @@ def run(place: Path, code: str, *changes: tuple[str, str], **more: Any) -> Path:
     path = place / "study.toml"
     path.write_text(text)
     run_session(
-        path, code, rehearsal_desk(NOBODY), runner=FakeRunner(), study=place / "study", person=NOBODY, **more
+        path, code, rehearsal_desk(PERSON), runner=FakeRunner(), study=place / "study", person=PERSON, **more
     )
     return place / "study" / code / "session.log"
 
@@ -60,12 +61,12 @@ def found_by_check(place: Path) -> dict[str, Any]:
     return {one.name: one for one in plan.checks}
 
 
-@pytest.mark.parametrize("change", NEUTRAL, ids=lambda one: one[1][-20:])
-def test_what_decides_no_result_is_recorded_and_blocks_nothing(
-    tmp_path: Path, change: tuple[str, str]
+@pytest.mark.parametrize(("old", "new"), first_by_default(NEUTRAL, 2))
+def test_a_change_without_effect_on_results_is_recorded_and_blocks_nothing(
+    tmp_path: Path, old: str, new: str
 ) -> None:
     run(tmp_path, "P01")
-    log = run(tmp_path, "P02", change)
+    log = run(tmp_path, "P02", (old, new))
     (key,) = read(log)[0].content["differs"]
     study = read_study([tmp_path / "study"])
     assert f"sessions differ in settings that do not affect results: {key}" in study.messages
@@ -74,8 +75,8 @@ def test_what_decides_no_result_is_recorded_and_blocks_nothing(
     assert found_by_check(tmp_path)["protocol"].outcome is Outcome.OK
 
 
-@pytest.mark.parametrize(("key", "old", "new"), DECIDING)
-def test_what_can_decide_a_result_is_named_before_anything_is_written(
+@pytest.mark.parametrize(("key", "old", "new"), first_by_default(DECIDING, 2))
+def test_a_change_with_effect_on_results_is_named_before_anything_is_written(
     tmp_path: Path, key: str, old: str, new: str
 ) -> None:
     run(tmp_path, "P01")
@@ -124,7 +125,7 @@ def test_a_title_that_shares_its_directory_with_another_is_asked_about(
     def titled(title: str, code: str, study: Path | None = None) -> None:
         lines = [f'title = "{title}"' if one.startswith("title") else one for one in PROTOCOL.splitlines()]
         path.write_text("\n".join(lines))
-        run_session(path, code, rehearsal_desk(NOBODY), runner=FakeRunner(), study=study, person=NOBODY)
+        run_session(path, code, rehearsal_desk(PERSON), runner=FakeRunner(), study=study, person=PERSON)
 
     titled("C study", "P01")
     with pytest.raises(ChangedProtocolError, match=r'study\.title \("C study": P01; "C\+\+ study": here\)'):
@@ -152,7 +153,7 @@ def test_a_terminal_asks_and_a_script_is_refused(tmp_path: Path, monkeypatch: py
 def test_each_participant_is_estimated_on_the_levels_of_their_own_protocol(tmp_path: Path) -> None:
     person = SimulatedPerson(threshold=lambda condition, damping: 430.0)
     with without_sync():
-        for row, (code, highest) in enumerate((("P01", 900.0), ("P02", 1000.0), ("P03", 900.0))):
+        for row, (code, highest) in enumerate((("P01", 900.0), ("P02", 1000.0))):
             mapping = protocol(search={"highest": highest}, order={"repeats": 1})
             with sitting(tmp_path / code, mapping, person, code=code, row=row) as one:
                 one.run()

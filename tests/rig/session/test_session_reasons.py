@@ -36,7 +36,7 @@ from tests.rig.session.session_fakes import (
 
 THRESHOLDS = verdict_thresholds(presets.load("koul-rigid"))
 OF_THE_RIG = Objection.SLEW_BOUND | Objection.IDLE_SATURATION
-TELLING = {  # numbers by which somebody could tell one wall or condition from another
+TELLING = {  # numbers that differ between walls or conditions
     "ticks": 41791,
     "slew_bound_ticks": 41792,
     "overruled_ticks": 41793,
@@ -55,13 +55,13 @@ def reason(objection: Objection, **changes: Any) -> str:
 
 
 @pytest.mark.parametrize("objection", list(MAKES_INVALID), ids=lambda one: one.name)
-def test_every_reason_is_told_and_effort_only_as_a_rig_limit(objection: Objection) -> None:
-    """A new reason, or a new wording, is not told before somebody has decided how."""
+def test_every_reason_is_shown_and_effort_only_as_a_rig_limit(objection: Objection) -> None:
+    """A new reason, or a new wording, is hidden until its text for the blinded is defined."""
     text = reason(objection)
-    said = summarise_reasons([text], blind=True)
-    assert said != HIDDEN
-    assert (said == RIG_LIMIT) == bool(objection & OF_THE_RIG)
-    assert not re.search(r"4179|calm|saturat|slew|settl|ripple", said)
+    shown = summarise_reasons([text], blind=True)
+    assert shown != HIDDEN
+    assert (shown == RIG_LIMIT) == bool(objection & OF_THE_RIG)
+    assert not re.search(r"4179|calm|saturat|slew|settl|ripple", shown)
     assert summarise_reasons([text], blind=False) == text
 
 
@@ -73,18 +73,18 @@ def test_each_opening_identifies_one_reason_with_one_advice() -> None:
 @pytest.mark.parametrize(
     "text", ["a false start: the handle moved before the cue", "the run ended early: stopped"]
 )
-def test_what_judges_without_the_signals_is_told(text: str) -> None:
+def test_a_reason_without_signals_is_shown(text: str) -> None:
     assert summarise_reasons([text], blind=True) == text
 
 
-def test_what_nobody_has_decided_about_is_hidden() -> None:
+def test_an_unknown_reason_is_hidden() -> None:
     assert summarise_reasons(["K = 412 is too much"], blind=True) == HIDDEN
     several = [reason(Objection.SLEW_BOUND), reason(Objection.IDLE_SATURATION), reason(Objection.TOO_SHORT)]
     assert summarise_reasons(several, blind=True) == f"{RIG_LIMIT}; the trial was too short"
     assert summarise_reasons([], blind=True) == ""
 
 
-def test_a_dead_channel_of_the_encoder_is_told() -> None:
+def test_a_dead_channel_of_the_encoder_is_shown() -> None:
     text = reason(Objection.NEVER_TOUCHED, toggles=TOGGLES)
     assert summarise_reasons([text], blind=True) == text
     assert "one channel of the encoder is dead" in text
@@ -99,7 +99,7 @@ def views_after(desk: ScriptedDesk, trial: int) -> list[DeskView]:
 
 
 @pytest.mark.parametrize("blind", ["both", "participant"])
-def test_the_reason_is_there_before_anybody_is_asked_anything(tmp_path: Path, blind: str) -> None:
+def test_the_reason_is_shown_before_any_question(tmp_path: Path, blind: str) -> None:
     desk = ScriptedDesk()
     protocol = protocol_of(study=study(blind=blind), stop={"trials": 3})
     runner = FakeRunner({1: (invalid(Objection.LEFT, Objection.SLEW_BOUND), None)})
@@ -127,7 +127,7 @@ def test_the_reason_is_there_before_anybody_is_asked_anything(tmp_path: Path, bl
     assert plain(result)["invalid_trials"] == [line]
 
 
-def test_a_log_is_told_in_sentences_and_in_json_with_walls_only_unblinded(
+def test_a_log_is_shown_as_text_and_json_with_walls_only_unblinded(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     thrown = {"automatic": "unstable", "reasons": ["left the wall 3 times in the tail"]}
@@ -148,19 +148,19 @@ def test_a_log_is_told_in_sentences_and_in_json_with_walls_only_unblinded(
     assert blind in [event["text"] for event in reported["events"]]
     assert blind in show("--log")
     assert not re.search(r"4179|slew|hidden|0\.37", show("--log") + json.dumps(reported))
-    told_all = show("--log", "--unblind")
-    assert not re.search(r'[{}"\[\]]', told_all)
+    unblinded = show("--log", "--unblind")
+    assert not re.search(r'[{}"\[\]]', unblinded)
     wall = r"[a-z]+-hidden, K = \d+ N·m/rad, B = 0\.37 N·m·s/rad"
     assert re.search(
         rf"trial 1, {wall}; automatic verdict invalid: the first contact lies in the tail; the slew limit acted",
-        told_all,
+        unblinded,
     )
-    assert re.search(rf"trial 2, {wall}, attempt 2; automatic verdict", told_all)
+    assert re.search(rf"trial 2, {wall}, attempt 2; automatic verdict", unblinded)
     assert re.search(
-        r"automatic verdict unstable: left the wall 3 times in the tail; ended early: energy\n", told_all
+        r"automatic verdict unstable: left the wall 3 times in the tail; ended early: energy\n", unblinded
     )
-    assert "began; fakes, row 0 of the order" in told_all
-    assert "opened; koul-rigid (simulated)" in told_all
+    assert "began; fakes, row 0 of the order" in unblinded
+    assert "opened; koul-rigid (simulated)" in unblinded
     assert '"stiffness"' in show("--json", "--unblind")
 
 
@@ -182,13 +182,13 @@ def test_a_log_is_told_in_sentences_and_in_json_with_walls_only_unblinded(
         ("note", {"text": "a note"}, ""),
     ],
 )  # fmt: skip
-def test_what_is_told_besides_to_those_who_are_not_blinded(kind: str, content: Any, whole: str) -> None:
+def test_the_unblinded_line_of_an_event_has_more(kind: str, content: Any, whole: str) -> None:
     event = Event(5, 0.0, kind, content)
     assert whole_line(event, "rotary") == line_of_event(event) + whole
     assert not whole or not re.search(r"K =|K as|0\.37|41", line_of_event(event))
 
 
-def test_no_question_and_no_pause_tells_a_blinded_operator_of_the_wall(tmp_path: Path) -> None:
+def test_no_question_and_no_pause_reveals_the_wall_to_a_blinded_operator(tmp_path: Path) -> None:
     """After as many attempts as are allowed, after an early end, and after trials that the machine spoiled."""
     spoiled = {**SPOILED, "reasons": [reason(Objection.GAPS), reason(Objection.OVERRULED)]}
     guarded = GuardError("the motor gave the handle 4179 J: the effort oscillated")

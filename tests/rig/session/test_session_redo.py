@@ -26,14 +26,14 @@ def run(
 
 
 def ended(directory: Path, runner: FakeRunner, redos: int, **sections: Any) -> SessionState:
-    """A session at whose end somebody says redo so often, one after the other."""
-    said = 0
+    """Return the state of a session at whose end the operator answers redo so often, one after the other."""
+    answered = 0
 
     def answer(question: Question) -> Reply | None:
-        nonlocal said
-        wanted = question.text == "end the session?" or (0 < said < redos and question.kind == "ready")
-        if wanted and said < redos and "redo" in question.actions:
-            said += 1
+        nonlocal answered
+        wanted = question.text == "end the session?" or (0 < answered < redos and question.kind == "ready")
+        if wanted and answered < redos and "redo" in question.actions:
+            answered += 1
             return Reply(action="redo")
         return None
 
@@ -45,7 +45,7 @@ def ended(directory: Path, runner: FakeRunner, redos: int, **sections: Any) -> S
 
 @pytest.mark.parametrize("redos", [1, 2])
 @pytest.mark.parametrize("order", [{"kind": "fixed"}, {"kind": "fixed", "interleave": True}])
-def test_what_is_redone_after_a_stop_rule_comes_again(tmp_path: Path, redos: int, order: Any) -> None:
+def test_a_trial_redone_after_a_stop_rule_comes_again(tmp_path: Path, redos: int, order: Any) -> None:
     runner = FakeRunner()
     state = ended(tmp_path, runner, redos, stop={"trials": 3}, order=order)
     assert state.ended == "3 trials"
@@ -90,7 +90,7 @@ def test_every_end_waits_for_what_was_redone(tmp_path: Path, stop: Any) -> None:
     assert (after.stiffness, after.run, after.void) == (void[0].stiffness, void[0].run, "")
 
 
-def test_a_redone_trial_that_says_nothing_is_repeated_until_somebody_leaves_the_run(tmp_path: Path) -> None:
+def test_an_invalid_redone_trial_is_repeated_until_its_run_is_skipped(tmp_path: Path) -> None:
     """Then nothing is owed any more, and the rule ends the session."""
 
     def answer(question: Question) -> Reply | None:

@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.session.planning._protocol import Condition, Order, Practice, Protocol, Search, Study
@@ -68,6 +68,7 @@ def test_williams_balances_places_and_followers(n: int) -> None:
     assert [williams(items, row + rows) for row in range(rows)] == square  # and round again
 
 
+@settings(max_examples=40)
 @given(orders, st.integers(0, 50))
 def test_a_session_holds_every_search_as_often_as_declared(one: Protocol, row: int) -> None:
     blocks = schedule(one, row)
@@ -87,6 +88,7 @@ def test_a_session_holds_every_search_as_often_as_declared(one: Protocol, row: i
     assert len(blocks) == expected[one.order.blocks]
 
 
+@settings(max_examples=20)
 @given(orders)
 def test_seeds_of_runs_differ_between_runs_and_participants(one: Protocol) -> None:
     seeds = [run.seed for row in range(3) for block in schedule(one, row) for run in block.runs]
@@ -119,7 +121,7 @@ def test_blocks_of_conditions_are_balanced_among_themselves() -> None:
 
 
 @pytest.mark.parametrize("kind", ["fixed", "randomised", "latin-square"])
-def test_what_is_fitted_stays_for_all_blocks_that_need_it(kind: str) -> None:
+def test_a_fitted_part_stays_for_all_blocks_that_need_it(kind: str) -> None:
     one = protocol([1] * 6, kind=kind, blocks="condition")
     fits = ["", "a damper", "", "a damper", "", "a damper"]
     fit_of = {f"c{n}": fit for n, fit in enumerate(fits)}
