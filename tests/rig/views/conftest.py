@@ -1,4 +1,4 @@
-"""What the tests of pictures share."""
+"""Helpers of the tests of pictures."""
 
 from pathlib import Path
 from typing import Any
@@ -9,8 +9,17 @@ import pytest
 from rig.views.plots import style
 
 
+@style.own_style()
+def a_figure(title: str = "K_max (N·m/rad)") -> Any:
+    figure = style.new_figure(3.0, 2.0)
+    axes = figure.subplots()
+    axes.plot([0.0, 1.0], [2.0, 1.0], label="a curve")
+    axes.set_title(title)
+    return figure
+
+
 def scaled(figure: Any) -> Any:
-    """The figure, its axes with limits and ticks: there odd data are heard, and painting takes ten times as long."""
+    """Return the figure with limits and ticks of its axes: odd data fail there; painting takes ten times as long."""
     for axes in figure.axes:
         for axis in (axes.xaxis, axes.yaxis):
             low, high = axis.get_view_interval()

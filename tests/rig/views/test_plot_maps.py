@@ -1,4 +1,4 @@
-"""Pictures of maps: markers, a legend that hides nothing and says what is there, and no width where there is none."""
+"""Pictures of maps: markers, a legend that hides nothing and names every mark, and no width of a single damping."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def over_rates(limits: Limits, rates: Sequence[int] = (1000, 5000, 20_000)) -> K
 
 
 def key(figure: Any) -> list[str]:
-    """What the legends say: there is one, outside of the panels."""
+    """Return the texts of the one legend, which is outside of the panels."""
     assert not any(axes.get_legend() for axes in figure.axes)
     (legend,) = figure.legends
     return [text.get_text() for text in legend.get_texts()]
@@ -91,7 +91,7 @@ def test_the_legend_lies_below_the_panels_and_in_the_picture() -> None:
     assert len(key(figure)) == len(SCHEMES) + 2  # the theory, the band
 
 
-def test_the_legend_says_what_else_there_is_and_nothing_more() -> None:
+def test_the_legend_names_the_marks_in_the_picture_and_no_others() -> None:
     plain = key(zwidth_figure(a_map(limits=lambda *_: [limit(300.0)])))
     assert len(plain) == len(SCHEMES)
     capped = key(zwidth_figure(a_map(limits=lambda *_: [limit(300.0, None)])))
@@ -141,10 +141,7 @@ def test_next_to_nothing_is_drawn(some: Any, ending: str, painted: int, tmp_path
     assert style.save(figures[painted], tmp_path / f"x.{ending}").stat().st_size > 4000
 
 
-# --- explained ------------------------------------------------------------------------------------------------
-
-
-def test_an_explained_map_has_a_panel_for_each_scheme_and_names_the_causes_that_there_are() -> None:
+def test_an_explained_map_has_a_panel_for_each_scheme_and_names_its_causes() -> None:
     plan = a_map((0.0, 0.5), schemes=SCHEMES[:2]).plan
     row = {"radius": 0.9, "holds_without": True, "hits": 1, "ticks": 1}
     fails = {**row, "holds": False, "cures": [["quantum"]]}
@@ -153,8 +150,8 @@ def test_an_explained_map_has_a_panel_for_each_scheme_and_names_the_causes_that_
     figure = disagreement_figure(DisagreementPlan(map=plan).found([column] * 4))
     assert len(figure.axes) == 2
     (key,) = figure.legends
-    told = [text.get_text() for text in key.get_texts()]
-    assert told == ["quantum", "edge of stability in linear theory", "edge of the walls that hold"]
+    entries = [text.get_text() for text in key.get_texts()]
+    assert entries == ["quantum", "edge of stability in linear theory", "edge of the walls that hold"]
     mesh = next(one for one in figure.axes[0].collections if hasattr(one, "get_coordinates"))
     seen = mesh.get_array().reshape(len(plan.search.rungs), 2, 4)[..., 3] > 0.0
     assert seen.tolist() == [[k >= 100.0] * 2 for k in plan.search.rungs], "agreement has no colour"

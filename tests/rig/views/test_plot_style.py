@@ -1,4 +1,4 @@
-"""What all pictures share: formats by the ending of a name, axes of values that are alike, axes that count."""
+"""Properties of all pictures: formats by the ending of a name, axes of values that are alike, axes that count."""
 
 from __future__ import annotations
 
@@ -15,22 +15,14 @@ import matplotlib
 import numpy as np
 import pytest
 
-import rig.views.plots
+import rig
 from rig.core.errors import RecordingError
 from rig.core.shown import Picture
 from rig.views.plots import style
 from tests.conformance.commands import commands
+from tests.rig.views.conftest import a_figure
 
 BEGINS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
-
-
-@style.own_style()
-def a_figure(title: str = "K_max (N·m/rad)") -> Any:
-    figure = style.new_figure(3.0, 2.0)
-    axes = figure.subplots()
-    axes.plot([0.0, 1.0], [2.0, 1.0], label="a curve")
-    axes.set_title(title)
-    return figure
 
 
 @pytest.mark.parametrize("ending", style.FORMATS)
@@ -41,6 +33,8 @@ def test_the_name_chooses_the_format_and_the_same_picture_has_the_same_bytes(
     assert first.startswith(BEGINS[ending])
     assert first == second
     assert style.save(a_figure(), tmp_path / f"c.{ending.upper()}").read_bytes() == first
+    text = {"svg": "K_max (N·m/rad)".encode(), "pdf": b"/FontFile2"}  # text, not drawn outlines
+    assert text.get(ending, b"") in first
 
 
 OUTSIDE = """
@@ -58,18 +52,12 @@ def test_style_latex_and_backend_of_others_change_no_byte_and_stay_as_they_were(
     """A lab's matplotlibrc, a style that a notebook uses, and the backend of a notebook that is not installed here."""
     plain = style.save(a_figure(), tmp_path / "plain.svg").read_bytes()
     (tmp_path / "matplotlibrc").write_text(OUTSIDE)
-    drawing = "from tests.rig.views.test_plot_style import *; style.save(a_figure(), Path('theirs.svg'))"
+    drawing = "from tests.rig.views.conftest import *; style.save(a_figure(), Path('theirs.svg'))"
     backend = "module://matplotlib_inline.backend_inline"
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3]), "MPLBACKEND": backend}
     begun = f"from rig.core import program; program.begin(); {drawing}"
-    done = subprocess.run(
-        [sys.executable, "-c", begun],
-        cwd=tmp_path,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    options: Any = {"cwd": tmp_path, "env": environment, "capture_output": True, "text": True}
+    done = subprocess.run([sys.executable, "-c", begun], check=False, **options)
     assert (done.returncode, done.stderr) == (0, "")
     assert (tmp_path / "theirs.svg").read_bytes() == plain
     with matplotlib.rc_context({"font.size": 31.0, "text.usetex": True, "axes.grid": True}):
@@ -81,16 +69,14 @@ def test_style_latex_and_backend_of_others_change_no_byte_and_stay_as_they_were(
 
 def test_pictures_that_two_threads_draw_at_once_leave_the_settings_of_the_user(tmp_path: Path) -> None:
     with matplotlib.rc_context({"font.size": 31.0}), ThreadPoolExecutor(4) as threads:
-        list(threads.map(lambda number: style.save(a_figure(), tmp_path / f"{number}.svg"), range(12)))
+        list(threads.map(lambda number: style.save(a_figure(), tmp_path / f"{number}.svg"), range(6)))
         assert matplotlib.rcParams["font.size"] == 31.0
 
 
-def test_whatever_makes_a_figure_draws_in_the_style_of_this_package() -> None:
+def test_every_function_that_makes_a_figure_draws_in_the_style_of_this_package() -> None:
     """Texts take their settings when they are made: a function that forgets it would draw with those of the user."""
-    files = [
-        *Path(rig.views.plots.__file__).parent.glob("*.py"),
-        *(Path(rig.__file__).parent / "extras").rglob("*.py"),
-    ]
+    package = Path(rig.__file__).parent
+    files = [*(package / "views/plots").glob("*.py"), *(package / "extras").rglob("*.py")]
     makers = [
         (path.name, function.name, {ast.unparse(one) for one in function.decorator_list})
         for path in files
@@ -101,7 +87,7 @@ def test_whatever_makes_a_figure_draws_in_the_style_of_this_package() -> None:
     assert [(file, name) for file, name, decorators in makers if "style.own_style()" not in decorators] == []
 
 
-def test_a_matplotlib_that_does_not_load_is_said_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_matplotlib_that_does_not_load_is_an_error_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails() -> None:
         raise ValueError("Key backend: 'module://x' is not a valid value for backend")
 
@@ -111,19 +97,12 @@ def test_a_matplotlib_that_does_not_load_is_said_with_what_to_do(monkeypatch: py
     assert "unset MPLBACKEND" in caught.value.remedy
 
 
-def test_vector_formats_hold_text(tmp_path: Path) -> None:
-    assert "K_max (N·m/rad)" in style.save(a_figure(), tmp_path / "a.svg").read_text(encoding="utf-8")
-    assert (
-        b"/FontFile2" in style.save(a_figure(), tmp_path / "a.pdf").read_bytes()
-    )  # TrueType, not drawn outlines
-
-
 @pytest.mark.parametrize("name", ["\udcff.png", "\udcff.svg"])
 def test_a_name_that_is_no_text_can_be_written_and_drawn(name: str, tmp_path: Path) -> None:
     assert style.save(a_figure("\udcff"), tmp_path / name).stat().st_size > 1000
 
 
-def test_a_place_that_cannot_be_written_is_said(tmp_path: Path) -> None:
+def test_a_place_that_cannot_be_written_is_an_error_with_a_remedy(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"cannot write the picture .*nowhere") as caught:
         style.save(a_figure(), tmp_path / "nowhere" / "x.png")
     assert caught.value.remedy
@@ -146,20 +125,8 @@ def test_every_command_that_draws_offers_every_format() -> None:
         if "--plot" in options or name == "session analyse":
             drawing[name] = tuple(options["--format"].type.choices)
     assert set(drawing.values()) == {tuple(style.FORMATS)}
-    assert {
-        "hit",
-        "zwidth",
-        "impedance measure",
-        "impedance map",
-        "identify",
-        "theory walls",
-    } <= set(drawing)
-    assert {
-        "recording show",
-        "recording timing",
-        "recording replay",
-        "estimators compare",
-    } <= set(drawing)
+    least = "hit, zwidth, impedance measure, impedance map, identify, theory walls, recording show, recording timing"
+    assert {*least.split(", "), "recording replay", "estimators compare"} <= set(drawing)
 
 
 # ------------------------------------------------------------------------------------------------------------ axes

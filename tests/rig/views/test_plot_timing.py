@@ -25,12 +25,8 @@ def rows_of(count: Any, *, spread: float = 1.0, seed: int = 1) -> Any:
     noise = np.random.default_rng(seed).exponential(5e4, (4, count)) * spread
     rows["tick"] = rows["sample_index"] = number
     rows["device_time"] = number * 1_000_000
-    for before, name, wait in zip(
-        ("device_time", "received_at", "computed_at"),
-        ("received_at", "computed_at", "sent_at"),
-        noise,
-        strict=False,
-    ):
+    stamps = ("device_time", "received_at", "computed_at", "sent_at")
+    for (before, name), wait in zip(itertools.pairwise(stamps), noise, strict=False):
         rows[name] = rows[before] + wait.astype(np.int64)
     rows["received_at"] += 10**12
     rows["computed_at"] += 10**12
@@ -47,19 +43,16 @@ def draw(rows: Any, fit: Any, path: Path, **options: Any) -> Path:
     return Timing(found, summarise(found, None), **options).plot().save(path)
 
 
-def test_the_same_ledger_gives_the_same_bytes(tmp_path: Path) -> None:
-    first, again = (draw(rows_of(500), FIT, tmp_path / f"{n}.png", name="a run").read_bytes() for n in "ab")
-    assert first.startswith(b"\x89PNG")
-    assert first == again
-    assert len(first) > 40_000, "curves, bars and a legend"
+@pytest.mark.parametrize(("count", "least"), [(500, 40_000), (0, 1)])
+def test_a_ledger_is_painted(count: int, least: int, tmp_path: Path) -> None:
+    picture = draw(rows_of(count), FIT if count else None, tmp_path / "x.png", name="a run").read_bytes()
+    assert picture.startswith(b"\x89PNG")
+    assert len(picture) > least, "curves, bars and a legend"
 
 
 @pytest.mark.parametrize(
     ("fit", "count", "spread"),
-    [
-        (FIT, 0, 0.0),
-        *itertools.product((FIT, None), (1, 2_001), (0.0, 1.0, -3.0)),
-    ],  # without ticks: no matter
+    [(FIT, 0, 0.0), *itertools.product((FIT, None), (1, 2_001), (0.0, 1.0, -3.0))],
 )
 def test_any_ledger_can_be_composed(
     tmp_path: Path, count: int, fit: Any, spread: float, composed: list[Any]
@@ -69,11 +62,6 @@ def test_any_ledger_can_be_composed(
     (figure,) = composed
     assert figure._suptitle.get_text() == "\udcff"
     assert all(axes.lines or axes.patches or axes.texts for axes in figure.axes[:2]), "or it says why not"
-
-
-@pytest.mark.parametrize(("count", "spread"), [(0, 0.0), (1, -3.0)])
-def test_a_ledger_of_next_to_nothing_is_painted(tmp_path: Path, count: int, spread: float) -> None:
-    assert draw(rows_of(count, spread=spread), None, tmp_path / "x.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_axes_have_units_and_every_stage_a_colour(tmp_path: Path, composed: list[Any]) -> None:

@@ -30,7 +30,6 @@ from tests.rig.views.conftest import scaled
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """A sealed hit with its truth."""
     experiment = config.override(
         presets.load("koul-compliant"),
         {"trial.duration_s": 0.15, "trial.release_s": 0.02, "homing.settle_s": 0.01, "verdict.tail_s": 0.05},
@@ -66,7 +65,6 @@ def changed(recording: Any, **columns: Any) -> Any:
 
 
 def line(axes: Any, label: Any) -> Any:
-    """The line of a panel that the legend calls so."""
     (found,) = [candidate for candidate in axes.lines if candidate.get_label() == label]
     return found
 
@@ -98,9 +96,8 @@ def test_the_picture_shows_the_hit_from_shortly_before_contact(recording: Any) -
     impact, push = panels(hit_figure(recording))
     measured = line(push[0], "measured")
     time_s = measured.get_xdata()
-    contact = np.flatnonzero((recording.rows["phase"] == Phase.TRIAL) & (recording.rows["penetration"] > 0))[
-        0
-    ]
+    touches = (recording.rows["phase"] == Phase.TRIAL) & (recording.rows["penetration"] > 0)
+    contact = np.flatnonzero(touches)[0]
     assert -BEFORE_CONTACT_S - 1e-3 <= time_s[0] < 0.0
     zero = np.flatnonzero(time_s == 0.0)
     assert len(zero) == 1
@@ -183,29 +180,49 @@ def test_impact_and_whole_push_have_one_scale(recording: Any) -> None:
 
 
 def test_a_run_that_ended_in_homing_is_not_labelled_as_an_impact(recording: Any) -> None:
-    columns = panels(
-        hit_figure(changed(recording, penetration=-1.0, phase=np.full(len(recording.rows), Phase.HOMING)))
-    )
+    homing = changed(recording, penetration=-1.0, phase=np.full(len(recording.rows), Phase.HOMING))
+    columns = panels(hit_figure(homing))
     titles = [column[0].get_title() for column in columns]
     assert titles == ["beginning", "whole run: no contact, it ended in homing"]
     assert {column[2].get_xlabel() for column in columns} == {"time (s)"}
-
-
-def test_without_contact_the_whole_run_is_drawn(recording: Any) -> None:
     _, whole = panels(scaled(hit_figure(changed(recording, penetration=-1.0))))
     assert len(line(whole[0], "measured").get_xdata()) == len(recording)
 
 
-@pytest.mark.parametrize("rows", [0, 1, 2])
-def test_next_to_nothing_is_drawn_too(rows: int, recording: Any) -> None:
-    scaled(hit_figure(replace(recording, rows=recording.rows[:rows], trailer=None, complete=False)))
+def broken_off(rows: int) -> Any:
+    return lambda recording: replace(recording, rows=recording.rows[:rows], trailer=None, complete=False)
 
 
-def test_a_handle_that_never_moves_is_drawn(recording: Any) -> None:
-    for position in (0.0, 0.01, -0.3):
-        still = changed(recording, position=position, handle_position_true=position, velocity=0.0)
+def with_law_that_went_wrong(recording: Any) -> Any:
+    wrong = recording.rows["effort_wall"].copy()
+    wrong[-20:], wrong[-5:] = np.nan, np.inf
+    return changed(recording, effort_wall=wrong, velocity=wrong)
+
+
+def with_partial_truth(recording: Any) -> Any:
+    gone = recording.rows["handle_position_true"].copy()
+    gone[10:] = np.nan
+    return changed(recording, handle_position_true=gone, velocity_true=gone)
+
+
+def at_rest(position: float) -> Any:
+    def still(recording: Any) -> Any:
+        rests = changed(recording, position=position, handle_position_true=position, velocity=0.0)
         experiment = {**recording.experiment, "wall": {**recording.experiment["wall"], "position": position}}
-        scaled(hit_figure(replace(still, header={**recording.header, "experiment": experiment})))
+        return replace(rests, header={**recording.header, "experiment": experiment})
+
+    return still
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        *map(broken_off, (0, 1, 2, 1500)), with_law_that_went_wrong, with_partial_truth,
+        *map(at_rest, (0.0, 0.01, -0.3)),
+    ],
+)  # fmt: skip
+def test_any_recording_is_drawn(odd: Any, recording: Any) -> None:
+    scaled(hit_figure(odd(recording)))
 
 
 def test_a_recording_of_a_real_rig_has_no_truth(recording: Any) -> None:
@@ -214,31 +231,9 @@ def test_a_recording_of_a_real_rig_has_no_truth(recording: Any) -> None:
     assert not any("true" in label for label in labels)
 
 
-def test_a_law_that_went_wrong_is_painted(recording: Any, tmp_path: Path) -> None:
-    wrong = recording.rows["effort_wall"].copy()
-    wrong[-20:] = np.nan
-    wrong[-5:] = np.inf
-    figure = scaled(hit_figure(changed(recording, effort_wall=wrong, velocity=wrong)))
-    size_of(style.save(figure, tmp_path / "picture.png").read_bytes())
-
-
-def test_samples_without_truth_are_drawn(recording: Any) -> None:
-    gone = recording.rows["handle_position_true"].copy()
-    gone[10:] = np.nan
-    scaled(hit_figure(changed(recording, handle_position_true=gone, velocity_true=gone)))
-
-
-def test_a_torn_capture_is_drawn(recording: Any) -> None:
-    torn = recording.rows[: len(recording) // 2]
-    scaled(hit_figure(replace(recording, rows=torn, trailer=None, complete=False)))
-
-
 def test_a_linear_rig_is_drawn_in_its_units(recording: Any) -> None:
     linear, _ = panels(hit_figure(replace(recording, header={**recording.header, "motion": "linear"})))
     assert [axes.get_ylabel() for axes in linear] == ["position (mm)", "velocity (m/s)", "effort (N)"]
-
-
-# ---------------------------------------------------------------------- the picture of a replay
 
 
 def test_a_replay_is_drawn_against_its_recording(recording: Any, tmp_path: Path) -> None:
@@ -248,9 +243,9 @@ def test_a_replay_is_drawn_against_its_recording(recording: Any, tmp_path: Path)
     scaled(replay_figure(replay(replace(recording, rows=recording.rows[:0]))))
 
 
-# ---------------------------------------------------------------------- no display
-
-
+@pytest.mark.exhaustive(
+    "tests/rig/views/test_plot_style.py::test_style_latex_and_backend_of_others_change_no_byte_and_stay_as_they_were"
+)
 def test_the_same_recording_gives_the_same_bytes_without_a_display_or_a_window_toolkit(
     path: Any, picture: Path, tmp_path: Path
 ) -> None:
@@ -260,10 +255,6 @@ def test_the_same_recording_gives_the_same_bytes_without_a_display_or_a_window_t
         "assert not {'matplotlib.pyplot', 'tkinter'} & set(sys.modules)"
     )
     bare = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
-    subprocess.run(
-        [sys.executable, "-W", "error", "-c", code],
-        check=True,
-        timeout=60,
-        env={**bare, "MPLBACKEND": "tkagg"},
-    )
+    environment = {**bare, "MPLBACKEND": "tkagg"}
+    subprocess.run([sys.executable, "-W", "error", "-c", code], check=True, timeout=60, env=environment)
     assert (tmp_path / "x.png").read_bytes() == picture.read_bytes()
