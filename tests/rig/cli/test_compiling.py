@@ -1,4 +1,4 @@
-"""What a command says while it compiles."""
+"""The notice of a command that compiles."""
 
 import sys
 import time
@@ -10,18 +10,18 @@ from rig.realtime import compiling
 
 
 def shown(expected: int, capsys: pytest.CaptureFixture[str]) -> list[str]:
-    """Lines of a log in which twenty kernels are compiled, until the notice has spoken twice."""
+    """Lines of a log in which twenty kernels are compiled, until the notice has printed three lines."""
     notice = CompilingNotice(expected)
     notice(True)
-    said: list[str] = []
-    while len(said) < 3:
+    lines: list[str] = []
+    while len(lines) < 3:
         time.sleep(0.01)
-        said += capsys.readouterr().err.splitlines()
+        lines += capsys.readouterr().err.splitlines()
     notice(False)
-    return [line.strip() for line in said]
+    return [line.strip() for line in lines]
 
 
-def test_a_log_has_what_is_done_and_what_is_left_where_that_is_known(
+def test_a_log_has_the_compiled_kernels_and_the_remaining_time_where_that_is_known(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys.modules[CompilingNotice.__module__], "LINE_S", 0.05)

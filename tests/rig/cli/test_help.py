@@ -72,9 +72,8 @@ def test_quiet_prints_nothing_but_json_and_keeps_the_exit_code(capsys: pytest.Ca
     assert "koul-rigid" in json.loads(capsys.readouterr().out)
 
 
-NAMED = re.compile(
-    r"(?:(?:`|next: |run: )rig|/rig\"?) ([a-z][a-z-]*)((?: [a-z][a-z-]*)?)"
-)  # in a text, in a script
+# In a text, in a script.
+NAMED = re.compile(r"(?:(?:`|next: |run: )rig|/rig\"?) ([a-z][a-z-]*)((?: [a-z][a-z-]*)?)")
 
 
 def test_there_are_at_most_twenty_commands_at_the_top_and_each_that_a_text_names_exists() -> None:
@@ -90,8 +89,8 @@ def test_there_are_at_most_twenty_commands_at_the_top_and_each_that_a_text_names
         for first, second in NAMED.findall(path.read_text(encoding="utf-8"))
     }
     assert len(named) > 100
-    assert [
-        one
-        for one in sorted(named)
-        if (one[1:] not in known if one[1] in groups and one[2] else one[1] not in top)
-    ] == []
+
+    def exists(first: str, second: str) -> bool:
+        return (first, second) in known if first in groups and second else first in top
+
+    assert [one for one in sorted(named) if not exists(*one[1:])] == []

@@ -42,7 +42,7 @@ class Asked:
 
 
 def answered(*words: str) -> Any:
-    """What a command receives whose only argument is such a request."""
+    """Return the value that a command receives whose only argument is such a request."""
 
     @click.command(cls=GroupedCommand)
     @gathered_options(Asked, "request")

@@ -1,4 +1,4 @@
-"""What pytester finds loaded it does not load and forget again, which compiled libraries would not survive."""
+"""Load libraries before pytester runs: it would import and forget them, which compiled ones do not survive."""
 
 from __future__ import annotations
 
@@ -44,6 +44,6 @@ def _captures_closed(request: pytest.FixtureRequest) -> Iterator[None]:
 
 @pytest.fixture
 def suite(pytester: pytest.Pytester) -> pytest.Pytester:
-    """An empty suite of somebody's."""
+    """An empty suite of a lab."""
     pytester.makeini("[pytest]\naddopts = -p rig.testing.plugin -p no:cacheprovider --strict-markers")
     return pytester

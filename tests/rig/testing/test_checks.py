@@ -1,9 +1,10 @@
-"""What tests of a lab's own call finds each promise that a law or an estimator breaks."""
+"""The checks for a lab's own tests find each promise that a law or an estimator breaks."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numba
@@ -43,6 +44,7 @@ def test_a_wall_with_friction_compensation_keeps_them_where_it_acts() -> None:
     check_law(friction.compensated(laws.get("spring-damper"), wanted), everywhere=True, passive=False)
 
 
+@cache
 def bad(function: Callable[..., float]) -> Law:
     return Law("bad", "", kernel(LAW_SIGNATURE, cache=False)(function), 2, lambda wall: [wall["stiffness"]])
 
@@ -85,7 +87,7 @@ def marks(depth: float, velocity: float, elapsed: int, state: Floats, numbers: F
 
 @compiled
 @pytest.mark.parametrize(
-    ("function", "said"),
+    ("function", "message"),
     [
         (allocates, "the law allocates while it runs"),
         (writes_beside, "writes outside of its memory"),
@@ -97,8 +99,10 @@ def marks(depth: float, velocity: float, elapsed: int, state: Floats, numbers: F
         (drives, r"gives .* J in a cycle 0.01 deep .*: it feeds energy into the handle"),
     ],
 )
-def test_a_law_that_breaks_a_promise_is_told_which(function: Callable[..., float], said: str) -> None:
-    with pytest.raises(AssertionError, match=said):
+def test_the_error_of_a_law_names_the_promise_that_it_breaks(
+    function: Callable[..., float], message: str
+) -> None:
+    with pytest.raises(AssertionError, match=message):
         check_law(bad(function))
 
 
@@ -115,7 +119,7 @@ def test_a_law_that_remembers_outside_of_its_arrays_is_found() -> None:
         check_law(bad(ages))
 
 
-def test_what_a_law_does_on_purpose_is_an_argument() -> None:
+def test_an_argument_allows_what_a_law_does_on_purpose() -> None:
     check_law(bad(reaches_out), everywhere=True)
     check_law(bad(attracts), pulls=True)
     check_law(bad(drives), passive=False)
@@ -124,7 +128,7 @@ def test_what_a_law_does_on_purpose_is_an_argument() -> None:
     def magnet(penetration: float) -> float:
         return max(penetration, -1e-3)
 
-    check_law(magnet)  # says so itself
+    check_law(magnet)  # declares it itself
 
 
 def leaks(count: int, age: float, elapsed: int, floats: Floats, ints: Ints, numbers: Floats) -> float:
@@ -139,11 +143,11 @@ def overflows(count: int, age: float, elapsed: int, floats: Floats, ints: Ints, 
 
 @compiled
 @pytest.mark.parametrize(
-    ("function", "said"),
+    ("function", "message"),
     [(leaks, "the estimator allocates while it runs"), (overflows, "writes outside of its memory")],
 )
-def test_an_estimator_that_breaks_a_promise_is_told_which(function: Any, said: str) -> None:
+def test_the_error_of_an_estimator_names_the_promise_that_it_breaks(function: Any, message: str) -> None:
     fdm = estimators.get("fdm")
     broken: Estimator = replace(fdm, update=kernel(ESTIMATOR_SIGNATURE, cache=False)(function))
-    with pytest.raises(AssertionError, match=said):
+    with pytest.raises(AssertionError, match=message):
         check_estimator(broken)

@@ -1,4 +1,4 @@
-"""What a golden recording tolerates is rounding, and what it does not is told by row, column, value and unit."""
+"""A golden recording tolerates rounding; any other difference has row, column, value and unit."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def test_rounding_in_every_tick_is_no_difference(golden: Recording) -> None:
     velocity = golden.column("velocity")
     drift = np.arange(len(velocity)) * 16 * np.spacing(np.abs(velocity).max())
     assert difference(golden, with_column(golden, "velocity", velocity + drift), {}) == ""
-    said = difference(golden, with_column(golden, "velocity", velocity + 100.0 * drift), {})
-    assert said.startswith("differs from the golden recording from row ")
+    message = difference(golden, with_column(golden, "velocity", velocity + 100.0 * drift), {})
+    assert message.startswith("differs from the golden recording from row ")
 
 
 def test_one_count_is_a_difference_unless_it_is_tolerated(golden: Recording) -> None:
@@ -48,14 +48,14 @@ def test_one_count_is_a_difference_unless_it_is_tolerated(golden: Recording) -> 
         difference(golden, today, {"counts": 1})
 
 
-def test_what_is_not_finite_is_a_difference_where_it_was(golden: Recording) -> None:
+def test_a_value_that_is_not_finite_is_a_difference_unless_both_have_it(golden: Recording) -> None:
     torn = golden.column("velocity").copy()
     torn[5] = np.nan
     assert "  velocity: nan rad/s, was " in difference(golden, with_column(golden, "velocity", torn), {})
     assert difference(with_column(golden, "velocity", torn), with_column(golden, "velocity", torn), {}) == ""
 
 
-def test_a_run_that_ends_sooner_is_one(golden: Recording) -> None:
+def test_a_run_that_ends_sooner_is_a_difference(golden: Recording) -> None:
     shorter = replace(golden, rows=golden.rows[:-3])
     rows = len(golden)
     assert difference(golden, shorter, {}) == f"{rows - 3} rows, and {rows} in the golden recording"

