@@ -26,14 +26,12 @@ from tests.conformance.guides import ROOT, blocks
 from tests.conformance.made_links import link
 
 KOUL = presets.load("koul-compliant")
-BY_HAND = config.override(
-    KOUL, {"controller.velocity_rate": 20_000, "wall.damping": 0.0, "wall.stiffness": 100.0}
-)
+WALL = {"wall.damping": 0.0, "wall.stiffness": 100.0}
+BY_HAND = config.override(KOUL, {"controller.velocity_rate": 20_000, **WALL})
 CALM = config.override(config.with_realtime(KOUL), {"controller.position_rate": 1000})
 
 
 def outcomes(found: Any) -> Any:
-    """Outcome of each check of a gate, by name."""
     return {one.name: one.outcome for one in found.checks}
 
 
@@ -42,7 +40,6 @@ def texts(found: Any) -> Any:
 
 
 def refused(found: Any) -> Any:
-    """Text of each check that refuses, by name."""
     return {one.name: one.text for one in found.checks if one.outcome is Outcome.REFUSED}
 
 
@@ -87,11 +84,11 @@ def test_the_radius_is_the_theorys_own_in_every_hand(delay: int) -> None:
     assert found.delay_ticks == delay
     assert set(found.spectral_radius) == {"none", "relaxed", "normal", "firm"}
     for hand, value in found.spectral_radius.items():
-        late = late_by(CALM, delay)
         wall = CALM.wall
-        assert value == pytest.approx(
-            float(theory.spectral_radius(late, None, wall.stiffness, wall.damping, operator=hand))
+        radius = theory.spectral_radius(
+            late_by(CALM, delay), None, wall.stiffness, wall.damping, operator=hand
         )
+        assert value == pytest.approx(float(radius))
     unstable = max(found.spectral_radius.values()) >= 1.0
     assert unstable is (delay >= 3)  # as the preset's text says: a softer wall, one or two ticks late
     assert ("stability" in refused(found)) is unstable
@@ -128,7 +125,7 @@ def test_losing_more_than_one_in_a_thousand_is_refused(lost: int, too_many: bool
     assert ("losses" in refused(found)) is too_many
 
 
-def test_too_few_exchanges_are_told_and_the_longest_counts() -> None:
+def test_too_few_exchanges_are_reported_and_the_longest_counts() -> None:
     found = gate(CALM, link(number=100))
     assert "bound only p97.049" in texts(found)["measurement"]
     assert found.travel_s == pytest.approx(30e-6)
@@ -143,12 +140,11 @@ def test_the_usual_filter_stands_in_for_an_estimator_that_is_not_linear() -> Non
     assert found.spectral_radius == pytest.approx(gate(same, link()).spectral_radius)
 
 
-def test_two_velocity_rates_are_both_looked_at() -> None:
+def test_two_velocity_rates_are_both_checked() -> None:
     rates = {"controller.position_rate": 20_000, "controller.velocity_rate": 2_000, "wall.stiffness": 100.0}
     fixed = config.override(KOUL, rates)
-    slow = config.override(
-        KOUL, {**rates, "controller.velocity_rate": 500, "controller.parameters": {"cutoff_hz": 50.0}}
-    )
+    filtered = {"controller.velocity_rate": 500, "controller.parameters": {"cutoff_hz": 50.0}}
+    slow = config.override(KOUL, rates | filtered)
     both = config.override(fixed, {"controller.slow_velocity_rate": 500, "controller.slow_below": 0.1})
     found = gate(both, link())
     a, b = gate(fixed, link()), gate(slow, link())
@@ -156,7 +152,7 @@ def test_two_velocity_rates_are_both_looked_at() -> None:
         assert value == pytest.approx(max(a.spectral_radius[hand], b.spectral_radius[hand]))
 
 
-def test_what_theory_does_not_speak_of_is_said_and_the_round_trip_gates_alone() -> None:
+def test_a_law_without_linear_theory_is_reported_and_the_round_trip_gates_alone() -> None:
     law = replace(CALM, wall=replace(CALM.wall, law="my-own", stiffness=1e6))
     found = gate(law, link())
     assert found.armable
@@ -168,7 +164,7 @@ def test_what_theory_does_not_speak_of_is_said_and_the_round_trip_gates_alone() 
     assert not slow.armable
 
 
-def test_a_hand_of_ones_own_is_looked_at_too() -> None:
+def test_the_hand_of_the_experiment_is_checked_too() -> None:
     changes = {"trial.kind": "human", "operator.hand_stiffness": 111.0, "operator.press": 1.0}
     own = config.override(CALM, changes)
     assert list(hands_of(own)) == ["none", "relaxed", "normal", "firm", "the experiment's own"]
@@ -188,7 +184,6 @@ def device(*, simulated: bool = False, virtual: bool = False) -> Any:
 
 @pytest.fixture
 def measures(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Links are not measured but made up; returns the list of measurements and what was asked."""
     asked = []
 
     def measure(device: Any, seconds: Any, **_: Any) -> Any:
@@ -209,7 +204,7 @@ def test_a_real_device_is_refused_with_every_reason_and_every_remedy(measures: A
     assert caught.value.exit_code == 2
 
 
-def test_anyway_and_a_simulated_device_are_told_and_not_refused(measures: Any) -> None:
+def test_anyway_and_a_simulated_device_are_recorded_and_not_refused(measures: Any) -> None:
     forced = check_armable(device(), CALM, anyway=True)
     assert forced.forced
     assert not forced.armable
@@ -231,15 +226,9 @@ def test_a_device_is_measured_once_and_in_virtual_time_never(measures: Any) -> N
 
 def test_a_real_device_is_measured_as_long_as_p999_takes(measures: Any) -> None:
     for rate, seconds in ((1000, 3.1), (5000, 1.0), (100, 4.0)):
-        experiment = config.override(
-            CALM,
-            {
-                "controller.position_rate": rate,
-                "controller.velocity_rate": rate,
-                "controller.parameters": {"cutoff_hz": rate / 10},
-                "verdict.lowpass_hz": 45.0,
-            },
-        )
+        rates = {"controller.position_rate": rate, "controller.velocity_rate": rate}
+        filters = {"controller.parameters": {"cutoff_hz": rate / 10}, "verdict.lowpass_hz": 45.0}
+        experiment = config.override(CALM, rates | filters)
         check_armable(device(), experiment, anyway=True)
         assert measures[-1] == pytest.approx(seconds, abs=0.1)
 
@@ -260,7 +249,7 @@ def test_in_real_time_the_device_names_the_rate_and_the_file_the_wall_unless_the
 # ---------------------------------------------------------------------- the table of walls
 
 
-def test_rates_worth_looking_at() -> None:
+def test_candidate_rates_and_their_reasons() -> None:
     def found(measurement: Any, maximum: Any) -> Any:
         return [(rate.hertz, rate.because) for rate in candidate_rates(CALM, measurement, maximum)]
 
@@ -277,11 +266,11 @@ def test_rates_worth_looking_at() -> None:
     ]  # fmt: skip
 
 
-def test_the_table_holds_what_theory_says_of_each_scheme_with_its_delay() -> None:
-    told = []
-    rows = supported_walls(CALM, link(0.4e-3), 4000, told.append)
-    assert told == sorted(told)
-    assert told[-1] == 1.0
+def test_the_table_has_the_limits_of_theory_for_each_scheme_with_its_delay() -> None:
+    shares = []
+    rows = supported_walls(CALM, link(0.4e-3), 4000, shares.append)
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
     assert [(row.position_rate, row.velocity_rate, row.delay_ticks) for row in rows] == [
         (1000, 1000, 1), (1000, 100, 1), (2500, 2500, 1), (2500, 250, 1), (4000, 4000, 2), (4000, 400, 2),
     ]  # fmt: skip
@@ -303,7 +292,7 @@ def test_a_dual_rate_experiment_keeps_its_ratio() -> None:
     assert [(row.position_rate, row.velocity_rate) for row in rows] == [(20_000, 20_000), (20_000, 2_000)]
 
 
-def test_a_scheme_that_cannot_be_says_why() -> None:
+def test_an_impossible_scheme_has_the_reason() -> None:
     kalman = config.override(CALM, {"controller.estimator": "levant"})
     rows = supported_walls(kalman, link(30e-6), 1000)
     assert all("levant" in row.reason for row in rows)
