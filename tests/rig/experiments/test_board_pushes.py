@@ -1,7 +1,4 @@
-"""Pushes of the board: bounded by the board alone, in way, effort and time, whatever becomes of the host.
-
-That they judge a rig as the pushes of a host do is asked in `test_pulse`.
-"""
+"""Pushes of the board: bounded by the board alone, in way, effort and time, also after the host has failed."""
 
 from __future__ import annotations
 
@@ -31,14 +28,8 @@ from tests.conformance.firmware import need_compiler
 from tests.conformance.tiers import first_by_default
 
 LIFETIME_S, RAMP_S = 0.1, 0.01
-X = config.override(
-    presets.load("koul-rigid"),
-    {
-        "controller.loop": "device",
-        "controller.supervise_lifetime_s": LIFETIME_S,
-        "rig.amplifier.current_monitor": False,
-    },
-)
+SUPERVISED = {"controller.loop": "device", "controller.supervise_lifetime_s": LIFETIME_S}
+X = config.override(presets.load("koul-rigid"), {**SUPERVISED, "rig.amplifier.current_monitor": False})
 AT = 0.02
 MOST = round(most_push(X) / effort_quantum(X, X.rig.amplifier.current_quantum_a))  # quanta
 
@@ -51,10 +42,10 @@ class Watched(TickByTick):
         super().__init__(*given, **options)
 
     def tick(self) -> bytes:
-        said = super().tick()
+        frames = super().tick()
         if self.session:
             self.log.append((int(self.hardware.count), self.current))
-        return said
+        return frames
 
 
 @pytest.fixture(autouse=True)
@@ -68,7 +59,7 @@ def board(**options: Any) -> tuple[FramedDevice, Watched]:
 
 
 def supervised(host: FramedDevice, way: Any, seconds: float) -> None:
-    """Begin a push, and only say that it goes on: no STOP, whatever happens."""
+    """Begin a push and only renew its lifetime: no STOP, whatever happens."""
     at = board_pushes._at_rest(host, X, 0)
     host.configure(board_pushes._prepared(host, X, at, way, verified=True, zero=0).parameters)
     host.arm()
@@ -78,7 +69,7 @@ def supervised(host: FramedDevice, way: Any, seconds: float) -> None:
 @pytest.mark.parametrize("drive", first_by_default([1.0, -1.0, 2.0]))
 @pytest.mark.parametrize("way", [1, -1])
 def test_the_board_cuts_in_the_tick_that_left_the_way_of_a_push(way: int, drive: float) -> None:
-    """Motor and encoder agree or not: a sample outside of it is followed by zero effort, though the host says go on."""
+    """Motor and encoder agree or not: a sample outside of it is followed by zero effort, though the host continues."""
     host, device = board()
     device.hardware.drive = drive
     supervised(host, way, REST_S + 2.0 * PUSH_S)
@@ -157,7 +148,7 @@ def test_a_handle_that_does_not_rest_gets_no_push(tmp_path: Path) -> None:
     assert not device.log
 
 
-def test_a_handle_that_somebody_moves_before_the_push_shows_nothing(
+def test_a_handle_that_a_person_moves_before_the_push_gets_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     host, device = board()

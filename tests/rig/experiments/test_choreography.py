@@ -55,9 +55,8 @@ def trial(directory: Path, experiment: Any = HELD, begins_s: float = 0.0, progre
     assert model.reach is not None
     hurried = replace(model, reach=replace(model.reach, wait_s=model.reach.wait_s + begins_s))
     path = directory / f"{begins_s:g}.rigcap"
-    with FramedDevice(
-        MemoryLink(make_device(hurried, None, initial_position=experiment.trial.start)[0])
-    ) as device:
+    board, _ = make_device(hurried, None, initial_position=experiment.trial.start)
+    with FramedDevice(MemoryLink(board)) as device:
         trial_on(device, experiment, path, progress=progress)
     return open_recording(path.with_suffix(".parquet"))
 
@@ -67,7 +66,7 @@ def phases(recording: Recording) -> list[Phase]:
     return [Phase(n) for n in found[np.flatnonzero(np.diff(found, prepend=-1))]]
 
 
-def test_who_obeys_the_cue_holds_from_the_contact_on(tmp_path: Path) -> None:
+def test_a_person_who_obeys_the_cue_holds_from_the_contact_on(tmp_path: Path) -> None:
     recording = trial(tmp_path)
     assert phases(recording)[-4:] == [Phase.FREE, Phase.TRIAL, Phase.RELEASE, Phase.DONE]
     rows = recording.rows
@@ -86,18 +85,16 @@ def test_who_obeys_the_cue_holds_from_the_contact_on(tmp_path: Path) -> None:
     assert free.sent_rms == 0.0
 
 
-def test_who_anticipates_it_has_made_a_false_start_and_meets_no_wall(tmp_path: Path) -> None:
+def test_a_person_who_anticipates_the_cue_makes_a_false_start_and_meets_no_wall(tmp_path: Path) -> None:
     recording = trial(tmp_path, begins_s=-0.3)
     assert phases(recording)[-2:] == [Phase.FREE, Phase.DONE]
     verdict = judge(recording, HELD).verdict
-    assert (verdict.kind, verdict.reasons) == (
-        Kind.INVALID,
-        ("a false start: the handle moved before the cue",),
-    )
+    assert verdict.kind is Kind.INVALID
+    assert verdict.reasons == ("a false start: the handle moved before the cue",)
     assert recording.rows["effort_sent"][-1] == 0.0
 
 
-def test_who_is_slow_holds_as_long_and_who_never_comes_is_told_so(tmp_path: Path) -> None:
+def test_a_slow_person_holds_as_long_and_an_absent_one_makes_the_trial_invalid(tmp_path: Path) -> None:
     slow = trial(tmp_path, begins_s=0.7)
     assert judge(slow, HELD).verdict.kind is Kind.STABLE
     led = slow.rows[slow.rows["phase"] == Phase.TRIAL]
@@ -108,7 +105,7 @@ def test_who_is_slow_holds_as_long_and_who_never_comes_is_told_so(tmp_path: Path
     assert (absent.rows["phase"] == Phase.TRIAL).sum() == round(HELD.trial.duration_s * RATE)
 
 
-def test_those_who_watch_are_told_of_cue_and_contact(tmp_path: Path) -> None:
+def test_progress_receives_phases_and_the_hold(tmp_path: Path) -> None:
     seen: list[int] = []
     trial(tmp_path, progress=lambda ticks, phase: seen.append(phase))
     assert set(seen) <= {*Phase, HOLD}
@@ -138,14 +135,14 @@ def test_a_motor_keeps_its_clock(key: str) -> None:
         config.override(presets.load("koul-compliant"), {key: 0.5})
 
 
-def test_whoever_shows_a_phase_has_a_word_for_each_that_a_loop_tells(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_phase_of_a_loop_has_a_name_and_a_progress_bar(monkeypatch: pytest.MonkeyPatch) -> None:
     """A progress that raises would end the hit."""
     monkeypatch.setattr("rig.cli.output.on_terminal", lambda: True)
-    told = (*Phase, HOLD)
-    assert len({phase_name(phase) for phase in told}) == len(told)
+    shown = (*Phase, HOLD)
+    assert len({phase_name(phase) for phase in shown}) == len(shown)
     assert phase_name(HOLD) == "hold"
     with ProgressBars(quiet=False) as bars:
         update = bars.watch(0, HELD)
         assert update is not None
-        for phase in told:
+        for phase in shown:
             update(1, int(phase))

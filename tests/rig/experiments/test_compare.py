@@ -2,9 +2,7 @@
 
 import json
 import math
-import pkgutil
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig import config, devices
+from rig import config
 from rig.config import presets
 from rig.config.schemes import Scheme
-from rig.core.errors import ConfigError, DeviceNotFoundError
+from rig.core.errors import ConfigError
 from rig.core.present import plain
 from rig.experiments.hits import compare as comparing
 from rig.experiments.hits._impact import mean, measure, second_peak
@@ -29,9 +27,6 @@ SHORT = {"trial.duration_s": 0.2, "verdict.tail_s": 0.05}
 
 def short(name: str) -> Any:
     return config.override(presets.load(name), SHORT)
-
-
-# --- the numbers of one impact ----------------------------------------------------------------------------
 
 
 def swing(decay_s: float, *, rest: float = 10.0, first: float = 40.0, period_s: float = 0.02) -> Any:
@@ -90,18 +85,13 @@ def test_a_mean_has_a_settling_time_only_if_all_settled() -> None:
     assert mean([settled, endless]).peak == (settled.peak + endless.peak) / 2
 
 
-# --- what makes it fair -----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", presets.names())
 def test_up_to_the_first_contact_all_schemes_move_alike_to_the_last_bit(name: Any) -> None:
     """Also with other estimators: no homing, whose servo would feel the estimate."""
     experiment = short(name)
     rate = experiment.controller.position_rate
-    entries = (
-        *default_entries(experiment),
-        Entry(name="raw", scheme=Scheme(position_rate=rate, velocity_rate=rate, estimator="fdm")),
-    )
+    raw = Entry(name="raw", scheme=Scheme(position_rate=rate, velocity_rate=rate, estimator="fdm"))
+    entries = (*default_entries(experiment), raw)
     start, model = Start.of(experiment), config.rig_model(experiment)
     before, arrival = set(), set()
     for entry in entries:
@@ -130,14 +120,8 @@ def test_an_external_effort_pushes_the_rig_and_a_small_one_does_not_overcome_fri
     assert (trace.states[:, plant.sensed_position] == -0.1).all()
     model = rotary_rig(inertia=1e-3)
     law = comparing._controller(experiment, Start(position=0.0))
-    free = run_trial(
-        law,
-        DiscretePlant.build(model, 5e-5),
-        -0.4,
-        most_ticks=1000,
-        initial_velocity=0.2,
-        external_effort=0.01,
-    )
+    plant = DiscretePlant.build(model, 5e-5)
+    free = run_trial(law, plant, -0.4, most_ticks=1000, initial_velocity=0.2, external_effort=0.01)
     assert free.states[-1, 1] == pytest.approx(0.2 + 0.01 / 1e-3 * 1000 * 5e-5)
 
 
@@ -174,9 +158,8 @@ def test_damping_holds_the_handle_back_and_its_traces_begin_inside_the_wall() ->
 
 def test_a_wall_on_the_other_side_gives_the_same_depths() -> None:
     experiment = short("koul-rigid")
-    mirrored = config.override(
-        experiment, {"wall.side": -1, "trial.start": 0.015, "trial.effort": -0.15, "rig.encoder.sign": -1}
-    )
+    mirror = {"wall.side": -1, "trial.start": 0.015, "trial.effort": -0.15, "rig.encoder.sign": -1}
+    mirrored = config.override(experiment, mirror)
     one, other = (compare(x, offsets=(0.5,))["dual"].numbers for x in (experiment, mirrored))
     assert other.impact_velocity == pytest.approx(one.impact_velocity, rel=0.02)
     assert other.peak == pytest.approx(one.peak, abs=1.0)
@@ -199,10 +182,7 @@ def test_the_usual_entries_keep_the_position_rate_and_the_experiments_dual_rate(
     assert none.label(experiment) == "no damping"
 
 
-# --- what cannot be meant ---------------------------------------------------------------------------------
-
-
-def test_what_cannot_be_compared_is_refused_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_impossible_comparison_is_refused_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     experiment = short("koul-rigid")
     with pytest.raises(ConfigError, match=r"never reached the wall.*push harder"):
         compare(experiment, start=Start(position=-0.1))
@@ -215,22 +195,3 @@ def test_what_cannot_be_compared_is_refused_with_a_remedy(monkeypatch: pytest.Mo
     held = replace(experiment, trial=replace(experiment.trial, kind="human"))
     with pytest.raises(ConfigError, match="in automated trials, without a hand"):
         compare(held)
-
-
-def test_without_the_simulation_there_is_a_clear_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(name: Any) -> Any:
-        if name.startswith("sim_backend"):
-            raise ModuleNotFoundError(f"No module named {name!r}")
-        return pkgutil.resolve_name(name)
-
-    monkeypatch.setattr(devices, "resolve_name", missing)
-    with pytest.raises(DeviceNotFoundError, match=r"sim://.*does not load"):
-        compare(short("koul-rigid"))
-
-
-# --- pictures ---------------------------------------------------------------------------------------------
-
-
-def test_a_picture_is_drawn(tmp_path: Path) -> None:
-    comparison = compare(short("koul-rigid"), offsets=(0.5,))
-    assert comparison.plot().save(tmp_path / "x.png").stat().st_size > 30_000

@@ -1,4 +1,4 @@
-"""A cut is a recording: it opens, shows, exports and replays to the last bit, and says where it is from."""
+"""A cut is a recording: it opens, shows, exports and replays to the last bit, and names its origin."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_a_cut_has_the_rows_between_and_replays_as_the_whole_does(
     np.testing.assert_array_equal(again.rows["effort_wanted"], replay(whole).rows["effort_wanted"][inside])
 
 
-def test_its_header_says_from_which_recording_where_and_when(whole: Recording, tmp_path: Path) -> None:
+def test_the_header_of_a_cut_names_recording_place_and_time(whole: Recording, tmp_path: Path) -> None:
     result = cut_recording(place(whole), 0.05, 0.15, output=tmp_path)
     assert result.path.name == "one-cut.parquet"
     facts = cut_facts(open_facts(result.path))
@@ -168,7 +168,7 @@ def test_a_cut_has_no_verdict_of_its_own_and_is_shown_and_exported(whole: Record
     export(path, tmp_path / "cut.csv")
 
 
-def test_what_cannot_be_cut_is_refused_and_what_cannot_be_replayed_is_cut(
+def test_an_impossible_cut_is_refused_and_one_that_cannot_be_replayed_is_made(
     whole: Recording, tmp_path: Path
 ) -> None:
     for first_s, last_s in ((5.0, 6.0), (-2.0, -1.0), (0.1, 0.05), (0.1, 0.1)):

@@ -1,4 +1,4 @@
-"""What an experiment with a law on the device means to plan, gate, changes and excitation; no device is there."""
+"""An experiment with a law on the device: its plan, gate, changes and excitation, without a device."""
 
 from __future__ import annotations
 
@@ -30,28 +30,13 @@ RIGID = presets.load("koul-rigid")
 ON_DEVICE = config.override(RIGID, {"controller.loop": "device"})
 HOLDS = config.override(ON_DEVICE, {"wall.stiffness": 150.0, "wall.damping": 0.1})  # in every hand
 EXAMPLE = Path(__file__).parents[3] / "firmware_protocol/firmware/boards/rp2040/example.toml"
-EXCITED = config.excited(
-    config.override(
-        ON_DEVICE,
-        {
-            "excitation.channel": "motor",
-            "excitation.period_s": 0.1,
-            "excitation.low_hz": 10.0,
-            "wall.stiffness": 50.0,
-        },
-    )
-)
+SHORT = {"excitation.channel": "motor", "excitation.period_s": 0.1, "excitation.low_hz": 10.0}
+EXCITED = config.excited(config.override(ON_DEVICE, {**SHORT, "wall.stiffness": 50.0}))
 
 
 def device(**ranges: Any) -> Any:
-    """The dictionary of a device whose law parameters have these ranges."""
-    return dictionary.build(
-        device="board",
-        firmware="1",
-        simulated=False,
-        current_quantum_a=0.001,
-        ranges=ranges,
-    )
+    given = {"device": "board", "firmware": "1", "simulated": False, "current_quantum_a": 0.001}
+    return dictionary.build(**given, ranges=ranges)
 
 
 def test_the_example_for_a_board_is_fixed_point_at_20_khz() -> None:
@@ -72,7 +57,7 @@ def test_the_example_for_a_board_is_fixed_point_at_20_khz() -> None:
         ("levant", "float32", "float32"),
     ],
 )
-def test_arithmetic_follows_the_estimator_unless_it_is_said(
+def test_arithmetic_follows_the_estimator_unless_it_is_given(
     estimator: str, arithmetic: str, expected: str
 ) -> None:
     x = config.override(RIGID, {"controller.estimator": estimator, "controller.arithmetic": arithmetic})
@@ -82,24 +67,22 @@ def test_arithmetic_follows_the_estimator_unless_it_is_said(
 @pytest.mark.parametrize(
     ("key", "value", "instead"), [("pacing", "host", "device"), ("overrun", "stop", "skip")]
 )
-def test_a_beat_of_the_host_is_refused(key: str, value: str, instead: str) -> None:
+def test_pacing_or_stopping_by_the_host_is_refused(key: str, value: str, instead: str) -> None:
     with pytest.raises(ConfigError, match=rf'host.{key} = "{value}": must be "{instead}"'):
         config.override(ON_DEVICE, {f"host.{key}": value})
 
 
-def test_what_one_tick_would_have_to_make_up_is_bounded() -> None:
+def test_the_filter_steps_of_one_tick_are_bounded() -> None:
     """At 20k/2k a handle sampled ten times as rarely asks ten filter steps of one tick; five are taken."""
 
-    def told(slow_velocity_rate: Any) -> Any:
-        x = config.override(
-            ON_DEVICE,
-            {"controller.slow_velocity_rate": slow_velocity_rate, "controller.slow_below": 0.1},
-        )
+    def parameters_for(slow_velocity_rate: Any) -> Any:
+        slow = {"controller.slow_velocity_rate": slow_velocity_rate, "controller.slow_below": 0.1}
+        x = config.override(ON_DEVICE, slow)
         return prepared(x, current_quantum_a=0.001, reference_count=0, verified=True).parameters
 
-    assert told(400)["slow_multiple"] == 5
+    assert parameters_for(400)["slow_multiple"] == 5
     with pytest.raises(PlanError, match=r"slow_velocity_rate = 200 .* 10 velocity periods") as refused:
-        told(200)
+        parameters_for(200)
     assert "loop" in refused.value.remedy
 
 
@@ -115,14 +98,14 @@ def test_real_time_makes_nothing_gentler_where_the_device_runs_the_law() -> None
     assert config.with_realtime(RIGID).controller.position_rate == 1000
 
 
-@pytest.mark.parametrize(("loop", "rate"), [("host", 1500), ("device", 20_000)])
-def test_a_rate_of_the_device_is_the_hosts_only(loop: str, rate: int) -> None:
+def test_a_rate_of_the_device_is_the_hosts_only() -> None:
     board = SimpleNamespace(
         link=SimpleNamespace(clock=SimpleNamespace(virtual=False)),
         dictionary=SimpleNamespace(position_rate_default=1500),
     )
-    x = in_effect(RIGID, board, {"controller.loop": loop})
-    assert (x.controller.loop, x.controller.position_rate) == (loop, rate)
+    for loop, rate in (("host", 1500), ("device", 20_000)):
+        x = in_effect(RIGID, board, {"controller.loop": loop})
+        assert (x.controller.loop, x.controller.position_rate) == (loop, rate)
 
 
 # ---------------------------------------------------------------------- what a device can do
@@ -167,11 +150,8 @@ def test_the_link_must_carry_every_tick() -> None:
 def test_a_simulated_rig_that_runs_the_law_is_the_firmware() -> None:
     assert devices.url_for("sim://", "device") == "sim://?firmware=1"
     assert devices.url_for("sim://koul-rigid?seed=3", "device") == "sim://koul-rigid?seed=3&firmware=1"
-    for url, loop in (
-        ("sim://", "host"),
-        ("serial:///dev/ttyACM0", "device"),
-        ("sim://?firmware=0", "device"),
-    ):
+    unchanged = [("sim://", "host"), ("serial:///dev/ttyACM0", "device"), ("sim://?firmware=0", "device")]
+    for url, loop in unchanged:
         assert devices.url_for(url, loop) == url
 
 
@@ -189,7 +169,7 @@ def test_the_gate_judges_a_law_on_the_device_without_the_links_delay() -> None:
     assert "execution" in [one.name for one in there.checks]
 
 
-def test_the_gate_asks_for_words_in_time_and_for_a_wall_that_holds() -> None:
+def test_the_gate_needs_commands_in_time_and_a_stable_wall() -> None:
     late = gate(HOLDS, link(0.011))
     assert not late.armable
     assert "supervise_lifetime_s" in late.remedy
@@ -235,10 +215,8 @@ def test_an_identification_moves_by_the_host_and_leaves_the_board_its_law(tmp_pa
 @pytest.mark.parametrize("kind", ["random", "schroeder"])
 def test_the_host_plays_the_table_that_the_device_makes(kind: str) -> None:
     x = config.override(EXCITED, {"excitation.kind": kind, "excitation.realisations": 1})
-    law, quantum = (
-        excitation_run.excited_law(x, current_quantum_a=0.002),
-        0.002 * x.rig.amplifier.effort_per_ampere,
-    )
+    law = excitation_run.excited_law(x, current_quantum_a=0.002)
+    quantum = 0.002 * x.rig.amplifier.effort_per_ampere
     given = {name.removeprefix("excitation_"): value for name, value in law.device.items()}
     table = ExcitationTable(**{**given, "phases": PHASES[given["phases"]]})
     rendered = law.prepare({"stiffness": 1.0, "damping": 0.0, "side": x.wall.side})
@@ -250,7 +228,7 @@ def test_the_host_plays_the_table_that_the_device_makes(kind: str) -> None:
     assert values["bilateral"] == 1
 
 
-def test_what_excites_the_rig_is_what_was_asked_for() -> None:
+def test_the_excitation_has_the_size_and_lines_of_the_experiment() -> None:
     wanted = config.excitation_size(EXCITED)["rms"]
     multisine = excitation_run.multisine_of(EXCITED)
     assert multisine.rms == pytest.approx(wanted, rel=1e-4)

@@ -41,10 +41,10 @@ def hit(rate_hz: float = 2000, resolution: float = FINE) -> Any:
     return signal_case(SIGNALS["wall-bounce"], rate_hz, resolution)
 
 
-# --- arrays of one's own ----------------------------------------------------------------------------------
+# --- arrays -----------------------------------------------------------------------------------------------
 
 
-def test_counts_of_ones_own_are_scored_and_tuned_as_the_signal_that_they_come_from() -> None:
+def test_arrays_are_scored_and_tuned_as_the_signal_that_they_come_from() -> None:
     """At the judged samples a line between true velocities is the velocity itself; without edges, but for the cost."""
     signal = replace(hit(), judged=np.ones(len(hit().counts), np.bool_))
     mine = rig.counts_case(
@@ -77,11 +77,8 @@ def test_a_narrow_counter_and_lost_samples_are_taken_as_estimate_takes_them() ->
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"velocity": [0.0, 1.0]}, r"3 counts, but the true velocities have shape \(2,\), 2 of them finite"),
-        (
-            {"velocity": [0.0, 1.0, np.nan]},
-            r"3 counts, but the true velocities have shape \(3,\), 2 of them finite",
-        ),
+        ({"velocity": [0.0, 1.0]}, r"3 counts, .*shape \(2,\), 2 of them finite"),
+        ({"velocity": [0.0, 1.0, np.nan]}, r"3 counts, .*shape \(3,\), 2 of them finite"),
         ({"settle_s": 1.0}, "3 samples last 0.003 s, not longer than the settling time of 1 s"),
         ({"counts": [0, 1.5, 2]}, "is not a whole number"),
         ({"resolution": 0.0}, "is not a travel per count"),
@@ -121,7 +118,7 @@ def test_a_known_shift_is_found_to_microseconds() -> None:
         assert rms >= left - 1e-6 * case.speed_rms
 
 
-def test_a_delay_that_cannot_be_told_is_none() -> None:
+def test_a_delay_that_the_signal_does_not_show_is_nan() -> None:
     steady = signal_case(SIGNALS["ramp"], 2000, FINE)
     rms, delay_s, left = errors(steady, estimates(steady, Variant("fdm")))
     assert math.isnan(delay_s)
@@ -140,9 +137,8 @@ def test_the_reference_hit_gives_the_errors_of_the_reference_study() -> None:
     ):
         case = hit(rate, resolution)
         assert score(case, Variant("fdm")).rms == pytest.approx(fdm, rel=0.1)
-        assert score(case, Variant("fdm-butterworth", {"cutoff_hz": 0.05 * rate})).rms == pytest.approx(
-            filtered, rel=0.06
-        )
+        found = score(case, Variant("fdm-butterworth", {"cutoff_hz": 0.05 * rate}))
+        assert found.rms == pytest.approx(filtered, rel=0.06)
 
 
 def test_at_rest_a_resting_count_is_silent_and_a_toggling_one_is_not() -> None:
@@ -186,7 +182,7 @@ def test_settings_that_a_rate_does_not_allow_are_reported_not_raised() -> None:
         compare_estimators([hit(1000)], [Variant("fmd")])
 
 
-def test_a_timed_comparison_says_what_a_sample_costs() -> None:
+def test_a_timed_comparison_has_the_cost_of_a_sample() -> None:
     (found,) = compare_estimators([hit()], [Variant("fdm")], timed=True).scores
     assert 0.0 < found.ns_per_sample < 1e5
 
@@ -222,6 +218,7 @@ def test_a_recording_is_judged_over_its_trial_against_the_simulations_truth() ->
     found = score(case, Variant("fdm-butterworth"))
     assert found.delay_s == pytest.approx(0.00025 + 0.001088, rel=0.01)
     assert found.rms_without_delay < 0.05 * case.speed_rms
+    assert recording_case(recorded()).rate_hz == EXPERIMENT.controller.velocity_rate
 
 
 def test_a_recording_gives_the_estimates_of_the_signal_it_came_from() -> None:
@@ -254,10 +251,6 @@ def test_lost_samples_become_elapsed_periods() -> None:
     assert np.abs(velocity - case.truth(case.time_s))[1:].max() < 1.1 * abs(case.resolution) / case.dt
 
 
-def test_without_a_rate_it_is_the_recordings_own() -> None:
-    assert recording_case(recorded()).rate_hz == EXPERIMENT.controller.velocity_rate
-
-
 def test_a_rate_that_does_not_divide_the_recordings_is_refused_with_one_that_does() -> None:
     with pytest.raises(ConfigError, match=rf"3000 Hz is not a whole fraction.*{RATE} Hz.*choose"):
         recording_case(recorded(), 3000)
@@ -273,10 +266,8 @@ def test_the_optimum_is_what_a_fine_scan_finds(objective: Any) -> None:
     case = hit(5000, COARSE)
     found = tune_estimator("fdm-butterworth", case, objective=objective, free=["cutoff_hz"])
     scan = np.geomspace(20.0, 2400.0, 150)
-    values = [
-        OBJECTIVES[objective](case, estimates(case, Variant("fdm-butterworth", {"cutoff_hz": f})))
-        for f in scan
-    ]
+    variants = [Variant("fdm-butterworth", {"cutoff_hz": f}) for f in scan]
+    values = [OBJECTIVES[objective](case, estimates(case, one)) for one in variants]
     assert found.objective_best <= 1.002 * min(values)
     (within,) = found.ranges
     inside = scan[np.array(values) <= (1 + WITHIN) * found.objective_best]
@@ -293,12 +284,6 @@ def test_tuning_reaches_the_best_filters_of_the_reference_study() -> None:
         found = tune_estimator("fdm-butterworth", hit(rate, resolution))
         assert found.after.rms == pytest.approx(best, rel=0.06)
         assert found.after.rms <= found.before.rms
-
-
-def test_tuning_is_repeatable_to_the_bit() -> None:
-    one, two = (tune_estimator("fdm-butterworth", hit()) for _ in range(2))
-    assert one.settings == two.settings
-    assert one.objective_best == two.objective_best
 
 
 def test_whole_numbers_are_tuned_as_whole_numbers() -> None:
@@ -332,19 +317,17 @@ def test_the_fragment_is_an_experiment_that_runs_with_these_settings(tmp_path: P
 @pytest.mark.parametrize(
     ("name", "changes", "text"),
     [
-        ("fdm", {}, "no tunable setting"),
         ("fmd", {}, "unknown estimator 'fmd'"),
-        ("fdm-butterworth", {"objective": "beauty"}, "unknown objective 'beauty'.*rms"),
         ("fdm-butterworth", {"free": ["cutof"]}, "no number 'cutof'.*cutoff_hz"),
         ("fdm-butterworth", {"settings": {"cutoff_hz": 5000.0}}, "Nyquist"),
     ],
 )
-def test_what_cannot_be_tuned_is_refused(name: str, changes: Any, text: str) -> None:
+def test_an_impossible_tuning_is_refused(name: str, changes: Any, text: str) -> None:
     with pytest.raises(ConfigError, match=text):
         tune_estimator(name, hit(), **changes)
 
 
-def test_ranges_say_when_the_search_ended_before_they_did() -> None:
+def test_ranges_show_at_which_end_the_search_stopped() -> None:
     base = SettingRange("x", "Hz", 2.0, 1.0, 4.0, open_below=False, open_above=False)
     assert shown_range(base) == "1 to 4 Hz"
     assert shown_range(replace(base, open_above=True)) == "1 to 4 or more Hz"
@@ -352,13 +335,13 @@ def test_ranges_say_when_the_search_ended_before_they_did() -> None:
     assert shown_range(replace(base, open_below=True, open_above=True)) == "anything from 1 to 4 Hz"
 
 
-@pytest.mark.parametrize("name", estimators.names())
-def test_every_setting_of_the_family_says_what_it_is(name: Any) -> None:
-    for setting in estimators.get(name).settings:
-        assert setting.meaning
-        if isinstance(setting, Choice):
-            assert setting.default in setting.choices
-        else:
-            assert isinstance(setting, Setting)
-            assert setting.unit
-            assert setting.minimum < setting.maximum
+def test_every_setting_of_every_estimator_has_a_meaning_and_a_range() -> None:
+    for name in estimators.names():
+        for setting in estimators.get(name).settings:
+            assert setting.meaning
+            if isinstance(setting, Choice):
+                assert setting.default in setting.choices
+            else:
+                assert isinstance(setting, Setting)
+                assert setting.unit
+                assert setting.minimum < setting.maximum

@@ -1,4 +1,4 @@
-"""An estimator as C: compiled, it gives the host's velocities; what cannot be exported is refused with the reason."""
+"""An estimator as C: compiled, it gives the host's velocities; the others are refused with the reason."""
 
 from __future__ import annotations
 
@@ -56,12 +56,11 @@ def written(variant: Variant, directory: Path, **more: Any) -> EstimatorExport:
 
 
 def tried(export: EstimatorExport) -> subprocess.CompletedProcess[str]:
-    """The generated test, compiled as strictly as the firmware is, and run."""
     program = compile_c(export.test.with_suffix(""), [export.test], [])
     return subprocess.run([program], capture_output=True, text=True, timeout=20, check=False)
 
 
-@pytest.mark.parametrize("variant", first_by_default(VARIANTS, 6), ids=lambda variant: variant.label)
+@pytest.mark.parametrize("variant", first_by_default(VARIANTS, 4), ids=lambda variant: variant.label)
 def test_the_compiled_estimator_gives_the_velocities_of_the_host(variant: Variant, tmp_path: Path) -> None:
     done = tried(written(variant, tmp_path))
     assert done.returncode == 0, done.stdout
@@ -82,9 +81,7 @@ def test_every_estimator_can_be_exported_or_is_refused_with_the_reason(tmp_path:
     ("variant", "number"),
     [
         (Variant("kalman", {"gain": "steady"}), "gain_velocity"),
-        (Variant("levant"), "lambda"),
         (Variant("levant", {"discretisation": "explicit", "lipschitz": 500.0}), "alpha"),
-        (Variant("foaw-end"), "band"),
     ],
     ids=lambda one: one if isinstance(one, str) else one.label,
 )

@@ -68,16 +68,11 @@ def test_a_stated_rate_is_kept_or_refused_with_the_rate_that_works() -> None:
     assert works.reason == ""
 
 
-def test_a_link_that_carries_none_is_refused_with_the_numbers() -> None:
+def test_a_link_that_carries_no_rate_is_refused_with_the_numbers() -> None:
     """At 250 Hz seven whole samples are missing in 30 ms."""
     with pytest.raises(PlanError, match="sent nothing for 28 ms") as caught:
         choose_rate(RIG, link(2e-4, silences_s=(0.03,)), most_hz=1000)
-    assert f"now support 62 Hz, and an identification needs {SLOWEST_HZ} Hz or more" in str(
-        caught.value.remedy
-    )
-
-
-def test_a_link_that_carries_no_loop_at_all_is_refused_too() -> None:
+    assert f"now support 62 Hz, and an identification needs {SLOWEST_HZ} Hz" in str(caught.value.remedy)
     with pytest.raises(PlanError, match="an identification at 250 Hz would fail") as caught:
         choose_rate(RIG, link(2e-4, silences_s=(0.4,) * 10), most_hz=1000)
     assert "now support less than 10 Hz" in str(caught.value.remedy)
@@ -107,9 +102,7 @@ def test_a_motion_that_timing_spoils_is_repeated_in_real_time_alone() -> None:
 def test_a_run_that_silence_ended_names_the_rate_that_outlives_it() -> None:
     assert "`rate` 300" in advice(0.008, 1000)
     assert "no rate from 250 Hz up" in advice(0.06, 1000)
-    assert "no rate from 250 Hz up" in advice(0.015, 125), (
-        "a slower loop bears no more: its commands live for 20 ms"
-    )
+    assert "no rate from 250 Hz up" in advice(0.015, 125), "commands of a slower loop live for 20 ms too"
 
 
 @pytest.mark.parametrize("lifetime_s", [0.002, 0.004, 0.0105, 0.02, 0.03, 0.2])

@@ -49,6 +49,7 @@ LINEAR = {
     "excitation.settle_periods": 6,  # an undamped wall of 20 kN/m rings for seconds
 }  # fmt: skip
 FAST = {"excitation.settle_periods": 1, "excitation.periods": 2, "excitation.realisations": 2}
+OWN_MOTOR = FAST | {"excitation.channel": "motor"}
 
 
 def linear(scheme: Any, **changes: Any) -> Any:
@@ -91,7 +92,7 @@ def test_the_measured_impedance_is_the_closed_form(scheme: str, walls: list[tupl
 
 
 @pytest.mark.parametrize(("delay", "drive"), [(0, "current"), (1, "current"), (1, "voltage")])
-def test_so_it_is_with_lag_delay_and_two_masses_where_the_encoder_is_and_at_the_handle(
+def test_the_closed_form_holds_with_lag_delay_and_two_masses_at_the_encoder_and_at_the_handle(
     delay: int, drive: str
 ) -> None:
     fine = {
@@ -114,7 +115,7 @@ def test_so_it_is_with_lag_delay_and_two_masses_where_the_encoder_is_and_at_the_
 
 
 @pytest.mark.parametrize("channel", ["external", "motor"])
-def test_what_is_fitted_to_a_voltage_driven_rig_is_its_own_damping_and_mass(channel: str) -> None:
+def test_the_fit_of_a_voltage_driven_rig_is_its_own_damping_and_mass(channel: str) -> None:
     """Back-EMF, nine times as much, is behind the lag and described: it is taken away, and from a wall too."""
     fine = {
         "rig.mechanics.motor_coulomb": 0.0, "rig.mechanics.end_mass": 0.0, "rig.amplifier.drive": "voltage",
@@ -142,12 +143,8 @@ def test_on_a_rigid_rig_the_own_motor_measures_what_a_second_actuator_measures(
     wall: tuple[float, ...], agree: float
 ) -> None:
     """And exactly what its own closed form says; the images of the hold tell the two apart, by less than 0.4 %."""
-    scheme = (
-        "uniform:1k,estimator=fdm-butterworth,cutoff_hz=100"
-        if wall == (0.0, 0.0)
-        else "uniform:1k,estimator=fdm"
-    )
-    x = linear(scheme, **{"excitation.channel": "motor"})
+    scheme = "fdm" if any(wall) else "fdm-butterworth,cutoff_hz=100"
+    x = linear(f"uniform:1k,estimator={scheme}", **{"excitation.channel": "motor"})
     own = periodic([ExcitedRig(x, acquisition_hz=1e6).excite(*wall).record])
     magnitude, phase = off(own.z, rendered(x, *wall, own.lines_hz, channel="motor"))
     assert magnitude < 0.1
@@ -215,15 +212,15 @@ def test_frictions_distortion_is_frozen_noise_which_only_realisations_show() -> 
 
 def test_results_have_verdict_fidelity_and_fit_and_are_json(tmp_path: Path) -> None:
     schemes = [Scheme.parse("uniform:1k,estimator=fdm"), Scheme.parse("uniform:1k,estimator=kalman")]
-    told = []
+    calls = []
     results = measure_impedance(
         CHAWDA,
         walls=[(0.0, 0.0), (10e3, 40.0)],
         schemes=schemes,
         judging=Judging(band_hz=(2.0, 100.0)),
-        watch=lambda done, total: told.append((done, total)),
+        watch=lambda done, total: calls.append((done, total)),
     )
-    assert told[-1] == (16, 16)
+    assert calls[-1] == (16, 16)
     assert [r.wall for r in results] == [(0.0, 0.0), (10e3, 40.0)] * 2
     assert [r.experiment.controller.estimator for r in results] == ["fdm", "fdm", "kalman", "kalman"]
     free, wall = results[:2]
@@ -272,10 +269,17 @@ def test_a_wall_that_throws_the_handle_out_is_a_result_and_not_an_error() -> Non
 @pytest.fixture(scope="module")
 def on_device(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """One wall measured over the byte link in virtual time, with an estimator that forgets its rest."""
-    x = config.override(CHAWDA, {"excitation.channel": "motor", **FAST})
-    x = Scheme.parse("uniform:1k,estimator=fdm-butterworth,cutoff_hz=200").applied(x)
+    x = Scheme.parse("uniform:1k,estimator=fdm-butterworth,cutoff_hz=200").applied(
+        config.override(CHAWDA, OWN_MOTOR)
+    )
     (result,) = rig.impedance(x, [(10e3, 10.0)], url="sim://", output=tmp_path_factory.mktemp("recordings"))
     return x, result
+
+
+def measured(directory: Path, *walls: tuple[float, float], agrees: Any = None, **changes: Any) -> list[Any]:
+    x = config.override(CHAWDA, {**OWN_MOTOR, "excitation.realisations": 1, **changes})
+    asks = {} if agrees is None else {"agrees": agrees}
+    return list(measure_on_device(x, OnDevice(url="sim://", recordings=directory), walls=walls, **asks))
 
 
 def test_over_the_byte_link_the_counts_are_the_same_to_the_last_bit(on_device: Any) -> None:
@@ -299,7 +303,7 @@ def test_over_the_byte_link_the_counts_are_the_same_to_the_last_bit(on_device: A
         assert rows["effort_wanted"] == pytest.approx(played - reaction, abs=1e-9)
 
 
-def test_and_the_impedance_is_that_of_the_run_without_bytes(on_device: Any) -> None:
+def test_over_the_byte_link_the_impedance_is_that_of_the_run_without_bytes(on_device: Any) -> None:
     """Which sees the motion between the ticks as well; the record has it put right."""
     x, result = on_device
     (other,) = measure_impedance(x, walls=[(10e3, 10.0)])
@@ -329,20 +333,14 @@ def test_a_recording_of_it_is_replayed_and_measured_again(on_device: Any) -> Non
 
 def test_recordings_of_no_wall_or_of_two_are_no_measurement(on_device: Any, tmp_path: Path) -> None:
     x, result = on_device
-    with pytest.raises(
-        ConfigError, match="the recordings are of 0 walls; recordings of a single wall are needed"
-    ):
+    with pytest.raises(ConfigError, match="of 0 walls; recordings of a single wall are needed"):
         rig.read_impedance([])
     (other,) = rig.impedance(
         x, [(5e3, 10.0)], url="sim://", output=tmp_path, excitation={"realisations": 1, "seed": 5}
     )
-    with pytest.raises(
-        ConfigError, match="the recordings are of 2 walls; recordings of a single wall are needed"
-    ):
+    with pytest.raises(ConfigError, match="of 2 walls; recordings of a single wall are needed"):
         rig.read_impedance([*result.recordings, *other.recordings])
-    with pytest.raises(
-        ConfigError, match="signal = 'truth' cannot be used with a device, which records counts only"
-    ):
+    with pytest.raises(ConfigError, match="signal = 'truth' cannot be used with a device"):
         rig.impedance(x, url="sim://", signal="truth")
 
 
@@ -363,9 +361,8 @@ def test_the_delay_between_command_and_current_is_read_off_the_recording() -> No
 
 
 def test_on_a_device_the_wall_that_throws_the_handle_out_is_a_result_too(tmp_path: Path) -> None:
-    x = config.override(CHAWDA, {"excitation.channel": "motor", "rig.limits.speed": 0.2, **FAST})
-    x = Scheme.parse("uniform:1k,estimator=fdm").applied(x)
-    (result,) = measure_on_device(x, OnDevice(url="sim://", recordings=tmp_path), walls=[(200e3, 0.0)])
+    fdm = {"controller.estimator": "fdm", "controller.parameters": {}}
+    (result,) = measured(tmp_path, (200e3, 0.0), **{"rig.limits.speed": 0.2, **fdm})
     assert result.impedance is None
     assert result.ended
     assert len(result.recordings) == 1
@@ -375,7 +372,6 @@ def test_on_a_device_the_wall_that_throws_the_handle_out_is_a_result_too(tmp_pat
 def test_a_realisation_with_lost_samples_is_measured_again_and_both_recordings_stay(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    x = config.override(CHAWDA, {"excitation.channel": "motor", **FAST, "excitation.realisations": 1})
     failures = iter([RecordingError("not whole", remedy="again")])
 
     def holed(recording: Any, experiment: Any) -> Any:
@@ -384,7 +380,7 @@ def test_a_realisation_with_lost_samples_is_measured_again_and_both_recordings_s
         return record_of(recording, experiment)
 
     monkeypatch.setattr(measuring, "record_of", holed)
-    (result,) = measure_on_device(x, OnDevice(url="sim://", recordings=tmp_path), walls=[(10e3, 10.0)])
+    (result,) = measured(tmp_path, (10e3, 10.0))
     assert result.impedance is not None
     assert len(result.recordings) == len(set(result.recordings)) == 2
     assert (rig.read_impedance(result.recordings).impedance.z == result.impedance.z).all(), "of the whole one"
@@ -393,29 +389,25 @@ def test_a_realisation_with_lost_samples_is_measured_again_and_both_recordings_s
         raise RecordingError("not whole", remedy="again")
 
     monkeypatch.setattr(measuring, "record_of", always)
-    with pytest.raises(RecordingError) as told:
-        list(measure_on_device(x, OnDevice(url="sim://", recordings=tmp_path), walls=[(10e3, 10.0)]))
-    assert told.value.recording.exists()
+    with pytest.raises(RecordingError) as caught:
+        measured(tmp_path, (10e3, 10.0))
+    assert caught.value.recording.exists()
 
 
-def test_what_ends_a_run_but_is_no_fault_of_the_wall_is_an_error(tmp_path: Path) -> None:
-    x = config.override(CHAWDA, {"excitation.channel": "motor", **FAST, "homing.timeout_s": 0.05})
+def test_an_end_that_the_wall_did_not_cause_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(GuardError, match="did not reach the start"):
-        list(measure_on_device(x, OnDevice(url="sim://", recordings=tmp_path), walls=[(10e3, 10.0)]))
+        measured(tmp_path, (10e3, 10.0), **{"homing.timeout_s": 0.05})
 
 
 def test_a_person_may_decline_and_keeps_what_was_measured(tmp_path: Path) -> None:
-    x = config.override(CHAWDA, {"excitation.channel": "motor", **FAST, "excitation.realisations": 1})
     answers = iter([True, False])
-    device = OnDevice(url="sim://", recordings=tmp_path)
-    walls = [(10e3, 10.0), (5e3, 10.0)]
-    results = list(measure_on_device(x, device, walls=walls, agrees=lambda experiment: next(answers)))
+    results = measured(tmp_path, (10e3, 10.0), (5e3, 10.0), agrees=lambda experiment: next(answers))
     assert [r.wall for r in results] == [(10e3, 10.0)]
 
 
 def test_a_device_has_no_second_actuator(tmp_path: Path) -> None:
     with pytest.raises(PlanError, match="second actuator"):
-        list(measure_on_device(CHAWDA, OnDevice(url="sim://", recordings=tmp_path)))
+        measured(tmp_path, **{"excitation.channel": "external"})
 
 
 # ---------------------------------------------------------------------- what is refused, and the plan
@@ -466,20 +458,13 @@ def test_a_wall_whose_effort_will_be_clipped_is_warned_of_and_measured() -> None
     assert result.saturated > 0.0
 
 
-def test_what_the_closed_form_says_of_an_unstable_wall_refuses_nothing() -> None:
+def test_the_closed_form_of_an_unstable_wall_refuses_nothing() -> None:
     """It may be stable by friction; a steady motion that linear theory computes for it does not exist."""
     x = config.override(CHAWDA, {"trial.kind": "excitation", "wall.stiffness": 26.6e3, "wall.damping": 0.0})
     x = Scheme.parse("uniform:1k,estimator=fdm").applied(config.override(x, {"rig.limits.speed": 0.0501}))
     checks = checks_of(x)
     assert checks["stability"].outcome is Outcome.WARNING
     assert checks["peak speed"].outcome is Outcome.WARNING
-
-
-def test_an_unstable_wall_is_warned_of_and_not_refused() -> None:
-    x = config.override(CHAWDA, {"trial.kind": "excitation", "wall.damping": 0.0, "wall.stiffness": 40e3})
-    assert checks_of(x)["stability"].outcome is Outcome.WARNING
-    stable = config.override(x, {"wall.stiffness": 20e3})
-    assert checks_of(stable)["stability"].outcome is Outcome.OK
 
 
 @pytest.mark.parametrize("estimator", ["levant", "foaw-best"])
@@ -513,12 +498,12 @@ def test_a_wall_below_zero_is_refused() -> None:
     ],
 )  # fmt: skip
 def test_rules_of_the_section(changes: Any, message: str) -> None:
-    with pytest.raises(ConfigError) as told:
+    with pytest.raises(ConfigError) as caught:
         config.override(CHAWDA, changes)
-    assert message in str(told.value)
+    assert message in str(caught.value)
 
 
-def test_a_excited_run_starts_at_the_wall_without_a_push_and_lasts_as_long_as_its_periods() -> None:
+def test_an_excited_run_starts_at_the_wall_without_a_push_and_lasts_as_long_as_its_periods() -> None:
     x = config.excited(config.override(CHAWDA, {"wall.position": 0.002, "excitation.period_s": 0.5}))
     assert (x.trial.kind, x.trial.start, x.trial.duration_s) == ("excitation", 0.002, 3.0)
     assert config.motor_push(x) == 0.0

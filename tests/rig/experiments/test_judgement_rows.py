@@ -1,4 +1,4 @@
-"""What a judgement offers to people: each number with its unit, its limit and, in simulation, the truth; and later."""
+"""Rows of a judgement: each number with its unit, its limit and, in simulation, the truth."""
 
 from __future__ import annotations
 
@@ -49,16 +49,13 @@ def test_rows_are_the_numbers_of_the_verdict_in_si_units(result: HitResult) -> N
 def test_every_threshold_stands_beside_its_number(result: HitResult) -> None:
     thresholds = verdict_thresholds(result.experiment)
     notes = {label.partition(" ")[0]: row.note for label, row in rows_of(result).items()}
-    for name, limit in (
-        ("felt", thresholds.felt_velocity),
-        ("heard", thresholds.heard_effort),
-        ("moved", thresholds.moved),
-    ):
+    limits = {"felt": thresholds.felt_velocity, "heard": thresholds.heard_effort, "moved": thresholds.moved}
+    for name, limit in limits.items():
         assert f"limit {limit:.3g}" in notes[name]
         assert "true " in notes[name]
 
 
-def test_what_a_count_hides_is_not_measurable_and_json_says_null(result: HitResult) -> None:
+def test_a_ripple_below_a_count_is_not_measurable_and_null_in_json(result: HitResult) -> None:
     assert result.verdict.felt is None
     assert rows_of(result)["felt (velocity ripple, rms)"].value == "not measurable"
     mapping = plain(result)
@@ -68,7 +65,7 @@ def test_what_a_count_hides_is_not_measurable_and_json_says_null(result: HitResu
 
 
 def trailer_with(result: HitResult, **changes: Any) -> dict[str, Any]:
-    """A sealed trailer whose verdict says otherwise than its rows."""
+    """Return a trailer whose verdict contradicts the rows."""
     trailer = dict(result.recorded.recording.trailer or {})
     return trailer | {"verdict": trailer["verdict"] | {"kind": "unstable", "growth": "Infinity"} | changes}
 
@@ -76,15 +73,15 @@ def trailer_with(result: HitResult, **changes: Any) -> dict[str, Any]:
 def test_a_sealed_recording_keeps_the_verdict_that_the_run_had(result: HitResult) -> None:
     sealed, experiment = result.recorded.recording, result.experiment
     assert plain(verdicts_of(sealed, experiment)) == plain(result.recorded.judgement)
-    told = verdicts_of(replace(sealed, trailer=trailer_with(result)), experiment)
-    assert (told.verdict.kind, told.verdict.growth) == (Kind.UNSTABLE, float("inf"))
-    assert told.verdict_true == result.verdict_true
+    read = verdicts_of(replace(sealed, trailer=trailer_with(result)), experiment)
+    assert (read.verdict.kind, read.verdict.growth) == (Kind.UNSTABLE, float("inf"))
+    assert read.verdict_true == result.verdict_true
 
 
 @pytest.mark.parametrize(
     "changes", [None, {"kind": "calm"}, {"growth": None}, {"ticks": "many"}, {"reasons": 3}], ids=str
 )
-def test_where_no_verdict_can_be_read_it_is_judged_now(
+def test_a_recording_without_a_readable_verdict_is_judged_again(
     result: HitResult, changes: dict[str, Any] | None
 ) -> None:
     trailer = {"reason": "finished"} if changes is None else trailer_with(result, **changes)
@@ -95,13 +92,11 @@ def test_where_no_verdict_can_be_read_it_is_judged_now(
 
 
 @pytest.mark.parametrize("coulomb", [1.0, 0.0])
-def test_a_handle_that_friction_held_away_from_its_start_is_told(coulomb: float, tmp_path: Path) -> None:
+def test_a_handle_that_friction_held_away_from_its_start_has_a_row(coulomb: float, tmp_path: Path) -> None:
     """Homing ends where the servo, within its tolerance, no longer overcomes friction: 0.9 mrad away on koul-rigid."""
     preset = presets.load("koul-rigid")
-    mechanics = {
-        f"rig.mechanics.{name}": coulomb * getattr(preset.rig.mechanics, name)
-        for name in ("motor_coulomb", "link_coulomb")
-    }
+    names = ("motor_coulomb", "link_coulomb")
+    mechanics = {f"rig.mechanics.{name}": coulomb * getattr(preset.rig.mechanics, name) for name in names}
     experiment = override(preset, {"trial.duration_s": 0.05, "verdict.tail_s": 0.02, **mechanics})
     (found,) = hit(HitRequest(experiment=experiment, output=tmp_path), admit)
     rows = rows_of(found)
@@ -142,7 +137,5 @@ def test_a_wall_that_was_rendered_elsewhere_is_judged_by_its_own_effort_without_
 def test_a_plan_of_a_wall_that_no_extra_renders_is_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(extras, "tables", tuple)
     changes = {"controller.loop": "device", "controller.arithmetic": "drive"}
-    with pytest.raises(
-        ConfigError, match="arithmetic of a law on the device drive: no installed extra has it"
-    ):
+    with pytest.raises(ConfigError, match="drive: no installed extra has it"):
         make_plan(override(presets.load("koul-compliant"), changes))

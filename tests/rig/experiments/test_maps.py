@@ -74,7 +74,7 @@ def test_each_series_of_a_plan_is_checked_once_and_never_where_it_runs(
     assert [checked[one.damping, one.offset] for one in plan.series()] == [1, 1, 1, 1]
 
 
-def test_the_place_depends_on_all_that_decides_and_on_the_device(tmp_path: Path) -> None:
+def test_the_directory_depends_on_plan_and_device(tmp_path: Path) -> None:
     first = maps.directory_for(PLAN, tmp_path, "zwidth")
     assert first == maps.directory_for(PLAN, tmp_path, "zwidth")
     assert first.name.startswith("zwidth-koul-compliant-")
@@ -94,21 +94,21 @@ def test_a_place_that_cannot_be_made_is_one_clear_error(tmp_path: Path) -> None:
         maps.map_into(PLAN, tmp_path / "maps" / "zwidth")
 
 
-def test_the_directory_says_what_is_mapped_while_the_map_grows(place: Any, tmp_path: Path) -> None:
+def test_plan_and_journal_are_readable_while_the_map_grows(place: Any, tmp_path: Path) -> None:
     assert maps.read_plan(place) == (PLAN, "")
-    told, end = read_on(place / maps.JOURNAL)
-    assert {key for key, _ in told} == {series.key for series in PLAN.series()}, "as each is finished"
+    entries, end = read_on(place / maps.JOURNAL)
+    assert {key for key, _ in entries} == {series.key for series in PLAN.series()}, "as each is finished"
     assert read_on(place / maps.JOURNAL, end) == ([], end)
     torn = tmp_path / "journal"
     torn.write_bytes((place / maps.JOURNAL).read_bytes()[:-5])
     first, place_of_second = read_on(torn)
-    assert first == told[:1]
+    assert first == entries[:1]
     torn.write_bytes((place / maps.JOURNAL).read_bytes())
-    assert read_on(torn, place_of_second) == (told[1:], end)
+    assert read_on(torn, place_of_second) == (entries[1:], end)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"version": 1, "work": "x"}', '{"version": 2}'])
-def test_what_is_no_plan_is_refused_by_name(tmp_path: Path, text: str) -> None:
+def test_an_invalid_plan_is_refused_by_its_file_name(tmp_path: Path, text: str) -> None:
     (tmp_path / maps.PLAN).write_text(text)
     with pytest.raises(RecordingError, match=r"plan\.json"):
         maps.read_plan(tmp_path)

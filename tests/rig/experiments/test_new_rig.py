@@ -1,4 +1,4 @@
-"""A rig from two data sheets: what is computed at the hand, what is assumed, and a first hit that works."""
+"""A rig from two data sheets: computed values, assumed values, and a first hit that works."""
 
 from __future__ import annotations
 
@@ -44,13 +44,7 @@ COARSE_AND_LIGHT: dict[str, Any] = {  # whose harder pushes need a wall that sho
 @pytest.mark.parametrize(
     ("answers", "inertia", "per_ampere", "nominal", "resolution"),
     [
-        (
-            LEVER,
-            1.1e-5 * 144 + 0.06 * 0.08**2,
-            0.0385 * 12,
-            2.5 * 0.0385 * 12,
-            2 * math.pi / (4 * 2048 * 12),
-        ),
+        (LEVER, 1.1e-5 * 144 + 0.06 * 0.08**2, 0.462, 2.5 * 0.462, 2 * math.pi / (4 * 2048 * 12)),
         (CARRIAGE, 2e-5 / 0.01**2 + 0.3, 0.05 / 0.01, 10.0, 2 * math.pi * 0.01 / (4 * 500)),
         (LINEAR_MOTOR, 0.5, 10.0, 20.0, 1e-6),
     ],
@@ -77,7 +71,7 @@ def test_values_are_at_the_hand(
         ({"amplifier": "voltage-bridge", "winding_resistance": 4.0, "supply_voltage": 24.0}, 6.0),
     ],
 )
-def test_the_peak_is_what_amplifier_or_winding_allows(more: dict[str, Any], peak_a: float) -> None:
+def test_amplifier_or_winding_limits_the_peak(more: dict[str, Any], peak_a: float) -> None:
     made = rig.new_rig(**LEVER, **more).experiment.rig
     assert made.limits.effort == made.amplifier.effort_limit == pytest.approx(0.462 * peak_a)
     assert made.limits.nominal_effort == pytest.approx(0.462 * min(peak_a, 2.5))
@@ -86,7 +80,7 @@ def test_the_peak_is_what_amplifier_or_winding_allows(more: dict[str, Any], peak
         assert not made.amplifier.current_monitor
 
 
-def test_every_number_of_the_file_has_its_source_and_what_is_assumed_is_listed(tmp_path: Path) -> None:
+def test_every_number_of_the_file_has_its_source_and_assumptions_are_listed(tmp_path: Path) -> None:
     path = tmp_path / "paddle.toml"
     made = rig.new_rig(path, **LEVER, amplifier="escon-50-5-pwm")
     text = path.read_text(encoding="utf-8")
@@ -99,19 +93,14 @@ def test_every_number_of_the_file_has_its_source_and_what_is_assumed_is_listed(t
     assert made.experiment.rig.amplifier.set_point_delay_s == 2.5e-4
     assert as_mapping(rig.load(path)) == as_mapping(made.experiment)
     assumed = {one.key for one in made.assumed}
-    assert {
-        "rig.mechanics.motor_coulomb",
-        "rig.limits.thermal_time_constant_s",
-        "rig.amplifier.lag_s",
-    } <= assumed
+    sure = {"rig.mechanics.motor_coulomb", "rig.limits.thermal_time_constant_s", "rig.amplifier.lag_s"}
+    assert sure <= assumed
     assert text.count("[assumed]") == len(assumed) + 1  # and the legend
     known = rig.new_rig(**LEVER, friction=0.5, thermal_time_constant=20.0, travel=0.04)
     assert known.experiment.rig.mechanics.motor_coulomb == pytest.approx(0.5 * 0.08)
     assert known.experiment.rig.limits.position_maximum == pytest.approx(0.25)
-    assert not {one.key for one in known.assumed} & {
-        "rig.mechanics.motor_coulomb",
-        "rig.limits.position_maximum",
-    }
+    still = {one.key for one in known.assumed}
+    assert not still & {"rig.mechanics.motor_coulomb", "rig.limits.position_maximum"}
 
 
 def test_a_file_is_not_replaced_unless_asked(tmp_path: Path) -> None:
@@ -125,7 +114,7 @@ def test_a_file_is_not_replaced_unless_asked(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("answers", "says"),
+    ("answers", "message"),
     [
         ({"mechanism": "lever"}, r"(?s)missing for a lever.*`torque_constant`.*`handle_mass`"),
         ({}, "`mechanism` is missing"),
@@ -133,28 +122,23 @@ def test_a_file_is_not_replaced_unless_asked(tmp_path: Path) -> None:
         ({**LEVER, "rotor_inertia": 110.0}, "rotor_inertia = 110 kg·m² is out of range.*g·cm²"),
         ({**LEVER, "encoder_lines": 2048.5}, "encoder_lines"),
         ({**LEVER, "amplifier": "escon"}, "escon.*known"),
-        (
-            {**LEVER, "amplifier": "escon-50-5-pwm", "peak_current": 20.0},
-            "above the maximum of escon-50-5-pwm",
-        ),
+        ({**LEVER, "amplifier": "escon-50-5-pwm", "peak_current": 20.0}, "above the maximum of escon-50-5"),
         ({**LEVER, "amplifier": "voltage-bridge"}, "winding_resistance and supply_voltage"),
         ({**LEVER, "gear": 3.0}, "unknown data-sheet value 'gear'"),
     ],
 )
-def test_what_cannot_be_is_refused_with_what_is_allowed(answers: dict[str, Any], says: str) -> None:
-    with pytest.raises(ConfigError, match=says) as refused:
+def test_an_impossible_answer_is_refused_with_the_allowed_ones(answers: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message) as refused:
         rig.new_rig(**answers)
     assert refused.value.remedy
 
 
-def test_assumed_friction_that_holds_the_carriage_anywhere_is_refused_with_what_to_give() -> None:
+def test_assumed_friction_that_holds_the_carriage_is_refused_with_the_value_to_measure() -> None:
     strong = {
         "mechanism": "linear-motor", "nominal_current": 9.12, "force_constant": 13.6, "encoder_resolution": 2.66e-7,
         "carriage_mass": 0.0534,
     }  # fmt: skip
-    with pytest.raises(
-        PlanError, match=r"reduce the friction, 6.2 N; or widen .* give the measured `friction`"
-    ):
+    with pytest.raises(PlanError, match=r"reduce the friction, 6.2 N; .* give the measured `friction`"):
         rig.new_rig(**strong)
     assert make_plan(rig.new_rig(**strong, friction=1.0).experiment).ok
 
@@ -226,9 +210,7 @@ SHEETS = st.one_of(
 )  # fmt: skip
 
 
-@settings(max_examples=3)
-@example({**LEVER, "encoder_lines": 90, "transmission": 1.0})  # 360 counts
-@example(LINEAR_MOTOR)
+@settings(max_examples=2)
 @example(COARSE_AND_LIGHT)
 @given(SHEETS)
 def test_the_first_hit_of_any_rig_is_planned_and_reaches_its_wall(answers: dict[str, Any]) -> None:

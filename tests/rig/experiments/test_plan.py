@@ -58,16 +58,10 @@ def simulated(experiment: Any) -> Any:
 
 
 def test_a_rigid_rig_without_friction_hits_as_predicted() -> None:
-    """Energy balance, exact for one undamped mass: a few per cent are left for sampling and quantisation."""
-    mechanics = {"motor_damping": 0.0, "link_damping": 0.0, "motor_coulomb": 0.0, "link_coulomb": 0.0}
-    experiment = changed(
-        {
-            **{f"rig.mechanics.{name}": 0.0 for name in mechanics},
-            "wall.damping": 0.0,
-            "rig.amplifier.lag_s": 0.0,
-        },
-        RIGID,
-    )
+    """Energy balance, exact for one undamped mass; sampling and quantisation take a few per cent."""
+    mechanics = ("motor_damping", "link_damping", "motor_coulomb", "link_coulomb")
+    zeros = ["wall.damping", "rig.amplifier.lag_s", *(f"rig.mechanics.{name}" for name in mechanics)]
+    experiment = changed(dict.fromkeys(zeros, 0.0), RIGID)
     impact = predict_impact(experiment)
     speed, depth = simulated(experiment)
     assert speed == pytest.approx(impact.velocity, rel=0.01)
@@ -103,9 +97,8 @@ def test_the_prediction_in_closed_form() -> None:
 
 
 def test_a_push_from_the_other_side_is_predicted_alike() -> None:
-    mirrored = changed(
-        {"wall.side": -1, "trial.effort": -COMPLIANT.trial.effort, "trial.start": -COMPLIANT.trial.start}
-    )
+    trial = COMPLIANT.trial
+    mirrored = changed({"wall.side": -1, "trial.effort": -trial.effort, "trial.start": -trial.start})
     assert predict_impact(mirrored) == predict_impact(COMPLIANT)
     assert [c.outcome for c in make_plan(mirrored).checks] == [c.outcome for c in make_plan(COMPLIANT).checks]
 
@@ -189,19 +182,13 @@ def test_ripple_is_the_share_by_which_the_wall_varies() -> None:
 def test_motor_heat_over_all_repeats() -> None:
     """One time constant at load L spends L² (1 − 1/e) of the budget; above the nominal effort for ever, all of it."""
     tau, nominal = COMPLIANT.rig.limits.thermal_time_constant_s, COMPLIANT.rig.limits.nominal_effort
-    hot = {
-        "trial.effort": 1.5 * nominal,
-        "rig.limits.effort": 2 * nominal,
-        "rig.limits.override_stall": True,
-        "trial.duration_s": 1.0,
-    }
+    limits = {"rig.limits.effort": 2 * nominal, "rig.limits.override_stall": True}
+    hot = {"trial.effort": 1.5 * nominal, "trial.duration_s": 1.0, **limits}
     limit_s = -tau * math.log1p(-1 / 1.5**2)
     repeats = round(limit_s)
     assert repeats > 2
-    assert (
-        check(changed({**hot, "trial.repeats": max(1, math.floor(limit_s * 0.9))}), "motor heat").outcome
-        == Outcome.OK
-    )
+    few = changed({**hot, "trial.repeats": max(1, math.floor(limit_s * 0.9))})
+    assert check(few, "motor heat").outcome == Outcome.OK
     refused = check(changed({**hot, "trial.repeats": math.ceil(limit_s * 1.1)}), "motor heat")
     assert refused.outcome == Outcome.REFUSED
     assert "1.5 of the nominal" in refused.text
@@ -266,14 +253,9 @@ def test_no_frame_is_longer_than_the_plan_counts_with() -> None:
 )
 def test_a_uart_carries_what_its_rate_allows(baud: int, rate: int, outcome: Any) -> None:
     capacity = baud / 10
-    experiment = changed(
-        {
-            "controller.position_rate": rate,
-            "controller.velocity_rate": rate,
-            "controller.parameters.cutoff_hz": rate / 10,
-            "verdict.lowpass_hz": rate / 3,
-        }
-    )
+    rates = {"controller.position_rate": rate, "controller.velocity_rate": rate}
+    filters = {"controller.parameters.cutoff_hz": rate / 10, "verdict.lowpass_hz": rate / 3}
+    experiment = changed({**rates, **filters})
     checks = {c.name: c for c in link_checks(experiment, 50_000, capacity)}
     link = checks["link capacity"]
     assert link.outcome == outcome
@@ -318,6 +300,6 @@ def test_a_plan_warns_of_the_wall_that_the_gate_would_refuse_and_refuses_nothing
 
 
 @pytest.mark.parametrize("round_trip_s", [0.0, -1.0, math.nan, math.inf])
-def test_a_round_trip_that_cannot_be_is_refused(round_trip_s: float) -> None:
+def test_an_impossible_round_trip_is_refused(round_trip_s: float) -> None:
     with pytest.raises(PlanError, match="round_trip"):
         delay_checks(SLOW, round_trip_s)

@@ -1,4 +1,4 @@
-"""What a plan says is what a hit does: a small sample of `tests.benchmarks.plausible_rigs`, and each finding once."""
+"""A hit does what its plan predicts: a small sample of `tests.benchmarks.plausible_rigs`, and each finding once."""
 
 from typing import Any
 
@@ -33,14 +33,12 @@ def test_a_first_own_rig_homes_without_any_key_of_homing(rate: int) -> None:
 
 
 def test_a_preset_with_more_friction_homes_as_near_as_it_can() -> None:
-    changes = {
+    geared = {
         "rig.encoder.counts_per_revolution": 2048,
         "rig.encoder.ratio": 12.0,
         "rig.mechanics.motor_coulomb": 0.03,
-        "wall.stiffness": 150.0,
-        "wall.damping": 0.1,
     }
-    x = override(KOUL, changes)
+    x = override(KOUL, {**geared, "wall.stiffness": 150.0, "wall.damping": 0.1})
     assert make_plan(x).ok
     assert reaches(x, 0) == (True, "")
 
@@ -60,9 +58,8 @@ FINDINGS: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("name", FINDINGS)
 def test_a_finding_names_values_with_which_the_plan_holds(name: str) -> None:
-    x = override(
-        KOUL, {"controller.position_rate": 2_000, "controller.velocity_rate": 2_000, **FINDINGS[name]}
-    )
+    rates = {"controller.position_rate": 2_000, "controller.velocity_rate": 2_000}
+    x = override(KOUL, rates | FINDINGS[name])
     found = {check.name: check for check in make_plan(x).checks if check.changes}
     assert name in found
     assert (found[name].outcome is Outcome.REFUSED) == (name != "approach")
@@ -98,7 +95,7 @@ def test_counts_that_read_as_a_speed_beyond_its_limit_are_refused_with_a_cutoff(
     assert reaches(again, 0) == (True, "")
 
 
-def test_steps_of_an_amplifier_that_the_current_s_quantum_does_not_allow_are_named() -> None:
+def test_amplifier_steps_that_the_current_quantum_does_not_allow_are_named() -> None:
     changes = {"rig.amplifier.profile": "escon-50-5-pwm", "rig.amplifier.set_point_delay_s": 2.5e-4}
     x = override(KOUL, changes)
     (found,) = [check for check in make_plan(x).checks if check.name == "current monitor"]

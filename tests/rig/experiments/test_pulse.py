@@ -17,7 +17,6 @@ from firmware_protocol.faults import Fault
 from rig import config
 from rig.analysis.identification._quality import IdentificationError
 from rig.analysis.identification._signs import check_signs
-from rig.cli import run
 from rig.config import presets
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, DeviceFaultError, PlanError, RigError
@@ -35,7 +34,6 @@ from sim_backend.board.hardware import World
 from sim_backend.board.lockstep import Lockstep
 from sim_backend.ends.link import MemoryLink
 from tests.benchmarks.pulses import FAULTS, pulsed
-from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.firmware import need_compiler
 from tests.conformance.tiers import first_by_default
 
@@ -59,7 +57,6 @@ BY = {loop: config.override(RIGID, {"controller.loop": loop}) for loop in ("host
 
 @pytest.fixture(scope="module", params=BY)
 def sound(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Pulse:
-    """Pushes by this computer's loop, and by the board's."""
     if request.param == "device":
         need_compiler()
     x, place = BY[request.param], tmp_path_factory.mktemp("pulse")
@@ -102,7 +99,7 @@ def test_a_fault_is_refused_by_the_check_that_is_about_it(name: str, loop: str, 
 
 
 @pytest.mark.parametrize(("fault", "outcome"), [("sound", Outcome.OK), ("motor × 2", Outcome.REFUSED)])
-def test_a_push_in_coarse_steps_of_current_tells_the_scale(
+def test_a_push_in_coarse_steps_of_current_shows_the_scale(
     fault: str, outcome: Outcome, tmp_path: Path
 ) -> None:
     """A quantum is a ninth of hapkit's friction, and damping takes most of what is beyond."""
@@ -111,10 +108,10 @@ def test_a_push_in_coarse_steps_of_current_tells_the_scale(
     assert {check.name: check.outcome for check in found.checks}["size"] is outcome
 
 
-def test_the_described_friction_decides_what_a_push_within_one_step_of_current_leaves_open(
+def test_the_described_friction_gives_the_scale_of_a_push_within_one_step_of_current(
     tmp_path: Path,
 ) -> None:
-    """The step at which the handle begins to move ends the push: inertia and friction are told only together."""
+    """The step at which the handle begins to move ends the push: inertia and friction show only together."""
     sheets = rig.new_rig(
         mechanism="lever", torque_constant=0.0385, rotor_inertia=1.1e-5, nominal_current=2.5, encoder_lines=2048,
         transmission=12.0, handle_length=0.08, handle_mass=0.06, amplifier="escon-50-5-pwm", peak_current=5.0,
@@ -169,14 +166,14 @@ def test_the_most_effort_moves_the_described_rig() -> None:
 # ---------------------------------------------------------------------- who is armed
 
 
-@pytest.fixture
-def real(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Simulated devices that claim to be real ones."""
-    claim_to_be_real(monkeypatch)
+def person_request(device: FramedDevice, output: Path, **others: Any) -> HitRequest:
+    return HitRequest(
+        **{"experiment": PERSON, "device": device, "verified": True, "output": output, **others}
+    )
 
 
 class Failing(FirmwareDevice):
-    """A device that finds a fault once it runs, if it is told to."""
+    """A device that finds a fault once it runs, if `fails` is set."""
 
     fails = False
 
@@ -188,7 +185,7 @@ class Failing(FirmwareDevice):
 
 
 def framed(**hardware: float) -> FramedDevice:
-    """A rig, held by nobody, of the person's experiment."""
+    """A rig of the person's experiment that no person holds."""
     device = Failing(config.rig_model(config.override(PERSON, BARE)), law_maximum=0)
     for name, value in hardware.items():
         setattr(device.hardware, name, value)
@@ -199,14 +196,12 @@ BARE = {"trial.kind": "constant-effort", "rig.mechanics.end_mass": 0.0}
 
 
 def test_a_real_rig_is_pushed_before_a_person_is_armed_and_once(real: None, tmp_path: Path) -> None:
-    said: list[str] = []
+    prompts: list[str] = []
     with framed() as device:
-        request = HitRequest(
-            experiment=PERSON, device=device, verified=True, output=tmp_path, hands_off=said.append
-        )
+        request = person_request(device, tmp_path, hands_off=prompts.append)
         for _ in range(2):
             tuple(hit(request, admit))
-    assert said == [NO_HANDS]
+    assert prompts == [NO_HANDS]
     assert len(list(tmp_path.glob("*pulse*.parquet"))) == 1
     assert len(list(tmp_path.glob("*.parquet"))) == 3
 
@@ -215,31 +210,29 @@ def test_a_real_board_that_runs_the_law_pushes_before_a_person_is_armed(real: No
     """With the longest lifetime of supervision, as where the system is not Linux."""
     need_compiler()
     changes = {"controller.loop": "device", "controller.supervise_lifetime_s": 0.1}
-    person, said = config.override(PERSON, changes), []
+    person, prompts = config.override(PERSON, changes), []
     board = FirmwareDevice(config.rig_model(config.override(PERSON, BARE)))
     board.hold_to_run(True)
     with FramedDevice(MemoryLink(board)) as device:
-        request = HitRequest(
-            experiment=person, device=device, verified=True, output=tmp_path, hands_off=said.append
-        )
+        request = person_request(device, tmp_path, experiment=person, hands_off=prompts.append)
         for _ in range(2):
             tuple(hit(request, admit))
-    assert said == [NO_HANDS]
+    assert prompts == [NO_HANDS]
     assert len(list(tmp_path.glob("*pulse*.parquet"))) == PUSHES
     assert len(list(tmp_path.glob("*.parquet"))) == PUSHES + 2
 
 
-def test_whoever_calls_the_public_face_is_told_to_let_go_too(
+def test_the_public_function_asks_the_person_to_let_go(
     real: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A person reads standard error; a program with a window of its own gives what to tell."""
-    said: list[str] = []
+    """A person reads standard error; a program with a window gives its own function."""
+    prompts: list[str] = []
     with framed() as device:
         rig.hit(PERSON, device=device, verified=True, output=tmp_path)
     assert capsys.readouterr().err == f"rig: {NO_HANDS}\n"
     with framed() as device:
-        rig.hit(PERSON, device=device, verified=True, output=tmp_path, hands_off=said.append)
-    assert said == [NO_HANDS]
+        rig.hit(PERSON, device=device, verified=True, output=tmp_path, hands_off=prompts.append)
+    assert prompts == [NO_HANDS]
     assert capsys.readouterr().err == ""
 
 
@@ -247,7 +240,7 @@ def test_a_real_rig_whose_motor_is_dead_is_not_armed_for_a_person(real: None, tm
     with framed(drive=0.0) as device:
         # The device's own check of a large effort without an edge may come first.
         with pytest.raises((IdentificationError, DeviceFaultError), match=r"encoder is dead|no encoder edge"):
-            tuple(hit(HitRequest(experiment=PERSON, device=device, verified=True, output=tmp_path), admit))
+            tuple(hit(person_request(device, tmp_path), admit))
         assert not device.moved_as_described
         assert device.connection.state != State.RUNNING
     (only,) = tmp_path.glob("*.parquet")
@@ -257,31 +250,28 @@ def test_a_real_rig_whose_motor_is_dead_is_not_armed_for_a_person(real: None, tm
 def test_a_rig_that_a_run_left_in_doubt_is_pushed_again_before_a_person_is_armed(
     real: None, tmp_path: Path
 ) -> None:
-    said: list[str] = []
+    prompts: list[str] = []
     with framed() as device:
-        person = HitRequest(
-            experiment=PERSON, device=device, verified=True, output=tmp_path, hands_off=said.append
-        )
+        person = person_request(device, tmp_path, hands_off=prompts.append)
         tuple(hit(person, admit))
         device.link.device.fails = True  # type: ignore[attr-defined]
         with pytest.raises(DeviceFaultError, match="measured current above"):
             tuple(hit(dataclasses.replace(person, name="faulty"), admit))
         tuple(hit(person, admit))
-    assert said == [NO_HANDS] * 2
+    assert prompts == [NO_HANDS] * 2
 
 
-def test_a_map_with_a_person_tells_to_let_go_before_its_pulse(real: None, tmp_path: Path) -> None:
-    said: list[str] = []
-    where = OnDevice(url="serial://none", verified=True, recordings=tmp_path, hands_off=said.append)
+def test_a_map_with_a_person_asks_to_let_go_before_its_pulse(real: None, tmp_path: Path) -> None:
+    prompts: list[str] = []
+    where = OnDevice(url="serial://none", verified=True, recordings=tmp_path, hands_off=prompts.append)
     with framed() as device:
         Trials(where, device, 0).run(PERSON, {})
-    assert said == [NO_HANDS]
+    assert prompts == [NO_HANDS]
 
 
 def test_an_automated_trial_needs_no_pulse(real: None, tmp_path: Path) -> None:
-    short = config.override(PERSON, BARE)
     with framed() as device:
-        tuple(hit(HitRequest(experiment=short, device=device, verified=True, output=tmp_path), admit))
+        tuple(hit(person_request(device, tmp_path, experiment=config.override(PERSON, BARE)), admit))
     assert not list(tmp_path.glob("*pulse*"))
 
 
@@ -292,18 +282,9 @@ def test_a_real_rig_of_unverified_polarity_gets_no_pulse(real: None, tmp_path: P
 
 
 def test_a_device_of_another_rig_gets_no_pulse(tmp_path: Path) -> None:
-    request = FreeRigRequest(
-        experiment=presets.load("chawda-linear"), url="sim://koul-rigid", output=tmp_path
-    )
+    chawda = FreeRigRequest(experiment=presets.load("chawda-linear"), url="sim://koul-rigid", output=tmp_path)
     with pytest.raises(PlanError, match="its name is koul-rigid"):
-        check_rig_moves(request)
-
-
-def test_the_command_says_what_was_found(tmp_path: Path, capsys: Any) -> None:
-    assert run(["device", "check", "--rig", "koul-rigid", "-o", str(tmp_path)]) == 0
-    out, err = capsys.readouterr()
-    assert "hands off the handle" in err
-    assert "a positive effort raises the position" in out
+        check_rig_moves(chawda)
 
 
 DIRECT = {"rig.encoder.ratio": 1.0, "rig.encoder.counts_per_revolution": 250, "wall.stiffness": 2.0}

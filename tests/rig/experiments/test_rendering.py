@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
@@ -27,7 +27,7 @@ def under(scheme: str) -> Any:
 
 
 @pytest.mark.parametrize("rate", [1000, 20_000])
-def test_of_an_unfiltered_difference_limit_times_period_over_count_is_left(rate: int) -> None:
+def test_of_an_unfiltered_difference_limit_times_period_over_count_is_rendered(rate: int) -> None:
     experiment, most = under(f"uniform:{rate},estimator=fdm"), LIMIT / rate / DELTA
     for damping in (0.5 * most, most, 3.0 * most, 100.0 * most):
         assert rendered_share(experiment, damping) * damping == pytest.approx(min(damping, most), rel=1e-12)
@@ -51,14 +51,12 @@ def test_no_damping_is_rendered_whole_and_a_small_one_is(estimator: str) -> None
     assert rendered_share(experiment, 1e-9) == pytest.approx(1.0, abs=1e-9)
 
 
+@settings(max_examples=30)
 @given(st.lists(st.floats(1e-6, 1e3), min_size=2, max_size=6))
 def test_more_damping_is_rendered_by_a_smaller_share(dampings: list[float]) -> None:
     shares = [rendered_share(under("uniform:20k"), damping) for damping in sorted(dampings)]
     assert shares == sorted(shares, reverse=True)
     assert all(0.0 < share <= 1.0 + 1e-12 for share in shares)
-
-
-# --- what it does to a width ------------------------------------------------------------------------------------------
 
 
 def width_of(*columns: tuple[float, float, float]) -> Width:
@@ -73,12 +71,8 @@ def width_of(*columns: tuple[float, float, float]) -> Width:
 
 def test_a_damping_that_is_not_rendered_counts_towards_no_measure() -> None:
     found = width_of((0.0, 10.0, 1.0), (1.0, 20.0, 0.9), (2.0, 90.0, 0.79), (3.0, 99.0, 0.1))
-    assert (found.stiffness_peak, found.damping_at_peak, found.damping_range, found.area) == (
-        20.0,
-        1.0,
-        1.0,
-        15.0,
-    )
+    assert (found.stiffness_peak, found.damping_at_peak) == (20.0, 1.0)
+    assert (found.damping_range, found.area) == (1.0, 15.0)
     assert found.not_rendered == (2.0, 3.0)
     assert not found.range_capped
 

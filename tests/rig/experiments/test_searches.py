@@ -1,10 +1,11 @@
 """The three ways through the rungs, against walls whose limits are known."""
 
 import itertools
+import math
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.experiments.mapping._searches import StiffnessSearch, limit_of
@@ -13,7 +14,7 @@ RANGE = {"lowest": 10.0, "highest": 1000.0, "ratio": 1.06}
 
 
 def walked(search: Any, passes: Any) -> Any:
-    """What a search tries on walls that pass, fail or say nothing by `passes(stiffness)[criterion]`."""
+    """Return the walls that a search tries, with `passes(stiffness)[criterion]`: True, False or None."""
     tried = {}
     criteria = list(passes(1.0))
     way = search.walk(criteria)
@@ -36,6 +37,7 @@ def below(bound: Any) -> Any:
 
 
 @pytest.mark.parametrize("way", ["ladder", "bisection", "grid"])
+@settings(max_examples=30)
 @given(bound=st.floats(1.0, 2000.0))
 def test_every_way_finds_the_last_rung_below_a_single_limit(way: str, bound: float) -> None:
     search = StiffnessSearch(way=way, **RANGE)
@@ -91,28 +93,26 @@ def test_bisection_with_two_criteria_gives_each_its_own_limit() -> None:
     assert 600 / 1.06 < limit(search, passes, "heard").stiffness < 600
 
 
+@settings(max_examples=50)
 @given(st.dictionaries(st.floats(1.0, 1e4), st.sampled_from([True, False, None]), max_size=30))
-def test_a_limit_lies_below_every_failure_and_counts_what_said_nothing(tried: Any) -> None:
+def test_a_limit_lies_below_every_failure_and_counts_unknown_walls(tried: Any) -> None:
     found = limit_of(tried)
     failures = [k for k, passes in tried.items() if passes is False]
     assert found.failed_at == min(failures, default=None)
-    assert found.stiffness == max(
-        (k for k, passes in tried.items() if passes and k < min(failures, default=1e9)), default=0.0
-    )
+    lowest = min(failures, default=1e9)
+    assert found.stiffness == max((k for k, passes in tried.items() if passes and k < lowest), default=0.0)
     assert found.unknown == list(tried.values()).count(None)
     for low, high in found.islands:
         assert found.failed_at < low <= high
         assert not any(low <= k <= high for k in failures)
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"lowest": 0.0}, {"highest": 5.0}, {"ratio": 1.0}, {"highest": float("inf")}]
-)
-def test_a_range_that_is_none_is_refused(wrong: Any) -> None:
+@pytest.mark.parametrize("wrong", [{"lowest": 0.0}, {"highest": 5.0}, {"ratio": 1.0}, {"highest": math.inf}])
+def test_an_invalid_range_is_refused(wrong: Any) -> None:
     with pytest.raises(ValueError, match=r"range|ratio"):
         StiffnessSearch(**{**RANGE, **wrong})
 
 
-def test_hits_that_all_say_nothing_make_neither_a_limit_nor_a_cap() -> None:
+def test_invalid_hits_alone_make_neither_a_limit_nor_a_cap() -> None:
     found = limit_of(dict.fromkeys([10.0, 20.0, 40.0]))
     assert (found.stiffness, found.failed_at, found.capped, found.unknown) == (0.0, None, False, 3)

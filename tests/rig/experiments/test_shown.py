@@ -1,4 +1,4 @@
-"""What results show of themselves: ten lines at a prompt, tables in a notebook, a picture, columns with their unit."""
+"""Representations of results: ten lines at a prompt, tables in a notebook, a picture, columns with their unit."""
 
 from __future__ import annotations
 
@@ -27,15 +27,13 @@ def soft(penetration: float, p: rig.Parameters) -> float:
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """One result of each kind."""
     place = tmp_path_factory.mktemp("shown")
     hit = rig.hit("koul-compliant", duration_s=0.25, changes={"verdict.tail_s": 0.1}, output=place)
     levant = rig.Scheme.parse(
         "uniform:1k,estimator=levant"
-    )  # which linear theory cannot take: that takes seconds
-    plan = frequency_plan(
-        rig.load("chawda-linear"), [levant], stiffnesses=[1000.0, 2000.0], dampings=[0.0, 5.0]
-    )
+    )  # linear theory, which takes seconds, does not apply
+    walls = {"stiffnesses": [1000.0, 2000.0], "dampings": [0.0, 5.0]}
+    plan = frequency_plan(rig.load("chawda-linear"), [levant], **walls)
     shape = (len(plan.schemes), plan.realisations + 1, 2, 2)
     return {
         "hit": hit,
@@ -94,7 +92,7 @@ def test_a_notebook_is_shown_tables_in_whole_elements(results: dict[str, Any]) -
     assert len(repr(results["hit"].recorded.judgement)) > 0
 
 
-def test_what_a_hit_shows_first_is_the_verdict_and_where_it_is_kept(results: dict[str, Any]) -> None:
+def test_a_hit_shows_its_verdict_first_and_its_file_last(results: dict[str, Any]) -> None:
     hit = results["hit"]
     lines = repr(hit).splitlines()
     assert lines[0] == hit.experiment.headline()
@@ -125,23 +123,12 @@ def test_each_has_its_picture_which_is_saved_as_its_name_ends(
 ) -> None:
     shown = {name: result for name, result in results.items() if name != "thrown out"}
     drawn = {name: result.plot() for name, result in shown.items() if hasattr(result, "plot")}
-    assert set(drawn) == {
-        "hit",
-        "recording",
-        "column",
-        "replay",
-        "comparison",
-        "impedance",
-        "estimators",
-        "zwidth",
-        "frequency",
-        "theory",
-    }
+    names = "hit recording column replay comparison impedance estimators zwidth frequency theory"
+    assert set(drawn) == set(names.split())
     for name, picture in drawn.items():
         assert picture.figure.axes, name
     assert drawn["column"]._repr_png_().startswith(b"\x89PNG")
     assert drawn["replay"].save(tmp_path / "a.svg").read_bytes().startswith(b"<?xml")
-    assert drawn["replay"].save(str(tmp_path / "a.pdf")).read_bytes().startswith(b"%PDF")
     with pytest.raises(ConfigError, match="a Plan cannot be drawn; give a hit"):
         rig.plot(results["plan"])
 
@@ -165,9 +152,7 @@ def test_a_library_that_is_not_there_is_named_with_what_installs_it(
 ) -> None:
     monkeypatch.setitem(sys.modules, library, None)
     monkeypatch.setattr(getattr(deferred, library), "_module", None)
-    with pytest.raises(
-        RigError, match=rf"{library} is not installed; install it: pip install 'haptic-rig\[data\]'"
-    ):
+    with pytest.raises(RigError, match=rf"{library} is not installed; .* pip install 'haptic-rig\[data\]'"):
         getattr(results["recording"], f"to_{library}")()
 
 

@@ -20,7 +20,7 @@ from rig.experiments.mapping.zwidth import MapPlan, ZWidth
 SHORT = {"trial.duration_s": 0.4, "verdict.tail_s": 0.1, "homing.settle_s": 0.02}
 DUAL, UNIFORM = Scheme.parse("dual:20k/2k"), Scheme.parse("uniform:20k")
 
-# No friction, 4000 times as many counts, currents as fine as the wire carries: what is left is linear. The hand
+# No friction, 4000 times as many counts, currents as fine as the wire carries: the rest is linear. The hand
 # presses all along and neither trembles nor swells, and the trial is long.
 LINEAR = {
     "rig.mechanics.motor_coulomb": 0.0,
@@ -59,22 +59,13 @@ def small() -> Any:
     return zwidth(planned(), workers=1)
 
 
-# --- the same bits ------------------------------------------------------------------------------------------
-
-
 def test_two_workers_give_the_bits_of_one(small: Any) -> None:
     assert hits_of(zwidth(planned(), workers=2)) == hits_of(small)
 
 
 def test_repeats_differ_and_offsets_differ(small: Any) -> None:
     of = {tuple(row[k] for k in ("scheme", "damping", "offset", "repeat")): row for row in small.table()}
-    impacts = [
-        of["dual:20k/2k", 0.5, offset, repeat]["contact_s"] for offset in (0.1, 0.6) for repeat in (0, 1)
-    ]
-    assert len(set(impacts)) > 1
-
-
-# --- physics ------------------------------------------------------------------------------------------------
+    assert len({of["dual:20k/2k", 0.5, offset, n]["contact_s"] for offset in (0.1, 0.6) for n in (0, 1)}) > 1
 
 
 @pytest.mark.parametrize(
@@ -94,16 +85,9 @@ def test_without_friction_and_quantum_the_limit_is_that_of_the_linear_theory(
     # Below the limit the ringing dies out more slowly the nearer it is: after three seconds a rung or two are lost.
     experiment, of = config.override(presets.load("koul-compliant"), LINEAR), Scheme.parse(scheme)
     expected = theory.k_max(experiment, of, damping).stiffness
+    search = StiffnessSearch(way="bisection", lowest=0.7 * expected, highest=1.3 * expected, ratio=1.02)
     found = zwidth(
-        MapPlan(
-            experiment=experiment,
-            schemes=(of,),
-            dampings=(damping,),
-            search=StiffnessSearch(
-                way="bisection", lowest=0.7 * expected, highest=1.3 * expected, ratio=1.02
-            ),
-            offsets=(0.1,),
-        )
+        MapPlan(experiment=experiment, schemes=(of,), dampings=(damping,), search=search, offsets=(0.1,))
     )
     (limit,) = found.curve(0, "heard")
     assert limit.capped == 0
@@ -119,14 +103,10 @@ def test_without_damping_no_estimator_matters() -> None:
         assert json.dumps(others) == json.dumps(first)
 
 
-# --- what a map says of itself ----------------------------------------------------------------------------------
-
-
 def rows_of(outcomes: Any, **numbers: Any) -> Any:
     """Rows of one series as `run_series` gives them; `outcomes` by stiffness."""
-    measured = (
-        dict.fromkeys(maps.NUMBERS.names, 0.0) | {"tail_begins_s": 0.1, "inside_ticks_in_tail": 1} | numbers
-    )
+    tail = {"tail_begins_s": 0.1, "inside_ticks_in_tail": 1}
+    measured = dict.fromkeys(maps.NUMBERS.names, 0.0) | tail | numbers
     truths = {f"{name}_true": value for name, value in measured.items()}
     return [
         {"stiffness": k, "kind": "stable", **measured, **truths}
@@ -139,7 +119,7 @@ def one_scheme(dampings: Any) -> Any:
     return planned(schemes=(DUAL,), dampings=dampings, offsets=(0.1,), repeats=1)
 
 
-def test_caps_islands_and_the_end_of_the_range_are_told() -> None:
+def test_caps_islands_and_the_end_of_the_range_are_reported() -> None:
     found = ZWidth.of(
         one_scheme((0.0, 1.0, 2.0)),
         [
@@ -177,9 +157,6 @@ def test_invalid_hits_are_counted_by_their_reason() -> None:
     assert [b.unknown for b in found.curve(0, "any")] == [2, 1]
 
 
-# --- what is refused ----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
@@ -198,7 +175,7 @@ def test_a_plan_without_sense_is_refused_with_option_value_and_range(changes: An
         planned(**changes)
 
 
-def test_a_handle_that_never_comes_home_says_nothing_and_is_told() -> None:
+def test_a_handle_that_never_comes_home_passes_and_fails_no_criterion() -> None:
     """The end mass weighs more than homing can carry: there is no trial to judge."""
     changes = {
         "rig.mechanics.gravity": 9.81,

@@ -1,4 +1,4 @@
-"""A map on a device: recorded hits in place of simulated ones, a person who agrees, and whatever ends a session."""
+"""A map on a device: recorded hits in place of simulated ones, a person who agrees, and the ends of a session."""
 
 import json
 from collections.abc import Iterator
@@ -45,17 +45,17 @@ def planned(changes: Any = None, **others: Any) -> Any:
 
 
 class Person:
-    """Agrees so many times, and remembers what was asked, told and waited for."""
+    """Agrees to `patience` hits; records requests, results and waits."""
 
     def __init__(self, patience: int = 10_000) -> None:
         self.patience = patience
-        self.asked, self.told, self.waited_s = [], [], []
+        self.asked, self.results, self.waited_s = [], [], []
 
     def session(self, directory: Any, url: str = "sim://", **others: Any) -> Any:
         return DeviceMap(
             where=OnDevice(url=url, recordings=directory / "hits", **others),
             agrees=self._agrees,
-            report=lambda asked, done, valid: self.told.append(str(done.kind)),
+            report=lambda asked, done, valid: self.results.append(str(done.kind)),
             pause=self.waited_s.append,
         )
 
@@ -81,15 +81,11 @@ def test_over_the_byte_link_a_map_is_that_of_the_hits_without_bytes(tmp_path: Pa
     assert kinds(found) == kinds(without_bytes)
     assert kinds(found, TRUE) == kinds(without_bytes, TRUE)
     assert [b.stiffness for b in found.boundaries] == [b.stiffness for b in without_bytes.boundaries]
-    assert (
-        len(person.asked)
-        == len(person.told)
-        == found.hits
-        == len(list((tmp_path / "hits").glob("*.parquet")))
-    )
+    assert len(person.asked) == len(person.results) == found.hits
+    assert len(list((tmp_path / "hits").glob("*.parquet"))) == found.hits
 
 
-def test_a_hand_pushes_there_too(tmp_path: Path) -> None:
+def test_a_simulated_hand_pushes_on_a_device_too(tmp_path: Path) -> None:
     changes = {
         "trial.kind": "human",
         "rig.limits.human": False,  # a wall of 400 N·m/rad asks for more than the nominal effort
@@ -114,18 +110,16 @@ def test_the_person_sees_scheme_wall_and_number_before_each_hit(tmp_path: Path) 
     assert {asked.damping for asked in person.asked} == {0.1, 0.4}
 
 
-def test_who_declines_ends_the_session_and_the_same_plan_goes_on(tmp_path: Path) -> None:
+def test_a_person_who_declines_ends_the_session_and_the_same_plan_resumes(tmp_path: Path) -> None:
     journal = tmp_path / "journal"
     whole = Person()
     uninterrupted = zwidth_on_rig(planned(), whole.session(tmp_path / "a"))
     of_first_series = sum(asked.series == 1 for asked in whole.asked)
 
     person = Person(patience=of_first_series + 1)
-    with pytest.raises(
-        StoppedError, match=r"1 of 2 series are done and stored in .*journal.*resumes from there"
-    ):
+    with pytest.raises(StoppedError, match=r"1 of 2 series are done .*journal.*resumes from there"):
         zwidth_on_rig(planned(), person.session(tmp_path / "b"), journal=journal)
-    assert len(person.told) == of_first_series + 1, "nothing moves once somebody has declined"
+    assert len(person.results) == of_first_series + 1, "nothing moves after the person has declined"
 
     again = Person()
     found = zwidth_on_rig(planned(), again.session(tmp_path / "b"), journal=journal)
@@ -145,7 +139,7 @@ def test_ctrl_c_at_the_question_is_a_stop_like_any_other(tmp_path: Path) -> None
 # --- hits that end otherwise ----------------------------------------------------------------------------------------
 
 
-def test_a_wall_that_throws_the_handle_out_fails_and_the_session_goes_on(tmp_path: Path) -> None:
+def test_a_wall_that_throws_the_handle_out_fails_and_the_session_continues(tmp_path: Path) -> None:
     narrow = {"rig.limits.position_minimum": -0.02, "rig.limits.position_maximum": 0.05, "trial.effort": 0.3}
     rungs = StiffnessSearch(lowest=38.0, highest=80.0, ratio=1.9)
     plan = planned(narrow, schemes=(Scheme.parse("uniform:1k"),), dampings=(0.0, 0.01), search=rungs)
@@ -159,18 +153,19 @@ def test_a_wall_that_throws_the_handle_out_fails_and_the_session_goes_on(tmp_pat
     assert kinds(found) == kinds(zwidth(plan))
 
 
-def test_a_guard_that_trips_before_the_wall_ends_the_session(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("error", [GuardError("did not reach the start"), LinkLostError("gone")])
+def test_an_error_that_the_wall_did_not_cause_ends_the_session(
+    error: RigError, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def tripped(request: Any, admit: Any) -> None:
-        raise GuardError("homing did not reach the start in time")
+    def failing(request: Any, admit: Any) -> None:
+        raise error
 
-    monkeypatch.setattr(on_device, "hit", tripped)
-    with pytest.raises(GuardError, match="did not reach the start"):
+    monkeypatch.setattr(on_device, "hit", failing)
+    with pytest.raises(type(error), match=str(error)):
         zwidth_on_rig(planned(), Person().session(tmp_path))
 
 
-def test_a_hit_that_ended_for_want_of_time_is_repeated(
+def test_a_hit_that_ended_by_missed_ticks_is_repeated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its device missed ticks in the middle of the push; the map is that of an undisturbed session."""
@@ -199,16 +194,7 @@ def test_a_hit_that_ended_for_want_of_time_is_repeated(
     assert sorted(reasons) == ["device_fault", "finished"]
 
 
-def test_a_lost_link_ends_the_session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def lost(request: Any, admit: Any) -> None:
-        raise LinkLostError("gone")
-
-    monkeypatch.setattr(on_device, "hit", lost)
-    with pytest.raises(LinkLostError):
-        zwidth_on_rig(planned(), Person().session(tmp_path))
-
-
-def test_a_hit_that_says_nothing_three_times_ends_the_session_with_the_reason(tmp_path: Path) -> None:
+def test_three_invalid_hits_of_one_wall_end_the_session_with_the_reason(tmp_path: Path) -> None:
     # A slew limit that binds in every hit makes another wall of it.
     person = Person()
     rungs = StiffnessSearch(lowest=400.0, highest=420.0, ratio=1.5)
@@ -235,10 +221,10 @@ def test_the_mean_heat_over_push_and_rest_is_that_of_the_nominal_effort(
         assert rms**2 * duration / (duration + rest) == pytest.approx(nominal**2)
 
 
-def test_nobody_hits_again_before_the_rig_is_calm(tmp_path: Path) -> None:
+def test_the_next_hit_waits_until_the_rig_is_calm(tmp_path: Path) -> None:
     person = Person()
     zwidth_on_rig(planned(dampings=(0.4,)), person.session(tmp_path))
-    assert len(person.waited_s) == len(person.told)
+    assert len(person.waited_s) == len(person.results)
     assert min(person.waited_s) >= zwidth_rig.CALM_S
 
 
@@ -267,14 +253,11 @@ def test_a_real_device_stays_open_and_its_zero_where_it_was(tmp_path: Path, real
     recordings = [open_recording(path) for path in sorted((tmp_path / "hits").glob("*.parquet"))]
     assert len(recordings) == found.hits > 3
     assert {row["recording"] for row in found.table()} == {
-        one.path.name for one in recordings if one.path is not None
+        str(one.path and one.path.name) for one in recordings
     }
     zeros = {recording.header["identity"]["parameters"]["reference_count"] for recording in recordings}
     assert len(zeros) == 1
     assert zeros != {0}
-    assert not any(
-        name.endswith(TRUE) for row in found.table() for name in row if not recordings[0].has_truth
-    )
 
 
 def test_a_real_device_of_unverified_polarity_is_not_moved(tmp_path: Path, real_devices: Any) -> None:
@@ -293,15 +276,15 @@ def test_a_real_device_of_unverified_polarity_is_not_moved(tmp_path: Path, real_
         ({"offsets": (0.1, 0.6)}, "2 encoder offsets"),
         (
             {"schemes": (Scheme.parse("dual:5k/1k"), Scheme.parse("uniform:20k"))},
-            r"scheme uniform:20k.*needs 20000 Hz, and the device supports at most 8000 Hz.*`rate` 8000",
+            r"uniform:20k.*20000.*`rate` 8000",
         ),
         (
             {"search": StiffnessSearch(lowest=0.1, highest=10.0, ratio=2.0)},
-            r"K from 0.1 to .*peak penetration.*window",
+            "K from 0.1 to .*peak penetration",
         ),
     ],
 )
-def test_what_a_device_cannot_do_is_refused_before_the_first_question(
+def test_a_map_beyond_the_device_is_refused_before_the_first_question(
     tmp_path: Path, plan: Any, text: str
 ) -> None:
     person = Person()
@@ -312,7 +295,7 @@ def test_what_a_device_cannot_do_is_refused_before_the_first_question(
     assert not (tmp_path / "hits").exists()
 
 
-def test_a_journal_of_one_device_is_not_gone_on_with_on_another(tmp_path: Path) -> None:
+def test_a_journal_of_one_device_is_refused_on_another(tmp_path: Path) -> None:
     journal = tmp_path / "journal"
     plan = planned(dampings=(0.4,))
     zwidth_on_rig(plan, Person().session(tmp_path), journal=journal)

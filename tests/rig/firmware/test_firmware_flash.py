@@ -38,7 +38,7 @@ def drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def starting(drive: Any) -> Any:
-    """What a board does when it has been told all: it restarts, and the drive is gone."""
+    """Act as a board after the last block: it restarts, and its drive disappears."""
 
     def step(what: Any, _share: Any) -> None:
         if what.startswith("waiting"):
@@ -50,12 +50,8 @@ def starting(drive: Any) -> Any:
 def test_the_image_is_copied_and_the_board_starts(image: Any, drive: Any) -> None:
     done = flash(image, on_progress=starting(drive))
     assert (drive / "a.uf2").read_bytes() == image.read_bytes()
-    assert (done.drive, done.board_id, done.rig, done.bytes) == (
-        drive,
-        "RPI-RP2",
-        "mine",
-        image.stat().st_size,
-    )
+    assert (done.drive, done.board_id, done.rig) == (drive, "RPI-RP2", "mine")
+    assert done.bytes == image.stat().st_size
 
 
 def test_a_device_that_runs_is_asked_for_its_drive(
@@ -79,17 +75,17 @@ def test_a_device_that_runs_is_asked_for_its_drive(
     assert (asked, done.drive) == (["asked"], drive)
 
 
-def test_a_device_without_a_boot_loader_says_so(image: Any, drive: Any) -> None:
+def test_a_device_without_a_boot_loader_refuses_the_request(image: Any, drive: Any) -> None:
     with pytest.raises(DeviceRefusedError, match="does not support this request"):
         flash(image, url="sim://koul-rigid")
 
 
-def test_a_drive_is_known_by_what_it_says(drive: Any) -> None:
+def test_a_drive_is_identified_by_its_info_file(drive: Any) -> None:
     assert find_drives() == [BootDrive(path=drive, board_id="RPI-RP2", model="Raspberry Pi RP2")]
     assert drive_at(drive).board_id == "RPI-RP2"
 
 
-def test_without_a_drive_it_says_which_button_to_hold(
+def test_without_a_drive_the_error_names_the_button_to_hold(
     image: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(flashing, "_mounted", list)
@@ -116,7 +112,7 @@ def test_an_image_for_another_processor_is_refused(image: Any, drive: Any) -> No
     assert not (drive / "a.uf2").exists()
 
 
-def test_a_board_that_nobody_knows_is_refused(image: Any, drive: Any) -> None:
+def test_an_unknown_board_is_refused(image: Any, drive: Any) -> None:
     (drive / "INFO_UF2.TXT").write_text("Board-ID: OTHER\n")
     with pytest.raises(DeviceNotFoundError, match="OTHER"):
         flash(image)
@@ -130,19 +126,21 @@ def test_an_image_for_another_board_is_refused(image: Any, drive: Any) -> None:
         flash(image)
 
 
-def test_a_board_that_does_not_start_is_told(image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_board_that_does_not_start_is_an_error(
+    image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(flashing, "VANISH_S", 0.0)
     with pytest.raises(LinkLostError, match="did not accept the image"):
         flash(image)
 
 
-def test_a_drive_that_takes_nothing_is_told(image: Any, drive: Any) -> None:
+def test_a_drive_that_cannot_be_written_is_an_error(image: Any, drive: Any) -> None:
     (drive / "a.uf2").mkdir()
     with pytest.raises(LinkLostError, match="cannot be written"):
         flash(image)
 
 
-def test_a_board_that_goes_away_in_mid_copy_is_told(
+def test_a_board_that_disappears_in_mid_copy_is_an_error(
     image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(flashing, "_CHUNK", 64)
@@ -182,11 +180,11 @@ def test_a_stale_mount_is_a_drive_that_is_gone(
     assert done.drive == drive
 
 
-def test_the_command_says_what_it_knows_and_how_to_check(
+def test_the_command_reports_the_copy_and_how_to_check_it(
     image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(flashing, "_is_there", lambda _drive: False)
     assert rig.cli.run(["firmware", "flash", str(image)]) == 0
-    said = capfd.readouterr().out
-    assert "took the image" in said
-    assert "rig firmware info URL" in said
+    out = capfd.readouterr().out
+    assert "took the image" in out
+    assert "rig firmware info URL" in out

@@ -1,11 +1,11 @@
-"""An image says what it is, in whatever file it stands; and whether this package can speak to it."""
+"""An image identifies itself in any file format, and the package checks that it is compatible."""
 
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol import dictionary as dictionaries
@@ -26,6 +26,7 @@ FACTS = ImageFacts(
 )
 
 
+@settings(max_examples=40)
 @given(st.binary(max_size=300), st.binary(max_size=300))
 def test_a_record_is_found_wherever_it_stands(before: bytes, behind: bytes) -> None:
     record = find(before + MAGIC[:7] + pack(Record(FACTS, PACKED)) + behind, "x")
@@ -34,6 +35,7 @@ def test_a_record_is_found_wherever_it_stands(before: bytes, behind: bytes) -> N
     assert record.dictionary_hash == dictionaries.dictionary_hash(PACKED)
 
 
+@settings(max_examples=50)
 @given(st.data())
 def test_a_damaged_record_is_refused(data: st.DataObject) -> None:
     content = bytearray(pack(Record(FACTS, PACKED)))
@@ -49,7 +51,7 @@ def test_a_damaged_record_does_not_hide_a_good_one() -> None:
 
 
 @pytest.mark.parametrize("kind", ["bin", "uf2"])
-def test_a_file_of_any_format_tells_what_a_device_would(tmp_path: Path, kind: str) -> None:
+def test_a_file_of_any_format_has_the_facts_that_a_device_reports(tmp_path: Path, kind: str) -> None:
     image = b"\0" * 500 + pack(Record(FACTS, PACKED))
     path = tmp_path / f"a.{kind}"
     path.write_bytes(image if kind == "bin" else write_uf2([Piece(0x1000_0000, image)], RP2040))
@@ -63,7 +65,7 @@ def test_a_file_of_any_format_tells_what_a_device_would(tmp_path: Path, kind: st
     assert found.facts.settings == FACTS.settings
 
 
-def test_a_file_that_is_none_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_no_image_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be read"):
         read_image(tmp_path / "none.uf2")
     (tmp_path / "text.bin").write_text("hello")

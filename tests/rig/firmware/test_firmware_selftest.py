@@ -36,19 +36,16 @@ def outcome(device: Any, name: Any, request: Any = REQUEST) -> Any:
 
 def test_a_sound_device_passes_and_is_left_as_it_was(device: Any) -> None:
     before = device.active_parameters()
-    told = []
-    found = selftest(
-        device,
-        replace(REQUEST, experiment=presets.load("koul-rigid")),
-        lambda what, share: told.append((what, share)),
-    )
+    steps = []
+    request = replace(REQUEST, experiment=presets.load("koul-rigid"))
+    found = selftest(device, request, lambda what, share: steps.append((what, share)))
     assert found.passed
     assert failure(found) is None
     assert [check.outcome for check in found.checks if check.name not in ("encoder", "stream")] == [
         Outcome.OK
     ] * 9
     assert device.active_parameters() == before
-    assert [what for what, _ in told] == [check.name for check in found.checks]
+    assert [what for what, _ in steps] == [check.name for check in found.checks]
     assert plain(found)["passed"] is True
 
 
@@ -75,7 +72,7 @@ def test_the_image_of_another_rig_is_found(device: Any) -> None:
     assert "--rig chawda-linear" in check.remedy
 
 
-def test_a_fault_of_an_earlier_run_is_told_and_cleared(device: Any) -> None:
+def test_a_fault_of_an_earlier_run_is_reported_and_cleared(device: Any) -> None:
     device.link.device.inject_fault(Fault.OVER_CURRENT)
     check = outcome(device, "fault memory")
     assert check.outcome == Outcome.OK
@@ -84,11 +81,7 @@ def test_a_fault_of_an_earlier_run_is_told_and_cleared(device: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "method", "value"),
-    [
-        ("refusals", "status_of", Status.OK),
-        ("ticks", "states", []),
-    ],
+    ("name", "method", "value"), [("refusals", "status_of", Status.OK), ("ticks", "states", [])]
 )
 def test_a_defect_is_found(
     device: Any, monkeypatch: pytest.MonkeyPatch, name: str, method: str, value: Any
@@ -152,7 +145,7 @@ WHOLE = [batch(2**32 - 2, [(1, 0, 3)] * 2), state(1, count=104), batch(0, [(1, 0
 
 
 @pytest.mark.parametrize(
-    ("said", "ticks", "outcome", "text"),
+    ("messages", "ticks", "outcome", "text"),
     [
         (WHOLE, 4, Outcome.OK, "4 samples in 2 frames, 0 gaps"),
         (WHOLE, 40, Outcome.REFUSED, "instead of 40"),
@@ -163,9 +156,9 @@ WHOLE = [batch(2**32 - 2, [(1, 0, 3)] * 2), state(1, count=104), batch(0, [(1, 0
     ],
 )
 def test_the_samples_of_a_law_on_the_device_are_judged(
-    said: list[str], ticks: int, outcome: Any, text: Any
+    messages: list[str], ticks: int, outcome: Any, text: Any
 ) -> None:
-    check = judge_stream(said, ticks, 1_000, DICTIONARY)
+    check = judge_stream(messages, ticks, 1_000, DICTIONARY)
     assert check.outcome == outcome
     assert text in check.text
 

@@ -1,10 +1,10 @@
-"""UF2 by its specification: what is written there is read back, block by block, and damage is seen."""
+"""UF2 by its specification: blocks are read back as written, and damage is found."""
 
 import struct
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.core.errors import ConfigError
@@ -24,6 +24,7 @@ def apart(draw: Any) -> Any:
     return pieces
 
 
+@settings(max_examples=40)
 @given(apart())
 def test_every_byte_comes_back_where_it_belongs(pieces: Any) -> None:
     read = read_uf2(write_uf2(pieces, RP2040), "a.uf2")
@@ -34,7 +35,7 @@ def test_every_byte_comes_back_where_it_belongs(pieces: Any) -> None:
     assert all(byte == 0 for at, byte in memory.items() if at not in wanted)
 
 
-def test_a_block_is_what_the_specification_says() -> None:
+def test_a_block_has_the_fields_of_the_specification() -> None:
     content = write_uf2([Piece(FLASH, bytes(range(256)) * 2)], 0xE48BFF56)
     assert len(content) == 2 * 512
     assert is_uf2(content)
@@ -45,10 +46,9 @@ def test_a_block_is_what_the_specification_says() -> None:
     assert content[1020:] == bytes.fromhex("306fb10a")
 
 
-@given(st.data())
-def test_a_damaged_file_is_refused(data: st.DataObject) -> None:
+@pytest.mark.parametrize("at", [0, 4, 20, 24, 512, 532, 1023, 1020])
+def test_a_damaged_file_is_refused(at: int) -> None:
     content = bytearray(write_uf2([Piece(FLASH, bytes(700))], RP2040))
-    at = data.draw(st.sampled_from([0, 4, 20, 24, 512, 532, 1023, 1020]))
     content[at] ^= 0x55
     with pytest.raises(ConfigError, match="not a valid UF2"):
         read_uf2(bytes(content), "a.uf2")

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
-import rig.cli
 from rig.core.errors import ConfigError
 from rig.firmware import _boards as boards
 from rig.firmware._wiring import Wiring, WiringPart, svg, wiring
@@ -17,7 +15,7 @@ BOARD = boards.load("rp2040")
 SETTINGS = boards.settings_of(BOARD, {})
 FOUND = wiring(BOARD, SETTINGS)
 CHOSEN = {output: boards.settings_of(BOARD, {"output": output}) for output in ("pwm", "dac")}
-ALONE = {"SYNC IN", "TRIAL", "INSIDE"}  # for whoever has something to connect there
+ALONE = {"SYNC IN", "TRIAL", "INSIDE"}  # free for other equipment
 
 
 def part(name: str, found: Wiring = FOUND) -> WiringPart:
@@ -44,7 +42,7 @@ def test_every_net_joins_something_and_every_pin_of_the_board_is_wired(output: s
     assert used == {f"GPIO{number}" for number in (*wanted, 26)}
 
 
-def test_whatever_switches_the_amplifier_off_holds_the_converter_in_reset_too() -> None:
+def test_the_line_that_switches_the_amplifier_off_holds_the_converter_in_reset_too() -> None:
     """Behind monostable and dead-man contact, where the resistor to ground is: not at the board's own end."""
     nets = wiring(BOARD, CHOSEN["dac"]).nets()
     assert {"U5.RESET", "AMP.DigIN2 (enable)", "R1.2"} <= set(nets["ENABLE HELD"])
@@ -58,7 +56,7 @@ def test_no_five_volts_reach_a_pin_of_the_board() -> None:
     assert [name for name in FOUND.nets()["5V"] if name.startswith("U1.")] == ["U1.VBUS"]
 
 
-def test_a_pin_that_moves_moves_in_the_drawing_and_one_that_is_none_is_refused(tmp_path: Path) -> None:
+def test_a_pin_that_moves_moves_in_the_drawing_and_a_board_without_wiring_is_refused(tmp_path: Path) -> None:
     moved = wiring(BOARD, boards.settings_of(BOARD, {"enable_pin": 6 + 14}))
     assert "U1.GPIO20 enable" in moved.nets()["ENABLE"]
     texts = [one.text for one in ElementTree.fromstring(svg(moved)).iter() if one.text]
@@ -81,11 +79,3 @@ def test_the_monitors_divider_gives_the_boards_zero() -> None:
     assert 3.2 < high < 3.3
     for text in ("10 kΩ", "8.06 kΩ", "40.2 kΩ"):
         assert text in part("RM").what
-
-
-def test_the_command_draws_and_lists(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "w.svg"
-    assert rig.cli.run(["firmware", "wiring", "-o", str(path), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["nets"] == FOUND.nets()
-    assert path.read_text(encoding="utf-8") == svg(FOUND)

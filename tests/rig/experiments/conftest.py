@@ -1,0 +1,11 @@
+"""Fixtures of the tests of experiments."""
+
+import pytest
+
+from tests.conformance.claimed import claim_to_be_real
+
+
+@pytest.fixture
+def real(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Simulated devices claim to be real ones."""
+    claim_to_be_real(monkeypatch)
