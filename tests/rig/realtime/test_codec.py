@@ -1,7 +1,5 @@
 """The compiled codec and the readable one are the same, byte for byte and refusal for refusal."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -96,7 +94,7 @@ def test_both_decoders_read_the_same(message: Message, session: int, sequence: i
 
 
 @given(st.builds(GetTime, st.integers(0, 65535), LONG), TIMES, SESSIONS, SEQUENCES)
-def test_the_clock_exchange_is_the_readable_one(
+def test_clock_exchange_is_encoded_alike(
     question: GetTime, answer: Time, session: int, sequence: int
 ) -> None:
     out = np.zeros(codec.FRAME_BYTES, dtype=np.uint8)
@@ -117,7 +115,6 @@ def test_a_64_bit_value_that_is_negative_is_refused() -> None:
 
 
 def broken(draw: st.DrawFn) -> bytes:
-    """Draw a frame that was cut, flipped, joined or left whole."""
     encoded = bytearray(encode_frame(pack(draw(any_message())))[:-1])
     for _ in range(draw(st.integers(0, 3))):
         at = draw(st.integers(0, len(encoded) - 1))
@@ -212,9 +209,6 @@ def test_the_delimiter_is_found(data: bytes, a: int, b: int) -> None:
     assert codec.find_delimiter(buffer_of(data), start, end) == data.find(0, start, end)
 
 
-# ---------------------------------------------------------------------- a law on the device
-
-
 def wrapped(count: int) -> int:
     """As an encoder's 32 bits hold it."""
     return (count + (1 << 31)) % (1 << 32) - (1 << 31)
@@ -306,7 +300,7 @@ def test_a_chunk_longer_than_a_frame_is_refused() -> None:
 
 
 @given(messages_of(SetBegin), messages_of(SetCommit), SESSIONS, SEQUENCES)
-def test_begin_and_commit_are_the_readable_ones(
+def test_begin_and_commit_are_encoded_alike(
     begin: Message, commit: Message, session: int, sequence: int
 ) -> None:
     out = np.zeros(codec.FRAME_BYTES, dtype=np.uint8)

@@ -58,20 +58,17 @@ class Both(NamedTuple):
 
 @kernel(types.float64(type_of(Wanted), type_of(Measured)), cache=False)
 def error(wanted: Any, measured: Any) -> Any:
-    """Difference of two values."""
     return wanted.values[wanted.place] - measured.values[measured.place]
 
 
 @kernel(LAW_SIGNATURE, cache=False)
 def counting(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
-    """Count calls."""
     state[0] += 1.0
     return state[0] if penetration >= 0.0 else 1.0 / 0.0
 
 
 @kernel(types.float64(type_of(Plugged), types.int64), cache=False)
 def repeated(plugged: Any, times: Any) -> Any:
-    """Call the law again and again."""
     last = 0.0
     for _ in range(times):
         last = plugged.law(0.0, 0.0, 1, plugged.state, plugged.state)
@@ -94,13 +91,13 @@ def test_a_kernel_takes_groups_and_their_arrays_are_the_callers() -> None:
 
 
 @pytest.mark.parametrize(
-    "shaken", [(measured, wanted), (wanted, wanted), (lambda: tuple(wanted()), measured)]
+    "make_groups", [(measured, wanted), (wanted, wanted), (lambda: tuple(wanted()), measured)]
 )
-def test_two_groups_in_each_others_place_are_refused(shaken: Any) -> None:
+def test_two_groups_in_each_others_place_are_refused(make_groups: Any) -> None:
     """Also after a call that was right, though all members have the same types."""
     assert error(wanted(), measured()) == 4.0
     with pytest.raises(TypeError, match="No matching definition"):
-        error(*(make() for make in shaken))
+        error(*(make() for make in make_groups))
 
 
 def test_two_arguments_of_the_loop_in_each_others_place_are_refused() -> None:
@@ -155,8 +152,6 @@ def test_a_group_is_made_by_keyword_alone_and_whole() -> None:
     assert wanted()._replace(place=0).place == 0
 
 
-# --- the whole project ------------------------------------------------------------------------------------
-
 MOST = 12  # parameters of a kernel
 
 
@@ -181,7 +176,7 @@ def kernels() -> Iterator[Any]:
 
 
 def test_no_kernel_has_more_than_a_dozen_parameters_or_a_wall_of_them() -> None:
-    """A wall is what the formatter was told to leave alone: a signature or a call."""
+    """A wall is a signature or a call that the formatter leaves alone."""
     found = list(kernels())
     assert len(found) > 100
     wide = [name for name, parameters, _ in found if len(parameters) > MOST]

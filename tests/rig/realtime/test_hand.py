@@ -1,6 +1,4 @@
-"""A hand in a file: what one side says the other side reads, whole or not at all."""
-
-from __future__ import annotations
+"""A hand in a file: the other side reads a wish or a motion whole, or not at all."""
 
 import math
 import os
@@ -9,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.core.errors import ConfigError
@@ -22,18 +20,19 @@ from tests.conformance.rigs import rotary_rig
 FLOATS = st.floats(allow_nan=False, allow_infinity=False)
 
 
-@settings(deadline=None)
-@given(said=st.lists(st.tuples(FLOATS, FLOATS), max_size=5))
-def test_what_is_said_last_is_read(said: list[str], tmp_path_factory: pytest.TempPathFactory) -> None:
+@given(wishes=st.lists(st.tuples(FLOATS, FLOATS), max_size=5))
+def test_reader_gets_the_newest_wish(
+    wishes: list[tuple[float, float]], tmp_path_factory: pytest.TempPathFactory
+) -> None:
     path = tmp_path_factory.mktemp("hand") / "hand"
     with SharedHand.create(path) as mover, SharedHand.open(path) as looker:
-        assert looker.read() == Wish(0, 0.0, 0.0), "nobody has said anything"
-        for number, (position, press) in enumerate(said, 1):
+        assert looker.read() == Wish(0, 0.0, 0.0)
+        for number, (position, press) in enumerate(wishes, 1):
             mover.move(position, press)
             assert looker.read() == Wish(number, position, press)
 
 
-def test_a_writer_that_comes_back_goes_on(tmp_path: Path) -> None:
+def test_second_writer_continues_the_numbers_of_the_first(tmp_path: Path) -> None:
     path = tmp_path / "hand"
     with SharedHand.create(path) as first:
         first.move(0.1, 2.0)
@@ -43,7 +42,7 @@ def test_a_writer_that_comes_back_goes_on(tmp_path: Path) -> None:
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
 
 
-def test_what_is_half_written_is_not_read(tmp_path: Path) -> None:
+def test_torn_wish_is_not_read(tmp_path: Path) -> None:
     path = tmp_path / "hand"
     with SharedHand.create(path) as mover, SharedHand.open(path) as looker:
         mover.move(0.1, 2.0)
@@ -58,14 +57,14 @@ def test_what_is_half_written_is_not_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("wish", [(math.nan, 0.0), (0.0, math.inf)])
-def test_what_is_no_number_is_refused(wish: Any, tmp_path: Path) -> None:
+def test_wish_that_is_not_finite_is_refused(wish: Any, tmp_path: Path) -> None:
     with SharedHand.create(tmp_path / "hand") as mover:
         with pytest.raises(ConfigError, match="finite"):
             mover.move(*wish)
         assert mover.read() == Wish(0, 0.0, 0.0)
 
 
-def test_nothing_else_is_overwritten(tmp_path: Path) -> None:
+def test_file_of_another_kind_is_not_overwritten(tmp_path: Path) -> None:
     other = tmp_path / "notes.txt"
     other.write_text("x" * SIZE)
     os.mkfifo(tmp_path / "pipe")
@@ -82,7 +81,7 @@ def test_nothing_else_is_overwritten(tmp_path: Path) -> None:
     assert other.read_text() == "x" * SIZE
 
 
-def test_where_nobody_can_lead_that_is_said(tmp_path: Path) -> None:
+def test_driven_hand_without_real_time_or_operator_is_refused(tmp_path: Path) -> None:
     SharedHand.create(tmp_path / "hand").close()
     url = f"sim://?hand={tmp_path / 'hand'}"
     with pytest.raises(ConfigError, match="a hand cannot be driven in virtual time"):
@@ -107,12 +106,12 @@ def test_motions_are_read_once_and_in_order(tmp_path: Path) -> None:
             device.tell(moved(number))
         assert mover.motions() == [moved(0), moved(1), moved(2)]
         assert mover.motions() == []
-        for number in range(2 * MOTIONS + 5):  # whoever comes late gets the newest
+        for number in range(2 * MOTIONS + 5):  # a late reader gets the newest
             device.tell(moved(number))
         assert mover.motions() == [moved(number) for number in range(MOTIONS + 5, 2 * MOTIONS + 5)]
 
 
-def test_motions_go_on_with_another_device(tmp_path: Path) -> None:
+def test_motions_continue_with_another_device(tmp_path: Path) -> None:
     with SharedHand.create(tmp_path / "hand") as mover:
         for number in range(2):
             with SharedHand.open(tmp_path / "hand") as device:

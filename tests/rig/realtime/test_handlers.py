@@ -52,8 +52,6 @@ def test_ctrl_c_where_an_exception_would_be_forgotten_is_raised_afterwards(place
 
 
 def test_an_impatient_ctrl_c_is_one_interruption() -> None:
-    """The second one must not interrupt what is compiled next."""
-
     def twice() -> None:
         with interrupts_later():
             signal.raise_signal(signal.SIGINT)
@@ -79,7 +77,7 @@ with interrupts_later():
     assert (done.returncode, done.stderr) == (-signal.SIGTERM, "")
 
 
-def test_it_is_raised_also_after_an_error() -> None:
+def test_interrupt_is_raised_also_after_an_error() -> None:
     def fails() -> None:
         with interrupts_later():
             signal.raise_signal(signal.SIGINT)
@@ -90,7 +88,7 @@ def test_it_is_raised_also_after_an_error() -> None:
     assert isinstance(caught.value.__context__, ValueError)
 
 
-def test_it_is_raised_at_once_where_an_exception_is_heard() -> None:
+def test_interrupt_is_raised_between_two_parts() -> None:
     """Between two functions of a kernel, so that Ctrl-C need not wait for all of them."""
     done = []
 
@@ -108,9 +106,7 @@ def test_it_is_raised_at_once_where_an_exception_is_heard() -> None:
     interrupts_now()  # it was raised once
 
 
-def test_ctrl_c_while_a_kernel_is_compiled_is_heard_and_the_kernel_can_be_compiled_again(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_kernel_compiles_again_after_ctrl_c(monkeypatch: pytest.MonkeyPatch) -> None:
     @kernel("f8(f8)", cache=False)
     def half(x: float) -> float:
         return 0.5 * x
@@ -130,22 +126,22 @@ def test_ctrl_c_while_a_kernel_is_compiled_is_heard_and_the_kernel_can_be_compil
     assert half(3.0) == 1.5
 
 
-def test_what_is_ignored_stays_so_and_other_threads_change_nothing() -> None:
+def test_ignored_signal_stays_ignored_and_other_threads_change_nothing() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    heard: list[int] = []
-    with handled((signal.SIGINT, signal.SIGTERM), lambda number, frame: heard.append(number)) as here:
+    calls: list[int] = []
+    with handled((signal.SIGINT, signal.SIGTERM), lambda number, frame: calls.append(number)) as here:
         signal.raise_signal(signal.SIGINT)
         assert here
-    assert not heard
+    assert not calls
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
     def elsewhere() -> None:
         with handled((signal.SIGTERM,), lambda number, frame: None) as here:
-            heard.append(here)
+            calls.append(here)
 
     before = signal.getsignal(signal.SIGTERM)
     thread = threading.Thread(target=elsewhere)
     thread.start()
     thread.join()
-    assert heard == [False]
+    assert calls == [False]
     assert signal.getsignal(signal.SIGTERM) is before

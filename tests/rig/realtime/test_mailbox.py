@@ -1,7 +1,5 @@
 """The mailbox: whatever two sides do at whatever moment, sets arrive whole and in order, and the newest arrives."""
 
-from __future__ import annotations
-
 import fcntl
 import itertools
 import threading
@@ -36,8 +34,6 @@ JOIN_S = 30.0
 
 
 class Box:
-    """A mailbox in memory of its own."""
-
     def __init__(self) -> None:
         self.memory = np.zeros(MAILBOX_BYTES // 8, np.int64)
         self.address = self.memory.ctypes.data
@@ -58,7 +54,6 @@ def expected(number: int, count: int) -> list[float]:
 
 
 def take_numbers(address: int, into: np.ndarray) -> int:
-    """Take a set of parameters."""
     return int(take(address, into.view(np.uint8)))
 
 
@@ -82,9 +77,7 @@ def test_sets_are_numbered_from_one_and_each_is_taken_once() -> None:
 
 
 @given(st.lists(st.floats(allow_nan=False), max_size=SET_FLOATS), st.integers(0, SET_FLOATS))
-def test_every_float_passes_bit_for_bit_and_nothing_is_written_beyond_either_end(
-    values: list[float], room: int
-) -> None:
+def test_floats_pass_bit_for_bit_within_the_readers_room(values: list[float], room: int) -> None:
     box = Box()
     memory = np.full(room + 2, -7.0)
     assert Mailbox(box.address).post(set_bytes(values)) == 1
@@ -102,17 +95,8 @@ def test_any_bytes_arrive_as_they_are(message: bytes) -> None:
     assert into.tobytes() == message.ljust(MOST_BYTES, b"\0")
 
 
-def test_the_largest_set_fits_its_slot() -> None:
-    assert mailbox.SLOT_BYTES >= 16 + MOST_BYTES
-    box, into = Box(), np.zeros(SET_FLOATS)
-    for number in range(1, 5):
-        Mailbox(box.address).post(set_bytes(expected(number, SET_FLOATS)))
-        assert take_numbers(box.address, into) == number
-        assert into.tolist() == expected(number, SET_FLOATS)
-
-
 @pytest.mark.parametrize("values", [[float("nan")], [1.0, float("nan")], np.zeros(SET_FLOATS + 1)])
-def test_what_no_law_can_work_with_is_refused_before_it_is_posted(values: list[float]) -> None:
+def test_set_with_nan_or_too_many_values_is_refused(values: list[float]) -> None:
     box = Box()
     with pytest.raises(ConfigError):
         Mailbox(box.address).post(set_bytes(values))
@@ -262,7 +246,7 @@ def write_many(address: Any, message: Any, values: Any, times: Any) -> Any:  # t
 
 
 def test_two_threads_hammer_the_mailbox_without_the_gil() -> None:
-    box, times = Box(), 200_000
+    box, times = Box(), 20_000
     into, values, found = np.zeros(SET_FLOATS), np.zeros(SET_FLOATS), np.zeros(3, np.int64)
     results: list[int] = []
     reader = threading.Thread(

@@ -1,7 +1,5 @@
 """The memory of a running loop off Linux, as files: found, stopped and written to by others, and cleared away."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -51,9 +49,7 @@ def loop_in(cache: Path) -> Any:
     return started(sys.executable, "-c", LOOP, str(cache), stdout=subprocess.PIPE, text=True)
 
 
-def test_a_loop_is_found_changed_and_stopped_by_another_process_and_forgotten_when_it_dies(
-    elsewhere: Path,
-) -> None:
+def test_other_process_finds_changes_and_stops_a_loop(elsewhere: Path) -> None:
     with loop_in(elsewhere.parents[1]) as process:
         assert process.stdout.readline() == "there\n"
         loop = running.the_loop()
@@ -66,7 +62,7 @@ def test_a_loop_is_found_changed_and_stopped_by_another_process_and_forgotten_wh
         process.kill()
         process.wait()
         assert running.running(done=True) == []
-        assert (elsewhere / str(process.pid)).exists()  # nobody was there to take it away
+        assert (elsewhere / str(process.pid)).exists()  # the killed process could not remove it
     with Ring.allocate(10, shared=True) as mine:
         assert sorted(os.listdir(elsewhere)) == sorted([str(os.getpid()), "lock"])
         assert [loop.pid for loop in running.running()] == [os.getpid()]
@@ -77,7 +73,7 @@ def test_a_loop_is_found_changed_and_stopped_by_another_process_and_forgotten_wh
         running.stop(process.pid)
 
 
-def test_what_is_no_such_memory_and_a_disk_without_room_are_refused(
+def test_foreign_memory_and_a_full_disk_are_refused(
     elsewhere: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     other = tmp_path / "1"
@@ -94,7 +90,7 @@ def test_what_is_no_such_memory_and_a_disk_without_room_are_refused(
     assert os.listdir(elsewhere / str(os.getpid())) == [named_memory.ALIVE]
 
 
-def test_two_that_begin_at_once_wait_for_each_other_and_no_longer_than_bearable(
+def test_two_starts_at_once_wait_for_each_other_briefly(
     elsewhere: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(named_memory, "_PATIENCE_S", 0.05)

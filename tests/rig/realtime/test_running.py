@@ -1,14 +1,13 @@
-"""Loops as other terminals see them: found, told apart from what only looks like one, and stopped."""
-
-from __future__ import annotations
+"""Loops as other terminals see them: found, distinguished from a mere reader of their memory, and stopped."""
 
 import json
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
-from pathlib import Path
+from dataclasses import replace
 
 import pytest
 
@@ -58,7 +57,7 @@ def test_a_dead_process_leaves_nothing_to_find() -> None:
             pass
 
 
-def test_whoever_looks_at_a_loop_is_not_taken_for_it() -> None:
+def test_reader_of_a_loop_is_not_listed_as_a_loop() -> None:
     """This process has the same memory open, and one started by `fork` inherits it: neither runs that loop."""
     with loop_process(INFO) as process:
         (loop,) = mine(process.pid)
@@ -92,28 +91,27 @@ def test_a_loop_of_another_version_is_listed_and_can_be_stopped_but_not_opened()
         assert ring.get(control_words.STOP) == -os.getpid()
 
 
-def test_the_only_loop_needs_no_name_and_of_several_one_must_be_named(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    with loop_process(INFO) as one, loop_process(INFO) as two:
-        both = mine(one.pid, two.pid)
-        for loops, said in (
-            ([], "no loop runs in real time"),
-            (both, rf"2 loops run: {both[0].pid}, {both[1].pid}; choose one by its `pid`"),
-        ):
-            monkeypatch.setattr(running, "running", lambda loops=loops: loops)
-            with pytest.raises(ConfigError, match=said):
-                running.the_loop()
-        assert running.the_loop(two.pid).pid == two.pid
-        assert [loop.since for loop in both] == sorted(loop.since for loop in both)
+def test_only_one_of_several_loops_must_be_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    with Ring.allocate(1, info=INFO, shared=True):
+        (one,) = mine(os.getpid())
+    two = replace(one, pid=one.pid + 1)
+    for loops, message in (
+        ([], "no loop runs in real time"),
+        ([one, two], rf"2 loops run: {one.pid}, {two.pid}; choose one by its `pid`"),
+    ):
+        monkeypatch.setattr(running, "running", lambda loops=loops: loops)
+        with pytest.raises(ConfigError, match=message):
+            running.the_loop()
+    assert running.the_loop(two.pid) is two
 
 
-@pytest.mark.skipif(os.getuid() != 0, reason="needs root, to become somebody else")
-def test_a_process_of_somebody_else_is_said_to_be_so() -> None:
-    """Run as nobody: it sees this process but may not look into it."""
+@pytest.mark.skipif(os.getuid() != 0, reason="needs root, to become another user")
+def test_process_of_another_user_is_reported_and_not_stopped() -> None:
+    """Run as user 65534, which sees this process and one called rig, and may look into neither."""
     program = f"""
 import os, sys
 sys.path[:0] = {sys.path!r}
+import rig.cli.stop
 from rig.realtime import running
 from rig.core.errors import ConfigError
 os.setgid(65534); os.setuid(65534)
@@ -122,37 +120,25 @@ try:
 except ConfigError as error:
     print(error)
 print([loop.pid for loop in running.running()])
-"""
-    with Ring.allocate(1, info=INFO, shared=True) as ring:
-        done = subprocess.run(
-            [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
-        )
-        assert done.stdout.splitlines() == [
-            f"process {os.getpid()} belongs to another user; run the command as its owner, or: "
-            f"sudo rig stop {os.getpid()}",
-            "[]",
-        ], done.stderr
-        assert ring.get(control_words.STOP) == 0
-
-
-@pytest.mark.skipif(os.getuid() != 0, reason="needs root, to become somebody else")
-def test_a_rig_of_somebody_else_is_never_passed_over_in_silence() -> None:
-    """Without rights nobody can tell whether it runs a loop; a person who wants to stop one must hear of it."""
-    program = f"""
-import os, sys
-sys.path[:0] = {sys.path!r}
-import rig.cli.stop
-os.setgid(65534); os.setuid(65534)
 sys.exit(rig.cli.run(["stop"]))
 """
-    with subprocess.Popen(["rig", "60"], executable="/bin/sleep") as other:
+    with (
+        Ring.allocate(1, info=INFO, shared=True) as ring,
+        subprocess.Popen(["rig", "60"], executable="/bin/sleep") as other,
+    ):
         try:
             done = subprocess.run(
                 [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
             )
+            assert done.stdout.splitlines()[:2] == [
+                f"process {os.getpid()} belongs to another user; run the command as its owner, or: "
+                f"sudo rig stop {os.getpid()}",
+                "[]",
+            ], done.stderr
             assert done.returncode == 0
             assert f"process {other.pid} may run a loop too" in done.stderr
             assert other.pid not in running.hidden()  # root sees all
+            assert ring.get(control_words.STOP) == 0
         finally:
             other.kill()
 
@@ -172,26 +158,31 @@ def test_a_rig_is_known_by_its_command_line(command: str, meant: bool) -> None:
     assert running._is_rig(command.encode().split(b" ")) == meant
 
 
-def rig_stop(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "rig", "stop", *arguments]
-    root = Path(__file__).parents[3]
-    return subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=60, check=False)
+def test_command_stops_and_names_a_loop(capsys: pytest.CaptureFixture[str]) -> None:
+    pid = os.getpid()
+    with Ring.allocate(1, info=INFO, shared=True) as ring:
+        loop = threading.Thread(target=obey, args=(ring,))
+        loop.start()
+        assert rig.cli.run(["stop", "--list"]) == 0
+        assert f"process {pid}: runs," in capsys.readouterr().out
+        assert rig.cli.run(["stop", str(pid)]) == 0
+        loop.join()
+        out = capsys.readouterr().out
+        assert f"process {pid}: stopped after" in out
+        assert "serial:///dev/ttyTEST, here.rigcap" in out
+        assert rig.cli.run(["stop", str(pid), "--json"]) == 2
+        assert "runs no loop" in json.loads(capsys.readouterr().out)["error"]["error"]
 
 
-def test_the_command_stops_a_loop_and_says_which() -> None:
-    with loop_process(INFO) as process:
-        listed = rig_stop("--list")
-        assert f"process {process.pid}: runs," in listed.stdout
-        done = rig_stop(str(process.pid))
-        assert done.returncode == 0, done.stderr
-        assert f"process {process.pid}: stopped after" in done.stdout
-        assert "serial:///dev/ttyTEST, here.rigcap" in done.stdout
-        again = rig_stop(str(process.pid), "--json")
-        assert again.returncode == 2
-        assert "runs no loop" in json.loads(again.stdout)["error"]["error"]
+def obey(ring: Ring) -> None:
+    """Wait for the stop word, as a loop does."""
+    deadline = time.monotonic() + 60
+    while ring.get(control_words.STOP) == 0 and time.monotonic() < deadline:
+        time.sleep(0.001)
+    ring.put(control_words.LOOP_DONE, 1)
 
 
-def test_the_command_is_content_when_nothing_runs(
+def test_command_succeeds_when_no_loop_runs(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(running, "stop", lambda pid, asked: [])
@@ -202,29 +193,27 @@ def test_the_command_is_content_when_nothing_runs(
     assert json.loads(capsys.readouterr().out) == {"loops": [], "hidden": []}
 
 
-def test_the_command_says_when_a_loop_does_not_listen(
+def test_command_reports_a_loop_that_does_not_stop(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(running, "PATIENCE_S", 0.05)
-    with loop_process(INFO, "deaf") as process:
-        monkeypatch.setattr(
-            running, "stop", lambda pid, stop=running.stop, **_: stop(process.pid, patience_s=0.05)
-        )
+    pid, stop = os.getpid(), running.stop
+    monkeypatch.setattr(running, "stop", lambda *_, **__: stop(pid, patience_s=0.05))
+    with Ring.allocate(1, info=INFO, shared=True):
         assert rig.cli.run(["stop", "--json"]) == 1
-        out, err = capsys.readouterr()
-        (loop,) = json.loads(out)["loops"]
-        assert (loop["pid"], loop["ended"]) == (process.pid, False)
-        assert f"kill -9 {process.pid}" in err
+    out, err = capsys.readouterr()
+    (loop,) = json.loads(out)["loops"]
+    assert (loop["pid"], loop["ended"]) == (pid, False)
+    assert f"kill -9 {pid}" in err
 
 
-def test_a_stop_is_said_before_click_or_numpy_are_loaded() -> None:
+def test_stop_word_is_written_before_click_or_numpy_are_loaded() -> None:
     """A command that stops a person's rig waits for nothing: of the loads, only the interpreter's own come first."""
     program = """
 import sys
 from rig.realtime import memories
-said = memories.ask_to_stop
+ask_to_stop = memories.ask_to_stop
 def ask(pid):
-    found = said(pid)
+    found = ask_to_stop(pid)
     print(len(found), *sorted({"click", "numpy", "numba", "rig.cli"} & set(sys.modules)), flush=True)
     return found
 memories.ask_to_stop = ask
@@ -256,7 +245,6 @@ def test_nothing_else_stops_a_loop(words_of_it: list[str]) -> None:
 
 
 def test_a_loop_that_ends_while_it_is_being_stopped_was_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It may do so before anybody looks again: that is no reason to say that none ran."""
     with Ring.allocate(1, info=INFO, shared=True) as ring:
         asked = LoopMemory.ask_to_stop
 

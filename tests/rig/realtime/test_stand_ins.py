@@ -1,8 +1,6 @@
 """Python behind the names of the C library: answers as compiled code reads them. Compiled code meets them in
 tests/platforms."""
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import os
@@ -22,7 +20,7 @@ def last_error() -> int:
     return ctypes.c_int32.from_address(stand_ins._errno_location()).value
 
 
-def test_what_is_written_arrives_and_what_cannot_be_has_its_number(tmp_path: Path) -> None:
+def test_written_bytes_arrive_and_a_failure_sets_errno(tmp_path: Path) -> None:
     data = np.frombuffer(b"one\ntwo\r\n", np.uint8).copy()
     with open(tmp_path / "file", "wb") as file:
         assert stand_ins._write(file.fileno(), data.ctypes.data, len(data)) == len(data)
@@ -37,9 +35,7 @@ def test_what_is_written_arrives_and_what_cannot_be_has_its_number(tmp_path: Pat
     assert last_error() == errno.ENOSPC
 
 
-def test_a_line_that_is_full_has_the_number_of_linux_whatever_it_is_here(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_full_line_reports_the_errno_of_linux(monkeypatch: pytest.MonkeyPatch) -> None:
     def full(descriptor: int, data: bytes) -> int:
         raise BlockingIOError(errno.EAGAIN, "full")
 

@@ -1,7 +1,5 @@
 """Requests to stop: counted in machine code for every thread, and nothing of the caller's handlers changes."""
 
-from __future__ import annotations
-
 import ctypes
 import multiprocessing
 import os
@@ -77,9 +75,7 @@ def in_a_thread(
 
 
 @pytest.mark.parametrize("context", [stop_requests.run, stop_requests.listening])
-def test_a_signal_is_counted_for_runs_in_other_threads_and_the_callers_handler_is_called(
-    context: Any,
-) -> None:
+def test_signal_stops_runs_of_other_threads_and_calls_the_callers_handler(context: Any) -> None:
     with in_a_thread(context) as series, in_a_thread(context) as other:
         assert not series.is_stopped
         with pytest.raises(KeyboardInterrupt):
@@ -94,7 +90,6 @@ def test_a_signal_is_counted_for_runs_in_other_threads_and_the_callers_handler_i
 
 
 def test_a_wake_up_descriptor_of_the_caller_gets_its_bytes() -> None:
-    """As `asyncio` has one."""
     reader, writer = os.pipe2(os.O_NONBLOCK)
     before = signal.set_wakeup_fd(writer)
     try:
@@ -108,12 +103,12 @@ def test_a_wake_up_descriptor_of_the_caller_gets_its_bytes() -> None:
 
 
 def test_a_handler_that_the_program_sets_meanwhile_is_called_and_the_signal_still_counted() -> None:
-    heard: list[int] = []
+    calls: list[int] = []
     with in_a_thread(stop_requests.run) as series:
-        signal.signal(signal.SIGINT, lambda number, frame: heard.append(number))
+        signal.signal(signal.SIGINT, lambda number, frame: calls.append(number))
         stop_requests.renew()  # as a loop's thread does while it waits
         signal.raise_signal(signal.SIGINT)
-        assert heard == [signal.SIGINT]
+        assert calls == [signal.SIGINT]
         assert series.is_stopped
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -137,7 +132,6 @@ def test_a_stop_between_two_runs_ends_the_series_and_not_the_next_one() -> None:
 
 
 def test_a_forked_child_ends_by_the_default_action() -> None:
-    """It has no runs, whatever its parent has."""
     with in_a_thread(stop_requests.run) as series:
         child = multiprocessing.get_context("fork").Process(target=time.sleep, args=(30,))
         child.start()

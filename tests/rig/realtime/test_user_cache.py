@@ -1,7 +1,5 @@
 """Where caches are, system by system."""
 
-from __future__ import annotations
-
 import os
 from types import SimpleNamespace
 
