@@ -169,7 +169,7 @@ def check_no_damage_is_silent(write: Write, read: Read) -> None:
     _assert_equal_rows(read(path), recording, Limits())
 
 
-def _flips(size: int, count: int = 300) -> Iterator[tuple[int, int]]:
+def _flips(size: int, count: int = 120) -> Iterator[tuple[int, int]]:
     rng = np.random.default_rng(3)
     for place in np.unique(
         np.concatenate([rng.integers(0, size, count), np.arange(16), size - 1 - np.arange(16)])

@@ -1,6 +1,4 @@
-"""Marks: what happened when, told by pins and phases, on the device's clock and on the host's."""
-
-from __future__ import annotations
+"""Marks: events of pins and phases, dated on the device's clock and on the host's."""
 
 import json
 from dataclasses import replace
@@ -64,23 +62,24 @@ def loop_of(trial: Recording) -> str:
     return str(trial.header["extra"]["loop"])
 
 
-def test_edges_of_the_sync_input_are_dated_by_the_device_and_on_the_hosts_clock(trial: Recording) -> None:
+def test_sync_edges_are_dated_by_the_device_and_on_the_hosts_clock(trial: Recording) -> None:
     edges = sync_edges(trial)
-    # The host loop is told after each sample. A law on the device tells 200 times a second: of two edges
-    # between two STATEs the last.
+    # The host loop gets a STATE for each sample. A law on the device sends 200 STATEs a second: of two edges
+    # between two of them it reports the last.
     wanted = EDGES_S if loop_of(trial) == "host" else (EDGES_S[0], *EDGES_S[2:])
     assert [edge.device_time for edge in edges] == pytest.approx([t * 1e9 for t in wanted], abs=62.5)
     # The device's clock is fast by 300 ppm and was zero when the host's was; the fit knows it to its uncertainty.
     assert [edge.host_time for edge in edges] == pytest.approx([t * 1e9 / 1.0003 for t in wanted], abs=2_000)
-    told = [{"device_time": e.device_time, "host_time": e.host_time, "tick": e.tick} for e in edges]
     assert trial.trailer is not None
-    assert trial.trailer[EDGES_KEY] == told
+    assert trial.trailer[EDGES_KEY] == [
+        {"device_time": e.device_time, "host_time": e.host_time, "tick": e.tick} for e in edges
+    ]
     rows = trial.rows
     late = period_ns_of(trial) if loop_of(trial) == "host" else 5e6
     for edge in edges:
         place = int(np.flatnonzero(rows["tick"] == edge.tick)[0])
         age = int(rows["device_time"][place]) - edge.device_time
-        assert 0 <= age <= late, "told by the first sample behind it"
+        assert 0 <= age <= late, "reported by the first sample behind it"
         assert (rows["sync_time"][:place] < edge.device_time).all()
 
 
@@ -104,11 +103,11 @@ def test_marks_are_where_phases_and_contacts_begin(trial: Recording) -> None:
             assert (mark.device_time, mark.host_time) == (row["device_time"], row["sampled_at"])
 
 
-def test_the_sync_outputs_follow_the_trial_and_the_wall_with_the_commands_current(trial: Recording) -> None:
+def test_sync_outputs_follow_trial_and_wall(trial: Recording) -> None:
     rows = trial.rows
     trial_pin, inside_pin = (rows["inputs"] & int(bit) != 0 for bit in (Input.SYNC_TRIAL, Input.SYNC_INSIDE))
     in_trial, inside = rows["phase"] == Phase.TRIAL, rows["flags"] & int(RowFlag.INSIDE) != 0
-    if loop_of(trial) == "device":  # as old as the newest STATE, and told by the pins of the law's own tick
+    if loop_of(trial) == "device":  # as old as the newest STATE, with the pins of the law's own tick
         assert np.count_nonzero(trial_pin) == pytest.approx(np.count_nonzero(in_trial), abs=101)
         assert not [mark for mark in marks(trial) if mark.name.endswith("_out")]
         return
@@ -128,22 +127,19 @@ def test_show_lists_the_marks(trial: Recording) -> None:
     assert shown.exit_code == 0, shown.output
     lines = shown.output.partition("\nmarks\n")[2].splitlines()
     assert any(line.split()[:2] == ["trial", "+0.000000"] for line in lines)
-    told = CliRunner().invoke(command_line, ["show", path, "--marks", "--json"])
-    assert json.loads(told.stdout)["marks"] == plain(marks(trial))
+    as_json = CliRunner().invoke(command_line, ["show", path, "--marks", "--json"])
+    assert json.loads(as_json.stdout)["marks"] == plain(marks(trial))
     assert "marks" not in json.loads(CliRunner().invoke(command_line, ["show", path, "--json"]).stdout)
 
 
-# ---------------------------------------------------------------------- recordings that somebody wrote
-
-
-def made(phase: list[int], inside: list[int], told: list[int], **trailer: object) -> Recording:
+def made(phase: list[int], inside: list[int], sync_time: list[int], **trailer: object) -> Recording:
     rows = example_rows(len(phase))
     for name in ("inputs", "sync_time", "flags"):
         rows[name] = 0
     rows["tick"] = np.arange(len(phase))
     rows["device_time"] = 1_000_000 * np.arange(1, 1 + len(phase))
     rows["received_at"] = rows["device_time"] + 7
-    rows["phase"], rows["flags"], rows["sync_time"] = phase, inside, told
+    rows["phase"], rows["flags"], rows["sync_time"] = phase, inside, sync_time
     return Recording(example_header(), rows, dict(trailer))
 
 
@@ -156,7 +152,7 @@ def test_each_contact_in_the_trial_counts_and_none_outside_it() -> None:
     ]  # fmt: skip
 
 
-def test_an_edge_that_the_first_row_tells_was_before_the_recording() -> None:
+def test_edge_in_the_first_row_was_before_the_recording() -> None:
     recording = made([3, 3, 3], [0, 0, 0], [500, 500, 2_500_000])
     assert [(edge.device_time, edge.host_time, edge.tick) for edge in sync_edges(recording)] == [
         (2_500_000, None, 2)
@@ -169,34 +165,24 @@ def test_marks_of_a_recording_and_of_one_without_rows() -> None:
     assert marks(replace(recording, rows=recording.rows[:0])) == []
 
 
-# ---------------------------------------------------------------------- 32 bits of the device's clock
-
-
-def told_by(progress: np.ndarray, device_time: int, edge: int) -> int:
+def date_edge(progress: np.ndarray, device_time: int, edge: int) -> int:
     state = np.zeros(len(STATE), np.int64)
     state[STATE.sync_time] = edge % WRAP
     progress["device_time"] = device_time
     return int(sync_time(progress, state))
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.integers(1 << 33, 1 << 50), st.integers(-(1 << 24), WRAP - (1 << 24) - 1), st.integers(0, 3 * WRAP))
-def test_an_edge_is_dated_to_the_unit_and_stays_what_it_was(now: int, age: int, later: int) -> None:
+def test_edge_keeps_its_exact_date_when_the_clock_wraps(now: int, age: int, later: int) -> None:
     progress = Buffers.allocate().progress
     edge = now - age
     wanted = 0 if edge % WRAP == 0 else edge
-    assert told_by(progress, now, edge) == wanted
-    assert told_by(progress, now + later, edge) == wanted, "the clock wraps under it"
-
-
-def test_no_edge_is_none() -> None:
-    assert told_by(Buffers.allocate().progress, 1 << 40, 0) == 0
-
-
-# ---------------------------------------------------------------------- the source of edges
+    assert date_edge(progress, now, edge) == wanted
+    assert date_edge(progress, now + later, edge) == wanted, "the clock wraps under it"
 
 
 @pytest.mark.parametrize("text", ["now", "0.5,", "0", "-1", "2,1", "1,1", "nan", "inf"])
-def test_times_of_edges_that_make_no_sense_are_refused(text: str) -> None:
+def test_invalid_times_of_edges_are_refused(text: str) -> None:
     with pytest.raises(ConfigError, match="sync"):
         open_link(DeviceUrl.parse(f"sim://?sync={text}"), rotary_rig())

@@ -1,7 +1,5 @@
 """The recorder's compiled parts against the readable description of the format; also run without the compiler."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rig.core.sample import ROW
@@ -11,7 +9,6 @@ from tests.conformance.recording import example_rows
 
 
 def test_compiled_blocks_equal_the_readable_ones() -> None:
-    """`take_rows` and `close_block` write what `pack_block` writes, across the seam of the ring."""
     rows = example_rows(9)
     ring = np.ascontiguousarray(rows).view(np.int64)
     block = np.zeros(HEAD_BYTES // 8 + 5 * ROW.itemsize // 8 + 1, dtype=np.int64)

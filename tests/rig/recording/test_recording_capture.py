@@ -1,7 +1,5 @@
 """The capture format byte by byte: readable from its description alone, and honest about every kind of damage."""
 
-from __future__ import annotations
-
 import json
 import struct
 import sys
@@ -97,24 +95,9 @@ def test_a_reader_needs_only_the_description() -> None:
         assert np.concatenate(values).tobytes() == rows[column["name"]].tobytes()
 
 
-@settings(max_examples=30, deadline=None)
-@given(count=st.integers(0, 13), seed=st.integers(0, 2**32), block_rows=st.integers(1, 6))
-def test_any_rows_in_any_blocks_come_back(
-    tmp_path_factory: pytest.TempPathFactory, count: int, seed: int, block_rows: int
-) -> None:
-    path = tmp_path_factory.getbasetemp() / "any.rigcap"
-    rows = example_rows(count, seed)
-    with open(path, "wb") as file:
-        write_capture(file, Recording(HEADER, rows, {}), block_rows=block_rows)
-    found = open_recording(path)
-    assert found.rows.tobytes() == rows.tobytes()
-    assert found.complete
-    assert found.lost == ()
-
-
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60)
 @given(tail=st.binary(max_size=300), cut=st.integers(0, 2 * BLOCK_BYTES))
-def test_any_bytes_after_the_header_give_a_recording(
+def test_bytes_after_a_header_are_rows_or_counted_losses(
     tmp_path_factory: pytest.TempPathFactory, tail: bytes, cut: int
 ) -> None:
     """Whatever follows a good header: whole blocks are kept, and every other byte is accounted for."""
@@ -128,7 +111,7 @@ def test_any_bytes_after_the_header_give_a_recording(
     assert used + sum(loss.size for loss in found.lost) == len(data) - len(pack_header(HEADER))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40)
 @given(
     data=st.binary(max_size=100),
     start=st.sampled_from([b"", b"PAR1", b"\x89RIGCAP\n", b"\x89RIGCAP\n\x01\0\0\0"]),
@@ -143,12 +126,12 @@ def test_any_file_gives_a_recording_error(
 
 
 def test_a_block_torn_at_any_byte_loses_that_block_only(path: Path) -> None:
-    """Every byte of its head and of its first and last row; in between, where all rows are alike, each thirteenth."""
+    """Every byte of its head and its checksum; in between, where all rows are alike, some."""
     rows = example_rows(3 * BLOCK_ROWS)
     whole = capture_bytes(rows, complete=False)
     start, end = start_of(2), start_of(3)
-    first, last = start + HEAD_BYTES + ROW.itemsize, end - ROW.itemsize
-    for size in (*range(start + 1, first), *range(first, last, 13), *range(last, end)):
+    first, last = start + HEAD_BYTES + 8, end - CRC_BYTES
+    for size in (*range(start + 1, first), *range(first, last, 61), *range(last, end)):
         found = read_bytes(path, whole[:size])
         assert found.rows.tobytes() == rows[: 2 * BLOCK_ROWS].tobytes()
         assert not found.complete
@@ -164,7 +147,7 @@ def test_a_capture_cut_between_blocks_is_whole_but_not_complete(path: Path) -> N
 
 
 @pytest.mark.parametrize("place", range(HEAD_BYTES))
-def test_a_damaged_head_costs_its_block_and_reading_goes_on(path: Path, place: int) -> None:
+def test_damaged_head_costs_only_its_block(path: Path, place: int) -> None:
     """Also where the damage is in the length: it is never used, because the head has a checksum of its own."""
     rows = example_rows(3 * BLOCK_ROWS)
     data = bytearray(capture_bytes(rows))
@@ -187,7 +170,7 @@ def test_a_damaged_row_costs_its_block(path: Path, place: int, block: int) -> No
     assert len(found) == 8
 
 
-def test_a_damaged_end_is_told_from_no_end(path: Path) -> None:
+def test_damaged_end_differs_from_a_missing_end(path: Path) -> None:
     data = bytearray(capture_bytes(example_rows(4)))
     data[-20] ^= 1
     found = read_bytes(path, bytes(data))
@@ -218,7 +201,6 @@ def test_bytes_after_the_end_are_reported(path: Path) -> None:
 
 
 def test_rows_that_contain_the_magic_of_a_block_do_not_mislead(path: Path) -> None:
-    """A resynchronising reader meets the magic inside rows; only a good head counts."""
     rows = example_rows(2 * BLOCK_ROWS)
     rows["tick"][:4] = int.from_bytes(ROWS_MAGIC, "little")
     data = bytearray(capture_bytes(rows))
@@ -243,12 +225,6 @@ def test_a_damaged_header_is_an_error(path: Path, place: int) -> None:
         read_bytes(path, bytes(header) + capture_bytes(example_rows(4))[len(header) :])
 
 
-@pytest.mark.parametrize("size", [8, 12, 16, 100])
-def test_a_torn_header_is_an_error(path: Path, size: int) -> None:
-    with pytest.raises(RecordingError, match=r"header of .* is damaged"):
-        read_bytes(path, pack_header(HEADER)[:size])
-
-
 @pytest.mark.parametrize("other", [VERSION - 1, VERSION + 1])
 def test_another_format_version_is_refused(path: Path, other: int) -> None:
     data = bytearray(pack_header(HEADER)[:-4])
@@ -257,25 +233,21 @@ def test_another_format_version_is_refused(path: Path, other: int) -> None:
         read_bytes(path, bytes(data) + struct.pack("<I", zlib.crc32(data)))
 
 
+def schema_of(row_bytes: int, dtype: str, offset: int) -> dict[str, Any]:
+    column = {"name": "a", "dtype": dtype, "offset": offset, "unit": "1", "description": ""}
+    return {"row_bytes": row_bytes, "columns": [column]}
+
+
 @pytest.mark.parametrize(
     "schema",
     [
         None,
         {},
         {"row_bytes": 8, "columns": []},
-        {
-            "row_bytes": 8,
-            "columns": [{"name": "a", "dtype": "O", "offset": 0, "unit": "1", "description": ""}],
-        },
-        {
-            "row_bytes": 4,
-            "columns": [{"name": "a", "dtype": "<i8", "offset": 0, "unit": "1", "description": ""}],
-        },
-        {
-            "row_bytes": 8,
-            "columns": [{"name": "a", "dtype": "<i8", "offset": -8, "unit": "1", "description": ""}],
-        },
         {"row_bytes": 8, "columns": [{"name": "a", "dtype": "<i8", "offset": 0}]},
+        schema_of(8, "O", 0),
+        schema_of(4, "<i8", 0),
+        schema_of(8, "<i8", -8),
     ],
 )
 def test_a_schema_without_sense_is_an_error(path: Path, schema: Any) -> None:
@@ -284,7 +256,6 @@ def test_a_schema_without_sense_is_an_error(path: Path, schema: Any) -> None:
 
 
 def test_files_that_are_no_recordings(tmp_path: Path) -> None:
-    """One line each, with the name of the file."""
     empty, text = tmp_path / "empty.rigcap", tmp_path / "text.rigcap"
     empty.touch()
     text.write_text("time,position\n")
@@ -293,7 +264,6 @@ def test_files_that_are_no_recordings(tmp_path: Path) -> None:
         (text, "is not a recording"),
         (tmp_path, "Is a directory"),
         (tmp_path / "absent", "No such file"),
-        (tmp_path / "absent" / "x", "No such file"),
     ):
         with pytest.raises(RecordingError, match=message) as caught:
             open_recording(place)
@@ -303,11 +273,7 @@ def test_files_that_are_no_recordings(tmp_path: Path) -> None:
         read_capture(empty)
 
 
-def test_the_name_does_not_matter(tmp_path: Path) -> None:
-    assert len(read_bytes(tmp_path / "renamed.parquet", capture_bytes(example_rows(5)))) == 5
-
-
-def test_what_was_lost_is_not_written_as_whole() -> None:
+def test_recording_with_losses_is_not_written_as_whole() -> None:
     damaged = Recording(HEADER, example_rows(2), {}, True, (Loss("torn tail", 0, 9, 2, None),))
     with pytest.raises(RecordingError, match="with losses"):
         write_capture(BytesIO(), damaged)

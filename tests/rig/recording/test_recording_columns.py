@@ -1,7 +1,5 @@
 """A recording opened with some of its columns: the same numbers and verdicts, in the memory of these columns."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -59,7 +57,7 @@ def test_a_part_is_a_recording_that_every_format_keeps(stored: Path, tmp_path: P
     for name, write in (("a.parquet", write_parquet), ("b.rigcap", write_capture)):
         with open(tmp_path / name, "wb") as file:
             write(file, part)
-    with pytest.raises(RecordingError, match="has no column"):  # it is none that every command takes
+    with pytest.raises(RecordingError, match="has no column"):  # a part is not enough for every command
         open_recording(tmp_path / "a.parquet")
 
 
@@ -119,7 +117,7 @@ print(*peaks, file=sys.stderr)
 @pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss has other units elsewhere")
 @pytest.mark.parametrize("kind", ["parquet", "rigcap"])
 @pytest.mark.exhaustive("::test_judging_and_drawing_take_the_columns_that_they_name")
-def test_judging_and_drawing_a_long_recording_stays_within_bytes_a_row(
+def test_long_recording_is_judged_and_drawn_within_bytes_a_row(
     kind: str, sealed: Path, tmp_path: Path
 ) -> None:
     whole, paths = open_recording(sealed), []

@@ -1,6 +1,4 @@
-"""Recordings that somebody made up, with a right checksum: exit code 9 and a sentence, from every command."""
-
-from __future__ import annotations
+"""Forged recordings with a right checksum: exit code 9 and a sentence, from every command."""
 
 import copy
 import math
@@ -102,15 +100,15 @@ def capture(path: Path, good: Recording, facts: dict[str, Any]) -> None:
 
 
 def sealed(path: Path, good: Recording, facts: dict[str, Any]) -> None:
-    told = iter((facts["header"], facts["trailer"], True, []))
+    facts_in_order = iter((facts["header"], facts["trailer"], True, []))
     with pytest.MonkeyPatch.context() as patched, open(path, "wb") as file:
-        patched.setattr(parquet, "canonical_json", lambda fact: canonical_json(next(told)))
+        patched.setattr(parquet, "canonical_json", lambda fact: canonical_json(next(facts_in_order)))
         parquet.write_parquet(file, good)
 
 
 @pytest.mark.parametrize("write", [capture, sealed])
 @pytest.mark.parametrize("place", CRAFTED)
-def test_a_crafted_recording_is_exit_code_9_or_is_read(
+def test_crafted_recording_is_exit_code_9_or_is_read(
     place: str,
     write: Callable[[Path, Recording, dict[str, Any]], None],
     good: Recording,
@@ -123,20 +121,20 @@ def test_a_crafted_recording_is_exit_code_9_or_is_read(
     for group, command, *options in COMMANDS:
         if command != "recover" or write is capture:
             codes.add(rig.cli.run([group, command, str(path), *options]))
-            said = capsys.readouterr()
-            assert "internal error" not in said.err
+            shown = capsys.readouterr()
+            assert "internal error" not in shown.err
     assert codes <= {0, 9}
     assert 9 in codes or (place == "trailer" and write is capture), "a torn end is no error"
 
 
-def test_what_is_not_crafted_is_read(good: Recording, tmp_path: Path) -> None:
+def test_uncrafted_recording_is_read(good: Recording, tmp_path: Path) -> None:
     for write, name in ((capture, "a.rigcap"), (sealed, "a.parquet")):
         write(tmp_path / name, good, changed(good, "trailer.error", None))
         assert replace(open_recording(tmp_path / name), path=None).header == good.header
 
 
 @pytest.mark.parametrize("size", [0, 1, 12, 16, 200])
-def test_a_capture_that_was_killed_in_its_header_is_named(
+def test_capture_cut_in_its_header_is_named(
     size: int, good: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "killed.rigcap"
@@ -160,5 +158,5 @@ def test_a_whole_number_of_a_range_fits_it(value: Any) -> None:
 
 
 @pytest.mark.parametrize("value", [0, 10**15, 1e-300, 2.5, math.inf, math.nan, "20000", None])
-def test_nothing_else_does_and_nobody_walks_through_the_range_to_find_that(value: Any) -> None:
+def test_other_value_does_not_fit_a_range_however_long(value: Any) -> None:
     assert misfit(value, range(1, 10**15), "rate") == "rate has a value that is not valid there"

@@ -1,8 +1,5 @@
 """Exports: read back by the tools they are for; never over a file that is there."""
 
-from __future__ import annotations
-
-import csv
 import json
 from datetime import datetime
 from pathlib import Path
@@ -24,24 +21,10 @@ from tests.conformance.recording import example_header, example_rows, example_tr
 
 @pytest.fixture
 def recording() -> Recording:
-    rows = example_rows(25_000 // 1000)
+    rows = example_rows(25)
     rows["sample_index"] = np.arange(len(rows))
     plain = Recording(example_header(), rows, {"reason": "finished"})
     return with_truth(plain, example_truth(rows["sample_index"]))
-
-
-def test_csv_is_read_by_csv_and_numpy(tmp_path: Path, recording: Recording) -> None:
-    path = export(recording, tmp_path / "trial.csv")
-    with open(path, newline="", encoding="utf-8") as file:
-        lines = list(csv.DictReader(file))
-    assert list(lines[0]) == list(recording.names)
-    assert [int(line["count"]) for line in lines] == recording.column("count").tolist()
-    position = np.array([float(line["position"]) for line in lines])
-    assert np.array_equal(position, recording.column("position"), equal_nan=True)
-    columns = [recording.names.index(name) for name in ("position_true", "velocity_true")]
-    table = np.loadtxt(path, delimiter=",", skiprows=1, usecols=columns)
-    assert (table[:, 0] == recording.column("position_true")).all()
-    assert (table[:, 1] == recording.column("velocity_true")).all()
 
 
 def test_csv_has_its_meaning_beside_it(tmp_path: Path, recording: Recording) -> None:
@@ -54,7 +37,7 @@ def test_csv_has_its_meaning_beside_it(tmp_path: Path, recording: Recording) -> 
 
 
 def test_long_csv_is_written_in_pieces(tmp_path: Path) -> None:
-    rows = example_rows(20_001)
+    rows = example_rows(10_001)
     path = export(Recording(example_header(), rows), tmp_path / "trial.csv")
     frame = pd.read_csv(path, usecols=["count", "device_time"])
     assert frame["count"].tolist() == rows["count"].tolist()

@@ -1,7 +1,5 @@
 """The conformance suite over every format; CSV and MAT are read back as users would, by csv and scipy."""
 
-from __future__ import annotations
-
 import csv
 import itertools
 import json
@@ -93,15 +91,13 @@ def test_a_sealed_recording_of_another_format_version_is_refused(tmp_path: Path)
 
 
 def test_a_change_of_the_columns_is_another_format_version() -> None:
-    """Whoever changes a column raises `rig.recording.header.VERSION`, and then this number."""
+    """A change of a column raises `rig.recording.header.VERSION`, and then this number."""
     described = [(column.name, column.dtype, column.unit) for column in COLUMNS]
     assert (VERSION, len(COLUMNS), zlib.crc32(repr(described).encode())) == (2, 36, 1874533501)
 
 
 @pytest.mark.parametrize("ending", ["rigcap", "parquet"])
-def test_the_facts_of_a_recording_are_those_of_the_whole_without_its_rows(
-    ending: str, tmp_path: Path
-) -> None:
+def test_facts_are_those_of_the_whole_recording(ending: str, tmp_path: Path) -> None:
     path = tmp_path / f"one.{ending}"
     whole = Recording(example_header(), example_rows(5), {"reason": "finished"})
     FORMATS[ending][0](whole, path)

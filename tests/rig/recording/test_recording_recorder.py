@@ -1,7 +1,5 @@
 """The recorder beside a running producer: nothing lost, nothing torn, whatever ends the loop or the process."""
 
-from __future__ import annotations
-
 import errno
 import os
 import signal
@@ -50,11 +48,11 @@ def produce(ring: Ring, rows: NDArray[np.void], at_once: int) -> None:
 
 @pytest.mark.parametrize("virtual", [True, False])
 @pytest.mark.parametrize(("capacity", "block_rows"), [(64, 1000), (1000, 64), (7, 7), (1, 3)])
-def test_every_row_of_a_faster_producer_is_recorded(
+def test_recorder_keeps_every_row_of_a_faster_producer(
     tmp_path: Path, virtual: bool, capacity: int, block_rows: int
 ) -> None:
     """Also when a block is larger than the ring: rows leave the ring before their block is full."""
-    rows = example_rows(300)
+    rows = example_rows(120)
     ring = Ring.allocate(capacity)
     path = tmp_path / "trial.rigcap"
     with Recorder(path, HEADER, ring, virtual=virtual, block_rows=block_rows) as recorder:
@@ -67,23 +65,9 @@ def test_every_row_of_a_faster_producer_is_recorded(
     assert found.header == HEADER
     assert found.trailer == trailer
     assert trailer["peak"] == 0.1
-    assert trailer["recorder"] | {"blocks": 0} == {"rows": 300, "blocks": 0, "ticks": 300, "dropped": 0}
-    assert recorder.rows == 300
+    assert trailer["recorder"] | {"blocks": 0} == {"rows": 120, "blocks": 0, "ticks": 120, "dropped": 0}
+    assert recorder.rows == 120
     assert recorder.error == 0
-
-
-def test_a_producer_in_another_thread(tmp_path: Path) -> None:
-    """20 000 rows through a small ring while Python is busy: order and content hold."""
-    rows = example_rows(20_000)
-    ring = Ring.allocate(512)
-    producer = threading.Thread(target=produce, args=(ring, rows, 100))
-    with Recorder(tmp_path / "trial.rigcap", HEADER, ring, virtual=True) as recorder:
-        producer.start()
-        while producer.is_alive():
-            sum(range(1000))
-        producer.join()
-        assert recorder.finish()["recorder"]["rows"] == 20_000
-    assert open_recording(tmp_path / "trial.rigcap").rows.tobytes() == rows.tobytes()
 
 
 def test_equal_virtual_runs_give_equal_files(tmp_path: Path) -> None:
@@ -131,7 +115,6 @@ def test_an_empty_trial_is_a_recording(tmp_path: Path) -> None:
 
 
 def test_dropped_rows_are_in_the_trailer(tmp_path: Path) -> None:
-    """What to drop is the loop's decision; the recording says how much it was."""
     ring = Ring.allocate(4)
     with Recorder(tmp_path / "trial.rigcap", HEADER, ring) as recorder:
         ring.put(DROPPED, 17)
@@ -253,33 +236,7 @@ def run_python(body: str, path: Path) -> AbstractContextManager[subprocess.Popen
     )
 
 
-def test_rows_written_survive_the_death_of_the_process(tmp_path: Path) -> None:
-    """kill -9 in the middle: every row that the recorder had counted is in the file, in order, whole."""
-    path = tmp_path / "trial.rigcap"
-    body = """
-        with Recorder(sys.argv[1], example_header(), ring, block_rows=200, flush_s=0.02) as recorder:
-            while True:
-                put(37)
-                print(recorder.rows, flush=True)
-        """
-    with run_python(body, path) as process:
-        assert process.stdout is not None
-        recorded = 0
-        for line in process.stdout:
-            recorded = int(line)
-            if recorded > 3000:
-                break
-        process.send_signal(signal.SIGKILL)
-    found = open_recording(path)
-    assert not found.complete
-    assert len(found) >= recorded > 3000
-    assert found.column("tick").tolist() == list(range(len(found)))
-    expected = example_rows(4096)
-    for name in ("position", "device_time", "applied_at"):
-        assert found.column(name).tobytes() == np.resize(expected[name], len(found)).tobytes()
-
-
-def test_kill_in_real_time_costs_at_most_the_last_second_and_leaves_no_memory_behind(tmp_path: Path) -> None:
+def test_kill_costs_at_most_the_last_second(tmp_path: Path) -> None:
     """The ring in shared memory, as a loop in real time has it; times are those of the rows themselves."""
     path = tmp_path / "trial.rigcap"
     body = """
@@ -318,11 +275,17 @@ def test_kill_in_real_time_costs_at_most_the_last_second_and_leaves_no_memory_be
     assert recovered.rows == len(found)
 
 
-def test_a_full_disk_keeps_the_rows_before(tmp_path: Path) -> None:
+def test_full_disk_keeps_the_rows_before_and_leaves_no_empty_file(tmp_path: Path) -> None:
     """A limit on the file's size stands for the full disk: the same path, with EFBIG for ENOSPC."""
     path = tmp_path / "trial.rigcap"
     body = """
         import resource
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100, 300_000))
+        try:
+            with Recorder(sys.argv[1] + "0", example_header(), ring) as recorder:
+                put(1)
+        except RecordingError as error:
+            print(error)
         resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
         try:
             with Recorder(sys.argv[1], example_header(), ring, block_rows=200, flush_s=10.0) as recorder:
@@ -334,28 +297,13 @@ def test_a_full_disk_keeps_the_rows_before(tmp_path: Path) -> None:
         """
     with run_python(body, path) as process:
         assert process.stdout is not None
-        said = process.stdout.read().strip()
-    message, _, rows = said.rpartition("; ")
+        header_refused, rows_refused = process.stdout.read().splitlines()
+    assert header_refused.startswith(f"cannot write {path}0: File too large; free some space")
+    assert list(tmp_path.iterdir()) == [path]
+    message, _, rows = rows_refused.rpartition("; ")
     assert message.startswith(f"cannot write after row {rows} of {path}: File too large; free some space")
     found = open_recording(path)
     assert len(found) == int(rows) > 500
     assert found.column("tick").tolist() == list(range(len(found)))
     assert not found.complete
     assert [loss.reason for loss in found.lost] == ["torn tail"]
-
-
-def test_a_disk_too_full_for_the_header_leaves_no_file(tmp_path: Path) -> None:
-    path = tmp_path / "trial.rigcap"
-    body = """
-        import resource
-        resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
-        try:
-            with Recorder(sys.argv[1], example_header(), ring) as recorder:
-                put(1)
-        except RecordingError as error:
-            print(error)
-        """
-    with run_python(body, path) as process:
-        assert process.stdout is not None
-        assert process.stdout.read().startswith(f"cannot write {path}: File too large; free some space")
-    assert not path.exists()

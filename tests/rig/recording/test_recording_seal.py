@@ -1,7 +1,5 @@
 """Sealing: the capture goes only when an equal file has taken its place."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -134,18 +132,11 @@ def test_a_run_whose_clocks_could_not_be_compared_keeps_the_hosts_share(tmp_path
     assert stages["transport_in"] is stages["whole"] is None
 
 
-def test_a_clock_that_makes_no_sense_costs_the_ledger_and_not_the_recording(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_invalid_clock_costs_only_the_ledger(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     recording = timed(clock={"drift_ppm": "much"})
     found = open_recording(sealed_file(write(tmp_path / "trial.rigcap", recording)))
     assert found.rows.tobytes() == recording.rows.tobytes()
     assert "the latency ledger stays empty" in caplog.text
-
-
-def test_equal_captures_give_equal_bytes(tmp_path: Path, recording: Recording) -> None:
-    files = [sealed_file(write(tmp_path / f"{run}.rigcap", recording)).read_bytes() for run in range(2)]
-    assert files[0] == files[1]
 
 
 def test_other_programs_find_units_in_the_fields(capture: Path) -> None:
@@ -194,13 +185,7 @@ def test_the_trailer_can_grow(capture: Path) -> None:
     assert found.trailer["reason"] == "finished"
 
 
-def test_a_capture_can_be_kept(capture: Path) -> None:
-    sealed_file(capture, keep_capture=True)
-    assert capture.exists()
-
-
 def test_a_capture_cut_off_is_sealed_with_its_losses(capture: Path) -> None:
-    """What a crash left becomes a sealed recording that still says what is missing."""
     capture.write_bytes(capture.read_bytes()[:-3000])
     before = open_recording(capture)
     found = open_recording(sealed_file(capture))
@@ -241,7 +226,7 @@ def test_a_write_that_fails_leaves_the_capture_alone(capture: Path, monkeypatch:
     assert list(capture.parent.iterdir()) == [capture]
 
 
-def test_a_file_that_reads_back_wrong_never_replaces_the_capture(
+def test_file_that_reads_back_wrong_never_replaces_the_capture(
     capture: Path, recording: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def wrong(file: Any, recording: Recording) -> None:
@@ -264,7 +249,7 @@ def test_foreign_parquet_is_not_a_recording(tmp_path: Path) -> None:
 
 
 def test_without_pyarrow_the_capture_serves(tmp_path: Path, recording: Recording) -> None:
-    """Nothing fails: the capture takes up truth and trailer, CSV works, and what is missing is said."""
+    """Nothing fails: the capture takes up truth and trailer, CSV works, and the missing library is named."""
     capture = write(tmp_path / "trial.rigcap", recording)
     torn = tmp_path / "torn.rigcap"
     torn.write_bytes(capture.read_bytes()[:-3000])
@@ -309,16 +294,3 @@ def test_without_pyarrow_the_capture_serves(tmp_path: Path, recording: Recording
         "trial.rigcap.csv",
         "trial.rigcap.csv.json",
     ]
-
-
-def test_reading_needs_neither_numba_nor_scipy() -> None:
-    """A recording is opened on machines that could never run the loop."""
-    program = """
-        import sys
-        import rig.recording.export, rig.recording.reader, rig.recording.seal
-        print([name for name in ("numba", "scipy", "pandas", "pyarrow") if name in sys.modules])
-        """
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(program)], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == "[]"

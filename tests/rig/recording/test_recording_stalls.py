@@ -1,6 +1,4 @@
-"""The disk stalls and Python holds its lock: the ring takes what comes, and what it cannot take is counted."""
-
-from __future__ import annotations
+"""The disk stalls and Python holds its lock: the ring takes every row, or the row is counted as dropped."""
 
 import pytest
 

@@ -1,7 +1,5 @@
 """The latency ledger: a little world of two clocks and a lossy link as its oracle, and quantiles counted by hand."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace
@@ -23,12 +21,11 @@ PERIOD_NS = 500_000
 
 
 def clock(*, offset_ns: int = 0, drift_ppm: float = 0.0, reference_ns: int = 0) -> Any:
-    """A fit that is known exactly."""
     return ClockFit(reference_ns, offset_ns, drift_ppm, 10.0, 0.01, 1_000, 2_000, 0.0, 5.0, 10**9, 50, 1)
 
 
 class Session:
-    """Device and host, event by event: what the rows say, and beside it what truly happened (host clock).
+    """Device and host, event by event: the rows, and beside them the true times (host clock).
 
     Sample k is taken at `at(k)` of the device's clock. A STATE takes a while, the answer leaves after the law and
     takes another; the device keeps the newest COMMAND that came before sample k + 1, from sample k on, but not before
@@ -107,7 +104,7 @@ class Session:
         ]
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=20)
 @given(
     offset_ns=st.integers(0, 10**17),  # a host's clock is never negative
     drift_ppm=st.floats(-200.0, 200.0),
@@ -175,7 +172,7 @@ def test_no_command_is_active_before_it_was_sent(sent_ns: int, applied_ns: int, 
     assert found.within_tick == within
 
 
-def test_a_command_active_that_this_run_never_sent_belongs_to_nobody() -> None:
+def test_active_command_of_another_run_is_ignored() -> None:
     """More than half a round of the sequence behind, or of an earlier session."""
     rows = np.zeros(3, ROW)
     rows["sample_index"] = rows["received_at"] = rows["device_time"] = np.arange(1, 4)
@@ -217,11 +214,7 @@ def test_no_rows_are_no_error() -> None:
     assert set(summary.stages.values()) == {None}
 
 
-# ---------------------------------------------------------------------- adding up
-
-
 def stage_of(values: Any) -> Any:
-    """Summary of lateness that is these values."""
     rows = np.zeros(len(values), ROW)
     rows["lateness"] = values
     rows["received_at"] = np.arange(len(values)) + 1
@@ -265,7 +258,7 @@ def test_the_worst_ticks_come_first_with_their_stages() -> None:
         assert session.rows["sample_index"][bad.tick] == bad.sample_index
 
 
-def test_what_was_counted_is_kept_apart() -> None:
+def test_each_count_is_reported_separately() -> None:
     session = Session(clock(offset_ns=10**12), ticks=50)
     session.rows["flags"][[3, 7]] = int(RowFlag.LATE | RowFlag.GAP)
     session.rows["elapsed_ticks"][7] = 4
@@ -275,20 +268,9 @@ def test_what_was_counted_is_kept_apart() -> None:
     assert {name: summary.counts[name] for name in named} == named
     assert summary.counts["rows_dropped"] is None
     assert summary.passed_over == 3
-    nobody = summarise(found, None)
-    assert nobody.counts["late"] == 2, "the rows say it where the loop could not"
-    assert nobody.counts["stale"] is None
-
-
-def test_a_summary_is_json_of_plain_numbers() -> None:
-    session = Session(clock(offset_ns=10**12), ticks=60)
-    summary = summarise(ledger(session.rows, clock(offset_ns=10**12), PERIOD_NS), {"late": 1})
-    mapping = plain(summary)
-    assert json.loads(json.dumps(mapping)) == mapping
-    assert mapping["clock"]["offset_ns"] == 10**12
-
-
-# ---------------------------------------------------------------------- a law on the device
+    alone = summarise(found, None)
+    assert alone.counts["late"] == 2, "the rows say it where the loop could not"
+    assert alone.counts["stale"] is None
 
 
 def rows_of_batches(fit: Any, ticks: int = 200, samples: int = 20) -> Any:
@@ -306,7 +288,7 @@ def rows_of_batches(fit: Any, ticks: int = 200, samples: int = 20) -> Any:
     return rows
 
 
-def test_where_the_law_ran_on_the_device_no_command_is_spoken_of() -> None:
+def test_law_on_the_device_has_no_command_stages() -> None:
     fit = clock(offset_ns=5_000_000)
     rows = rows_of_batches(fit)
     summary = summarise(ledger(rows, fit, PERIOD_NS, "device"), {"late": 0})
