@@ -1,7 +1,5 @@
 """Fits of an identification on data that scipy integrates, not the simulation, whose parameters they must find."""
 
-from __future__ import annotations
-
 import math
 from itertools import accumulate
 from typing import Any
@@ -76,9 +74,6 @@ def known_sliding(up: Any = UP, down: Any = DOWN, damping: Any = DAMPING) -> Any
     )  # fmt: skip
 
 
-# ---------------------------------------------------------------------- intervals
-
-
 def test_an_interval_from_scatter_is_students() -> None:
     samples = [1.0, 2.0, 3.0, 4.0]
     found = from_scatter(2.5, samples)
@@ -87,13 +82,6 @@ def test_an_interval_from_scatter_is_students() -> None:
     assert not found.holds(10.0)
     assert from_scatter(1.0, [1.0]).ci95 == math.inf
     assert plain(from_scatter(1.0, [1.0])) == {"value": 1.0, "ci95": None}
-
-
-def test_95_per_cent_of_intervals_hold_the_truth() -> None:
-    rng = np.random.default_rng(1)
-    draws = rng.normal(3.0, 0.5, (2000, 5))
-    held = np.mean([from_scatter(draw.mean(), draw).holds(3.0) for draw in draws])
-    assert held == pytest.approx(0.95, abs=0.015)
 
 
 @pytest.mark.parametrize(
@@ -108,9 +96,6 @@ def test_95_per_cent_of_intervals_hold_the_truth() -> None:
 )
 def test_an_interval_is_written_with_the_digits_it_deserves(interval: Any, text: str) -> None:
     assert interval.text("kg") == text
-
-
-# ---------------------------------------------------------------------- pushes
 
 
 def pushed(
@@ -143,7 +128,7 @@ def signs_of(data: Any, expected: Any = MASS, damping: float = 0.0) -> Any:
     return check_signs(*data, resolution=QUANTUM, expected_inertia=expected, rest_s=0.05, damping=damping)
 
 
-def test_pushes_tell_sign_breakaway_and_scale() -> None:
+def test_pushes_show_sign_breakaway_and_scale() -> None:
     found = signs_of(pushed())
     assert (found.sign, found.ok, found.warnings, len(found.pushes)) == (1, True, (), 6)
     assert found.scale == pytest.approx(1.0, rel=0.3)
@@ -178,7 +163,7 @@ def test_backlash_shows_as_a_light_handle_after_each_reversal() -> None:
     assert any("backlash" in warning for warning in signs_of(pushed(gap=True)).warnings)
 
 
-def test_a_handle_that_does_not_move_says_nothing() -> None:
+def test_handle_that_does_not_move_has_no_sign() -> None:
     time_s = np.arange(1000) / RATE
     effort = np.where(time_s % 0.5 < 0.3, time_s % 0.5, 0.0)
     found = signs_of((time_s, effort, np.zeros(1000)))
@@ -194,9 +179,6 @@ def test_stiction_is_breakaway_well_above_sliding() -> None:
     assert stiction_warning(0.3, 0.25) is None
     assert "0.6" in stiction_warning(0.6, 0.3)
     assert stiction_warning(math.nan, 0.3) is None
-
-
-# ---------------------------------------------------------------------- sliding
 
 
 @pytest.fixture(scope="module")
@@ -246,7 +228,7 @@ def test_back_emf_that_is_given_is_no_friction(slid: Any) -> None:
     assert found.coulomb.value == pytest.approx(plain_fit.coulomb.value, rel=0.005)
 
 
-def test_a_servo_that_is_still_catching_up_leaves_out_what_is_not_at_its_speed() -> None:
+def test_only_samples_at_the_asked_speed_are_used() -> None:
     """A soft one: while the speed rises its effort is friction and mass, which read as friction alone bend the line."""
     position, effort, strokes, time_s, at, speed = [], [], [], 0.0, 0.0, 0.0
     for length in (0.4, 0.8, 1.6):
@@ -267,7 +249,7 @@ def test_a_servo_that_is_still_catching_up_leaves_out_what_is_not_at_its_speed()
     assert found.points < 18
 
 
-def test_what_did_not_slide_is_refused(slid: Any) -> None:
+def test_handle_that_did_not_slide_is_refused(slid: Any) -> None:
     time_s, effort, position, strokes = slid
     with pytest.raises(IdentificationError, match="0 pieces slid up and 0 down"):
         fit_sliding(time_s, effort, np.zeros_like(position), strokes, resolution=QUANTUM)
@@ -276,9 +258,6 @@ def test_what_did_not_slide_is_refused(slid: Any) -> None:
     noise = np.random.default_rng(0).normal(0.0, 50.0, len(effort))
     with pytest.raises(IdentificationError, match="scatters"):
         fit_sliding(time_s, effort + noise, position, strokes, resolution=QUANTUM)
-
-
-# ---------------------------------------------------------------------- multisine
 
 
 def multisine(realisation: Any, top: float = 150.0) -> Any:
@@ -341,14 +320,8 @@ def test_an_excitation_recovers_mass_damping_and_delay_in_spite_of_friction(rubb
     assert found.unexplained < 0.03
 
 
-def test_leaving_friction_in_biases_the_damping(rubbing: Any) -> None:
-    """What the fit is for: without the levels, Coulomb friction reads as viscous damping."""
-    naive = fit_dynamics(rubbing, resolution=QUANTUM, inertia=MASS)
-    assert naive.damping.value > 1.05 * DAMPING
-
-
 def test_back_emf_brakes_through_the_lag_that_is_fitted() -> None:
-    """L/R·T′ = command − b_e·v − T, integrated; a fit that knows no back-EMF finds another mass and lag."""
+    """L/R·T′ = command − b_e·v − T, integrated."""
     back_emf, lag_s = 40.0, 2e-3
 
     def derivative(y: Any, u: Any) -> Any:
@@ -359,8 +332,6 @@ def test_back_emf_brakes_through_the_lag_that_is_fitted() -> None:
     found = fit_dynamics(runs, resolution=QUANTUM, inertia=MASS, damping=damping, back_emf=back_emf)
     assert found.inertia.value == pytest.approx(MASS, rel=0.005)
     assert found.delay_s.value == pytest.approx(lag_s, rel=0.02)
-    slow = Interval(DAMPING + back_emf, 0.0)
-    assert fit_dynamics(runs, resolution=QUANTUM, inertia=MASS, damping=slow).inertia.value < 0.9 * MASS
 
 
 def test_a_known_damping_is_kept(rubbing: Any) -> None:
@@ -392,9 +363,6 @@ def test_two_masses_show_their_mode_and_how_the_inertia_splits() -> None:
     ratio += 1.0 * link / (motor + link) / (2.0 * omega * motor)  # what the motor's viscous damping adds
     assert mode.resonance_ratio.value == pytest.approx(ratio, rel=0.05)
     assert set(plain(found)["mode"]) == set(mode.__slots__)
-
-
-# ---------------------------------------------------------------------- data that say nothing
 
 
 def changed(run: Any, **changes: Any) -> Any:
@@ -449,7 +417,7 @@ def test_a_motion_that_no_model_explains_is_refused(rubbing: Any) -> None:
     with pytest.raises(IdentificationError, match="50 % of the motion"):
         check_explained(0.5)
     bent = []
-    for run in rubbing:
+    for run in rubbing[:2]:
         spectrum = np.fft.rfft(run.position)
         spectrum[run.bins] *= 1.0 + 1.5 * np.sin(run.lines_hz)
         bent.append(changed(run, position=np.fft.irfft(spectrum, len(run.position))))

@@ -1,7 +1,5 @@
 """Ripple from sweeps without and with a load: it comes out within its interval, and cogging and friction do not."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any
@@ -52,11 +50,11 @@ def test_a_motor_that_only_cogs_has_no_ripple_worth_the_name() -> None:
     assert ripple.unseen < 5e-4
 
 
-def test_the_interval_holds_the_truth_as_often_as_it_says() -> None:
+def test_interval_holds_the_truth_as_often_as_stated() -> None:
     """Of 95 % intervals in white noise, within four standard deviations of their binomial count."""
     rng, runs = np.random.default_rng(3), [swept(RIPPLES, load=hung) for hung in (0.0, LOAD)]
     held, trials = 0, 0
-    for _ in range(50):
+    for _ in range(25):
         free, loaded = (pairs(run, rng.normal(0.0, NOISE, len(run[0]))) for run in runs)
         ripple = fit_ripple(free, loaded, period=PERIOD, most_order=MOST)
         truth = zip(RIPPLES.orders, RIPPLES.ripple_cosine, RIPPLES.ripple_sine, strict=True)
@@ -67,8 +65,8 @@ def test_the_interval_holds_the_truth_as_often_as_it_says() -> None:
     assert abs(held - 0.95 * trials) <= 4.0 * math.sqrt(0.95 * 0.05 * trials)
 
 
-def test_without_a_load_ripple_looks_like_friction_that_varies_and_bends_the_map_by_a_product() -> None:
-    """Half the sum is F/(1 + r), half the difference friction/(1 + r): no sweep without a load tells r from either."""
+def test_without_a_load_ripple_looks_like_varying_friction() -> None:
+    """Half the sum is F/(1 + r), half the difference friction/(1 + r): r needs a load."""
     map_ = fitted(RIPPLES, most=MOST)
     seen = ~np.isnan(map_.effort)
     share = 1.0 + RIPPLES.share(map_.position[seen])

@@ -1,8 +1,5 @@
 """Passivity, residual, fidelity and fits: identities of the physics, and noise of known size."""
 
-from __future__ import annotations
-
-import json
 from dataclasses import replace
 from typing import Any
 
@@ -15,7 +12,6 @@ from rig.analysis.impedance._estimate import Impedance
 from rig.analysis.impedance._fitting import RigidRig, fit
 from rig.analysis.impedance._verdict import fidelity, judge, passive
 from rig.core.errors import ConfigError
-from rig.core.present import plain
 
 M, B = 0.52, 13.2  # the carriage of Chawda et al.
 DEVICE = RigidRig(M, B)
@@ -41,7 +37,7 @@ def noisy(exact: Impedance, deviation: Any, seed: int = 0) -> Impedance:
     deviation=st.floats(0, 30),
     z_score=st.floats(0, 4),
 )
-def test_phase_within_90_degrees_is_a_real_part_that_is_not_negative(
+def test_passive_line_has_a_real_part_of_zero_or_more(
     real: float, imaginary: float, deviation: float, z_score: float
 ) -> None:
     one = Impedance.exact([5.0], [complex(real, imaginary)])
@@ -54,7 +50,7 @@ def test_phase_within_90_degrees_is_a_real_part_that_is_not_negative(
         assert found.passive == (abs(np.degrees(np.angle(complex(real, imaginary)))) <= 90.0)
 
 
-def test_the_worst_line_and_all_that_fail_are_named() -> None:
+def test_worst_and_failed_lines_are_named() -> None:
     z = rig_with_wall(0.0, 0.0, np.arange(1.0, 11.0)).z
     z[3] -= 15.0
     z[6] -= 20.0
@@ -80,23 +76,6 @@ def test_the_tolerance_is_that_of_the_noise_and_declared() -> None:
     assert tolerant.worst_tolerance == pytest.approx(6.0)
 
 
-def test_conditioning_angles_of_a_free_rig_and_of_a_wall() -> None:
-    """How many degrees are left to ±90°: PHYSICS 2f."""
-    free = Impedance.exact([10, 50, 100, 200, 500], DEVICE.impedance([10, 50, 100, 200, 500]))
-    assert 90.0 - free.phase_deg == pytest.approx([22.0, 4.6, 2.3, 1.16, 0.46], abs=0.05)
-    wall = rig_with_wall(24e3, 100.0, np.array([2.0, 5.0, 10.0, 20.0]))
-    assert 90.0 + wall.phase_deg == pytest.approx([3.4, 8.6, 18.0, 42.0], abs=0.05)
-
-
-def test_margin_of_a_stiff_wall_at_low_frequency_is_a_fraction_of_a_degree() -> None:
-    """(b + B − K·T/2)·ω/K rad, as REPRODUCTION has it, for a sampled wall at 1 Hz."""
-    k, t, w = 2e4, 1e-3, 2 * np.pi
-    z = DEVICE.impedance([1.0]) + k / (1j * w) * np.exp(-0.5j * w * t)
-    assert passive(Impedance.exact([1.0], z)).phase_margin_deg == pytest.approx(
-        np.degrees((B - k * t / 2) * w / k), rel=5e-3
-    )
-
-
 def test_fidelity_of_no_wall_is_the_rigs_own_impedance() -> None:
     """√mean(b² + (2πmf)²) over the lines, exactly."""
     for top in (50, 156, 400):
@@ -104,16 +83,8 @@ def test_fidelity_of_no_wall_is_the_rigs_own_impedance() -> None:
         found = fidelity(rig_with_wall(0.0, 0.0, lines), 0.0, 0.0)
         assert found.rms == pytest.approx(np.sqrt(np.mean(B**2 + (2 * np.pi * M * lines) ** 2)), rel=1e-12)
         assert np.isnan(found.distortion)
+        assert (found.lines, found.band_hz) == (top, (1.0, top))
         assert np.isnan(found.stiffness_percent)
-
-
-@pytest.mark.parametrize(("top", "above"), [(50.0, 0.025), (400.0, 0.002)])
-def test_fidelity_of_no_wall_grows_with_the_band(top: float, above: float) -> None:
-    """1.886 N·s/m for each Hz of the band's upper end: + 2.5 % at 50 Hz, + 0.2 % at 400 Hz."""
-    found = fidelity(rig_with_wall(0.0, 0.0), 0.0, 0.0, (1.0, top))
-    assert 2 * np.pi * M / np.sqrt(3) == pytest.approx(1.886, abs=5e-4)
-    assert found.rms / (1.886 * top) - 1.0 == pytest.approx(above, abs=5e-4)
-    assert (found.lines, found.band_hz) == (int(top), (1.0, top))
 
 
 def test_fidelity_compares_magnitudes_and_not_phases() -> None:
@@ -128,11 +99,12 @@ def test_fidelity_compares_magnitudes_and_not_phases() -> None:
     assert found.damping_percent == pytest.approx(100.0)
 
 
-def test_fidelity_says_how_sure_it_is() -> None:
+def test_fidelity_states_its_uncertainty() -> None:
     exact = rig_with_wall(2e4, 60.0)
-    values = [fidelity(noisy(exact, 20.0, seed), 2e4, 60.0, (20.0, 200.0)) for seed in range(300)]
+    values = [fidelity(noisy(exact, 20.0, seed), 2e4, 60.0, (20.0, 200.0)) for seed in range(150)]
     assert np.std([v.rms for v in values]) == pytest.approx(
-        np.mean([v.rms_deviation for v in values]), rel=0.1
+        np.mean([v.rms_deviation for v in values]),
+        rel=0.17,  # three standard deviations of one of 150 values
     )
     assert values[0].noise_rms == pytest.approx(20.0)
 
@@ -151,9 +123,7 @@ def test_an_inertia_left_in_makes_a_wall_seem_soft() -> None:
 
 @settings(max_examples=30)
 @given(delay_s=st.floats(0.0, 1e-3), damping=st.floats(0.0, 100.0), high_hz=st.sampled_from([40.0, 400.0]))
-def test_effective_numbers_are_those_of_the_low_band_whatever_is_measured_above(
-    delay_s: float, damping: float, high_hz: float
-) -> None:
+def test_effective_numbers_are_those_of_the_low_band(delay_s: float, damping: float, high_hz: float) -> None:
     """Behind a delay τ a wall shows B − K·τ where ω·τ is small: each to the next order of its closed form."""
     lines = np.arange(1.0, high_hz + 1.0)
     s, w = 2j * np.pi * lines, 2 * np.pi * lines[:20]
@@ -172,7 +142,7 @@ def test_too_few_low_lines_state_nothing() -> None:
     assert np.isnan([found.stiffness, found.damping, found.stiffness_deviation, found.damping_percent]).all()
 
 
-def test_what_the_model_misses_widens_the_interval() -> None:
+def test_misfit_of_the_model_widens_the_interval() -> None:
     """A wall that is half gone by 20 Hz: the lines are known to 0.1 N·s/m, its mean stiffness is not."""
     low = 2e4 / (2j * np.pi * LINES) / (1.0 + (LINES / 20.0) ** 2)
     measured = noisy(Impedance.exact(LINES, DEVICE.impedance(LINES) + low), 0.1)
@@ -199,12 +169,12 @@ def test_fits_give_numbers_and_honest_intervals() -> None:
     deviation = 5.0 + 0.1 * LINES
     exact = rig_with_wall(2e4, 60.0)
     terms = ("inertia", "damping", "stiffness")
-    fits = [fit(noisy(exact, deviation, seed), terms) for seed in range(300)]
+    fits = [fit(noisy(exact, deviation, seed), terms) for seed in range(150)]
     for name, truth in zip(terms, (M, B + 60.0, 2e4), strict=True):
         values = np.array([f.values[name] for f in fits])
         stated = fits[0].deviations[name]
-        assert values.mean() == pytest.approx(truth, abs=4 * stated / np.sqrt(300))
-        assert values.std() == pytest.approx(stated, rel=0.15)
+        assert values.mean() == pytest.approx(truth, abs=4 * stated / np.sqrt(150))
+        assert values.std() == pytest.approx(stated, rel=0.17)
     assert np.mean([f.misfit for f in fits]) == pytest.approx(1.0, abs=0.02)
     wrong = fit(noisy(exact, deviation), ("inertia", "damping"))
     assert wrong.misfit > 5.0  # a model without a wall
@@ -218,7 +188,7 @@ def test_a_fit_without_variances_reads_them_off_the_misfit() -> None:
     assert fit(rig_with_wall(0.0, 0.0)).values == pytest.approx({"inertia": M, "damping": B})
 
 
-def test_a_fit_passes_over_lines_that_say_nothing() -> None:
+def test_fit_ignores_lines_without_information() -> None:
     one = rig_with_wall(2e4, 60.0)
     z, variance = one.z.copy(), np.ones(400)
     z[5], variance[7] = complex(np.inf, np.nan), np.inf
@@ -254,15 +224,7 @@ def test_a_rig_that_does_not_move_is_not_passive() -> None:
     assert found.phase_margin_deg < 0.0
 
 
-def test_mappings_are_json() -> None:
-    one = noisy(rig_with_wall(2e4, 0.0), 1.0)
-    for result in (passive(one), judge(one), fidelity(one, 2e4, 0.0, device=DEVICE), fit(one)):
-        mapping = json.loads(json.dumps(plain(result), allow_nan=False))
-        assert mapping
-    assert plain(fidelity(one, 2e4, 0.0))["damping_percent"] is None
-
-
-def test_what_cannot_be_meant_is_refused() -> None:
+def test_invalid_bands_and_terms_are_refused() -> None:
     with pytest.raises(ConfigError, match="no line"):
         passive(rig_with_wall(0.0, 0.0), (500.0, 600.0))
     with pytest.raises(ConfigError, match="terms"):

@@ -105,10 +105,7 @@ def test_a_loop_in_numpy_alone_cycles_as_predicted() -> None:
     for _ in range(round(seconds / step_s)):
         command = -K * COUNT * (1.0 if x > 0.0 else 0.0)
         x += p01 * v + p02 * u + g[0][0] * command + g[0][1] * push
-        v, u = (
-            p11 * v + p12 * u + g[1][0] * command + g[1][1] * push,
-            p22 * u + g[2][0] * command,
-        )
+        v, u = (p11 * v + p12 * u + g[1][0] * command + g[1][1] * push, p22 * u + g[2][0] * command)
         seen.append(x)
     motion = np.array(seen[len(seen) // 2 :]) / COUNT
     crossings = np.count_nonzero(np.diff(motion > motion.mean()))

@@ -1,7 +1,5 @@
 """Passivity with lag and delay: against the work of motions in fine steps, and against other definitions."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.signal import butter, freqz
+from scipy.signal import butter
 
 from rig import config
 from rig.analysis import theory
@@ -127,7 +125,7 @@ def worst_work(k: Any, b: Any, **case: Any) -> Any:
     ),
 )
 @pytest.mark.parametrize("share", first_by_default([0.9, 0.0, 0.1, 0.5]))
-def test_at_the_limit_the_worst_motion_gets_just_the_work_that_the_rig_eats(
+def test_worst_motion_at_the_limit_gets_the_work_that_the_rig_dissipates(
     scheme: str, n: int, lag_s: float, ticks: int, cutoff_hz: float, share: float
 ) -> None:
     """Brute force on the definition: every motion in steps of 1/24 tick, nothing known about where the worst one is.
@@ -152,10 +150,10 @@ def test_at_the_limit_the_worst_motion_gets_just_the_work_that_the_rig_eats(
     ),
 )
 @pytest.mark.parametrize("share", [0.0, 0.5])
-def test_back_emf_eats_work_only_as_fast_as_its_current_follows(
+def test_back_emf_dissipates_only_as_fast_as_its_current(
     scheme: str, n: int, lag_s: float, cutoff_hz: float, share: float
 ) -> None:
-    """The same brute force on a voltage-driven rig: what is left for viscous damping to eat is all that there is."""
+    """The same brute force on a voltage-driven rig: viscous damping dissipates the rest."""
     model = voltage_driven(late_rig(lag_s=lag_s))
     b = share * theory.passivity_bound(model, scheme).largest_damping
     k = passive_k(model, scheme, b)
@@ -171,59 +169,10 @@ def voltage_driven(model: Any) -> Any:
     return replace(model, amplifier=replace(model.amplifier, drive="voltage", back_emf_damping=0.0253))
 
 
-@pytest.mark.parametrize("scheme", ["uniform:20k", "dual:20k/2k"])
-def test_no_passive_hand_shakes_a_passive_wall_of_a_voltage_driven_rig(scheme: str) -> None:
-    """Masses and springs to ground; at the limit of a back-EMF straight on the rotor some of them do."""
-    for share in (0.0, 0.7):
-        rig = voltage_driven(late_rig(lag_s=1e-4))
-        b = share * theory.passivity_bound(rig, scheme).largest_damping
-        k = 0.99 * passive_k(rig, scheme, b)
-        for inertia in np.geomspace(1e-7, 1e-1, 10):
-            model = voltage_driven(
-                late_rig(lag_s=1e-4, motor_inertia=inertia, link_inertia=0.0, end_mass=0.0)
-            )
-            for spring in (0.0, 1e3, 1e5, 1e7):
-                hand = replace(
-                    GRIPS["normal"], pads_mass=0.0, pads_stiffness=spring, pads_damping=0.0, hand_mass=1e6
-                )
-                radius = theory.spectral_radius(model, scheme, k, b, operator=hand if spring else "none")
-                assert radius < 1.0 + 1e-9
-
-
 def test_back_emf_alone_makes_no_wall_passive_behind_a_lag() -> None:
     assert passive_k(voltage_driven(late_rig(damping=0.0)), "uniform:20k", 0.0) == 0.0
     assert theory.passivity_bound(voltage_driven(late_rig(damping=0.0)), "uniform:20k").largest_damping == 0.0
     assert passive_k(voltage_driven(late_rig(damping=0.0, lag_s=0.0)), "uniform:20k", 0.0) > 0.0
-
-
-@pytest.mark.parametrize(
-    ("lag_s", "cutoff_hz", "k", "b", "needed"),
-    [(1e-4, 2000, 1.0, 1e-4, 1.10e-4), (1e-3, 2000, 1.0, 1e-3, 1.55e-4), (5e-5, 1000, 1.0, 1e-2, 4.483e-3)],
-)
-def test_a_uniform_wall_with_lag_has_the_limit_of_the_aliased_sums(
-    lag_s: float, cutoff_hz: int, k: float, b: float, needed: float
-) -> None:
-    """|2b + H·S| > |H|·R over aliases: with R = Σ|S_k| for hands that are linear, with norms for any passive one."""
-    w = np.geomspace(1e-4, 0.9999, 800) * math.pi * 20e3
-    aliases = w[:, None] + 2.0 * math.pi * 20e3 * np.arange(-300, 301)
-    hold = (1.0 - np.exp(-1j * w * 5e-5))[:, None] * 20e3
-    lag = 1.0 / (1.0 + 1j * aliases * lag_s)
-    terms = hold * lag / (1j * aliases) ** 2
-    velocity = freqz(*butter(2, cutoff_hz, fs=20e3), worN=w * 5e-5)[1] * (1.0 - np.exp(-1j * w * 5e-5)) * 20e3
-    h = k + b * velocity
-    centre = (h * terms.sum(axis=1)).real
-    at_least = abs(h) ** 2 * abs(terms.sum(axis=1)) ** 2
-
-    def largest(radius: Any) -> Any:
-        return float((0.5 * (-centre + np.sqrt(centre**2 - at_least + abs(h) ** 2 * radius**2))).max())
-
-    linear = largest(abs(terms).sum(axis=1))
-    norms = np.sqrt((abs(hold * lag / aliases) ** 2).sum(axis=1) * (1.0 / aliases**2).sum(axis=1))
-    passive = largest(norms)
-    assert linear == pytest.approx(needed, rel=5e-3)
-    assert linear <= passive <= 1.014 * linear
-    scheme = f"uniform:20k,cutoff_hz={cutoff_hz}"
-    assert passive_k(late_rig(passive, lag_s), scheme, b) == pytest.approx(k, rel=5e-3)
 
 
 @pytest.mark.parametrize("scheme", ["uniform:20k", "dual:20k/2k", "dual:20k/2k,prediction=extrapolate"])
@@ -238,20 +187,32 @@ def test_without_lag_and_delay_it_is_the_closed_form_for_one_rate_and_for_many(s
 
 
 @pytest.mark.parametrize(
-    ("lag_s", "ticks", "scheme"),
-    [(1e-4, 0, "dual:20k/2k"), (0.0, 1, "uniform:20k"), (1e-3, 0, "uniform:20k"), (3e-4, 2, "dual:20k/2k")],
+    ("lag_s", "ticks", "scheme", "drive"),
+    [
+        (1e-4, 0, "dual:20k/2k", "current"),
+        (0.0, 1, "uniform:20k", "current"),
+        (1e-3, 0, "uniform:20k", "current"),
+        (3e-4, 2, "dual:20k/2k", "current"),
+        (1e-4, 0, "uniform:20k", "voltage"),
+        (1e-4, 0, "dual:20k/2k", "voltage"),
+    ],
 )
-def test_a_passive_wall_with_lag_and_delay_is_stable_with_any_passive_hand(
-    lag_s: float, ticks: int, scheme: str
+def test_passive_wall_is_stable_with_any_passive_hand_despite_lag(
+    lag_s: float, ticks: int, scheme: str, drive: str
 ) -> None:
     """And an active one is not with some: masses and springs from next to nothing to bolted down are tried."""
+
+    def rig(**mechanics: Any) -> Any:
+        model = late_rig(lag_s=lag_s, ticks=ticks, **mechanics)
+        return voltage_driven(model) if drive == "voltage" else model
+
     growing = False
     for share in (0.0, 0.7):
-        b = share * theory.passivity_bound(late_rig(lag_s=lag_s, ticks=ticks), scheme).largest_damping
-        k = passive_k(late_rig(lag_s=lag_s, ticks=ticks), scheme, b)
+        b = share * theory.passivity_bound(rig(), scheme).largest_damping
+        k = passive_k(rig(), scheme, b)
         assert k > 0.0
         for inertia in np.geomspace(1e-7, 1e-1, 10):
-            model = late_rig(lag_s=lag_s, ticks=ticks, motor_inertia=inertia, link_inertia=0.0, end_mass=0.0)
+            model = rig(motor_inertia=inertia, link_inertia=0.0, end_mass=0.0)
             for spring in (0.0, 1e3, 1e7):
                 hand = replace(
                     GRIPS["normal"], pads_mass=0.0, pads_stiffness=spring, pads_damping=0.0, hand_mass=1e6
@@ -261,7 +222,7 @@ def test_a_passive_wall_with_lag_and_delay_is_stable_with_any_passive_hand(
                 )
                 assert radii[0] < 1.0 + 1e-9
                 growing = growing or bool(radii[1] > 1.0 + 1e-9)
-    assert growing
+    assert growing or drive == "voltage"
 
 
 def test_the_passive_walls_form_a_convex_set_that_ends_at_the_largest_damping() -> None:

@@ -1,7 +1,5 @@
 """The lifted loop against simulations written out here, and against closed forms and characteristic polynomials."""
 
-from __future__ import annotations
-
 import cmath
 import math
 from dataclasses import replace
@@ -20,6 +18,7 @@ from rig.config import presets
 from rig.core.errors import ConfigError
 from rig.core.model import Amplifier, Encoder, Mechanics, RigModel, Simulation
 from rig.core.operators import GRIPS
+from tests.conformance.tiers import first_by_default
 
 KOUL = config.rig_model(presets.load("koul-compliant"))
 RIGID = config.rig_model(presets.load("koul-rigid"))
@@ -106,36 +105,26 @@ def envelopes(
     return [np.sqrt((window * part**2).mean(axis=0)) for part in parts]
 
 
-CASES = {
+CASES = {  # the first three run by default
     "rigid, dual": (RIGID, "dual:20k/2k", {"rates": (20_000, 2_000), "cutoff_hz": 200.0}, 0.3, 1.0, None),
-    "rigid, no lag, uniform": (
-        without_lag(RIGID), "uniform:2k,cutoff_hz=200", {"rates": (2_000, 2_000), "cutoff_hz": 200.0}, 0.3, 1.0, None,
+    "two masses, one tick late, extrapolated, no lag": (
+        with_delay(without_lag(KOUL), 1), "dual:10k/2k,cutoff_hz=200,prediction=extrapolate",
+        {"rates": (10_000, 2_000), "cutoff_hz": 200.0, "extrapolate": True}, 0.5, 1.0, None,
     ),
+    "by hand, dual": (KOUL, "dual:20k/2k", {"rates": (20_000, 2_000), "cutoff_hz": 200.0}, 2.0, 0.6, "firm"),
     "two masses, dual": (KOUL, "dual:20k/2k", {"rates": (20_000, 2_000), "cutoff_hz": 200.0}, 1.0, 0.6, None),
     "two masses, two ticks late": (
         with_delay(KOUL, 2), "dual:20k/2k,cutoff_hz=200",
         {"rates": (20_000, 2_000), "cutoff_hz": 200.0}, 1.0, 0.6, None,
     ),
-    "two masses, extrapolated": (
-        KOUL, "dual:20k/2k,cutoff_hz=200,prediction=extrapolate",
-        {"rates": (20_000, 2_000), "cutoff_hz": 200.0, "extrapolate": True}, 0.8, 0.6, None,
-    ),
-    "two masses, one tick late, extrapolated, no lag": (
-        with_delay(without_lag(KOUL), 1), "dual:10k/2k,cutoff_hz=200,prediction=extrapolate",
-        {"rates": (10_000, 2_000), "cutoff_hz": 200.0, "extrapolate": True}, 0.5, 1.0, None,
-    ),
-    "by hand, uniform, undamped": (
-        KOUL, "uniform:20k", {"rates": (20_000, 20_000), "cutoff_hz": 2_000.0}, 0.0, 0.6, "normal",
-    ),
     "by hand, one tick late, undamped": (
         with_delay(KOUL, 1), "uniform:20k", {"rates": (20_000, 20_000), "cutoff_hz": 2_000.0}, 0.0, 2.0, "normal",
     ),
-    "by hand, dual": (KOUL, "dual:20k/2k", {"rates": (20_000, 2_000), "cutoff_hz": 200.0}, 2.0, 0.6, "firm"),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_a_simulation_grows_two_percent_beyond_the_limit_and_decays_two_percent_below(case: Any) -> None:
+@pytest.mark.parametrize("case", first_by_default(CASES, 3))
+def test_simulation_grows_beyond_the_limit_and_decays_below(case: Any) -> None:
     model, scheme, timing, damping, seconds, grip = CASES[case]
     timing = {**timing, "seconds": seconds, "hand": None if grip is None else GRIPS[grip]}
     limit = theory.k_max(model, scheme, damping, operator=grip)
@@ -175,7 +164,7 @@ def characteristic_radius(model: Any, k: Any, b: Any, *, rate: Any, cutoff_hz: A
 @pytest.mark.parametrize("ticks", [0, 1, 3])
 @pytest.mark.parametrize("model", [RIGID, without_lag(RIGID), KOUL, without_lag(KOUL)])
 @pytest.mark.parametrize(("rate", "cutoff_hz"), [(1_000, 100.0), (2_000, None), (4_000, 800.0)])
-def test_a_uniform_loop_has_the_roots_of_its_characteristic_polynomial(
+def test_uniform_loop_has_the_roots_of_its_polynomial(
     model: Any, ticks: int, rate: int, cutoff_hz: float | None
 ) -> None:
     delayed = with_delay(model, ticks)
@@ -191,15 +180,6 @@ def test_dual_rate_with_one_rate_is_uniform() -> None:
     dual = theory.spectral_radius("koul-compliant", "dual:5k/5k", k, b)
     assert dual == pytest.approx(theory.spectral_radius("koul-compliant", "uniform:5k", k, b), rel=1e-12)
     assert dual.shape == (30, 7)
-
-
-def test_without_damping_the_velocity_rate_does_not_matter() -> None:
-    """ρ is that of one velocity period, so N uniform ticks make one dual-rate period."""
-    k = np.geomspace(1.0, 3e3, 20)
-    dual = theory.spectral_radius("koul-compliant", "dual:20k/2k,cutoff_hz=200", k, 0.0)
-    uniform = theory.spectral_radius("koul-compliant", "uniform:20k", k, 0.0)
-    filter_pole = 0.642496  # of the filter that runs and is not listened to
-    assert dual == pytest.approx(np.maximum(uniform**10, filter_pole), rel=1e-5)
 
 
 def toy(scale: float = 1.0, **kinds: Any) -> Any:
@@ -222,7 +202,7 @@ def toy(scale: float = 1.0, **kinds: Any) -> Any:
     )
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(
     scale=st.floats(1e-3, 1e6),
     k=st.floats(1.0, 3e3),
@@ -232,35 +212,13 @@ def toy(scale: float = 1.0, **kinds: Any) -> Any:
     delay=st.integers(0, 2),
     scheme=st.sampled_from(["dual:10k/2k,cutoff_hz=200", "uniform:4k", "dual:8k/2k,prediction=extrapolate"]),
 )
-def test_scaling_inertias_efforts_and_wall_by_one_factor_changes_no_motion(
+def test_common_scale_of_inertia_and_wall_changes_no_motion(
     scale: float, k: float, b: float, scheme: Any, **kinds: Any
 ) -> None:
-    """So the paper's K and B could be overstated ten times and nothing in its text would tell."""
+    """So the paper's K and B could be overstated ten times and nothing in its text would show it."""
     one = theory.spectral_radius(toy(**kinds), scheme, k, b)
     other = theory.spectral_radius(toy(scale, **kinds), scheme, scale * k, scale * b)
     assert other == pytest.approx(one, rel=1e-6)
-
-
-@settings(deadline=None, max_examples=20)
-@given(ratio=st.floats(0.02, 50.0), n=st.sampled_from([1, 5]))
-def test_only_products_with_the_period_count(ratio: float, n: Any) -> None:
-    """T → r·T with K → K/r², B and b → B/r, b/r and the filter's share kept is the same loop (a rigid rig, no lag)."""
-    slow = round(20_000 / ratio / n) * n
-    r = 20_000 / slow
-    base, stretched = toy(), toy()
-    stretched = replace(
-        stretched,
-        mechanics=replace(stretched.mechanics, motor_damping=4e-3 / r, link_damping=2e-3 / r),
-    )
-    k, b = 200.0, 0.3
-    one = theory.spectral_radius(base, f"dual:20000/{20_000 // n}" if n > 1 else "uniform:20000", k, b)
-    text = f"dual:{slow}/{slow // n}" if n > 1 else f"uniform:{slow}"
-    other = theory.spectral_radius(stretched, text, k / r**2, b / r)
-    assert other == pytest.approx(one, rel=1e-6)
-
-
-def test_a_free_handle_stays_where_it_is() -> None:
-    assert theory.spectral_radius("koul-rigid", "dual:20k/2k", 0.0, 0.0) == pytest.approx(1.0, abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -268,7 +226,7 @@ def test_a_free_handle_stays_where_it_is() -> None:
     [("uniform:20k", 0.0), ("dual:20k/2k", 0.1), ("dual:20k/1k", 0.0), ("dual:20k/400,cutoff_hz=40", 0.0)],
 )
 def test_the_frequency_of_the_mode_is_not_aliased_to_the_velocity_rate(scheme: str, damping: float) -> None:
-    """The capstan mode near 628 Hz is told as such also where T2 cannot tell it from 372 Hz (1 kHz) or 172 Hz."""
+    """The capstan mode near 628 Hz is identified also where T2 aliases it to 372 Hz (1 kHz) or 172 Hz."""
     limit = theory.k_max("koul-compliant", scheme, damping, operator="normal")
     assert limit.frequency_hz == pytest.approx(628.2, rel=1e-3)
 
@@ -314,7 +272,7 @@ def test_a_hand_takes_the_end_mass_off_and_none_leaves_it_on() -> None:
     assert theory.resolve(KOUL, GRIPS["firm"]).operator == GRIPS["firm"]
 
 
-def test_what_cannot_be_meant_is_said() -> None:
+def test_invalid_rigs_and_schemes_are_refused() -> None:
     for rig, scheme, operator, message in (
         ("koul-stiff", "uniform:1k", None, "koul-stiff"),
         ("nowhere/rig.toml", "uniform:1k", None, "nowhere"),
@@ -340,7 +298,7 @@ def test_a_model_without_an_experiment_has_the_usual_filter() -> None:
 @pytest.mark.parametrize(
     ("rig", "operator"), [("koul-compliant", "normal"), ("koul-rigid", "none"), ("cogged", "none")]
 )
-def test_powers_of_the_period_tell_what_its_eigenvalues_tell(rig: str, scheme: str, operator: str) -> None:
+def test_powers_of_the_period_agree_with_its_eigenvalues(rig: str, scheme: str, operator: str) -> None:
     """From a handle that is free (an eigenvalue of 1) to walls whose powers overflow, and densely near the limits."""
     cogged = config.override(CHAWDA, COGS)
     lifted = theory.Lifted.of(
@@ -350,9 +308,9 @@ def test_powers_of_the_period_tell_what_its_eigenvalues_tell(rig: str, scheme: s
     edges = np.array([limit.stiffness for limit in theory.k_max_curve(lifted, None, b)])
     near = edges * (1.0 + np.geomspace(1e-8, 0.1, 8) * np.array([[1.0], [-1.0]])).reshape(-1, 1)
     for k in (np.append(0.0, np.geomspace(1e-3, 1e25, 100))[:, None], near):
-        told = lifted.stable(k, b)
-        np.testing.assert_array_equal(told, lifted.radius(k, b) < 1.0)
-        assert 0 < np.count_nonzero(told) < told.size
+        stable = lifted.stable(k, b)
+        np.testing.assert_array_equal(stable, lifted.radius(k, b) < 1.0)
+        assert 0 < np.count_nonzero(stable) < stable.size
     assert lifted.stable([], 1.0).shape == (0,)
 
 

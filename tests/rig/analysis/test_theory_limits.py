@@ -1,7 +1,5 @@
 """K_max, B_max and islands: closed forms, the figures of earlier independent simulations, and what scans must say."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any
@@ -16,8 +14,7 @@ from rig.analysis import theory
 from rig.analysis.theory import _limits as limits
 from rig.config import presets
 from rig.core.errors import ConfigError
-from rig.core.model import Amplifier, Encoder, Mechanics, RigModel
-from rig.core.operators import GRIPS
+from rig.core.model import Mechanics
 
 KOUL = config.rig_model(presets.load("koul-compliant"))
 RIGID = config.rig_model(presets.load("koul-rigid"))
@@ -28,21 +25,9 @@ def with_delay(model: Any, ticks: Any) -> Any:
     return replace(model, simulation=replace(model.simulation, computation_delay_ticks=ticks))
 
 
-def test_without_damping_a_rigid_rig_without_lag_comes_to_2b_over_t_as_t_shrinks() -> None:
-    errors = []
-    for rate in (1_000, 10_000, 100_000):
-        found = theory.k_max(CHAWDA, f"uniform:{rate},estimator=fdm", 0.0)
-        errors.append(found.stiffness / (2 * 13.2 * rate) - 1.0)
-    assert errors[0] == pytest.approx(13.2 * 1e-3 / (6 * 0.52), rel=0.05)  # the first order in b·T/m: bT/(6m)
-    assert errors[1] == pytest.approx(errors[0] / 10, rel=0.05)
-    assert abs(errors[2]) < 1e-4
-
-
 @pytest.mark.parametrize("delay", [0, 1, 3])
 @pytest.mark.parametrize("scheme", ["uniform:20k", "dual:20k/2k", "uniform:5k", "dual:50k/2k"])
-def test_without_damping_a_rigid_rig_has_b_over_half_a_tick_and_lag_and_delay(
-    scheme: str, delay: int
-) -> None:
+def test_rigid_rig_has_b_over_half_a_tick_and_lag_and_delay(scheme: str, delay: int) -> None:
     """K_max(B = 0) = b/(T1/2 + lag + delay)."""
     found = theory.k_max(with_delay(RIGID, delay), scheme, 0.0)
     tick_s = theory.linear_loop(RIGID, scheme).tick_s
@@ -79,17 +64,6 @@ def test_koul_by_hand_at_20_khz_without_damping() -> None:
     assert late.stiffness == pytest.approx(359, rel=0.01)
 
 
-def test_a_wall_that_back_emf_on_the_rotor_would_call_stable_is_not() -> None:
-    """K = 300, B = 1: the damping that back-EMF lacks near the capstan's mode is what this wall wants."""
-    scheme = "uniform:20k,cutoff_hz=2050"
-    voltage = replace(KOUL, amplifier=replace(KOUL.amplifier, drive="voltage"))
-    on_the_rotor = replace(
-        KOUL, mechanics=replace(KOUL.mechanics, motor_damping=KOUL.mechanics.motor_damping + 0.0253)
-    )
-    assert theory.spectral_radius(on_the_rotor, scheme, 300.0, 1.0) < 1.0
-    assert theory.spectral_radius(voltage, scheme, 300.0, 1.0) > 1.0
-
-
 @pytest.mark.parametrize("rig", ["koul-rigid", "koul-compliant", "chawda-linear"])
 @pytest.mark.parametrize("operator", ["none", "normal"])
 def test_dual_rate_has_the_range_of_damping_of_its_velocity_rate(rig: str, operator: str) -> None:
@@ -97,7 +71,7 @@ def test_dual_rate_has_the_range_of_damping_of_its_velocity_rate(rig: str, opera
     slow = 200 if rig == "chawda-linear" else 2000
     settings = f"cutoff_hz={slow // 10}"
     uniform = theory.b_max(rig, f"uniform:{slow},{settings}", operator=operator)
-    for n in (5, 10, 25):
+    for n in (5, 25):
         dual = theory.b_max(rig, f"dual:{n * slow}/{slow},{settings}", operator=operator)
         assert dual.damping == pytest.approx(uniform.damping, rel=2e-3)
 
@@ -116,58 +90,10 @@ def test_rigid_rigs_have_a_range_of_damping_of_about_970_times_their_inertia(ine
 
 
 def test_rigid_theory_says_that_uniform_20_khz_has_a_wider_range_than_dual_rate() -> None:
-    """7.6 times: the opposite of the paper, which needs the capstan mode or the noise that nobody modelled here."""
+    """7.6 times: the opposite of the paper, which needs the capstan mode or noise; neither is modelled here."""
     wide = theory.b_max("koul-rigid", "uniform:20k,cutoff_hz=2000").damping
     narrow = theory.b_max("koul-rigid", "dual:20k/2k,cutoff_hz=200").damping
     assert wide / narrow == pytest.approx(7.6, rel=0.15)
-
-
-def preset_d() -> Any:
-    """A plant of an earlier study with a hand on springs to ground: the hand is a mass that never moves."""
-    motor, link = 1.1e-4, 3e-3
-    reduced = motor * link / (motor + link)
-    mechanics = Mechanics(
-        structure="two-mass", motor_inertia=motor, link_inertia=link, motor_damping=0.027,
-        transmission_stiffness=3000.0, transmission_damping_ratio=0.05 / (2 * math.sqrt(3000.0 * reduced)),
-    )  # fmt: skip
-    model = RigModel(
-        name="D",
-        motion="rotary",
-        mechanics=mechanics,
-        amplifier=Amplifier(effort_per_ampere=0.234, effort_limit=1.3, lag_s=1.1e-4),
-        encoder=Encoder(counts_per_revolution=1000, ratio=10.0),
-    )
-    hand = replace(
-        GRIPS["normal"], pads_mass=0.0, pads_stiffness=3.0, pads_damping=0.03,
-        hand_mass=1e6, hand_stiffness=1e6, hand_damping=2e6,
-    )  # fmt: skip
-    return model, hand
-
-
-@pytest.mark.parametrize(
-    ("scheme", "row"),
-    [
-        ("uniform:2k,cutoff_hz=200", (163, 295, 396, 618, 716, 716, 771, 771)),
-        ("uniform:20k,cutoff_hz=1000", (533, 618, 368, 0, 0, 0, 0, 0)),
-        ("uniform:20k,cutoff_hz=2000", (533, 830, 830, 665, 121, 0, 0, 0)),
-        ("dual:20k/2k,cutoff_hz=200", (533, 830, 830, 830, 830, 830, 830, 830)),
-    ],
-)
-def test_the_table_of_the_earlier_study_is_met_within_a_step_of_its_ladder(
-    scheme: str, row: tuple[int, ...]
-) -> None:
-    """That table is a ladder of steps of 7.7 % (…533, 574, 618…), each entry the last stable rung.
-
-    All entries that the capstan mode sets, and all zeros, lie on their rung; 533, which a 60 Hz mode sets, is 513
-    (4 % less), and 618 is 612.
-    """
-    model, hand = preset_d()
-    found = theory.k_max_curve(model, scheme, [0, 0.05, 0.1, 0.2, 0.4, 0.8, 1.7, 3.3], operator=hand)
-    for limit, rung in zip(found, row, strict=True):
-        if rung == 0:
-            assert limit.stiffness == 0.0
-        else:
-            assert 0.96 * rung <= limit.stiffness <= 1.077 * 1.015 * rung
 
 
 def test_near_the_end_of_the_range_low_stiffness_fails_first_and_an_island_remains() -> None:
@@ -195,13 +121,13 @@ def test_islands_and_limits_agree_with_a_map() -> None:
     grid = theory.stability_map("koul-compliant", "dual:20k/2k", stiffness, damping)
     assert grid.radius.shape == (120, 11)
     for column, limit in enumerate(theory.k_max_curve("koul-compliant", "dual:20k/2k", damping)):
-        said = stiffness < limit.stiffness
+        stable = stiffness < limit.stiffness
         for island in limit.islands:
-            said |= (stiffness > island.low) & (stiffness < island.high)
-        assert (said == grid.stable[:, column]).all()
+            stable |= (stiffness > island.low) & (stiffness < island.high)
+        assert (stable == grid.stable[:, column]).all()
 
 
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(damping=st.floats(0.01, 4.5), scheme=st.sampled_from(["dual:20k/2k", "uniform:20k", "uniform:2k"]))
 def test_a_limit_lies_between_stable_and_unstable(damping: float, scheme: Any) -> None:
     limit = theory.k_max("koul-compliant", scheme, damping)

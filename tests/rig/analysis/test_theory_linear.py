@@ -1,8 +1,5 @@
 """Estimators as state spaces: the realisation against scipy's filters and closed forms, and who is refused."""
 
-from __future__ import annotations
-
-import dataclasses
 from typing import Any
 
 import numpy as np
@@ -20,11 +17,8 @@ RESOLUTION = 1.5708e-4
 BUTTERWORTH = [
     (2_000, 200.0, 2),
     (20_000, 2_000.0, 2),
-    (20_000, 200.0, 2),
-    (20_000, 30.0, 2),
     (1_000, 499.0, 2),
     (2_000, 200.0, 1),
-    (2_000, 200.0, 5),
     (20_000, 200.0, 8),
 ]
 
@@ -64,10 +58,8 @@ def test_difference_and_butterworth_are_scipys_to_nine_digits(rate: Any, cutoff_
     assert np.abs(found.response(frequency_hz) - exact).max() < 1e-9 * np.abs(exact).max()
 
 
-@pytest.mark.parametrize(("rate", "bandwidth_hz"), [(2_000, 200.0), (20_000, 200.0), (20_000, 20.0)])
-def test_a_kalman_filter_is_realised_in_its_steady_state_whether_it_recurs_or_not(
-    rate: int, bandwidth_hz: float
-) -> None:
+@pytest.mark.parametrize(("rate", "bandwidth_hz"), [(2_000, 200.0), (20_000, 200.0)])
+def test_kalman_filter_is_realised_in_its_steady_state(rate: int, bandwidth_hz: float) -> None:
     """Against the predictor–corrector with the gain of the Riccati equation, written out."""
     turn = 2 * np.pi * bandwidth_hz / rate
     noise = linear_noise(3) * turn**6 / 12.0
@@ -109,7 +101,7 @@ def linear_noise(order: Any) -> Any:
         ("kalman", {"fading": "window"}),
     ],
 )
-def test_what_is_not_linear_is_refused_by_name(name: str, settings: Any) -> None:
+def test_nonlinear_estimator_is_refused_by_name(name: str, settings: Any) -> None:
     with pytest.raises(ConfigError, match=f"estimator {name}.* is not linear") as caught:
         linear.realise(name, settings, 5e-4, RESOLUTION)
     assert caught.value.remedy
@@ -123,7 +115,7 @@ def test_an_adaptive_window_that_may_not_adapt_is_a_difference() -> None:
 
 
 def third_party(name: Any, update: Any) -> Any:
-    """A linear or other estimator of somebody else: plain Python, called as the family is."""
+    """A linear or other estimator of a third party: plain Python, called as the family is."""
 
     return Estimator(name=name, summary="", source="", update=update, floats=64, ints=3)
 
@@ -173,7 +165,7 @@ def test_an_estimator_is_watched_once_and_another_of_its_name_anew(foreign: Any)
     foreign(third_party("chord", moving_chord))
     once = linear.realise("chord", {}, 1e-3, RESOLUTION)
     assert linear.realise("chord", {}, 1e-3, RESOLUTION) is once
-    foreign(third_party("chord", lambda *heard: 2.0 * moving_chord(*heard)))
+    foreign(third_party("chord", lambda *arguments: 2.0 * moving_chord(*arguments)))
     assert linear.realise("chord", {}, 1e-3, RESOLUTION).impulse(30) == pytest.approx(2.0 * once.impulse(30))
 
 
@@ -186,7 +178,7 @@ def test_a_third_party_with_a_dead_zone_is_not_linear(foreign: Any) -> None:
         linear.realise("deaf", {}, 1e-3, RESOLUTION)
 
 
-def test_one_that_changes_with_time_is_not_linear_and_time_invariant(foreign: Any) -> None:
+def test_estimator_that_changes_with_time_is_refused(foreign: Any) -> None:
     def tiring(count: Any, edge: Any, elapsed: Any, state_f: Any, state_i: Any, parameters: Any) -> Any:
         state_f[40] += 1.0
         return moving_chord(count, edge, elapsed, state_f, state_i, parameters) / (1.0 + 1e-6 * state_f[40])
@@ -200,10 +192,3 @@ def test_the_sign_of_the_encoder_and_its_resolution_change_nothing() -> None:
     there = linear.realise("fdm-butterworth", {"cutoff_hz": 200.0}, 5e-4, RESOLUTION)
     back = linear.realise("fdm-butterworth", {"cutoff_hz": 200.0}, 5e-4, -1e-6)
     assert there.impulse(100) == pytest.approx(back.impulse(100), rel=1e-9, abs=1e-9)
-
-
-def test_a_realisation_is_a_value() -> None:
-    found = linear.realise("fdm", {}, 5e-4, RESOLUTION)
-    assert dataclasses.is_dataclass(found)
-    assert found.error < 1e-12
-    assert found.response(0.0) == pytest.approx(0.0, abs=1e-9)

@@ -1,7 +1,5 @@
 """Conditions for passivity: the tables on record, brute force where there is no closed form, and where they fail."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any
@@ -29,7 +27,7 @@ def beta(scheme: Any, **options: Any) -> Any:
 
 @pytest.mark.parametrize(("share", "table"), [(20, 0.354), (10, 0.479), (5, 0.675)])
 @pytest.mark.parametrize("rates", ["dual:20k/2k", "uniform:20k", "uniform:1k"])
-def test_beta_of_difference_and_butterworth_is_the_table_and_depends_on_the_share_of_the_rate_only(
+def test_beta_of_butterworth_depends_on_the_share_of_the_rate_only(
     share: int, table: float, rates: str
 ) -> None:
     rate = theory.linear_loop(IDEAL, rates).controller.velocity_rate
@@ -62,7 +60,7 @@ def test_beta_of_an_extrapolated_velocity_is_the_largest_eigenvalue_of_the_lifte
     scheme, n = "dual:10k/2k,cutoff_hz=400,prediction=extrapolate", 5
     loop = theory.linear_loop(IDEAL, scheme)
     worst = -math.inf
-    for omega in np.linspace(0.003, math.pi, 4001):
+    for omega in np.linspace(0.003, math.pi, 1501):
         z = np.exp(1j * omega)
         h = complex(loop.estimator.response(omega / (2 * math.pi * 5e-4))[0])
         position = np.ones(n) / (z - 1)  # at the period's start: all increments before
@@ -78,7 +76,7 @@ def test_extrapolation_between_samples_that_are_as_fast_as_the_ticks_is_nothing(
     assert beta("uniform:2k,prediction=extrapolate") == beta("uniform:2k")
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(
     damping=st.floats(0.0, 0.05),
     share=st.floats(0.0, 0.999),
@@ -88,7 +86,7 @@ def test_extrapolation_between_samples_that_are_as_fast_as_the_ticks_is_nothing(
     spring=st.floats(0.0, 5e3),
     damper=st.floats(0.0, 1.0),
 )
-def test_a_passive_wall_is_stable_with_any_passive_hand(
+def test_passive_wall_is_stable_with_any_passive_hand(
     damping: float, share: float, scheme: Any, spring: float, damper: float
 ) -> None:
     """Sufficiency of the multi-rate bound, without lag and delay: hands from nothing to a stiff spring to ground."""
@@ -199,7 +197,7 @@ def test_no_closed_form_is_given_where_back_emf_is_damping_of_slow_motion_only()
     assert found.stiffness == pytest.approx((0.0283 - damped.beta * 0.02) / 0.25e-4)
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=12)
 @given(
     log_inertia=st.floats(-5.0, -2.0),
     log_damping=st.floats(-4.0, -1.5),
@@ -207,7 +205,7 @@ def test_no_closed_form_is_given_where_back_emf_is_damping_of_slow_motion_only()
     log_lag=st.floats(-5.0, -3.0),
     scheme=st.sampled_from(["dual:20k/2k,cutoff_hz=200", "uniform:20k"]),
 )
-def test_under_voltage_drive_no_rule_is_on_the_unsafe_side_of_what_is_exact(
+def test_no_rule_under_voltage_drive_is_unsafe(
     log_inertia: float, log_damping: float, log_back_emf: float, log_lag: float, scheme: str
 ) -> None:
     mechanics = replace(
@@ -272,8 +270,6 @@ def test_diolaitis_plane_has_four_regions(
     ("scheme", "within"),
     [("dual:20k/2k,cutoff_hz=200", 0.05), ("uniform:2k,cutoff_hz=200", 0.05), ("uniform:20k", 0.21)],
 )
-def test_the_rule_for_the_largest_damping_of_a_rigid_rig_is_near_and_on_the_safe_side(
-    scheme: str, within: float
-) -> None:
+def test_rule_for_the_largest_damping_is_near_and_safe(scheme: str, within: float) -> None:
     rule, exact = theory.rigid_b_max(theory.linear_loop(RIGID, scheme)), theory.b_max(RIGID, scheme).damping
     assert (1 - within) * exact < rule < exact

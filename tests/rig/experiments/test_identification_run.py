@@ -231,7 +231,7 @@ COGS = {
 
 
 @pytest.mark.exhaustive(
-    "tests/rig/analysis/test_identification_cogging.py::test_whatever_harmonics_there_are_come_out_within_the_interval_and_no_others"
+    "tests/rig/analysis/test_identification_cogging.py::test_true_harmonics_and_no_others_come_out_within_the_interval"
 )
 def test_cogging_beyond_the_friction_is_mapped_and_spoils_no_other_parameter(tmp_path: Path) -> None:
     changes = {**INDEXED, **COGS, "controller.position_rate": 6000}
@@ -262,7 +262,7 @@ RIPPLES = {
 
 
 @pytest.mark.exhaustive(
-    "tests/rig/analysis/test_identification_cogging.py::test_whatever_harmonics_there_are_come_out_within_the_interval_and_no_others"
+    "tests/rig/analysis/test_identification_cogging.py::test_true_harmonics_and_no_others_come_out_within_the_interval"
 )
 def test_effort_ripple_is_measured_by_sweeps_with_a_mass_and_stored_in_the_file(tmp_path: Path) -> None:
     changes = {**INDEXED, **RIPPLES, "controller.position_rate": 6000}
