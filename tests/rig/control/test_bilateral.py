@@ -1,7 +1,5 @@
 """The laws of a measurement: a wall on both sides, and the same with an excitation that is played by elapsed ticks."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -37,11 +35,6 @@ def test_a_bilateral_wall_pulls_as_it_pushes(penetration: float, velocity: float
     assert law.state[0] == 0.0, "never clamped"
 
 
-def test_without_stiffness_and_damping_nothing_reacts() -> None:
-    law = laws.get("bilateral").prepare(WALL | {"stiffness": 0.0, "damping": 0.0})
-    assert law.law.function(0.3, -2.0, 1, law.state, law.parameters) == 0.0
-
-
 def test_the_excitation_is_taken_off_the_reaction_and_goes_round() -> None:
     react = excited()
     assert [react() for _ in range(6)] == [-1.0, 2.0, -3.0, -0.5, -1.0, 2.0]
@@ -49,7 +42,7 @@ def test_the_excitation_is_taken_off_the_reaction_and_goes_round() -> None:
     assert react(0.01, 0.2) == pytest.approx(1000.0 * 0.01 + 5.0 * 0.2 - 1.0)
 
 
-def test_on_a_wall_of_the_other_side_the_excitation_still_counts_along_the_position() -> None:
+def test_excitation_acts_along_the_position_on_either_side() -> None:
     """Effort along the position is −side · reaction."""
     for side in (1, -1):
         react = excited(WALL | {"side": side})
@@ -57,9 +50,7 @@ def test_on_a_wall_of_the_other_side_the_excitation_still_counts_along_the_posit
 
 
 @given(st.lists(st.integers(1, 9), min_size=1, max_size=30), st.integers(0, 12))
-def test_samples_that_were_lost_are_skipped_in_the_excitation_too(
-    elapsed: list[int], ramp_ticks: int
-) -> None:
+def test_lost_samples_are_skipped_in_the_excitation(elapsed: list[int], ramp_ticks: int) -> None:
     """The excitation is a function of the tick alone, however many of them the law saw; the first call is tick 0."""
     react = excited(ramp_ticks=ramp_ticks)
     ticks = np.concatenate([[0], np.cumsum(elapsed[1:])]).astype(int)
@@ -69,8 +60,7 @@ def test_samples_that_were_lost_are_skipped_in_the_excitation_too(
     assert [-react(elapsed=n) for n in elapsed] == pytest.approx(whole[ticks].tolist(), abs=1e-12)
 
 
-def test_it_rises_without_a_step() -> None:
-    """The compiled ramp is that of `rig.control.excitation`, from zero to all of it."""
+def test_excitation_rises_without_a_step() -> None:
     table, ticks = np.ones(5), 100
     react = excited(table=table, ramp_ticks=ticks)
     rising = np.array([-react() for _ in range(ticks + 20)])

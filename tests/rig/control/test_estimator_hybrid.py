@@ -1,7 +1,5 @@
 """The hybrid of FOAW and Levant: each alone where the weight says so, both at once in between."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -47,39 +45,6 @@ def test_every_sample_is_the_weighted_mean_of_the_two_that_it_documents() -> Non
     assert hybrid == pytest.approx(weight * foaw + (1 - weight) * levant, rel=1e-12, abs=1e-15)
     assert 0.0 < weight.max() < 1.0
     assert weight.min() == 0.0
-
-
-def test_in_the_impact_it_is_levant_alone() -> None:
-    counts, _ = bounce(resolution=1e-6)
-    _, window, levant, hybrid = both(counts, resolution=1e-6, lipschitz=BOUND)
-    bent = window <= 2
-    assert bent.sum() > 20
-    assert (hybrid[bent] == levant[bent]).all()
-
-
-def test_at_rest_it_does_not_chatter_even_where_levant_does() -> None:
-    """An explicit Levant buzzes at rest for ever; FOAW's long window takes most of it away."""
-    counts = np.full(4000, 100)
-    counts[0] = 0
-    _, _, levant, hybrid = both(counts, lipschitz=BOUND, discretisation="explicit")
-    noise = [np.sqrt(np.mean(v[-1000:] ** 2)) for v in (levant, hybrid)]
-    assert noise[1] < 0.05 * noise[0]
-
-
-@pytest.mark.parametrize("period_s", [1e-3, 5e-4])
-def test_on_a_hit_with_a_coarse_encoder_it_is_better_than_either(period_s: float) -> None:
-    counts, velocity = bounce(period_s)
-    foaw, _, levant, hybrid = both(counts, period_s, lipschitz=21.4)
-    error = [float(np.sqrt(np.mean((v - velocity)[5:] ** 2))) for v in (foaw, levant, hybrid)]
-    assert error[2] < 0.95 * min(error[:2])
-
-
-def test_where_foaw_is_held_back_by_its_window_limit_the_noise_bound_hands_over_to_levant() -> None:
-    """At 50 kHz the longest window is 0.3 ms: FOAW is always 'straight', and three times as noisy as Levant."""
-    counts, velocity = bounce(2e-5)
-    foaw, _, levant, hybrid = both(counts, 2e-5, lipschitz=21.4)
-    error = [float(np.sqrt(np.mean((v - velocity)[500:] ** 2))) for v in (foaw, levant, hybrid)]
-    assert error[1] < error[2] < 0.7 * error[0]
 
 
 def test_the_window_in_the_row_is_that_of_foaw() -> None:

@@ -1,7 +1,5 @@
 """Levant's differentiator: chatter, rest, convergence and error, each against a number that was known before."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -61,24 +59,18 @@ def textbook(position: Any, period_s: Any, bound: Any, gains: Any, scheme: Any) 
     return np.array(out)
 
 
-# --- the family -------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("output", levant.OUTPUTS)
 @pytest.mark.parametrize("scheme", levant.SCHEMES)
 def test_every_scheme_and_output_keeps_the_promises_of_the_family(scheme: Any, output: Any) -> None:
     chatter = 0.01 if scheme == "implicit" else 0.1  # 1.7·α·T against the ramp of 7 counts a period
     check_estimator(
-        levant.ESTIMATOR,
-        {"discretisation": scheme, "output": output},
-        linear=False,
-        ramp_tolerance=chatter,
+        levant.ESTIMATOR, {"discretisation": scheme, "output": output}, linear=False, ramp_tolerance=chatter
     )
 
 
 @pytest.mark.parametrize("gains", ["levant", "hba-sc"])
 @pytest.mark.parametrize("scheme", levant.SCHEMES)
-def test_in_counts_and_periods_it_is_the_textbook_in_si(scheme: Any, gains: str) -> None:
+def test_levant_in_counts_is_the_textbook_in_si(scheme: Any, gains: str) -> None:
     counts = np.cumsum(np.random.default_rng(2).integers(-40, 60, 2000))
     pair = levant_regions.NAMED_GAINS[gains]
     expected = textbook(counts * RESOLUTION, PERIOD, 30.0, pair, scheme)
@@ -87,28 +79,14 @@ def test_in_counts_and_periods_it_is_the_textbook_in_si(scheme: Any, gains: str)
         assert seen == pytest.approx(expected[:, column], abs=1e-6)  # of a count a period, 0.01 m/s
 
 
-@settings(max_examples=50, deadline=None)
-@given(motion=MOTION, scheme=st.sampled_from(levant.SCHEMES), bound=st.sampled_from([0.5, 30.0, 2000.0]))
-def test_four_times_the_motion_under_four_times_the_bound_reads_four_times_the_velocity(
-    motion: Any, scheme: Any, bound: Any
-) -> None:
-    """Exactly: four is a square of a power of two, so that even the root rounds alike."""
-    counts = np.cumsum(motion)
-    one = run(counts, lipschitz=bound, discretisation=scheme)
-    assert (run(4 * counts, lipschitz=4 * bound, discretisation=scheme) == 4 * one).all()
-    assert (run(counts, -RESOLUTION, lipschitz=bound, discretisation=scheme) == -one).all()
-
-
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=40)
 @given(
     motion=MOTION,
     jump=st.integers(-100, 100),
     lost=st.integers(1, 40),
     scheme=st.sampled_from(levant.SCHEMES),
 )
-def test_lost_periods_are_run_through_along_a_straight_line(
-    motion: Any, jump: int, lost: int, scheme: Any
-) -> None:
+def test_lost_periods_follow_a_straight_line(motion: Any, jump: int, lost: int, scheme: Any) -> None:
     counts = [0, *np.cumsum(motion).tolist()]
     whole = [*counts, *(counts[-1] + jump * np.arange(1, lost + 1)).tolist()]
     given = {"lipschitz": 30.0, "discretisation": scheme}
@@ -125,19 +103,15 @@ def test_after_a_gap_too_long_to_run_through_it_starts_anew_on_the_mean_slope() 
     assert prepared.state_f[ERROR] == 0.0
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=40)
 @given(
     counts=st.lists(st.integers(-(2**31), 2**31 - 1), min_size=1, max_size=50),
     bound=st.sampled_from([1e-6, 1.0, 1e9]),
     scheme=st.sampled_from(levant.SCHEMES),
 )
-def test_no_counts_and_no_bound_give_anything_but_a_number(
-    counts: list[int], bound: Any, scheme: Any
-) -> None:
+def test_any_counts_and_bound_give_a_finite_velocity(counts: list[int], bound: Any, scheme: Any) -> None:
     assert np.isfinite(run(counts, lipschitz=bound, discretisation=scheme)).all()
 
-
-# --- chatter ----------------------------------------------------------------------------------------------
 
 CHATTER = [  # gains, scheme, rms and peak of u in α·T: PHYSICS 2c
     ("hba-sc", "explicit", 1.167, 1.665),
@@ -151,11 +125,11 @@ CHATTER = [  # gains, scheme, rms and peak of u in α·T: PHYSICS 2c
     ("period_s", "bound", "offset"), [(1e-3, 6.0, 100), (5e-5, 30.0, 1000), (1e-4, 100.0, 1)]
 )
 @pytest.mark.parametrize(("gains", "scheme", "expected_rms", "peak"), CHATTER)
-def test_an_explicit_scheme_chatters_at_rest_by_a_fixed_number_of_alpha_t(
+def test_explicit_scheme_chatters_by_a_fixed_number_of_alpha_t(
     gains: Any, scheme: Any, expected_rms: Any, peak: Any, period_s: float, bound: float, offset: int
 ) -> None:
     """Whatever T, C and the offset from which it comes: 0.77 N of force at B = 100, C = 6, 1 kHz."""
-    counts = np.full(40_000, offset)
+    counts = np.full(15_000, offset)
     counts[0] = 0
     v = run(counts, RESOLUTION, period_s, lipschitz=bound, gains=gains, discretisation=scheme)[-10_000:]
     unit = 1.1 * bound * period_s
@@ -168,16 +142,16 @@ def test_an_explicit_scheme_chatters_at_rest_by_a_fixed_number_of_alpha_t(
 )
 @pytest.mark.parametrize("gains", ["hba-sc", "levant"])
 @pytest.mark.parametrize("output", levant.OUTPUTS)
-def test_the_implicit_scheme_rests_exactly(
+def test_implicit_scheme_rests_exactly(
     gains: str, output: Any, period_s: float, bound: float, offset: int
 ) -> None:
-    counts = np.full(40_000, offset)
+    counts = np.full(15_000, offset)
     counts[0] = 0
     v = run(counts, RESOLUTION, period_s, lipschitz=bound, gains=gains, output=output)
     assert (v[-1000:] == 0.0).all()
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100)
 @given(
     error=st.floats(-1e6, 1e6),
     u1=st.floats(-1e5, 1e5),
@@ -200,21 +174,6 @@ def test_the_implicit_step_solves_its_inclusion(error: float, u1: float, alpha: 
         assert root**2 == pytest.approx(abs(after), abs=scale * (1 + root / gain))
 
 
-@settings(max_examples=50, deadline=None)
-@given(bends=st.lists(st.integers(-3, 3), min_size=2, max_size=80))
-def test_where_alpha_exceeds_every_bend_of_the_counts_the_implicit_scheme_is_the_finite_difference(
-    bends: list[int],
-) -> None:
-    """So at 1 kHz and 1 µm any C from 2.8 m/s² on leaves a bend of three counts unfiltered."""
-    slopes = np.concatenate([[0], np.cumsum(bends)])
-    counts = np.concatenate([[0], np.cumsum(slopes)])
-    v = run(counts, 1e-6, 1e-3, lipschitz=2.8)
-    assert v[1:] == pytest.approx(np.diff(counts) * 1e-3, rel=1e-12, abs=1e-15)
-
-
-# --- convergence and error --------------------------------------------------------------------------------
-
-
 def sine(period_s: Any, duration_s: float = 1.0, amplitude: float = 0.01, frequency_hz: float = 5.0) -> Any:
     """Position, velocity and largest acceleration (9.87 m/s²) of a swing that starts at full speed."""
     t, w = np.arange(0.0, duration_s, period_s), 2 * math.pi * frequency_hz
@@ -223,9 +182,7 @@ def sine(period_s: Any, duration_s: float = 1.0, amplitude: float = 0.01, freque
 
 @pytest.mark.parametrize("scheme", levant.SCHEMES)
 @pytest.mark.parametrize("gains", ["levant", "hba-sc"])
-def test_without_noise_it_converges_in_finite_time_to_an_error_of_the_order_of_c_t(
-    scheme: Any, gains: str
-) -> None:
+def test_levant_converges_in_finite_time_without_noise(scheme: Any, gains: str) -> None:
     position, velocity, bound = sine(1e-4)
     fine = 1e-12
     v = run(
@@ -234,30 +191,6 @@ def test_without_noise_it_converges_in_finite_time_to_an_error_of_the_order_of_c
     late = np.abs(v - velocity)[5000:]
     assert late.max() < 4 * 1.2 * bound * 1e-4
     assert np.abs(v - velocity)[1] > 0.1  # it did not begin there
-
-
-def test_an_acceleration_above_alpha_is_lost() -> None:
-    position, velocity, bound = sine(1e-4)
-    slow = run(arrays.quantise(position, 1e-9), 1e-9, 1e-4, lipschitz=0.2 * bound)
-    fast = run(arrays.quantise(position, 1e-9), 1e-9, 1e-4, lipschitz=1.2 * bound)
-    assert rms((slow - velocity)[5000:]) > 20 * rms((fast - velocity)[5000:])
-
-
-@pytest.mark.parametrize("scheme", levant.SCHEMES)
-def test_at_a_high_rate_the_error_is_proportional_to_the_root_of_the_noise(scheme: Any) -> None:
-    """Levant 1998: the error is of the order of √(C·N). White noise of a rate so high that the period is no matter."""
-    position, velocity, bound = sine(1e-5)
-    noise = np.random.default_rng(7).uniform(-1.0, 1.0, len(position))
-    errors = []
-    for size in (1e-5, 4e-5, 16e-5):
-        counts = arrays.quantise(position + size * noise, 1e-12)
-        v = run(counts, 1e-12, 1e-5, lipschitz=1.2 * bound, discretisation=scheme, output="u1")
-        errors.append(rms((v - velocity)[len(v) // 2 :]))
-    assert errors[1] / errors[0] == pytest.approx(2.0, rel=0.3)
-    assert errors[2] / errors[1] == pytest.approx(2.0, rel=0.3)
-
-
-# --- gains ------------------------------------------------------------------------------------------------
 
 
 def si_gains(prepared: Any) -> Any:

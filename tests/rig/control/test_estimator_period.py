@@ -1,7 +1,5 @@
 """Velocity from edge times: exact between edges, honest between them, zero where the geometry says so."""
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_right
 from typing import Any
@@ -41,19 +39,15 @@ def steady(speed: float, start: float, samples: int) -> Any:
 
 
 def velocities(prepared: Any, counts: Any, ages: Any, elapsed: Any = None) -> Any:
-    """Velocities in counts per period."""
     steps = np.ones(len(counts), np.int64) if elapsed is None else np.asarray(elapsed, np.int64)
     return (
         run(prepared, np.asarray(counts, np.int64), np.asarray(ages, float), steps)[0] * PERIOD / RESOLUTION
     )
 
 
-# --- steady motion ----------------------------------------------------------------------------------------
-
-
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60)
 @given(speed=SPEED, sign=st.sampled_from((1, -1)), start=st.floats(0, 1), name=st.sampled_from(NAMES))
-def test_a_steady_motion_reads_exactly_to_the_resolution_of_edge_times_at_any_speed(
+def test_steady_motion_reads_to_the_resolution_of_edge_times(
     speed: Any, sign: Any, start: float, name: Any
 ) -> None:
     """From the second edge on. Two edges used lie half a period apart at least, else a count."""
@@ -66,32 +60,12 @@ def test_a_steady_motion_reads_exactly_to_the_resolution_of_edge_times_at_any_sp
     assert not v[: np.flatnonzero(np.diff(counts))[0] + 2].any()
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(speed=st.floats(1.0, 3000.0), start=st.floats(0, 1))
 def test_a_window_of_many_periods_reads_that_much_finer(speed: float, start: float) -> None:
     counts, ages = steady(speed, start, 80)
     v = velocities(prepare("period-frequency", window_s=32 * PERIOD), counts, on_the_wire(ages))
     assert np.abs(v[40:] / speed - 1.0).max() <= CLOCK / (31 * PERIOD)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_steady_motion_is_read_over_lost_periods(name: Any) -> None:
-    elapsed = np.array([1] * 20 + [2, 1, 5, 1, 17, 3, 40, 1])
-    when = np.cumsum(elapsed) - 1
-    counts, ages = steady(3.7, 0.2, when[-1] + 1)
-    v = velocities(prepare(name), counts[when], ages[when], elapsed)
-    assert v[5:] == pytest.approx(3.7, rel=1e-9)
-
-
-@settings(max_examples=50, deadline=None)
-@given(speed=st.floats(0.05, 50.0), start=st.floats(0, 1))
-def test_a_window_of_one_period_is_period_counting(speed: float, start: float) -> None:
-    counts, ages = steady(speed, start, 200)
-    windowed = velocities(prepare("period-frequency", window_s=PERIOD), counts, ages)
-    assert windowed == pytest.approx(velocities(prepare("period"), counts, ages), rel=1e-9)
-
-
-# --- changing motion --------------------------------------------------------------------------------------
 
 
 def edges_of(motion: Any, until_s: float, step_s: float = 1e-6) -> Any:
@@ -173,11 +147,8 @@ def test_a_swinging_handle_is_read_within_the_acceleration_of_half_the_span(freq
 def test_a_handle_that_stops_decays_as_one_over_the_time_since_its_last_edge(name: Any) -> None:
     counts, ages = steady(5.0, 0.0, 20)
     rest = np.arange(1, 200)
-    v = velocities(
-        prepare(name),
-        [*counts, *[counts[-1]] * len(rest)],
-        [*ages, *(ages[-1] + rest * PERIOD)],
-    )[20:]
+    stopped = [*counts, *[counts[-1]] * len(rest)], [*ages, *(ages[-1] + rest * PERIOD)]
+    v = velocities(prepare(name), *stopped)[20:]
     assert v == pytest.approx(1.0 / rest, rel=1e-3)
     assert (v * rest > 1.0).all()  # the bound is the loosest that the clock allows
 
@@ -213,7 +184,7 @@ def test_a_reversal_begins_a_new_window() -> None:
     assert v[43:] == pytest.approx(-10.0, rel=1e-3)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(speed=st.floats(6.0, 40.0), start=st.floats(0, 1))
 def test_uneven_encoder_lines_are_averaged_by_the_window(speed: float, start: float) -> None:
     """Every other boundary 0.2 counts late: the distance is 0.2 counts off at most, over one period or over 32."""
@@ -228,22 +199,7 @@ def test_uneven_encoder_lines_are_averaged_by_the_window(speed: float, start: fl
         assert np.abs(v / speed - 1.0).max() <= 0.2 / (least - 0.2) + 1e-3
 
 
-def test_a_wide_gap_between_lines_looks_like_a_stop_unless_it_is_allowed_for() -> None:
-    """Lines 1.2 counts apart at 6.3 counts a period: the bound of an ideal encoder takes a sixth off the velocity."""
-    position = 6.3 * np.arange(200)
-    count = np.floor(position)
-    count = np.where(count + 0.2 * (count % 2) <= position, count, count - 1)
-    ages = (position - count - 0.2 * (count % 2)) / 6.3 * PERIOD
-    ideal = velocities(prepare("period-frequency", window_s=32 * PERIOD), count, ages)[50:]
-    allowed = velocities(prepare("period-frequency", window_s=32 * PERIOD, unevenness=0.2), count, ages)[50:]
-    assert ideal.min() < 6.3 / 1.15
-    assert allowed == pytest.approx(6.3, rel=2e-3)
-
-
-# --- robustness -------------------------------------------------------------------------------------------
-
-
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40)
 @given(
     data=st.lists(
         st.tuples(
@@ -263,13 +219,13 @@ def test_any_counts_ages_and_gaps_give_a_finite_velocity(data: Any, name: Any) -
     assert prepared.state_i[WINDOW] >= (len(data) > 1)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40)
 @given(
     motion=st.lists(st.integers(-5, 5), min_size=2, max_size=100),
     ages=st.lists(st.floats(0, 2 * PERIOD), min_size=100, max_size=100),
     name=st.sampled_from(NAMES),
 )
-def test_whatever_the_edges_it_never_reads_faster_than_one_count_since_the_last(
+def test_velocity_is_at_most_one_count_since_the_last_edge(
     motion: list[int], ages: list[float], name: Any
 ) -> None:
     ages = np.array(ages[: len(motion)])

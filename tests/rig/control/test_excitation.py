@@ -1,15 +1,11 @@
 """Multisines: phases and sizes from closed forms, peaks that nothing exceeds, numbers for a plan."""
 
-from __future__ import annotations
-
 import json
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.control.excitation import Multisine, ramp
@@ -50,6 +46,7 @@ def test_one_line_has_the_crest_of_a_sine() -> None:
     assert Multisine.schroeder((7.0, 7.0), rms=1.0).crest_factor == pytest.approx(np.sqrt(2.0), rel=1e-6)
 
 
+@settings(max_examples=40)
 @given(
     seed=st.integers(0, 10_000),
     low=st.integers(1, 20),
@@ -57,9 +54,7 @@ def test_one_line_has_the_crest_of_a_sine() -> None:
     spacing=st.integers(1, 4),
     odd=st.booleans(),
 )
-def test_rms_and_peak_are_those_of_a_fine_sampling(
-    seed: int, low: int, width: int, spacing: int, odd: bool
-) -> None:
+def test_rms_and_peak_match_a_fine_sampling(seed: int, low: int, width: int, spacing: int, odd: bool) -> None:
     multisine = Multisine.random((low, low + width + 1), seed=seed, peak=3.0, spacing_lines=spacing, odd=odd)
     fine = multisine.at(np.arange(40_000) / 40_000)
     assert np.abs(fine).max() <= 3.0 * (1 + 1e-3)
@@ -71,14 +66,10 @@ def test_lines_are_what_was_asked_for() -> None:
     assert Multisine.schroeder((1.0, 3.0), 2.0, rms=1.0).lines_hz == pytest.approx([1, 1.5, 2, 2.5, 3])
     assert Multisine.schroeder((2.0, 9.0), rms=1.0, odd=True).lines_hz == pytest.approx([3, 5, 7, 9])
     assert Multisine.schroeder((2.0, 9.0), rms=1.0, spacing_lines=3).lines_hz == pytest.approx([2, 5, 8])
-    assert Multisine.schroeder((2.0, 9.0), rms=1.0, spacing_lines=2, odd=True).lines_hz == pytest.approx(
-        [3, 7]
-    )
-    assert Multisine.schroeder((0.1, 0.3), 10.0, rms=1.0).harmonics.tolist() == [
-        1,
-        2,
-        3,
-    ]  # 0.3 · 10 < 3 in floats
+    odd = Multisine.schroeder((2.0, 9.0), rms=1.0, spacing_lines=2, odd=True)
+    assert odd.lines_hz == pytest.approx([3, 7])
+    rounded = Multisine.schroeder((0.1, 0.3), 10.0, rms=1.0)  # 0.3 · 10 < 3 in floats
+    assert rounded.harmonics.tolist() == [1, 2, 3]
 
 
 def test_a_mass_moves_equally_fast_at_each_line_of_its_spectrum() -> None:
@@ -102,7 +93,7 @@ def test_a_period_is_the_sum_of_cosines_at_its_samples(offset: float) -> None:
     assert multisine.at(0.123) == pytest.approx(multisine.at(0.123 + 3 * 0.5), abs=1e-12)
 
 
-def test_it_fades_in_over_whole_periods_and_is_itself_afterwards() -> None:
+def test_multisine_fades_in_over_whole_periods() -> None:
     multisine = Multisine.schroeder((3.0, 40.0), 0.5, rms=2.0)
     t = np.linspace(-0.5, 2.0, 2501)
     faded = multisine.ramped(t, 2)
@@ -173,13 +164,7 @@ def test_a_plan_refuses_an_impedance_that_nothing_can_be_divided_by() -> None:
         (lambda: Multisine.schroeder((1.0, 50.0), rms=1.0).period(100.0), "cannot be played"),
     ],
 )
-def test_what_cannot_be_meant_is_refused(make: Any, reason: str) -> None:
+def test_invalid_multisine_is_refused(make: Any, reason: str) -> None:
     with pytest.raises(ConfigError, match=reason) as caught:
         make()
     assert caught.value.remedy
-
-
-def test_it_needs_numpy_alone() -> None:
-    code = "import sys, rig.control.excitation; print([m for m in ('scipy', 'numba', 'pydantic') if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"

@@ -1,7 +1,5 @@
 """Friction compensation: it takes friction off a slow hand, and has no way to put energy in."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -14,13 +12,11 @@ from rig import config
 from rig.config import controller, presets
 from rig.control import laws
 from rig.control.friction import DEFAULT_SHARE, Compensation, around, compensated, compensation, dead_band_of
-from rig.control.law import Law
 from rig.control.step import CONTROLLER_TYPE, ControllerArguments, step
 from rig.core.errors import ConfigError
 from rig.core.sample import Phase
 from rig.realtime.groups import group_at, group_bytes
 from rig.realtime.kernel import kernel
-from rig.realtime.plugs import LAW_SIGNATURE
 from rig.testing import Hits
 from sim_backend.mechanics.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
 
@@ -46,7 +42,7 @@ levels = st.floats(0.0, 1.0)
 
 
 @given(velocity=velocities, estimate=velocities, up=levels, down=levels, share=st.floats(0.0, 0.99))
-def test_with_friction_it_takes_power_out_whatever_the_estimator_says(
+def test_compensation_and_friction_dissipate_for_any_estimate(
     velocity: Any, estimate: Any, up: Any, down: Any, share: float
 ) -> None:
     """u·v − level·|v| ≤ −(1 − share)·level·|v|, for the smaller level when the direction is mistaken too."""
@@ -63,7 +59,7 @@ def test_with_friction_it_takes_power_out_whatever_the_estimator_says(
 
 
 @given(velocity=velocities, share=st.floats(0.0, 0.99), level=levels)
-def test_it_is_odd_smooth_and_whole_outside_the_dead_band(velocity: Any, share: float, level: Any) -> None:
+def test_compensation_is_odd_and_smooth(velocity: Any, share: float, level: Any) -> None:
     effort = compensation(velocity, level, level, 0.5, share)
     assert compensation(-velocity, level, level, 0.5, share) == -effort
     assert compensation(0.0, level, level, 0.5, share) == 0.0
@@ -76,10 +72,9 @@ def test_it_is_odd_smooth_and_whole_outside_the_dead_band(velocity: Any, share: 
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    [{"share": 1.0}, {"share": -0.1}, {"dead_band": 0.0}, {"up": -1.0}, {"down": float("nan")}],
+    "wrong", [{"share": 1.0}, {"share": -0.1}, {"dead_band": 0.0}, {"up": -1.0}, {"down": float("nan")}]
 )
-def test_what_could_drive_the_rig_is_refused(wrong: Any) -> None:
+def test_compensation_that_could_drive_the_rig_is_refused(wrong: Any) -> None:
     with pytest.raises(ConfigError):
         Compensation(**{"up": 0.02, "down": 0.02, "dead_band": 0.1, **wrong})
 
@@ -150,11 +145,10 @@ def hand(speed: Any) -> Any:
     return push
 
 
-@pytest.mark.parametrize("speed", [0.4, -0.4])
-def test_a_slow_hand_feels_less_than_half_of_the_friction(free: Any, helped: Any, speed: float) -> None:
-    felt = {}
+def test_a_slow_hand_feels_less_than_half_of_the_friction(free: Any, helped: Any) -> None:
+    felt, speed = {}, -0.4
     for name, law in (("off", free), ("on", helped)):
-        _, _, pushes = bench(law, hand(speed), seconds=0.5)
+        _, _, pushes = bench(law, hand(speed), seconds=0.25)
         felt[name] = abs(pushes[len(pushes) // 2 :].mean())
     viscous = 0.003 * abs(speed)
     assert felt["off"] - viscous == pytest.approx(LEVEL, rel=0.02)
@@ -162,7 +156,7 @@ def test_a_slow_hand_feels_less_than_half_of_the_friction(free: Any, helped: Any
     assert felt["on"] - viscous == pytest.approx((1.0 - DEFAULT_SHARE) * LEVEL, abs=0.1 * LEVEL)
 
 
-def test_it_cannot_drive_the_rig_by_itself(helped: Any) -> None:
+def test_compensation_cannot_drive_the_rig(helped: Any) -> None:
     """Thrown and let go, the handle comes to rest and stays; at rest it is given nothing."""
     states, efforts, _ = bench(helped, lambda time_s, state: 0.0, velocity=2.0, seconds=0.5)
     assert states[-1, 1] == 0.0
@@ -173,16 +167,16 @@ def test_it_cannot_drive_the_rig_by_itself(helped: Any) -> None:
 
 
 @pytest.mark.parametrize("rate", [20_000, 1000])
-def test_on_a_passive_bench_it_injects_nothing(helped: Any, rate: int) -> None:
+def test_compensation_injects_no_net_energy(helped: Any, rate: int) -> None:
     """Excited at random, the motor's work is never above what friction takes: net energy of both ≤ 0 always."""
     rng = np.random.default_rng(5)
-    pushes = np.repeat(rng.normal(0.0, 0.05, 200), rate // 100)
+    pushes = np.repeat(rng.normal(0.0, 0.05, 50), rate // 100)
     changes = {"controller.position_rate": rate, "controller.velocity_rate": min(rate, 2000),
                "controller.parameters.cutoff_hz": 0.1 * min(rate, 2000)}  # fmt: skip
     states, efforts, _ = bench(
         helped,
         lambda time_s, state: float(pushes[min(int(time_s * rate), len(pushes) - 1)]),
-        seconds=1.0,
+        seconds=0.5,
         changes=changes,
     )
     way = np.diff(states[:, 0])
@@ -209,7 +203,7 @@ def test_the_wall_stays_the_wall_and_each_direction_has_its_level(free: Any) -> 
             assert prepared.state[0] == plain.state[0], "the mark of a clamped wall passes"
 
 
-def test_it_is_off_by_default_and_recorded_when_on(rig_hit: Hits, free: Any) -> None:
+def test_compensation_is_off_by_default_and_recorded_when_on(rig_hit: Hits, free: Any) -> None:
     experiment = config.override(
         config.with_realtime(presets.load("koul-rigid")), {"trial.duration_s": 0.3, "verdict.tail_s": 0.1}
     )
@@ -234,35 +228,17 @@ def test_a_replay_needs_only_the_wrapper(free: Any) -> None:
     assert again.function(1e-3, 0.05, 1, state, law.parameters) == expected
 
 
-def test_a_third_party_law_can_be_compensated() -> None:
-    @kernel(LAW_SIGNATURE, cache=False)
-    def nothing(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
-        return parameters[0]
-
-    law = compensated(
-        Law("mine", "a constant", nothing, 1, lambda wall: [7.0]),
-        Compensation(up=1.0, down=1.0, dead_band=0.1, share=0.5),
-    ).prepare({"side": 1})
-    assert law.law.function(0.0, 1.0, 1, law.state, law.parameters) == pytest.approx(6.5)
-
-
 @pytest.mark.parametrize("name", ["traced", "nudges", "spring-damper+friction", "excited+friction"])
 def test_the_laws_of_an_identification_are_found_by_the_names_in_its_recordings(name: str) -> None:
     assert laws.get(name).name == name
 
 
-def test_an_experiment_asks_for_compensation_by_a_share_and_gets_it_in_its_trial(rig_hit: Hits) -> None:
-    """A hand-free push below friction moves a rig whose motor takes most of that friction over, and no other."""
-    base = {"trial.effort": 1.0, "wall.stiffness": 1000.0, "trial.duration_s": 0.5, "verdict.tail_s": 0.2}
-    plain = config.override(presets.load("chawda-linear"), base)
-    helped = config.override(plain, {"controller.friction_compensation": 0.8})
+def test_experiment_configures_compensation_by_a_share() -> None:
+    helped = config.override(presets.load("chawda-linear"), {"controller.friction_compensation": 0.8})
     law = controller.for_experiment(helped, current_quantum_a=0.001).law
     assert law.law.name == "spring-damper+friction"
     quantum = helped.rig.encoder.resolution
     assert law.parameters[:4].tolist() == pytest.approx([0.19, 0.19, dead_band_of(quantum, 1000, 100.0), 0.8])
-    truths = [rig_hit(experiment).verdict_true for experiment in (plain, helped)]
-    speeds = [truth.impact_velocity or 0.0 for truth in truths if truth is not None]
-    assert speeds[1] > 1.02 * speeds[0], "less friction, faster at the wall"
 
 
 def test_on_two_masses_only_the_motor_sides_friction_is_taken_over() -> None:

@@ -1,13 +1,11 @@
 """Where Levant's differentiator converges: the printed tables, the two proofs, and the computed worst case."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.optimize import brentq
@@ -24,14 +22,13 @@ def test_the_boundaries_are_those_of_the_table() -> None:
     assert [regions.hba_mu1(m) for m in MU2] == pytest.approx(HBA, rel=5e-4)
 
 
-def test_they_cross_at_3_2656_2_7443() -> None:
+def test_boundaries_cross_at_3_2656_2_7443() -> None:
     mu1, mu2 = regions.crossing()
     assert (mu1, mu2) == pytest.approx((3.2656, 2.7443), abs=5e-5)
     assert regions.hba_mu1(mu2) == pytest.approx(regions.lfba_mu1(mu2), rel=1e-12)
     assert mu2 == pytest.approx(brentq(lambda m: regions.hba_mu1(m) - regions.lfba_mu1(m), 2.1, 5.0))
 
 
-@settings(deadline=None)
 @given(mu1=st.floats(0.5, 20.0), mu2=st.floats(0.05, 20.0), bound=st.floats(0.01, 1e3))
 def test_the_regions_are_the_papers_inequalities_for_every_c(mu1: float, mu2: float, bound: float) -> None:
     """Equations (10) and (14) as printed, in α, λ and C: the regions must not depend on C."""
@@ -43,25 +40,6 @@ def test_the_regions_are_the_papers_inequalities_for_every_c(mu1: float, mu2: fl
         assert regions.in_hba(mu1, mu2) == hba
     if abs(mu1 - regions.lfba_mu1(mu2)) > edge * mu1:
         assert regions.in_lfba(mu1, mu2) == lfba
-
-
-@settings(max_examples=300, deadline=None)
-@given(mu1=st.floats(0.5, 20.0), mu2=st.floats(0.05, 20.0), bound=st.floats(0.1, 100.0))
-def test_lfba_holds_exactly_where_the_derivative_of_its_lyapunov_function_is_negative(
-    mu1: float, mu2: float, bound: float
-) -> None:
-    """V̇ ≤ −|x1|^−½·(λ/2)·ζᵀQζ: Q is positive definite iff (14) holds, and P is that of (13)."""
-    alpha, gain = mu1 * bound, mu2 * math.sqrt(bound)
-    q = np.array(
-        [[2 * alpha + gain**2 - 2 * bound, -(gain + 2 * bound / gain)], [-(gain + 2 * bound / gain), 1.0]]
-    )
-    if abs(np.linalg.det(q)) > 1e-9 * abs(q).max():
-        assert bool((np.linalg.eigvalsh(q) > 0).all()) == regions.in_lfba(mu1, mu2)
-    p = 0.5 * np.array([[4 * alpha + gain**2, -gain], [-gain, 2.0]])
-    root, x2 = 0.7, -1.3  # |x1|^½ with x1 > 0
-    zeta = np.array([root, x2])
-    v = 2 * alpha * root**2 + 0.5 * x2**2 + 0.5 * (gain * root - x2) ** 2
-    assert zeta @ p @ zeta == pytest.approx(v, rel=1e-12)
 
 
 def test_levants_own_pair_lies_in_neither_region_but_converges() -> None:
@@ -101,9 +79,7 @@ def bang_bang(mu1: float, mu2: float, switch: float) -> float:
 
 
 @pytest.mark.parametrize(("mu1", "mu2"), [(1.1, 1.0), (1.1, 1.5), (2.0, 1.0), (3.0, 0.6)])
-def test_no_bang_bang_disturbance_does_worse_than_the_computed_one_and_the_best_of_them_equals_it(
-    mu1: float, mu2: float
-) -> None:
+def test_no_bang_bang_disturbance_is_worse_than_the_computed_one(mu1: float, mu2: float) -> None:
     computed = regions.half_cycle_contraction(mu1, mu2)
     tried = max(bang_bang(mu1, mu2, switch) for switch in np.linspace(-0.5, 3.0, 36))
     assert tried <= computed * (1 + 1e-5)

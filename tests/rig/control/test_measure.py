@@ -1,7 +1,5 @@
 """The compiled numbers of a trial against scipy, numpy, closed forms, and trials of the simulated rig."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, replace
 from typing import Any
@@ -47,11 +45,6 @@ def recorded(
     return meter(limits, 1.0 / rate, resolution).recorded(position, effort, position, flags)
 
 
-def true(position: Any, velocity: Any, effort: Any) -> Any:
-    flags = np.zeros(len(position), np.int64)
-    return meter(LIMITS, 1.0 / RATE, DELTA).true(position, velocity, effort, position, flags)
-
-
 def rms(signal: Any) -> Any:
     return math.sqrt(np.mean(np.square(signal)))
 
@@ -80,10 +73,7 @@ def counts(position: Any, offset: float = 0.3) -> Any:
     return np.floor(position / DELTA + offset) * DELTA
 
 
-# --- filters ----------------------------------------------------------------------------------------------
-
-
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25)
 @given(
     ticks=st.integers(8, 700),
     rate=st.sampled_from([1_000, 2_000, 20_000]),
@@ -124,26 +114,12 @@ def test_the_lead_in_stands_for_the_whole_trial(seed: int) -> None:
         assert numbers[name] == pytest.approx(value, rel=1e-6), name
 
 
-def test_what_a_filter_still_remembers_of_the_trial_before_the_lead_in_is_a_billionth() -> None:
-    """A step of 1 before the lead-in and nothing since: the whole trial remembers it, the lead-in does not."""
-    lead_s = filters(1.0 / RATE, 30.0, 500.0).lead_ticks / RATE
-    step = np.where(0.599 - lead_s > TIME, 0.0, 1.0)
-    whole = by_scipy(step, step, step, RATE)
-    numbers = true(step, step, step)
-    for name in ("felt", "heard", "moved"):
-        assert numbers[name] == 0.0
-        assert whole[name] < 1e-9, name
-
-
 def test_a_constant_leaves_no_ripple_at_all() -> None:
     numbers = recorded(np.full(RATE, 1.234e-3), effort=np.full(RATE, 0.7), resolution=0.0)
     assert [numbers[name] for name in ("felt", "heard", "moved", "growth", "felt_floor")] == [0.0] * 5
 
 
-# --- selection and fits -----------------------------------------------------------------------------------
-
-
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=60)
 @given(values=st.lists(st.sampled_from([-2.0, 0.0, 0.5, 1e-9, 7.0]) | st.floats(-1e9, 1e9), min_size=1))
 def test_the_median_is_that_of_numpy(values: Any) -> None:
     assert median(np.array(values), len(values)) == np.median(values)
@@ -163,7 +139,7 @@ def test_the_median_ends_for_every_order_of_values(shape: str) -> None:
     assert math.isnan(np.median(values)) or middle == np.median(values)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=25)
 @given(contact=st.integers(4, 300), seed=st.integers(0, 2**32 - 1))
 def test_the_velocity_at_impact_is_that_of_the_parabola_with_least_squares(contact: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -178,9 +154,6 @@ def test_the_velocity_at_impact_is_that_of_the_parabola_with_least_squares(conta
     assert numbers["impact_velocity"] == pytest.approx(fitted, rel=1e-7)
 
 
-# --- the encoder's floor ----------------------------------------------------------------------------------
-
-
 def square(hz: Any, duty: float = 0.5) -> Any:
     return DELTA * (10 + ((hz * TIME + 0.123) % 1.0 < duty))
 
@@ -193,7 +166,6 @@ def jittered(hz: Any, jitter: Any, seed: int = 0) -> Any:
 
 
 def telegraph(changes_per_s: Any, seed: int = 0) -> Any:
-    """A count that changes at random, without any period."""
     return DELTA * (np.cumsum(np.random.default_rng(seed).random(RATE) < changes_per_s / RATE) % 2)
 
 
@@ -205,15 +177,8 @@ def floor_at(hz: Any) -> Any:
     return toggling_floor(hz, DELTA, LIMITS.highpass_hz, LIMITS.lowpass_hz)
 
 
-def dominant_hz(position: Any) -> Any:
-    """Highest line in the spectrum of the tail, the other definition of the frequency of a toggling."""
-    highpass = butter(2, 30.0, "highpass", fs=RATE, output="sos")
-    tail = sosfilt(highpass, position - position[0])[-8_000:]
-    return np.argmax(np.abs(np.fft.rfft(tail * np.hanning(8_000)))) * RATE / 8_000
-
-
-def told_hz(position: Any) -> Any:
-    """Frequency that the floor was told of, where no harmonic is left in the band."""
+def floor_hz(position: Any) -> Any:
+    """Return the frequency of the floor, where no harmonic lies in the band."""
     one_line = replace(LIMITS, highpass_hz=30.0, lowpass_hz=31.0)
     numbers = recorded(position, limits=one_line)
     return numbers["felt_floor"] / (2.0 * math.sqrt(2.0) * DELTA)
@@ -228,34 +193,6 @@ def test_the_floor_of_a_frequency_sums_the_harmonics_in_the_band_in_power() -> N
     assert floor_at(0.0) == 0.0
 
 
-@pytest.mark.parametrize("hz", [35, 60, 100, 151, 240, 400])
-def test_for_whatever_has_a_period_in_the_band_it_is_the_highest_line_of_the_spectrum(hz: int) -> None:
-    sine = 7.3 * DELTA * np.sin(2 * np.pi * hz * TIME)
-    for position in (square(hz), square(hz, 0.3), square(hz, 0.7), jittered(hz, 0.05), counts(sine)):
-        assert told_hz(position) == pytest.approx(
-            dominant_hz(position), abs=3.75
-        )  # its lines are 2.5 Hz apart
-
-
-def away(floor: Any, reading: Any) -> Any:
-    return abs(math.log(floor / reading))
-
-
-def test_where_it_differs_from_the_highest_line_it_is_nearer_to_what_the_count_reads() -> None:
-    """Toggling below the high pass, a short burst, a creeping count."""
-    burst = DELTA * ((np.sin(2 * np.pi * 200 * TIME) > 0) & (TIME > 0.7) & (TIME < 0.74))
-    for position in (square(10), burst, counts(30 * DELTA * TIME), counts(100 * DELTA * TIME)):
-        reading = recorded(position)["felt"]
-        assert away(floor_of(position), reading) < away(floor_at(dominant_hz(position)), reading)
-
-
-@pytest.mark.parametrize("changes_per_s", [20, 60, 150])
-def test_without_a_period_the_rate_of_changes_tells_what_the_count_reads(changes_per_s: int) -> None:
-    for seed in range(8):
-        position = telegraph(changes_per_s, seed)
-        assert away(floor_of(position), recorded(position)["felt"]) < 0.3
-
-
 @pytest.mark.parametrize(
     "position",
     [
@@ -265,9 +202,7 @@ def test_without_a_period_the_rate_of_changes_tells_what_the_count_reads(changes
         *(counts(rate * DELTA * TIME) for rate in (10, 30, 50, 70, 110, 200, 400, 550)),
     ],
 )
-def test_one_count_that_changes_without_a_motion_in_the_band_reads_no_more_than_its_floor(
-    position: Any,
-) -> None:
+def test_one_changing_count_reads_no_more_than_its_floor(position: Any) -> None:
     """A tenth more where a harmonic lies just above the band, which lets it through in part (510 Hz of 170)."""
     numbers = recorded(position)
     assert numbers["felt"] < 1.12 * numbers["felt_floor"]
@@ -284,18 +219,12 @@ def test_a_slow_press_on_a_soft_wall_is_never_called_felt(stiffness: int) -> Non
 
 @pytest.mark.parametrize("hz", [33.0, 40.0, 60.0, 150.0])
 @pytest.mark.parametrize("amplitude", [3.0, 10.0, 40.0])
-def test_an_oscillation_over_many_counts_has_the_floor_of_its_own_frequency(
-    hz: float, amplitude: float
-) -> None:
-    """Not of the many counts that it crosses on its way."""
+def test_oscillation_over_many_counts_has_its_own_floor(hz: float, amplitude: float) -> None:
     position = counts(amplitude * DELTA * np.sin(2 * np.pi * hz * TIME))
-    assert told_hz(position) == pytest.approx(hz, abs=1.3)  # one change more or less in 0.4 s
+    assert floor_hz(position) == pytest.approx(hz, abs=1.3)  # one change more or less in 0.4 s
 
 
-# --- the meter --------------------------------------------------------------------------------------------
-
-
-def test_columns_of_a_bigger_array_give_the_same_bits_as_copies_and_nothing_is_written_to_them() -> None:
+def test_columns_of_a_larger_array_give_the_same_bits() -> None:
     """As a sweep has them: columns of the states of a trial."""
     position = 1e-2 * impact(1)
     states = np.stack([position, np.gradient(position, 1.0 / RATE), impact(2), position], axis=1)
@@ -334,11 +263,8 @@ def test_flags_are_counted_in_the_trial_and_in_its_tail() -> None:
     assert not any(OVERRULED & flag for flag in RowFlag)
 
 
-@given(
-    contact=st.integers(0, 120),
-    drawn=st.binary(min_size=100, max_size=100),
-)
-def test_what_was_lost_is_counted_in_all_and_from_the_first_contact_on(contact: int, drawn: bytes) -> None:
+@given(contact=st.integers(0, 120), drawn=st.binary(min_size=100, max_size=100))
+def test_lost_samples_are_counted_in_all_and_from_the_contact_on(contact: int, drawn: bytes) -> None:
     each = np.frombuffer(drawn, np.uint8).astype(np.int64)
     lost, late = each & 3, each >> 2 & 1
     flags = (lost << LOST_BITS) | int(RowFlag.LATE) * late | OVERRULED
@@ -376,7 +302,7 @@ def test_measuring_allocates_nothing() -> None:
 
 def test_filters_are_designed_once_for_a_rate() -> None:
     assert filters(1e-3, 30.0, 500.0) is filters(1e-3, 30.0, 500.0)
-    assert asdict(LIMITS)["lowpass_hz"] >= 0.45 * 1_000.0  # dropped: what is left passes 400 Hz
+    assert asdict(LIMITS)["lowpass_hz"] >= 0.45 * 1_000.0  # dropped: the high pass passes 400 Hz
     tone = np.sin(2 * np.pi * 400.0 * np.arange(1_000) * 1e-3)
     numbers = meter(LIMITS, 1e-3, 0.0).recorded(tone, tone, tone, np.zeros(1_000, np.int64), tone)
     assert numbers["felt"] == pytest.approx(math.sqrt(0.5), rel=0.01)

@@ -3,8 +3,6 @@
 A remedy of a message is applied here as it is printed: it must give the true speed.
 """
 
-from __future__ import annotations
-
 import decimal
 from typing import Any
 
@@ -27,9 +25,6 @@ TIMES = 12.5 + DT * np.arange(40)
 
 def speeds(counts: Any, **given: Any) -> np.ndarray:
     return estimate("fdm", counts, DT, resolution=DELTA, **given)[1:]
-
-
-# --- whole numbers ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -79,9 +74,7 @@ def apply(remedy: str, **names: Any) -> dict[str, Any]:
 @pytest.mark.parametrize("kind", MISSING)
 @pytest.mark.parametrize("gaps", [False, True])
 @pytest.mark.parametrize("edges", [False, True])
-def test_missing_counts_are_lost_samples_and_the_remedy_gives_the_true_speed(
-    kind: str, gaps: bool, edges: bool
-) -> None:
+def test_missing_counts_are_lost_samples_by_the_remedy(kind: str, gaps: bool, edges: bool) -> None:
     steps = np.where(np.arange(40) % 5 == 3, 4, 1)
     true = COUNTS if not gaps else SPEED * (np.cumsum(steps) - 1)
     counts = MISSING[kind]
@@ -121,7 +114,7 @@ WRONG_COUNTS = {
 
 
 @pytest.mark.parametrize("case", WRONG_COUNTS)
-def test_what_is_no_count_is_refused(case: str) -> None:
+def test_value_that_is_not_a_count_is_refused(case: str) -> None:
     counts, message, remedy = WRONG_COUNTS[case]
     with pytest.raises(ConfigError, match=message) as caught:
         speeds(counts)
@@ -169,14 +162,9 @@ def test_elapsed_is_made_of_times_as_the_remedy_says(case: str, wrap: Any) -> No
     assert speeds(COUNTS[kept], **given) == pytest.approx(TRUE)
 
 
-# --- counters that wrap -----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", estimators.names())
 @pytest.mark.parametrize(("width", "signed"), [(8, False), (12, False), (12, True), (16, True), (32, True)])
-def test_a_counter_of_any_width_gives_the_same_velocity_as_one_that_never_wraps(
-    name: str, width: int, signed: bool
-) -> None:
+def test_counter_of_any_width_gives_the_same_velocity(name: str, width: int, signed: bool) -> None:
     k = np.arange(3000)
     true = np.round(9e4 / (2 * np.pi) * np.sin(2 * np.pi * k / 3000 * 2)).astype(np.int64)
     true = true if width > 8 else true // 4
@@ -190,9 +178,7 @@ def test_a_counter_of_any_width_gives_the_same_velocity_as_one_that_never_wraps(
 
 @pytest.mark.parametrize("period", [2**8, 2**12, 4000, 2**16])
 @pytest.mark.parametrize("lost", [False, True])
-def test_a_wrap_without_a_width_is_reported_and_its_remedy_gives_the_true_speed(
-    period: int, lost: bool
-) -> None:
+def test_wrap_without_a_width_is_reported_with_a_remedy(period: int, lost: bool) -> None:
     true = SPEED * np.arange(2 * period // SPEED)
     kept = np.arange(len(true)) if not lost else np.flatnonzero(np.arange(len(true)) % 7 != 3)
     elapsed = np.diff(kept, prepend=-1)
@@ -215,7 +201,7 @@ def test_a_jump_that_is_real_is_stated_by_the_width() -> None:
 
 @pytest.mark.parametrize("width", [8, 12, 16])
 def test_a_motion_too_fast_for_its_counter_is_reported(width: int) -> None:
-    """Up to half of the range in a period is told from its opposite; beyond it the sign is a guess."""
+    """Beyond half of the range in a period the sign is a guess."""
     half = 2 ** (width - 1)
     steps = np.linspace(0, 1.3 * half, 60).astype(np.int64)
     counts = np.cumsum(steps) % 2**width
@@ -257,9 +243,7 @@ def test_a_width_that_cannot_be_is_refused(counts: Any, width: Any, message: str
     start=st.integers(-(2**31), 2**31),
     width=st.integers(10, 32),
 )
-def test_unwrapping_finds_every_motion_below_a_quarter_of_the_range(
-    steps: list[int], start: int, width: int
-) -> None:
+def test_unwrapping_finds_every_slow_motion(steps: list[int], start: int, width: int) -> None:
     true = start + np.cumsum(steps)
     found = speeds(true % 2**width, width=width)
     assert found == pytest.approx(np.diff(true) * DELTA / DT, abs=1e-9)

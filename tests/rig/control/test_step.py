@@ -1,7 +1,5 @@
 """One tick of the law: its order, its two rates, its phases, its cuts, and what a handle feels of it."""
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -98,33 +96,27 @@ def estimator_of(function: Any) -> Any:
 
 
 @kernel(LAW_SIGNATURE)
-def not_a_number(
-    penetration: Any, penetration_velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any
-) -> Any:
+def not_a_number(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     return math.nan if penetration > 0.0 else 0.0
 
 
 @kernel(LAW_SIGNATURE)
-def infinite(
-    penetration: Any, penetration_velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any
-) -> Any:
+def infinite(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     return -math.inf if penetration > 0.0 else 0.0
 
 
 @kernel(LAW_SIGNATURE)
-def raises(
-    penetration: Any, penetration_velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any
-) -> Any:
+def raises(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     if penetration > 0.0:
         raise ValueError("my law has a bug")
     return 0.0
 
 
 @kernel(LAW_SIGNATURE)
-def spy(penetration: Any, penetration_velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
-    """Remember what the law was given, behind the word that marks clamping."""
+def spy(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
+    """Store the arguments behind the word that marks clamping."""
     state[1] = penetration
-    state[2] = penetration_velocity
+    state[2] = velocity
     state[3] = elapsed_ticks
     return 0.0
 
@@ -133,7 +125,7 @@ def spy(penetration: Any, penetration_velocity: Any, elapsed_ticks: Any, state: 
 def recorder(
     count: Any, edge_age_s: Any, elapsed_ticks: Any, state_f: Any, state_i: Any, parameters: Any
 ) -> Any:
-    """Remember what the estimator was given; return the number of its calls."""
+    """Store the arguments; return the number of calls."""
     state_i[0] += 1
     state_i[1] = count
     state_i[2] = elapsed_ticks
@@ -150,29 +142,18 @@ def blind(
 # --- 1, 2: position and penetration -----------------------------------------------------------------------
 
 
-@settings(deadline=None)
 @given(
     count=st.integers(-(10**6) + 1, 10**6 - 1),
     reference=st.integers(-(2**20), 2**20),
     side=st.sampled_from([-1.0, 1.0]),
     wall=st.floats(-0.5, 0.5),
 )
-def test_penetration_is_side_times_distance_without_half_count_corrections(
-    count: int, reference: int, side: Any, wall: float
-) -> None:
+def test_penetration_is_side_times_distance(count: int, reference: int, side: Any, wall: float) -> None:
     tick = Tick(reference_count=reference, wall_side=side, wall_position=wall)
     tick(count + reference)
     assert tick.position == count * DELTA
     assert tick.penetration == side * (count * DELTA - wall)
     assert tick.has(RowFlag.INSIDE) == (tick.penetration > 0.0)
-
-
-def test_on_its_surface_a_wall_is_not_touched() -> None:
-    tick = Tick(wall={"stiffness": 1e4})
-    assert tick(0) == 0
-    assert not tick.has(RowFlag.INSIDE)
-    assert tick(1) == -1  # one count, 1 µm: 10 mN = one quantum, against the motion
-    assert tick.has(RowFlag.INSIDE)
 
 
 def test_an_encoder_that_counts_backwards_changes_nothing_but_the_counts() -> None:
@@ -197,18 +178,7 @@ def test_a_wall_on_the_other_side_is_the_mirror_image() -> None:
 # --- 3: two rates -----------------------------------------------------------------------------------------
 
 
-def test_the_velocity_is_updated_every_nth_tick_and_held_between() -> None:
-    tick = Tick(velocity_divider=10, estimator=estimator_of(recorder))
-    seen = []
-    for k in range(40):
-        tick(7 * k)
-        seen.append((tick.has(RowFlag.VELOCITY_UPDATED), tick.velocity))
-    assert [updated for updated, _ in seen] == [k % 10 == 0 for k in range(40)]
-    assert [velocity for _, velocity in seen] == [1.0 + k // 10 for k in range(40)]
-
-
 def test_the_wall_sees_this_ticks_position_and_the_held_velocity() -> None:
-    """That is the whole of dual-rate rendering."""
     tick = Tick(velocity_divider=4, law=law_of(spy))
     state = tick.controller.law.state
     for k in range(12):
@@ -222,11 +192,9 @@ def test_the_wall_sees_this_ticks_position_and_the_held_velocity() -> None:
             assert velocity == pytest.approx(slope, rel=1e-12)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40)
 @given(divider=st.integers(1, 12), gaps=st.lists(st.integers(1, 40), min_size=1, max_size=40))
-def test_over_gaps_the_estimator_runs_when_a_new_velocity_period_began_and_knows_how_many(
-    divider: int, gaps: list[int]
-) -> None:
+def test_estimator_runs_once_per_new_velocity_period(divider: int, gaps: list[int]) -> None:
     tick = Tick(velocity_divider=divider, estimator=estimator_of(recorder))
     seen = tick.controller.estimator.state_i
     index, period, calls = -1, -1, 0
@@ -243,7 +211,7 @@ def test_over_gaps_the_estimator_runs_when_a_new_velocity_period_began_and_knows
         assert seen[0] == calls
 
 
-def test_the_law_is_told_how_many_ticks_passed() -> None:
+def test_law_receives_the_elapsed_ticks() -> None:
     tick = Tick(law=law_of(spy))
     tick(0)
     tick(0, 6)
@@ -291,11 +259,9 @@ def test_an_exception_in_a_users_law_reaches_the_caller_as_itself() -> None:
 # --- 6, 7: the guard --------------------------------------------------------------------------------------
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40)
 @given(effort=st.floats(-150.0, 150.0), quantum=st.floats(0.01, 2.0))
-def test_what_is_sent_is_a_whole_number_of_quanta_within_half_of_the_limited_sum(
-    effort: float, quantum: float
-) -> None:
+def test_sent_effort_is_the_limited_sum_in_whole_quanta(effort: float, quantum: float) -> None:
     tick = Tick(constant_effort=effort, effort_quantum=quantum)
     quanta = tick(-1)
     assert tick.current_sent == quanta
@@ -402,7 +368,7 @@ def test_in_free_space_nothing_pushes_and_the_trial_begins_after_it() -> None:
     assert sent == [*[0.0] * 5, 20.0]
 
 
-def test_who_moves_before_the_cue_has_no_trial() -> None:
+def test_person_who_moves_before_the_cue_has_no_trial() -> None:
     tick = Tick(**FREE, **STAY)
     phases(tick, 3)
     assert [tick(100) for _ in range(1)] == [0]
@@ -455,15 +421,8 @@ def test_the_wall_stands_during_the_release_and_fades_with_the_push() -> None:
         tick(15_000)
         balance.append((tick.effort_wall, tick.effort_sent))
     assert balance[1:] == [(15.0, 5.0), (15.0, 5.0), (15.0, 3.75), (15.0, 2.5), (15.0, 1.25)]
-
-
-def test_the_push_is_released_by_a_ramp() -> None:
-    tick = Tick(skip_homing=False, constant_effort=20.0, trial_ticks=2, release_ticks=4)
-    sent = []
-    for _ in range(9):
-        tick(-1)
-        sent.append(tick.effort_sent)
-    assert sent == [0.0, 20.0, 20.0, 20.0, 15.0, 10.0, 5.0, 0.0, 0.0]
+    for _ in range(2):
+        assert tick(15_000) == 0
 
 
 def test_a_release_of_no_length_ends_at_zero_and_not_in_a_division() -> None:
@@ -578,16 +537,6 @@ def test_a_20_newton_push_rests_20_mm_inside_a_1_kn_per_metre_wall(estimator: An
     assert efforts[-1] == pytest.approx(0.0, abs=2e-3)
     assert positions.max() > 0.0204  # it overshot: the wall is springy
     assert np.ptp(positions[-200:]) < 2 * DELTA
-
-
-def test_damping_makes_the_first_peak_lower_and_the_ringing_shorter() -> None:
-    peaks = {}
-    for damping in (0.0, 10.0):
-        tick = Tick(constant_effort=20.0, effort_quantum=1e-4, wall={"stiffness": 1e3, "damping": damping})
-        positions, _ = press(tick, seconds=0.6, friction=2.0)
-        peaks[damping] = positions.max(), np.ptp(positions[-150:])
-    assert peaks[10.0][0] < 0.95 * peaks[0.0][0]
-    assert peaks[10.0][1] < 0.1 * peaks[0.0][1]
 
 
 # --- saved and continued ----------------------------------------------------------------------------------

@@ -1,11 +1,7 @@
 """The verdict of a hit, on signals whose answer is known in closed form."""
 
-from __future__ import annotations
-
 import json
 import math
-import subprocess
-import sys
 from collections import Counter
 from dataclasses import replace
 from typing import Any
@@ -17,18 +13,7 @@ from hypothesis import strategies as st
 
 from rig.control._measure import NUMBERS
 from rig.control.judging import TrialSignals, judge, meter, recorded_signals, true_signals
-from rig.control.verdict import (
-    CRITERIA,
-    INVALID,
-    KINDS,
-    MACHINE,
-    Kind,
-    Measured,
-    Objection,
-    Thresholds,
-    decide,
-    kinds,
-)
+from rig.control.verdict import CRITERIA, KINDS, Kind, Measured, Thresholds, decide, kinds
 from rig.core.present import plain
 from rig.core.sample import ROW, TRUTH_COLUMNS, Phase, RowFlag
 
@@ -61,7 +46,7 @@ def signals(
     penetration: Any = None,
     **flags: Any,
 ) -> TrialSignals:
-    """A trial of 1 s against a wall at zero; without anything else said a calm one."""
+    """Return a trial of 1 s against a wall at zero, calm by default."""
     position = np.asarray(position, dtype=float)
     nothing = np.zeros(len(position), bool)
     quiet = dict.fromkeys(("saturated", "late", "slew_bound", "overruled"), nothing)
@@ -92,7 +77,8 @@ def ripple(amplitude: float, hz: float = 100.0) -> np.ndarray:
     return amplitude * np.sin(2 * np.pi * hz * TIME)
 
 
-# --- each kind --------------------------------------------------------------------------------------------
+def toggling(hz: float) -> np.ndarray:
+    return DELTA * (10 + (np.sin(2 * np.pi * hz * TIME + 0.3) > 0))
 
 
 def test_a_handle_at_rest_in_the_wall_is_stable() -> None:
@@ -111,6 +97,7 @@ def test_a_hit_that_rings_down_before_the_tail_is_stable() -> None:
 def test_a_lasting_oscillation_inside_the_wall_is_a_limit_cycle() -> None:
     verdict = judge(signals(5e-3 + ripple(2e-3), effort=ripple(0.5)), LIMITS)
     assert verdict.kind is Kind.LIMIT_CYCLE
+    assert verdict.settling_s is None
     assert [reason.split()[0] for reason in verdict.reasons] == ["felt", "heard", "moved"]
 
 
@@ -120,11 +107,6 @@ def test_a_growing_oscillation_is_unstable() -> None:
     assert verdict.kind is Kind.UNSTABLE
     assert verdict.growth == pytest.approx(math.exp(0.2 / 0.3), rel=0.02)
     assert verdict.reasons[0].startswith("ripple grows 1.9")
-
-
-def test_growth_of_something_nobody_notices_is_no_instability() -> None:
-    grown = np.exp((TIME - 1.0) / 0.3)
-    assert judge(signals(REST, effort=grown * ripple(0.1)), LIMITS).kind is Kind.STABLE
 
 
 def test_a_handle_that_leaves_the_wall_in_the_tail_is_unstable() -> None:
@@ -155,9 +137,7 @@ def withdrawn(at: float, speed: float = 3.0, depth: float = 1e-3) -> np.ndarray:
 
 @pytest.mark.parametrize("at", [0.82, 0.9, 0.97])
 @pytest.mark.parametrize(("speed", "stiffness"), [(0.3, 200.0), (3.0, 200.0), (10.0, 800.0)])
-def test_a_person_who_leaves_a_calm_wall_says_nothing_of_it(
-    at: float, speed: float, stiffness: float
-) -> None:
+def test_person_who_leaves_a_calm_wall_gives_no_verdict(at: float, speed: float, stiffness: float) -> None:
     position = withdrawn(at, speed)
     s = signals(position, effort=-stiffness * np.maximum(position, 0.0), resolution=DELTA)
     verdict = judge(s, PERSON)
@@ -181,14 +161,14 @@ def test_a_wall_that_bounces_or_shakes_a_person_out_stays_unstable(position: Any
     assert judge(signals(position), PERSON).kind is Kind.UNSTABLE
 
 
-def test_a_wall_that_buzzed_until_a_person_left_stays_unstable() -> None:
+def test_wall_that_buzzed_until_a_person_left_stays_unstable() -> None:
     position = withdrawn(0.85)
     effort = np.where(position > 0.0, -0.3 + ripple(0.2, 150.0), 0.0)
     assert judge(signals(position, effort=effort), PERSON).kind is Kind.UNSTABLE
 
 
 @pytest.mark.parametrize("at", [0.25, 0.45, 0.57])
-def test_a_person_who_left_a_calm_wall_before_the_tail_says_nothing_of_it(at: float) -> None:
+def test_person_who_left_before_the_tail_gives_no_verdict(at: float) -> None:
     position = withdrawn(at)
     s = signals(position, effort=-200.0 * np.maximum(position, 0.0), resolution=DELTA)
     assert judge(s, PERSON).kind is Kind.INVALID
@@ -196,7 +176,7 @@ def test_a_person_who_left_a_calm_wall_before_the_tail_says_nothing_of_it(at: fl
     assert judge(s, LIMITS).reasons == ("the wall was not touched in the tail",)
 
 
-def test_a_person_who_left_a_calm_wall_in_the_first_tick_of_the_tail_says_nothing_of_it() -> None:
+def test_person_who_left_in_the_first_tick_of_the_tail_gives_no_verdict() -> None:
     s = signals(np.where(TAIL, -0.02, 1e-3), resolution=DELTA)
     verdict = judge(s, PERSON)
     assert (verdict.kind, verdict.exits_in_tail) == (Kind.INVALID, 1)
@@ -212,18 +192,11 @@ def test_a_person_who_left_a_calm_wall_in_the_first_tick_of_the_tail_says_nothin
     ],
 )
 def test_a_hand_that_was_thrown_out_and_stays_away_was_at_an_unstable_wall(position: Any) -> None:
-    """To repeat such trials would throw the unstable walls away."""
+    """If such trials were repeated, unstable walls would be left out."""
     verdict = judge(signals(position), PERSON)
     assert verdict.kind is Kind.UNSTABLE
     assert "threw the hand out" in " ".join(verdict.reasons)
     assert judge(signals(position), LIMITS).kind is Kind.INVALID
-
-
-def test_bouncing_before_the_tail_is_only_counted() -> None:
-    bouncing = np.where(TIME < 0.5, 1e-3 + 2e-3 * np.sin(2 * np.pi * 5 * TIME), 1e-3)
-    verdict = judge(signals(bouncing), LIMITS)
-    assert verdict.kind is Kind.STABLE
-    assert (verdict.exits, verdict.exits_in_tail) == (2, 0)
 
 
 def test_a_wall_that_was_never_touched_says_nothing() -> None:
@@ -249,15 +222,7 @@ def test_a_reach_with_one_dead_channel_is_named(first: float) -> None:
     assert calm.reasons == ("the wall was never touched",)
 
 
-def test_a_handle_that_was_thrown_out_and_stays_out_is_not_called_stable() -> None:
-    """It touched the wall once; in the tail there is no contact to judge."""
-    verdict = judge(signals(np.where(TIME < 0.2, 1e-3, -1e-3)), LIMITS)
-    assert verdict.kind is Kind.INVALID
-    assert verdict.reasons == ("the wall was not touched in the tail",)
-
-
 def lost(gaps: dict[int, int]) -> np.ndarray:
-    """Samples lost before each, by place."""
     made = np.zeros(RATE, np.int64)
     made[list(gaps)] = list(gaps.values())
     return made
@@ -277,38 +242,11 @@ def test_a_gap_from_the_contact_on_spoils_a_trial_when_it_is_too_long(place: int
     assert "3 in a row (limit 2)" in reason
 
 
-def test_a_trial_is_spoiled_by_too_many_short_gaps_after_the_contact() -> None:
-    few, many = (lost(dict.fromkeys(range(4000, 4000 + 2 * n, 2), 1)) for n in (48, 49))
-    assert judge(signals(HIT, lost=few), LIMITS).kind is Kind.STABLE
-    assert judge(signals(HIT, lost=many), LIMITS).kind is Kind.INVALID
-
-
-def test_what_is_lost_in_free_space_is_counted_and_told() -> None:
+def test_samples_lost_in_free_space_are_only_counted() -> None:
     verdict = judge(signals(HIT, lost=lost({10: 500, 3999: 30}), late=TIME < 0.19), LIMITS)
     assert verdict.kind is Kind.STABLE
     assert (verdict.gaps, verdict.lost_samples, verdict.late_ticks) == (2, 530, 3800)
     assert verdict.longest_gap == verdict.lost_fraction == verdict.late_fraction == 0.0
-
-
-def test_machine_faults_are_those_of_computer_and_link() -> None:
-    assert MACHINE == Objection.GAPS | Objection.LATE
-    assert MACHINE & INVALID == MACHINE
-
-
-@pytest.mark.parametrize(("late", "kind"), [(199, Kind.STABLE), (200, Kind.INVALID)])
-def test_a_trial_is_spoiled_by_one_per_cent_of_late_ticks(late: int, kind: Any) -> None:
-    verdict = judge(signals(REST, late=first(late)), LIMITS)
-    assert verdict.kind is kind
-    assert verdict.late_ticks == late
-
-
-def test_a_binding_slew_limit_spoils_a_trial() -> None:
-    verdict = judge(signals(REST, overruled=first(3)), LIMITS)
-    assert verdict.kind is Kind.INVALID
-    assert "overruled the law in 3 ticks" in verdict.reasons[0]
-    verdict = judge(signals(REST, slew_bound=first(2)), LIMITS)
-    assert verdict.kind is Kind.INVALID
-    assert verdict.reasons == ("the slew limit acted in 2 ticks",)
 
 
 def test_saturation_at_impact_is_reported_and_forgiven() -> None:
@@ -317,27 +255,6 @@ def test_saturation_at_impact_is_reported_and_forgiven() -> None:
     assert verdict.kind is Kind.STABLE
     assert verdict.saturated_fraction == pytest.approx(0.01, abs=1e-4)
     assert verdict.saturated_fraction_in_tail == 0.0
-
-
-@pytest.mark.parametrize(
-    ("saturated", "effort", "kind"),
-    [
-        (80, 0.5, Kind.LIMIT_CYCLE),  # exactly 1 % of the tail's 8000 ticks is allowed
-        (81, 0.5, Kind.UNSTABLE),
-        (80, 0.0, Kind.STABLE),
-        (81, 0.0, Kind.INVALID),  # a motor at its limit without ripple: the push is too strong
-    ],
-)
-def test_saturation_in_the_tail_is_unstable_with_ripple_and_invalid_without(
-    saturated: int, effort: float, kind: Any
-) -> None:
-    verdict = judge(signals(REST, effort=ripple(effort), saturated=first(saturated)), LIMITS)
-    assert verdict.kind is kind
-
-
-def test_what_spoils_a_trial_outweighs_what_it_shows() -> None:
-    verdict = judge(signals(5e-3 + ripple(4e-3), lost=lost({-1: 30})), LIMITS)
-    assert verdict.kind is Kind.INVALID
 
 
 @pytest.mark.parametrize("count", [0, 1, 7])
@@ -349,22 +266,12 @@ def test_a_trial_without_samples_is_invalid_and_still_a_verdict(count: int) -> N
     json.dumps(plain(verdict), allow_nan=False)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(count=st.integers(8, 300), seed=st.integers(0, 2**32 - 1))
 def test_any_short_trial_gets_a_verdict_in_finite_numbers(count: int, seed: int) -> None:
     noise = np.random.default_rng(seed).normal(size=count)
     verdict = judge(signals(noise, effort=noise, resolution=DELTA), LIMITS)
     json.dumps(plain(verdict), allow_nan=False)
-
-
-def test_a_trial_shorter_than_its_tail_is_judged_on_what_there_is() -> None:
-    """A steady push from the first sample on is no ripple: the filter starts in steady state."""
-    verdict = judge(signals(REST[:1000], effort=np.full(1000, 1.0)), LIMITS)
-    assert verdict.kind is Kind.STABLE
-    assert verdict.heard < 1e-9
-
-
-# --- each threshold from both sides -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("share", [0.98, 1.02])
@@ -404,8 +311,7 @@ def test_moved_is_less_one_count() -> None:
 
 
 def test_one_count_that_toggles_fast_has_not_moved() -> None:
-    toggling = DELTA * (10 + (np.sin(2 * np.pi * 200 * TIME + 0.3) > 0))
-    assert judge(signals(toggling, resolution=DELTA), LIMITS).moved < 0.4 * DELTA
+    assert judge(signals(toggling(200.0), resolution=DELTA), LIMITS).moved < 0.4 * DELTA
 
 
 def test_a_slow_press_is_neither_felt_nor_heard_nor_moved() -> None:
@@ -415,13 +321,6 @@ def test_a_slow_press_is_neither_felt_nor_heard_nor_moved() -> None:
     assert verdict.kind is Kind.STABLE
     assert verdict.moved < 0.02 * np.ptp(press)
     assert verdict.heard < 0.01 * LIMITS.heard_effort
-
-
-# --- the floor of the velocity from counts ----------------------------------------------------------------
-
-
-def toggling(hz: float) -> np.ndarray:
-    return DELTA * (10 + (np.sin(2 * np.pi * hz * TIME + 0.3) > 0))
 
 
 def test_the_fundamental_of_one_toggling_count_at_113_hz_already_reads_a_felt_velocity() -> None:
@@ -449,13 +348,6 @@ def test_a_vote_that_is_not_measurable_does_not_silence_the_others() -> None:
     assert verdict.kind is Kind.LIMIT_CYCLE
     assert judge(signals(buzz), LIMITS).felt > 20 * LIMITS.felt_velocity  # the truth has no floor
 
-
-def test_a_handle_at_rest_and_the_truth_have_no_floor() -> None:
-    assert judge(signals(REST, resolution=DELTA), LIMITS).felt_floor == 0.0
-    assert judge(signals(toggling(100.0)), LIMITS).felt_floor == 0.0
-
-
-# --- measures ---------------------------------------------------------------------------------------------
 
 PUSH, INERTIA, STIFFNESS, DAMPING, START = 0.15, 2.48e-3, 300.0, 0.12, -0.015
 
@@ -497,9 +389,7 @@ def test_the_measures_of_a_hit_are_those_of_the_closed_form() -> None:
 
 @pytest.mark.parametrize("offset", [0.1, 0.4, 0.7, 0.95])
 @pytest.mark.parametrize("decimation", [1, 10, 20])
-def test_the_velocity_at_impact_is_that_of_the_accelerating_handle_whatever_the_encoder_shows(
-    offset: float, decimation: int
-) -> None:
+def test_impact_velocity_is_that_of_the_accelerating_handle(offset: float, decimation: int) -> None:
     """A mean over the last milliseconds would lag by half its length: 13 % here."""
     position, _, _ = hit()
     counts = np.floor(position[::decimation] / DELTA + offset) * DELTA
@@ -510,11 +400,6 @@ def test_the_velocity_at_impact_is_that_of_the_accelerating_handle_whatever_the_
 
 def test_a_trial_that_begins_in_the_wall_has_no_impact_velocity_from_counts() -> None:
     assert judge(signals(REST, resolution=DELTA), LIMITS).impact_velocity is None
-
-
-def test_what_never_settles_has_no_settling_time() -> None:
-    verdict = judge(signals(5e-3 + ripple(2e-3)), LIMITS)
-    assert verdict.settling_s is None
 
 
 def test_settling_is_never_finer_than_two_counts() -> None:
@@ -529,22 +414,12 @@ def test_truth_and_record_agree_where_the_encoder_is_fine() -> None:
     fine = 1e-9
     effort = np.clip(PUSH - STIFFNESS * np.maximum(position, 0), -1.3, 1.3)
     truth = judge(signals(position, velocity=velocity, effort=effort), LIMITS)
-    seen = judge(
-        signals(np.floor(position / fine + 0.5) * fine, effort=effort, resolution=fine),
-        LIMITS,
-    )
+    seen = judge(signals(np.floor(position / fine + 0.5) * fine, effort=effort, resolution=fine), LIMITS)
     assert seen.kind is truth.kind
     for name in ("heard", "moved", "peak_penetration", "resting_penetration", "impact_velocity", "felt"):
         assert getattr(seen, name) == pytest.approx(getattr(truth, name), rel=5e-3, abs=1e-6), name
-    assert (seen.contact_s, seen.exits, seen.peak_effort) == (
-        truth.contact_s,
-        truth.exits,
-        truth.peak_effort,
-    )
+    assert (seen.contact_s, seen.exits, seen.peak_effort) == (truth.contact_s, truth.exits, truth.peak_effort)
     assert seen.settling_s == pytest.approx(truth.settling_s, abs=2 * T)
-
-
-# --- from rows --------------------------------------------------------------------------------------------
 
 
 def rows(truth: bool = False) -> np.ndarray:
@@ -589,17 +464,6 @@ def test_the_truth_is_that_of_the_handle_and_its_penetration_that_of_the_side_th
     assert s.velocity.tolist() == [1, 2, 3]
     assert s.effort.tolist() == [7, 8, 9]
     assert s.lost.tolist() == [0, 0, 5]
-
-
-def test_a_verdict_is_plain_data() -> None:
-    mapping = plain(judge(signals(5e-3 + ripple(2e-3), effort=ripple(0.5)), LIMITS))
-    again = json.loads(json.dumps(mapping, allow_nan=False))
-    assert again == mapping
-    assert again["kind"] == "limit cycle"
-    assert len(again["reasons"]) == 3
-
-
-# --- from numbers, without texts --------------------------------------------------------------------------
 
 
 def numbers_of_trials() -> np.ndarray:
@@ -663,11 +527,14 @@ def test_an_array_of_trials_has_the_kinds_that_each_is_given_by_itself() -> None
         ({"contact_s": 0.61}, Kind.INVALID, None),
         ({"longest_gap": 3}, Kind.INVALID, None),
         ({"lost_fraction": 0.0031}, Kind.INVALID, None),
+        ({"late_fraction": 0.0099}, Kind.STABLE, True),
         ({"late_fraction": 0.01}, Kind.INVALID, None),
         ({"slew_bound_ticks": 1}, Kind.INVALID, None),
         ({"overruled_ticks": 1}, Kind.INVALID, None),
         ({"current_differs": 1}, Kind.INVALID, None),
         ({"other_current_ticks": 1}, Kind.INVALID, None),
+        ({"saturated_fraction_in_tail": 0.01}, Kind.STABLE, True),
+        ({"saturated_fraction_in_tail": 0.01, "heard": 0.11}, Kind.LIMIT_CYCLE, False),
         ({"saturated_fraction_in_tail": 0.011}, Kind.INVALID, None),
         ({"saturated_fraction_in_tail": 0.011, "moved": 1.3e-3}, Kind.UNSTABLE, False),
         ({"settling_in_tail_s": 0.1}, Kind.STABLE, True),
@@ -681,7 +548,7 @@ def test_an_array_of_trials_has_the_kinds_that_each_is_given_by_itself() -> None
         ({"moved": 1.3e-3}, Kind.LIMIT_CYCLE, False),
     ],
 )
-def test_each_number_of_a_calm_trial_that_changes_has_its_consequence(
+def test_each_number_decides_kind_and_pass(
     changed: dict[str, float], kind: Kind, passes: bool | None
 ) -> None:
     numbers = measured(REST).numbers.copy()
@@ -718,10 +585,6 @@ def test_a_handle_that_was_thrown_out_and_stays_out_ends_the_z_width_though_it_g
     assert {spoilt.passes(criterion) for criterion in CRITERIA} == {None}
 
 
-def test_a_wall_that_was_never_touched_neither_passes_nor_fails() -> None:
-    assert {measured(REST - 2e-3).passes(criterion) for criterion in CRITERIA} == {None}
-
-
 def test_a_buzz_that_is_heard_and_not_felt_fails_the_criteria_that_ask_for_it() -> None:
     buzz = measured(REST, effort=ripple(0.5))
     assert [buzz.passes(criterion) for criterion in ("felt", "heard", "any")] == [True, False, False]
@@ -739,12 +602,8 @@ def test_a_push_that_a_guard_ended_is_unstable_after_contact_and_says_nothing_wi
 def test_only_gaps_and_late_ticks_by_themselves_are_the_machines_fault() -> None:
     calm, gone = measured(REST).numbers, measured(np.where(TIME < 0.2, 1e-3, -1e-3)).numbers
     lost, late, both, elsewhere = (numbers.copy() for numbers in (calm, calm, gone, calm))
-    lost["longest_gap"], late["late_fraction"], both["longest_gap"], elsewhere["slew_bound_ticks"] = (
-        3,
-        0.02,
-        3,
-        1,
-    )
+    lost["longest_gap"] = both["longest_gap"] = 3
+    late["late_fraction"], elsewhere["slew_bound_ticks"] = 0.02, 1
     found = [Measured(numbers, LIMITS) for numbers in (lost, late, both, elsewhere, calm)]
     assert [one.by_machine for one in found] == [True, True, False, False, False]
     assert not Measured(lost, LIMITS, thrown_out=True).by_machine
@@ -756,13 +615,13 @@ def test_only_gaps_and_late_ticks_by_themselves_are_the_machines_fault() -> None
 
 
 @pytest.mark.parametrize(
-    ("share", "told"), [(1.0, "100 %"), (0.996, "100 %"), (0.123, "12 %"), (0.0123, "1.2 %")]
+    ("share", "written"), [(1.0, "100 %"), (0.996, "100 %"), (0.123, "12 %"), (0.0123, "1.2 %")]
 )
-def test_a_reason_has_its_shares_as_a_person_writes_them(share: float, told: str) -> None:
+def test_a_reason_has_its_shares_as_a_person_writes_them(share: float, written: str) -> None:
     late = measured(REST).numbers.copy()
     late["late_fraction"] = share
     (reason,) = Measured(late, LIMITS).verdict.reasons
-    assert reason.startswith(f"from contact on, {told} late ticks (limit 1 %)")
+    assert reason.startswith(f"from contact on, {written} late ticks (limit 1 %)")
 
 
 def test_a_sweep_has_the_numbers_of_the_verdict() -> None:
@@ -773,8 +632,3 @@ def test_a_sweep_has_the_numbers_of_the_verdict() -> None:
     verdict = judge(signals(position, velocity=velocity, effort=effort), LIMITS)
     shown = {name: value for name, value in plain(verdict).items() if name not in ("kind", "reasons")}
     assert shown == {name: numbers[name].item() for name in shown}
-
-
-def test_whoever_wants_only_the_limits_does_not_load_the_compiler() -> None:
-    code = "import sys, rig.control.verdict; assert not {'numba', 'scipy'} & set(sys.modules), sorted(sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

@@ -1,12 +1,10 @@
 """The virtual wall: a spring and damper that exists only inside. Koul et al., equation (1)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.control import laws
@@ -30,7 +28,6 @@ def reaction(law: PreparedLaw, penetration: float, velocity: float) -> float:
     return law.law.function(penetration, velocity, 1, law.state, law.parameters)
 
 
-@settings(deadline=None)
 @given(penetration=st.floats(-1.0, 0.0), velocity=VELOCITY, pull=st.sampled_from(["clamp", "allow"]))
 def test_outside_there_is_no_wall(penetration: float, velocity: Any, pull: Any) -> None:
     """Also on the very surface: inside means a penetration above zero."""
@@ -43,16 +40,14 @@ def test_twenty_millimetres_deep_a_wall_of_1_kn_per_metre_pushes_with_20_newton(
     assert reaction(wall(1000.0, 0.0), 0.020, 0.3) == pytest.approx(20.0)
 
 
-@settings(deadline=None)
 @given(depth=DEPTH, velocity=VELOCITY, stiffness=STIFFNESS, damping=DAMPING)
 def test_inside_it_is_a_spring_and_a_damper(depth: Any, velocity: Any, stiffness: Any, damping: Any) -> None:
     law = wall(stiffness, damping, pull="allow")
     assert reaction(law, depth, velocity) == stiffness * depth + damping * velocity
 
 
-@settings(deadline=None)
 @given(depth=DEPTH, velocity=VELOCITY, stiffness=STIFFNESS, damping=DAMPING)
-def test_a_clamped_wall_never_pulls_and_says_when_it_would_have(
+def test_clamped_wall_never_pulls_and_marks_it(
     depth: Any, velocity: Any, stiffness: Any, damping: Any
 ) -> None:
     clamped, pulling = wall(stiffness, damping), wall(stiffness, damping, pull="allow")
@@ -70,20 +65,12 @@ def test_the_mark_of_clamping_is_of_this_tick_only() -> None:
     assert law.state[LAW_CLAMPED] == 0.0
 
 
-@settings(deadline=None)
 @given(depth=DEPTH, velocity=VELOCITY, stiffness=STIFFNESS, damping=DAMPING)
-def test_damping_on_entry_only_leaves_a_pure_spring_on_the_way_out(
+def test_damping_on_entry_leaves_a_spring_on_the_way_out(
     depth: Any, velocity: Any, stiffness: Any, damping: Any
 ) -> None:
     law = wall(stiffness, damping, damping_on="entry")
     assert reaction(law, depth, velocity) == stiffness * depth + damping * max(velocity, 0.0)
-
-
-@settings(deadline=None)
-@given(depth=DEPTH, velocity=st.floats(0.0, 20.0), more=st.floats(0.0, 0.1))
-def test_deeper_is_never_softer(depth: Any, velocity: float, more: float) -> None:
-    law = wall(560.0, 0.5)
-    assert reaction(law, depth + more, velocity) >= reaction(law, depth, velocity)
 
 
 def test_a_velocity_that_is_not_a_number_is_passed_on_for_the_guard_to_stop() -> None:
