@@ -64,7 +64,7 @@ class Watched(Pair):
 
     def both(self, call: Callable[[Any], bytes | None]) -> None:
         super().both(call)
-        self.figures["bytes_said"] += len(self.said)
+        self.figures["bytes_said"] += len(self.sent)
         self._look()
 
     def tick(self, ticks: int = 1) -> None:

@@ -35,8 +35,8 @@ class FarEnd(ABC):
 
     Attributes
     ----------
-    host, heard
-        The host, and what it has received while time passed.
+    host, received
+        The host, and the messages that it received while time passed.
     rate
         Ticks a second (Hz).
     mode, current, lifetime_us, ramp_us
@@ -51,7 +51,7 @@ class FarEnd(ABC):
         Ticks by which this far end may show an effect later: an emulator runs in slices.
     strikes
         Fault of `FOUND` → what causes it here.
-    mends
+    repairs
         Fault → what ends its cause, where it does not end by itself.
     """
 
@@ -65,8 +65,8 @@ class FarEnd(ABC):
     def __init__(self, link: Link) -> None:
         self.host = Host(link)
         self.strikes: dict[str, Callable[[], object]] = {}
-        self.mends: dict[str, Callable[[], object]] = {}
-        self.heard: list[m.Message] = []
+        self.repairs: dict[str, Callable[[], object]] = {}
+        self.received: list[m.Message] = []
         self.session = 0
         self._sent = 0
 
@@ -136,7 +136,7 @@ class FarEnd(ABC):
     def _wait_until(self, end_ns: int) -> None:
         while (left_ns := end_ns - self.host.link.clock.now_ns()) > 0:
             for event in self.host.events(left_ns * 1e-9):
-                self.heard.append(event.message)
+                self.received.append(event.message)
 
     def frame(self, *, session: int | None = None, behind: int | None = None, **changes: int) -> bytes:
         """Return a command as the next one would be, but for some changes, or `behind` the newest one."""
@@ -299,8 +299,8 @@ def check_found(make_far_end: MakeFarEnd, name: str) -> None:
         assert far.state.inputs & Input.EMERGENCY_STOP
         refused = far.host.disarm(clear_fault=True)
         assert (refused.status, refused.detail) == (Status.FAULT_PRESENT, found.faults[0])
-    mend = far.mends.get(name, lambda: None)
-    mend()
+    repair = far.repairs.get(name, lambda: None)
+    repair()
     far.watch(1 + far.late)
     assert far.host.disarm(clear_fault=True).status == Status.OK
     if found.remains:
@@ -308,7 +308,7 @@ def check_found(make_far_end: MakeFarEnd, name: str) -> None:
         far.watch(1 + far.late)
         refused = far.arm()
         assert (refused.status, refused.detail) == (Status.FAULT_PRESENT, found.faults[0])
-        mend()
+        repair()
         far.watch(1 + far.late)
     if found.arms is not None:
         crc = far.host.ask(m.GetParameters(far.host.nonce(), 0)).crc

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 from collections.abc import Sequence
@@ -20,7 +19,6 @@ WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werr
 FLAGS = ("-std=c99", "-O1", "-g1", "-ffp-contract=off", *WARNINGS)
 UNDEFINED = ("-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover=all")
 ADDRESS = ("-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all")
-LIBRARY_VARIABLE = "HAPTIC_RIG_FIRMWARE_LIBRARY"  # one that was built before: see coverage.py
 COMPILE_S = 120.0
 
 
@@ -41,7 +39,7 @@ def compile_c(output: Path, sources: Sequence[Path], flags: Sequence[str]) -> Pa
 
 
 def kept_c(name: str, sources: Sequence[Path], flags: Sequence[str]) -> Path:
-    """Return what `compile_c` makes of sources; they include headers beside them and the firmware's files."""
+    """Return the cached output of `compile_c`; sources include headers beside them and the firmware's files."""
     beside = {path for source in sources for path in source.parent.glob("*.h")}
     read = content({*FIRMWARE.rglob("*.[ch]"), *beside, *sources})
 
@@ -52,7 +50,7 @@ def kept_c(name: str, sources: Sequence[Path], flags: Sequence[str]) -> Path:
 
 
 def kept_objects(gcc: str, sources: Sequence[Path], *flags: str) -> dict[Path, Path]:
-    """Return the object file of each of the firmware's sources, made for its size."""
+    """Return the object file of each source of the firmware, optimised for size."""
     options = [*FLAGS, "-g0", "-Os", "-fno-stack-protector", *flags]
 
     def make(output: Path) -> None:
@@ -69,7 +67,4 @@ def kept_objects(gcc: str, sources: Sequence[Path], *flags: str) -> dict[Path, P
 
 def library() -> Path:
     """The core with its host port as a shared library; undefined behaviour ends the process."""
-    built = os.environ.get(LIBRARY_VARIABLE)
-    if built:
-        return Path(built)
     return kept_c("libfirmware.so", SOURCES, ["-fPIC", "-shared", *UNDEFINED])

@@ -1,4 +1,4 @@
-"""The cross compiler and the emulator for tests, and what is built with them: once for each state of the sources."""
+"""The cross compiler and the emulator for tests; each image is built once for each state of the sources."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def image(board: str, application: str = "device", rig: str = RIG) -> BuildResul
 
 
 def built(board: str, model: RigModel, application: str = "device", **settings: Any) -> BuildResult:
-    """Return an image, built when nobody has yet."""
+    """Return an image, built at the first call."""
     need_compiler()
 
     def make(output: Path) -> None:
@@ -75,7 +75,7 @@ def built(board: str, model: RigModel, application: str = "device", **settings: 
 
 
 def sources_of(board: str) -> str:
-    """Fingerprint of all that an image for tests is made of: C, and the Python that generates some."""
+    """Return a fingerprint of the C sources of a test image and of the Python that generates some."""
     beside = [path for part in ("host", "port_check") for path in (FIRMWARE / part).rglob("*.[ch]")]
     profiles = Path(amplifiers.__file__).parent.glob("*.toml")
     python = (path for module, path in source_files().items() if module.startswith(PYTHON))

@@ -1,4 +1,4 @@
-"""What compilers made of the same inputs, kept: made once for every test process that shares a cache, and every run."""
+"""A cache of compiled files, shared by test processes and runs."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ def kept(key: str, make: Callable[[Path], None]) -> Path:
             try:
                 made.rename(path)
             except OSError:
-                assert path.exists()  # somebody else was quicker
+                assert path.exists()  # another process was first
     return path
 
 
 def identity(program: str) -> str:
-    """What tells a program from its next version."""
+    """Return a string that differs for another version of a program."""
     place = Path(program).resolve()
     return f"{place} {place.stat().st_size} {place.stat().st_mtime_ns}"
 
 
 def content(files: Iterable[Path]) -> str:
-    """Fingerprint of files: places and contents."""
+    """Return a fingerprint of the paths and contents of files."""
     digest = hashlib.sha256()
     for path in sorted(files):
         digest.update(f"{path}\0".encode() + hashlib.sha256(path.read_bytes()).digest())

@@ -28,7 +28,7 @@ _U32 = 2**32 - 1
 
 
 class Sample(NamedTuple):
-    """One tick as BATCH tells it; `measured` is None in a layout without it."""
+    """One tick of a BATCH; `measured` is None in a layout without it."""
 
     index: int
     count: int
@@ -38,8 +38,6 @@ class Sample(NamedTuple):
 
 @dataclass
 class Frame:
-    """A BATCH and what is in it."""
-
     message: m.Batch
     sequence: int
     samples: list[Sample]
@@ -60,10 +58,7 @@ def samples_of(batch: m.Batch) -> list[Sample]:
 
 
 class Supervisor:
-    """The host of a device that runs a law: keeps what it says, speaks every 5 ms.
-
-    Whoever derives from it says what `receive` and `tick` are; `core` is the device.
-    """
+    """The host of a device that runs a law: stores its messages, sends SUPERVISE every 5 ms; `core` is the device."""
 
     core: Core
 
@@ -72,20 +67,19 @@ class Supervisor:
         self.states: list[m.State] = []
         self.frames: list[Frame] = []
         self.nonce, self.session, self.crc, self.rate = 0, 0, 0, 0
-        self.since = 0  # ticks until it speaks again
+        self.since = 0  # ticks until the next SUPERVISE
 
     def receive(self, data: bytes) -> bytes:
-        """Bring bytes to the device; its answers."""
         raise NotImplementedError
 
     def tick(self) -> None:
-        """Let one period pass without a word of the host."""
+        """Let one period pass."""
         raise NotImplementedError
 
     # ------------------------------------------------------------------ the conversation
 
     def take(self, data: bytes) -> list[Message]:
-        """Sort what the device has sent; what is neither STATE nor BATCH is returned."""
+        """Store STATE and BATCH; return the other messages."""
         answers = []
         self.host.receive_data(data)
         while (event := self.host.next_event()) is not None:
@@ -109,7 +103,6 @@ class Supervisor:
         self.take(self.receive(self.host.send(m.Identify(1, 0))))
 
     def configure(self, **values: Value) -> m.Ack:
-        """Put a active block, or be refused."""
         self.nonce += 1
         for message in set_parameters(encode_block(values), self.nonce):
             ack = self.ask(message)
@@ -122,7 +115,6 @@ class Supervisor:
         return self.ask(m.Arm(self.nonce, self.core.hash, self.crc), self.session)
 
     def prepare(self, **values: Value) -> None:
-        """Identify, configure."""
         self.identify()
         given = {**RUN_PARAMETERS, "position_rate": RATE, **values}
         self.rate = int(given["position_rate"])
@@ -131,7 +123,6 @@ class Supervisor:
         self.crc = ack.crc
 
     def begin(self, **values: Value) -> Self:
-        """Identify, configure, arm."""
         self.prepare(**values)
         assert self.arm().status == Status.OK
         return self
@@ -155,12 +146,12 @@ class Supervisor:
 
     @property
     def samples(self) -> list[Sample]:
-        """All that BATCH has told so far."""
+        """The samples of all BATCH frames so far."""
         return [sample for frame in self.frames for sample in frame.samples]
 
 
 class Board(Supervisor):
-    """A board on its timer: samples, drives, tells. `count`, `measured` and `inputs` are the world."""
+    """A board on its timer; `count`, `measured` and `inputs` are what it samples."""
 
     def __init__(
         self, library: ctypes.CDLL, model: RigModel | None = None, *, law_maximum: int = 2, **options: int
@@ -172,7 +163,7 @@ class Board(Supervisor):
         )
         self.count, self.edge_time, self.measured, self.inputs, self.late = 0, 0, 0, 0, 0
         self.missed = 0  # ticks before the next one
-        self.fed: list[Sample] = []  # what the board saw and had active at each tick
+        self.fed: list[Sample] = []  # input and active current of each tick
         self.core.start()
 
     def receive(self, data: bytes) -> bytes:
@@ -189,17 +180,16 @@ class Board(Supervisor):
         self.take(self.core.take())
 
     def strike(self) -> None:
-        """Run the core's tick, and what the main loop does behind it."""
+        """Run the tick of the core, then its main loop."""
         self.library.host_tick(self.core.address)
 
     def run(self, counts: Iterable[int]) -> None:
-        """Supervise through these counts."""
         for self.count in counts:
             self.supervise()
 
 
 class Rig(Supervisor):
-    """A simulated rig in lock-step: it drives, moves, samples, tells."""
+    """A simulated rig in lock-step."""
 
     def __init__(self, library: ctypes.CDLL, model: RigModel, **options: Any) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""Images: what is in them, that the same inputs give the same bytes, and how a build refuses."""
+"""Images: their content, their reproducibility, and the errors of a build."""
 
 import json
 import math
@@ -81,7 +81,6 @@ def model() -> Any:
 
 
 def of_profile(name: str) -> RigModel:
-    """koul-rigid with an amplifier."""
     profile = amplifiers.load(name)
     changes = {
         "profile": name,
@@ -122,20 +121,22 @@ def test_the_constant_in_c_is_the_rig(model: Any, tmp_path: Path) -> None:
     (tmp_path / "print.c").write_text(PRINTER)
     sources = [tmp_path / "board_config.c", tmp_path / "print.c"]
     program = compile_c(tmp_path / "print", sources, [f"-I{tmp_path}", f"-I{FIRMWARE / 'core'}"])
-    said = subprocess.run([program], capture_output=True, text=True, check=True).stdout.splitlines()
-    size, hash_, rate, sign, over = said[0].split()
+    printed = subprocess.run([program], capture_output=True, text=True, check=True).stdout.splitlines()
+    size, hash_, rate, sign, over = printed[0].split()
     assert (int(size), int(hash_, 16)) == (len(made.record.packed), made.record.dictionary_hash)
     assert (int(rate), int(sign), int(over)) == (1000, model.encoder.sign, over_current(model))
-    assert [float.fromhex(text) for text in said[1].split()] == list(astuple(moved_mechanics(model)))
-    assert [float.fromhex(text) for text in said[2].split()] == list(astuple(current_sensor(model)))
-    narrower = {PARAMETERS[int(i)].name: (int(low), int(high)) for i, low, high in map(str.split, said[3:-1])}
+    assert [float.fromhex(text) for text in printed[1].split()] == list(astuple(moved_mechanics(model)))
+    assert [float.fromhex(text) for text in printed[2].split()] == list(astuple(current_sensor(model)))
+    narrower = {
+        PARAMETERS[int(i)].name: (int(low), int(high)) for i, low, high in map(str.split, printed[3:-1])
+    }
     peak = peak_current(model)
     assert narrower["motion"] == (1, 1)
     assert narrower["encoder_sign"] == (model.encoder.sign % 2**32,) * 2
     assert narrower["current_limit"] == narrower["continuous_current"] == (0, peak)
     assert narrower["position_rate"][1] == board.rate_maximum
     assert list(narrower) == sorted(narrower, key=[p.name for p in PARAMETERS].index)
-    assert bytes.fromhex(said[-1]) == made.record.packed
+    assert bytes.fromhex(printed[-1]) == made.record.packed
 
 
 def test_the_generated_constants_follow_the_structs_of_the_core() -> None:
@@ -148,22 +149,22 @@ def test_the_generated_constants_follow_the_structs_of_the_core() -> None:
 
 @pytest.mark.parametrize(("monitor", "measured"), [("none", False), ("adc", True)])
 def test_a_board_without_a_current_monitor_says_so(monitor: str, measured: bool, model: Any) -> None:
-    """One with a converter of 12 bits has its steps and the output's for noise, whatever the rig says of it."""
+    # With a converter of 12 bits the noise is that of its steps and the output's, whatever the rig declares.
     board = boards.load("rp2040")
     settings = boards.settings_of(board, {"current_monitor": monitor, "monitor_scale": 0.15})
     made = configure(board, model, settings, package="1", sources="abc")
     assert decode(made.record.packed).current_measured is measured
-    told = re.search(r"\.noise = (\S+),", made.source)
-    assert told is not None
+    noise = re.search(r"\.noise = (\S+),", made.source)
+    assert noise is not None
     step = 3.3 / 4096 / float(settings["monitor_scale"]) / model.amplifier.current_quantum_a
     output = 10.0 / (200e6 / 50e3) / model.amplifier.current_quantum_a  # of the pulse width, at 10 A
     expected = math.hypot(step / math.sqrt(12.0), output / math.sqrt(12.0), math.sqrt(1.0 / 6.0))
     expected = expected if measured else -1.0
-    assert float(told[1]) == pytest.approx(expected)
+    assert float(noise[1]) == pytest.approx(expected)
 
 
 @pytest.mark.exhaustive("tests/system/test_cli_firmware.py::test_an_image_is_built_and_looked_at")
-def test_an_image_says_what_it_is(built: Any) -> None:
+def test_image_contains_its_facts(built: Any) -> None:
     for path in (built.elf, built.bin):
         found = info(str(path))
         assert found.compatible
@@ -175,10 +176,9 @@ def test_an_image_says_what_it_is(built: Any) -> None:
             "rig": cross.RIG,
             "settings": {},
         }
-    said = json.loads(built.facts.read_text())
-    assert said["dictionary_hash"] == built.dictionary_hash
-    assert said["compiler"] == built.compiler
-    assert said["rig"] == cross.RIG
+    facts = json.loads(built.facts.read_text())
+    assert (facts["dictionary_hash"], facts["compiler"]) == (built.dictionary_hash, built.compiler)
+    assert facts["rig"] == cross.RIG
 
 
 @pytest.mark.exhaustive("tests/system/test_cli_firmware.py::test_an_image_is_built_and_looked_at")
@@ -198,7 +198,7 @@ def test_its_sizes_are_those_of_the_program(built: Any) -> None:
 def test_the_same_inputs_give_the_same_bytes_wherever_board_and_compiler_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The program with the fewest files; that none says a time the compiler sees to, in every one."""
+    # The program with the fewest files; the compiler keeps times out of every one.
     built = cross.image(BOARD, PORT_CHECK)
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.setenv("TMPDIR", str(tmp_path / "elsewhere"))
@@ -231,7 +231,7 @@ def test_without_a_compiler_it_says_what_to_install(
 @pytest.mark.parametrize(
     ("script", "match"), [("exit 1", "cannot be run"), ('test "$1" = --version && echo 1', "no C library")]
 )
-def test_a_compiler_that_is_none_is_told(
+def test_unusable_compiler_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str, match: str
 ) -> None:
     fake = tmp_path / "gcc"
@@ -242,14 +242,14 @@ def test_a_compiler_that_is_none_is_told(
         find_compiler()
 
 
-def test_what_the_compiler_complains_about_is_shown(tmp_path: Path) -> None:
+def test_error_of_the_compiler_is_shown(tmp_path: Path) -> None:
     cross.need_compiler()
     (tmp_path / "bad.c").write_text("int main(void) { return nothing; }\n")
     with pytest.raises(ToolchainError, match="nothing"):
         find_compiler().run(["-c", "bad.c"], tmp_path)
 
 
-def test_boards_and_settings_that_are_none_are_refused(model: Any, tmp_path: Path) -> None:
+def test_unknown_boards_and_settings_are_refused(model: Any, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"choose one of: .*mps2"):
         boards.load("arduino")
     with pytest.raises(ConfigError, match="no setting 'pin'"):
@@ -329,7 +329,7 @@ def test_the_uf2_of_a_board_writes_its_image_and_nothing_else(name: Any) -> None
     assert info(str(made.uf2)).firmware == made.firmware
 
 
-def test_scales_of_a_port_of_ones_own_are_checked_as_far_as_it_tells_them() -> None:
+def test_scales_of_a_foreign_port_are_checked_as_far_as_they_are_declared() -> None:
     board, model = boards.load("rp2040"), of_profile("generic")
     settings = boards.settings_of(board, {})
     assert check_scales(board, model, settings) == pytest.approx(10.0 / 4000)
@@ -385,25 +385,23 @@ def test_scales_that_do_not_fit_the_rig_are_refused_with_both_numbers(
 )
 @pytest.mark.exhaustive("::test_every_amplifier_has_an_image_by_its_own_settings")
 def test_the_ends_of_what_the_amplifier_may_be_are_built(pico: str, chosen: Any) -> None:
-    """At the slowest pulse width a period just fits the 16 bits of its counter; slower is refused by name."""
+    # At the slowest pulse width a period just fits the 16 bits of its counter.
     model = config.rig_model(presets.load("koul-rigid"))
     assert cross.built(pico, model, **chosen).uf2.is_file()
     with pytest.raises(ConfigError, match="pwm_frequency"):
         boards.settings_of(boards.load("rp2040"), {"pwm_frequency": 3000})
 
 
-def test_settings_that_the_rig_names_are_built_in_and_told_and_the_command_wins(
+def test_settings_of_the_rig_are_built_in_and_reported_and_the_command_overrides_them(
     model: Any, pico: str
 ) -> None:
     named = replace(model, board=(("enable_pin", 20), ("full_scale", 12.5)))
     built = cross.built(pico, named, enable_pin=21)
-    told = {setting.name: setting.value for setting in read_image(built.elf)[1].dictionary.settings}
-    assert told == built.settings
-    assert (told["enable_pin"], told["full_scale"], told["encoder_lines"]) == (21, 12.5, "single")
-    assert (
-        "enable_pin of its board is 21 there and 20 here"
-        in check_rig(named, read_image(built.elf)[1].dictionary).text
-    )
+    settings = {setting.name: setting.value for setting in read_image(built.elf)[1].dictionary.settings}
+    assert settings == built.settings
+    assert (settings["enable_pin"], settings["full_scale"], settings["encoder_lines"]) == (21, 12.5, "single")
+    difference = check_rig(named, read_image(built.elf)[1].dictionary).text
+    assert "enable_pin of its board is 21 there and 20 here" in difference
 
 
 def test_a_board_that_is_not_right_is_refused_with_every_key(tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
-"""The whole tick of a device that runs its law, on Cortex-M0+, M4F and M7: what it costs, within asserted budgets.
+"""Cycles of the whole tick of a device that runs its law, on Cortex-M0+, M4F and M7, within budgets.
 
-Sample, limits, law, current, BATCH and the fault ring, with STATE made between ticks; the hardware's functions are
-those of the host port, which cost next to nothing. Cycles are the estimate of `tests.firmware.cortex`.
+The functions of the hardware are those of the host port, which cost next to nothing; cycles are estimates of
+`tests.firmware.cortex`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from tests.firmware.cortex_library import CortexLibrary, build
 from tests.firmware.law.law_design import FIXED, FLOAT, parameters_of
 from tests.firmware.law.law_rigs import DUAL, SHORT, UNIFORM, controller_of, experiment_of
 from tests.firmware.supervised import Board
-from tests.firmware.test_core_law import told_to_run
+from tests.firmware.test_core_law import run_values
 
 pytestmark = pytest.mark.exhaustive(
     "tests/firmware/test_core_law.py::test_the_fault_log_has_each_tick_with_its_own_limits"
@@ -37,7 +37,7 @@ FLOAT_LAWS = {
     "kalman": ("kalman", {"gain": "steady"}, FLOAT),
 }
 OPTIONS = ("-flto", "-fira-region=one")
-# Cycles of the worst tick, and of the longest device_poll: what was measured with gcc 12.2, and a tenth more.
+# Cycles of the worst tick: measured with gcc 12.2, plus a tenth.
 BUDGETS = {
     ("M0+", "fixed", "20k/2k"): 3_000,
     ("M0+", "fixed", "50k/5k"): 3_000,
@@ -80,7 +80,7 @@ def test_a_tick_stays_within_its_budget(image: cortex.Image) -> None:
         )
         library = CortexLibrary(image)
         board = Board(library, config.rig_model(experiment))
-        board.begin(**told_to_run(p, position_rate=int(experiment.controller.position_rate)))
+        board.begin(**run_values(p, position_rate=int(experiment.controller.position_rate)))
         board.run(counts.tolist())
         assert board.core.status.fault == 0
         currents = [sample.commanded for sample in board.fed]

@@ -1,4 +1,4 @@
-"""The comparison of currents in C and in Python: the same settings and, tick for tick, the same memory."""
+"""The comparison of currents in C and in Python: the same settings and the same memory after each tick."""
 
 from __future__ import annotations
 
@@ -85,10 +85,10 @@ currents = st.integers(-32_767, 32_767)
 
 
 LINE = ("lowest", "highest")
-HOST = {*LINE, "most", "last_most", "dead"}  # what tells an agreement: the device has no such answer
+HOST = {*LINE, "most", "last_most", "dead"}  # used for an agreement, which the device does not report
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=60)
 @given(
     st.sampled_from([50, 99, 1_000, 7_777, 20_000, 50_000]),
     st.sampled_from([-1.0, 0.0, 0.41, 30.0]),
@@ -101,7 +101,7 @@ HOST = {*LINE, "most", "last_most", "dead"}  # what tells an agreement: the devi
     ),
     st.integers(1, 60),
 )
-def test_both_remember_the_same(
+def test_c_and_python_have_the_same_memory(
     rule: Any,
     rate: int,
     noise: float,
@@ -121,8 +121,10 @@ def test_both_remember_the_same(
     for count, active, measured in motions:
         for tick in range(each):
             here = max(-(2**31), count - 3 * tick)
-            said = current.compare(words, here, active, measured)
-            assert rule.current_disagrees(ctypes.byref(check), here, active, measured) == (said == DISAGREES)
+            outcome = current.compare(words, here, active, measured)
+            assert rule.current_disagrees(ctypes.byref(check), here, active, measured) == (
+                outcome == DISAGREES
+            )
             assert {name: getattr(check, name) for name in CURRENT._fields if name not in HOST} == {
                 name: words[place] for name, place in CURRENT._asdict().items() if name not in HOST
             }

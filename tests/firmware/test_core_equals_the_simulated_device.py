@@ -1,7 +1,4 @@
-"""Two devices of one protocol: the readable one in Python, and the firmware's core in C.
-
-They see the same world and the same bytes, and say the same, byte for byte, tick for tick.
-"""
+"""The readable device in Python and the core in C send the same bytes in each tick for the same input."""
 
 from __future__ import annotations
 
@@ -64,7 +61,7 @@ class Shaky(Hardware):
 
 
 class Puppet(Hardware):
-    """Hardware that moves as it is told: `speed` counts a tick, `measured` as it stands."""
+    """Hardware that moves by `speed` counts a tick and measures `measured`."""
 
     speed = 0
 
@@ -73,7 +70,7 @@ class Puppet(Hardware):
 
 
 class Pair:
-    """The devices under the same hand; every step compares them."""
+    """Both devices with the same input; every step compares them."""
 
     def __init__(self, library: ctypes.CDLL, model: RigModel, **options: Any) -> None:
         self.python = SimulatedDevice(model, **options)
@@ -81,15 +78,15 @@ class Pair:
         self.nonce = 0
         self.session = 0
         self.sequence = 0
-        self.said = b""
+        self.sent = b""
         self.frames: deque[bytes] = deque(maxlen=8)  # the last ones, to be sent again
         self.hardware: list[Any] = [device.hardware for device in (self.python, self.c)]
         for hardware in self.hardware:
             hardware.__class__ = Shaky
 
     def both(self, call: Callable[[Any], bytes | None]) -> None:
-        self.said = call(self.python) or b""
-        assert self.said == (call(self.c) or b"")
+        self.sent = call(self.python) or b""
+        assert self.sent == (call(self.c) or b"")
         status, connection = self.c.status, self.python.connection
         assert status.state == connection.state
         assert status.session == connection.session
@@ -162,7 +159,7 @@ class Pair:
         self.sequence = (self.sequence + 1) & 0xFFFF
 
     def ask_everything(self) -> None:
-        """What a device can be asked, from the first page to behind the last."""
+        """Send every request, from the first page to behind the last."""
         for offset in range(0, 200, 40):
             self.send(m.GetParameters(self.next_nonce(), offset))
         for offset in (0, 34, len(self.python._configuration._packed) - 1, 0xFFFF):
@@ -189,7 +186,7 @@ def frame_of(message: Message, session: int, sequence: int, major: int = m.MAJOR
 
 @dataclass(frozen=True)
 class Step:
-    """One thing that happens to both: `act`, described by `name` and `values`."""
+    """One event of both devices."""
 
     name: str
     values: tuple[Any, ...]
@@ -200,9 +197,9 @@ class Step:
     def _tick(self, pair: Pair, ticks: int) -> None:
         pair.tick(ticks)
 
-    def _drive(self, pair: Pair, ticks: int, *said: int) -> None:
+    def _drive(self, pair: Pair, ticks: int, *command: int) -> None:
         for _ in range(ticks):
-            pair.command(*said)
+            pair.command(*command)
             pair.tick()
 
     def _configure(self, pair: Pair, values: dict[str, Value]) -> None:
@@ -294,7 +291,7 @@ def random_message(rng: random.Random) -> Message:
 
 
 def random_step(rng: random.Random) -> Step:
-    """One step of a host, a person or an accident, mostly of those that lead on."""
+    """Draw an event of the host, a person or an accident; most keep the session running."""
     choose, draw = rng.choice, rng.randrange
     values = {name: choose(choices) for name, choices in CHOICES.items() if rng.random() < 0.3}
     values["position_rate"] = choose(RATES)
@@ -335,9 +332,8 @@ def rig_of(sign: int = 1, drive: str = "current") -> RigModel:
 # ---------------------------------------------------------------------- the laws
 
 
-@pytest.mark.parametrize("seed", first_by_default(range(WALKS), 5))
+@pytest.mark.parametrize("seed", first_by_default(range(WALKS), 3))
 def test_a_long_walk_is_the_same_for_both(library: ctypes.CDLL, seed: int) -> None:
-    """Hypothesis shrinks what it finds and rarely goes far; a walk goes far."""
     rng = random.Random(seed)
     pair = Pair(library, rig_of(rng.choice([1, -1]), ("current", "voltage")[seed % 2]), seed=seed)
     pair.begin(position_rate=rng.choice(RATES))
@@ -347,18 +343,7 @@ def test_a_long_walk_is_the_same_for_both(library: ctypes.CDLL, seed: int) -> No
     pair.ask_everything()
 
 
-def test_a_handle_that_becomes_too_fast_is_stopped_alike(library: ctypes.CDLL) -> None:
-    pair = Pair(library, rig_of(), seed=3)
-    pair.begin(position_rate=2_000, current_limit=10_000, speed_limit=1_000)
-    Step("drive", (400, 300, 3_000, 0, 0, 6)).act(pair)
-    assert pair.c.fault is Fault.OVER_SPEED
-    pair.ask_everything()
-    pair.send(m.Disarm(pair.next_nonce(), DisarmFlag.CLEAR_FAULT))
-    pair.tick(50)
-    pair.ask_everything()
-
-
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=25)
 @given(st.lists(st.binary(max_size=600), max_size=8))
 def test_the_same_is_counted_in_any_bytes(library: ctypes.CDLL, pieces: list[bytes]) -> None:
     pair = Pair(library, rig_of())
@@ -368,7 +353,7 @@ def test_the_same_is_counted_in_any_bytes(library: ctypes.CDLL, pieces: list[byt
     pair.ask_everything()
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=50)
 @example([(10, b"\1\0\0\0"), (10, b"\1\0\0\0")], False, 0)
 @example([(11, b"\0\1\0\0"), (10, b"\1\0\0\0")], False, 0)
 @example([(18, (30_000).to_bytes(4, "little")), (22, b"\xff" * 4)], True, 0)
@@ -380,7 +365,6 @@ def test_the_same_is_counted_in_any_bytes(library: ctypes.CDLL, pieces: list[byt
 def test_the_same_blocks_are_taken_and_refused(
     library: ctypes.CDLL, entries: list[tuple[int, bytes]], in_order: bool, cut: int
 ) -> None:
-    """Any numbers under any bytes, NaN and infinity among them; with broken lengths."""
     pair = Pair(library, linear_rig())
     pair.send(m.Identify(pair.next_nonce(), 0))
     entries = sorted(dict(entries).items()) if in_order else entries
@@ -390,35 +374,33 @@ def test_the_same_blocks_are_taken_and_refused(
     pair.ask_everything()
 
 
-@pytest.mark.parametrize("parameter", PARAMETERS, ids=lambda parameter: parameter.name)
-@pytest.mark.parametrize("model", [rotary_rig(), linear_rig()], ids=["rotary", "linear"])
-def test_every_range_ends_at_the_same_value(library: ctypes.CDLL, model: RigModel, parameter: Any) -> None:
+@pytest.mark.parametrize("model", first_by_default([rotary_rig(), linear_rig()]), ids=["rotary", "linear"])
+def test_every_range_ends_at_the_same_value(library: ctypes.CDLL, model: RigModel) -> None:
     pair = Pair(library, model)
     pair.send(m.Identify(pair.next_nonce(), 0))
-    values = {0, 1, 2**31 - 1, 2**31, 2**32 - 1}
-    for bound in (parameter.minimum, parameter.maximum, parameter.default, *parameter.excluded):
-        number = _bits(parameter.ctype, bound)
-        values |= {(number + step) & 0xFFFFFFFF for step in (-1, 0, 1)}
-    for value in sorted(values):
-        block = parameter.id.to_bytes(2, "little") + value.to_bytes(4, "little")
-        for message in set_parameters(block, pair.next_nonce()):
-            pair.send(message)
+    for parameter in PARAMETERS:
+        values = {0, 1, 2**31 - 1, 2**31, 2**32 - 1}
+        for bound in (parameter.minimum, parameter.maximum, parameter.default, *parameter.excluded):
+            number = _bits(parameter.ctype, bound)
+            values |= {(number + step) & 0xFFFFFFFF for step in (-1, 0, 1)}
+        for value in sorted(values):
+            block = parameter.id.to_bytes(2, "little") + value.to_bytes(4, "little")
+            for message in set_parameters(block, pair.next_nonce()):
+                pair.send(message)
 
 
 @pytest.mark.parametrize("state", [State.ARMED, State.RUNNING], ids=lambda state: state.name)
 def test_an_armed_device_takes_and_refuses_the_same_blocks(library: ctypes.CDLL, state: State) -> None:
-    """Live ones and others, broken in each way that a block can be; longer than one piece of a change."""
     pair = Pair(library, rig_of())
     pair.bring_to(state)
-    live = encode_block(
-        {
-            "float_stiffness": 3.0,
-            "float_damping": 1.0,
-            "fixed_surface": 1,
-            "fixed_stiffness": 2,
-            "fixed_shift": 7,
-        }
-    )
+    wall = {
+        "float_stiffness": 3.0,
+        "float_damping": 1.0,
+        "fixed_surface": 1,
+        "fixed_stiffness": 2,
+        "fixed_shift": 7,
+    }
+    live = encode_block(wall)
     broken = [b"", live, live[:7], live[6:] + live[:6], live + live[-6:], b"\xff\xff" + live[2:6], live * 2,
               encode_block({"ramp_us": 3}) + live[:6], live + encode_block({"fixed_constant_low": 9}),
               live[:8] + b"\0\0\xc0\x7f", live * 5]  # fmt: skip
@@ -441,7 +423,7 @@ def _bits(ctype: str, value: Value) -> int:
     return int.from_bytes(struct.pack(code, value)[:4], "little")
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=20)
 @given(
     st.integers(0, 1100),
     st.lists(st.tuples(st.integers(0, 1100), st.integers(0, 46)), max_size=40),
@@ -490,7 +472,7 @@ def test_index_and_limit_switch_are_seen_alike(
     assert max(edges) >= 3
 
 
-def test_what_comes_behind_a_question_in_one_piece_is_not_in_its_answer(library: ctypes.CDLL) -> None:
+def test_bytes_after_a_question_do_not_change_its_answer(library: ctypes.CDLL) -> None:
     pair = Pair(library, rig_of())
     pair.begin()
     question = frame_of(m.GetStatistics(pair.next_nonce()), 1, 0)
@@ -528,7 +510,7 @@ def test_every_type_in_every_length_is_answered_alike(library: ctypes.CDLL, stat
             pair.tick()
 
 
-@pytest.mark.parametrize("rate", first_by_default([50, 7_777, 99, 700, 1_000, 50_000], 2))
+@pytest.mark.parametrize("rate", first_by_default([7_777, 50, 99, 700, 1_000, 50_000]))
 def test_a_long_run_ends_alike(library: ctypes.CDLL, rate: int) -> None:
     """Heat, windows and fractional periods over thousands of ticks, with a pause into LINK_LOST at the end."""
     pair = Pair(library, rig_of(), seed=rate)
@@ -543,7 +525,7 @@ def test_a_long_run_ends_alike(library: ctypes.CDLL, rate: int) -> None:
 
 def test_the_fault_log_survives_its_clear_and_the_next_run(library: ctypes.CDLL) -> None:
     pair = Pair(library, rig_of())
-    for session, ticks in pairwise([1, 300, 20, 700]):
+    for session, ticks in pairwise([1, 300, 20]):
         pair.begin(session % 255)
         Step("drive", (ticks, 60, 20_000, 0, 0, 0)).act(pair)
         Step("fault", (Fault.BATCH_OVERFLOW,)).act(pair)
@@ -589,7 +571,7 @@ def test_a_command_that_was_longer_under_way_than_its_lifetime_is_not_activated(
     assert pair.c.core.status.current == 0, "STOP is never too old"
 
 
-@pytest.mark.parametrize("seed", first_by_default(range(20), 5))
+@pytest.mark.parametrize("seed", first_by_default(range(20), 2))
 def test_the_motion_is_judged_alike_at_every_threshold(library: ctypes.CDLL, seed: int) -> None:
     """Strokes with and against the effort, rest, reversals, about as long as the windows in which they are judged."""
     rng = random.Random(seed)
@@ -608,8 +590,8 @@ def test_the_motion_is_judged_alike_at_every_threshold(library: ctypes.CDLL, see
         }
         position = pair.python.hardware.count
         limits |= {
-            "window_minimum": position - rng.randrange(90),
-            "window_maximum": position + rng.randrange(90),
+            f"window_{end}": position + way * rng.randrange(90)
+            for end, way in (("minimum", -1), ("maximum", 1))
         }
         pair.both(lambda device: device.hold_to_run(True))
         pair.begin(session, position_rate=rate, **limits)
@@ -672,7 +654,7 @@ def test_every_fault_has_the_same_gravity(library: ctypes.CDLL) -> None:
         pair.send(m.Disarm(pair.next_nonce(), DisarmFlag.CLEAR_FAULT))
 
 
-def test_there_is_nothing_else_to_count() -> None:
+def test_every_counter_is_compared() -> None:
     pair_counts = asdict(SimulatedDevice(rotary_rig()).connection.statistics)
     assert set(COUNTERS) == set(pair_counts) - {"cobs_errors", "too_long", "too_short", "overrun"} | {
         "framing_errors"

@@ -1,4 +1,4 @@
-"""The law on the device: it computes what the law alone computes, when it should and as long as it should."""
+"""The law on the device: it computes the currents of the law alone, and runs only while it is supervised."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from firmware_protocol.transfer import set_parameters
 from rig import config
 from rig.core.sample import Phase
 from tests.conformance.host import RUN_PARAMETERS
+from tests.conformance.tiers import first_by_default
 from tests.firmware.law.law_design import FIXED, FLOAT, parameters_of
 from tests.firmware.law.law_library import LawLibrary, Parameters
 from tests.firmware.law.law_rigs import DUAL, SHORT, START, UNIFORM, controller_of, experiment_of
@@ -31,7 +32,7 @@ OWN: dict[str, dict[str, float | str]] = {"kalman": {"gain": "steady"}}
 
 
 def push(**changes: Any) -> ctypes.Structure:
-    """A law of integers without homing: a constant push, a wall at count 100, no damping; easily foreseen."""
+    """Return a law in integers without homing: a constant push, a wall at count 100, no damping."""
     p = Parameters(
         arithmetic=FIXED, sense=1, window_minimum=-(10**6), window_maximum=10**6, home_minimum=-(10**6),
         home_maximum=10**6, current_limit=500, velocity_divider=1, slow_multiple=1, home_timeout_ticks=U32,
@@ -52,13 +53,12 @@ def push(**changes: Any) -> ctypes.Structure:
     return p
 
 
-def told_to_run(p: ctypes.Structure, **more: Value) -> dict[str, Value]:
-    """Parameters of a device that runs a law, on top of `RUN_PARAMETERS`."""
+def run_values(p: ctypes.Structure, **more: Value) -> dict[str, Value]:
     return {**RUN_PARAMETERS, "continuous_current": 500, **wire_values(p), **more}
 
 
 def expected(law: LawLibrary, p: ctypes.Structure, samples: list[Sample]) -> list[int]:
-    """Currents of the law alone for the counts of some samples; gaps are ticks that it did not see."""
+    """Return the currents of the law alone for the counts of samples; gaps are missed ticks."""
     state, before, currents = law.reset(p), None, []
     for sample in samples:
         elapsed = 1 if before is None else (sample.index - before) & U32
@@ -68,7 +68,7 @@ def expected(law: LawLibrary, p: ctypes.Structure, samples: list[Sample]) -> lis
 
 
 def driven(samples: list[Sample]) -> list[int]:
-    """What the device drove after each sample but the last: what was active at the next one."""
+    """Return the current after each sample but the last: the one that the next sample reports."""
     return [sample.commanded for sample in samples[1:]]
 
 
@@ -97,7 +97,7 @@ def test_a_law_in_float_arrives_as_it_was_designed(
     library: ctypes.CDLL, estimator: str, scheme: dict[str, object]
 ) -> None:
     p = parameters_of(controller_of(experiment_of(estimator, OWN.get(estimator, {}), scheme), -77))
-    seen = law_of(Board(library).begin(**told_to_run(p)))
+    seen = law_of(Board(library).begin(**run_values(p)))
     ours, theirs = content(seen), content(p)
     skipped = {name for name in theirs if name.startswith(("fixed_wall", "biquad", "excitation"))}
     skipped |= {name for name in theirs if name.startswith("low_pass.") and p.low_pass.sections == 0}
@@ -111,7 +111,7 @@ def test_a_law_in_float_arrives_as_it_was_designed(
 def test_a_law_in_integers_arrives_as_it_was_designed(library: ctypes.CDLL, sign: int) -> None:
     experiment = experiment_of("fdm-butterworth-fixed", {}, DUAL, {"rig.encoder.sign": sign})
     p = parameters_of(controller_of(experiment, reference_count=1234), FIXED)
-    board = Board(library, config.rig_model(experiment)).begin(**told_to_run(p))
+    board = Board(library, config.rig_model(experiment)).begin(**run_values(p))
     ours, theirs = content(law_of(board)), content(p)
     names = [
         name
@@ -143,7 +143,7 @@ REFUSED: list[tuple[str, dict[str, Value]]] = [
 def test_a_law_that_cannot_run_is_refused_and_nothing_changes(
     library: ctypes.CDLL, about: str, values: dict[str, Value]
 ) -> None:
-    board = Board(library).begin(**told_to_run(push()))
+    board = Board(library).begin(**run_values(push()))
     board.disarm()
     before = bytes(law_of(board))
     ack = board.configure(**values)
@@ -154,7 +154,7 @@ def test_a_law_that_cannot_run_is_refused_and_nothing_changes(
 
 def test_a_foaw_band_that_is_too_wide_is_refused(library: ctypes.CDLL) -> None:
     p = parameters_of(controller_of(experiment_of("foaw-best", {}, DUAL)))
-    board = Board(library).begin(**told_to_run(p))
+    board = Board(library).begin(**run_values(p))
     board.disarm()
     ack = board.configure(foaw_band=2**30)
     assert (ack.status, ack.detail) == (Status.INCONSISTENT, BY_NAME["foaw_band"].id)
@@ -180,7 +180,7 @@ LAWS = [
 
 
 @pytest.mark.parametrize(("estimator", "arithmetic"), LAWS)
-@pytest.mark.parametrize("scheme", [DUAL, UNIFORM], ids=["dual", "uniform"])
+@pytest.mark.parametrize("scheme", first_by_default([DUAL, UNIFORM]), ids=["dual", "uniform"])
 def test_a_supervised_hit_is_the_hit_of_the_law_alone(
     library: ctypes.CDLL,
     law: LawLibrary,
@@ -188,18 +188,13 @@ def test_a_supervised_hit_is_the_hit_of_the_law_alone(
     estimator: str,
     arithmetic: int,
 ) -> None:
-    """Homing to release behind the link, with the plant; every tick arrives, and every current is the law's own."""
     experiment = experiment_of(
         estimator, OWN.get(estimator, {}), scheme, SHORT, {"trial.start": START - 0.002}
     )
     p = parameters_of(controller_of(experiment), arithmetic)
     rig = Rig(library, config.rig_model(experiment), initial_position=START)
-    limits = {
-        "current_limit": p.current_limit,
-        "continuous_current": p.current_limit,
-        "position_rate": 20_000,
-    }
-    rig.begin(**told_to_run(p, **limits))
+    limits = dict.fromkeys(("current_limit", "continuous_current"), p.current_limit)
+    rig.begin(**run_values(p, position_rate=20_000, **limits))
     for _ in range(MOST_TICKS):
         rig.supervise()
         if rig.states[-1].phase == Phase.DONE:
@@ -232,7 +227,7 @@ def test_an_excitation_is_played_from_the_table_that_the_device_worked_out(
     p = multisine()
     p.excitation.phases = phases
     board = Board(library)
-    board.prepare(**told_to_run(p))
+    board.prepare(**run_values(p))
     while (status := board.arm().status) == Status.NOT_READY:
         board.tick()
     assert status == Status.OK
@@ -246,21 +241,21 @@ def test_an_excitation_is_played_from_the_table_that_the_device_worked_out(
 
 def test_a_device_says_when_it_is_not_ready_and_then_it_is(library: ctypes.CDLL) -> None:
     board = Board(library)
-    board.prepare(**told_to_run(multisine()))
+    board.prepare(**run_values(multisine()))
     refused = 0
     while board.arm().status == Status.NOT_READY:
         refused += 1
         library.host_poll(board.core.address, b"", 0)
     assert 700 * 20 / 32 / 4 < refused < 700 * 20 / 32
     board.disarm()
-    board.prepare(**told_to_run(multisine(), ramp_us=5_000))
+    board.prepare(**run_values(multisine(), ramp_us=5_000))
     assert board.arm().status == Status.OK  # the same table, and it is still there
     board.disarm()
     other = multisine()
     other.excitation.seed += 1
-    board.prepare(**told_to_run(other))
+    board.prepare(**run_values(other))
     assert board.arm().status == Status.NOT_READY
-    board.prepare(**told_to_run(push()))
+    board.prepare(**run_values(push()))
     assert board.arm().status == Status.OK
 
 
@@ -268,12 +263,12 @@ def test_a_device_says_when_it_is_not_ready_and_then_it_is(library: ctypes.CDLL)
 def test_another_excitation_is_worked_out_anew_whatever_differs(library: ctypes.CDLL, name: str) -> None:
     board = Board(library)
     p = multisine()
-    board.prepare(**told_to_run(p))
+    board.prepare(**run_values(p))
     while board.arm().status == Status.NOT_READY:
         board.tick()
     board.disarm()
     setattr(p.excitation, name, getattr(p.excitation, name) + 1)
-    board.prepare(**told_to_run(p))
+    board.prepare(**run_values(p))
     assert board.arm().status == Status.NOT_READY
 
 
@@ -281,19 +276,18 @@ def test_a_period_that_the_board_has_no_memory_for_is_refused(library: ctypes.CD
     board = Board(library)
     library.host_set_excitation(board.core.address, 699)
     board.identify()
-    ack = board.configure(**told_to_run(multisine()))
+    ack = board.configure(**run_values(multisine()))
     assert (ack.status, ack.detail) == (Status.INCONSISTENT, BY_NAME["excitation_period"].id)
     library.host_set_excitation(board.core.address, 700)
-    assert board.configure(**told_to_run(multisine())).status == Status.OK
+    assert board.configure(**run_values(multisine())).status == Status.OK
 
 
 # ---------------------------------------------------------------------- when it runs
 
 
 def test_the_law_answers_each_sample_in_its_own_tick(library: ctypes.CDLL, law: LawLibrary) -> None:
-    """Sampled, computed, driven: what was active at a sample is the answer to the one before."""
     p = push()
-    board = Board(library).begin(**told_to_run(p))
+    board = Board(library).begin(**run_values(p))
     board.run([*range(90, 130)])
     board.command(Mode.STOP)
     currents = expected(law, p, board.samples)
@@ -301,8 +295,8 @@ def test_the_law_answers_each_sample_in_its_own_tick(library: ctypes.CDLL, law: 
     assert currents[:15] == [0, 0, *[50 - 10 * max(0, count - 100) for count in range(92, 105)]]
 
 
-def test_nothing_flows_before_the_first_word_of_the_host(library: ctypes.CDLL) -> None:
-    board = Board(library).begin(**told_to_run(push()))
+def test_no_current_flows_before_the_first_supervision(library: ctypes.CDLL) -> None:
+    board = Board(library).begin(**run_values(push()))
     for _ in range(20):
         board.tick()
     assert not board.frames
@@ -314,7 +308,7 @@ def test_nothing_flows_before_the_first_word_of_the_host(library: ctypes.CDLL) -
 
 def test_missed_ticks_have_passed_for_the_law_too(library: ctypes.CDLL, law: LawLibrary) -> None:
     p = push(fixed_wall__damping=2**16, velocity_divider=4, trial_ticks=60)
-    board = Board(library).begin(**told_to_run(p))
+    board = Board(library).begin(**run_values(p))
     for step in range(80):
         if step % 9 == 5:
             board.missed = 1
@@ -328,9 +322,9 @@ def test_missed_ticks_have_passed_for_the_law_too(library: ctypes.CDLL, law: Law
 def test_after_a_silent_host_the_live_law_fades_and_the_fault_latches(
     library: ctypes.CDLL, law: LawLibrary, ramp_us: int
 ) -> None:
-    """The factor acts on what the law wants now: its current goes on following the handle."""
+    # The factor acts on the present output of the law: its current continues to follow the handle.
     p = push()
-    board = Board(library).begin(**told_to_run(p, ramp_us=ramp_us))
+    board = Board(library).begin(**run_values(p, ramp_us=ramp_us))
     board.run([0] * 10)
     board.command(lifetime_us=6_000)
     silent_since = board.core.status.time
@@ -345,11 +339,9 @@ def test_after_a_silent_host_the_live_law_fades_and_the_fault_latches(
     for n, sample in enumerate(board.samples[10:-1], start=10):
         until = silent_since + (n - 10 + 2) * period  # a current is judged at the end of its tick
         left, whole = max(0, min(end - until, ramp_us * 16)), ramp_us * 16
-        faded = (
-            wanted[n]
-            if until <= end - whole
-            else (abs(wanted[n]) * left // whole) * (1 - 2 * (wanted[n] < 0))
-        )
+        faded = wanted[n]
+        if until > end - whole:
+            faded = (abs(wanted[n]) * left // whole) * (1 - 2 * (wanted[n] < 0))
         assert board.samples[n + 1].commanded == faded, sample
         fading += 0 < left < whole
     assert fading == {0: 0, 777: 1, 10_000: 19}[ramp_us]
@@ -358,7 +350,7 @@ def test_after_a_silent_host_the_live_law_fades_and_the_fault_latches(
 
 
 def test_the_lifetime_of_supervision_is_capped(library: ctypes.CDLL) -> None:
-    board = Board(library).begin(**told_to_run(push(), supervise_lifetime_us=10_000, ramp_us=0))
+    board = Board(library).begin(**run_values(push(), supervise_lifetime_us=10_000, ramp_us=0))
     board.command(lifetime_us=2**32 - 1)
     ticks = 0
     while not board.core.status.fault:
@@ -368,7 +360,7 @@ def test_the_lifetime_of_supervision_is_capped(library: ctypes.CDLL) -> None:
 
 
 def test_limits_act_on_the_law_too(library: ctypes.CDLL) -> None:
-    board = Board(library).begin(**told_to_run(push(fixed_wall__constant=300 * 2**16), slew_limit=7))
+    board = Board(library).begin(**run_values(push(fixed_wall__constant=300 * 2**16), slew_limit=7))
     board.run([0] * 10)
     board.command(Mode.STOP)
     assert [sample.commanded for sample in board.samples] == [0, 0, *range(7, 57, 7)][:10]
@@ -381,7 +373,7 @@ def test_another_command_ends_the_law_and_supervision_begins_it_anew(
     library: ctypes.CDLL, law: LawLibrary, mode: Mode
 ) -> None:
     p = push(trial_ticks=30)
-    board = Board(library).begin(**told_to_run(p))
+    board = Board(library).begin(**run_values(p))
     board.run([0] * 20)
     assert board.core.status.current == 50
     board.command(mode, current=7)
@@ -398,8 +390,8 @@ def test_another_command_ends_the_law_and_supervision_begins_it_anew(
     assert board.states[-1].phase == Phase.DONE
 
 
-def test_a_law_that_is_done_gives_nothing_and_tells_on(library: ctypes.CDLL) -> None:
-    board = Board(library).begin(**told_to_run(push(trial_ticks=10)))
+def test_finished_law_gives_no_current_and_sends_its_samples(library: ctypes.CDLL) -> None:
+    board = Board(library).begin(**run_values(push(trial_ticks=10)))
     board.run([0] * 200)
     assert board.core.status.fault == Fault.NONE
     assert {sample.commanded for sample in board.fed[20:]} == {0}
@@ -419,7 +411,7 @@ def test_a_law_that_is_done_gives_nothing_and_tells_on(library: ctypes.CDLL) -> 
 def test_a_law_that_gives_up_is_done_without_a_fault(
     library: ctypes.CDLL, changes: dict[str, int], counts: list[int]
 ) -> None:
-    board = Board(library).begin(**told_to_run(push(**changes)))
+    board = Board(library).begin(**run_values(push(**changes)))
     board.run([*counts, *[counts[-1]] * 20])
     assert board.core.status.fault == Fault.NONE
     assert board.core.status.current == 0
@@ -430,19 +422,19 @@ def test_a_current_that_is_no_number_is_a_fault(library: ctypes.CDLL) -> None:
     p = parameters_of(controller_of(experiment_of("fdm-butterworth", {}, UNIFORM)))
     p.settle_ticks, p.low_pass.section[0].inner = 0, 2.0**30  # a filter that runs away
     p.low_pass.section[0].band = 2.0**30
-    board = Board(library).begin(**told_to_run(p, current_limit=500))
+    board = Board(library).begin(**run_values(p, current_limit=500))
     for step in range(40):
         board.run([step % 2])
         if board.core.status.fault:
             break
     status = board.core.status
     assert (status.fault, status.current, status.enabled) == (Fault.NON_FINITE, 0, 0)
-    assert board.samples[-1].count == step % 2  # the tick that did it was told
+    assert board.samples[-1].count == step % 2  # of the tick that caused it
 
 
 def test_a_law_begins_anew_in_each_session(library: ctypes.CDLL, law: LawLibrary) -> None:
     p = push(trial_ticks=20)
-    board = Board(library).begin(**told_to_run(p))
+    board = Board(library).begin(**run_values(p))
     for _ in range(3):
         board.frames.clear()
         board.run([0] * 40)
@@ -461,36 +453,22 @@ def test_without_a_law_supervision_gives_no_current(library: ctypes.CDLL) -> Non
     assert board.core.status.fault == Fault.NONE
 
 
-def test_two_boards_run_laws_of_their_own(library: ctypes.CDLL, law: LawLibrary) -> None:
-    laws = push(), parameters_of(controller_of(experiment_of("foaw-best", {}, DUAL)))
-    boards = [Board(library).begin(**told_to_run(p, current_limit=500)) for p in laws]
-    for step in range(300):
-        for board in boards:
-            board.run([step // 2])
-    for board, p in zip(boards, laws, strict=True):
-        p.current_limit = 500
-        board.command(Mode.STOP)
-        assert driven(board.samples) == expected(law, p, board.samples)[:-1]
-
-
-# ---------------------------------------------------------------------- what is told beside it
+# ---------------------------------------------------------------------- STATE, log and pins
 
 
 @pytest.mark.parametrize(("rate", "every"), [(100, 1), (2_000, 10), (7_777, 38), (50_000, 250)])
 def test_state_comes_two_hundred_times_a_second(library: ctypes.CDLL, rate: int, every: int) -> None:
-    board = Board(library).begin(**told_to_run(push(), position_rate=rate))
+    board = Board(library).begin(**run_values(push(), position_rate=rate))
     board.run([0] * (5 * every + 1))
     indices = [state.sample_index for state in board.states]
     assert indices == [*range(indices[0], indices[0] + 5 * every + 1, every)]
     board.missed = 1
     board.run([0] * every)
-    assert board.host.statistics.lost == (
-        1 if every == 1 else 0
-    )  # a tick without a STATE is none that was lost
+    assert board.host.statistics.lost == (every == 1)  # a tick without a STATE is not a lost one
 
 
-def test_a_fault_is_told_at_once(library: ctypes.CDLL) -> None:
-    board = Board(library).begin(**told_to_run(push(), window_maximum=1_000))
+def test_fault_is_reported_at_once(library: ctypes.CDLL) -> None:
+    board = Board(library).begin(**run_values(push(), window_maximum=1_000))
     board.run([0] * 3)
     seen = len(board.states)
     board.run([1_001])
@@ -499,16 +477,16 @@ def test_a_fault_is_told_at_once(library: ctypes.CDLL) -> None:
     assert len(board.states) == seen + 1
 
 
-def test_limits_that_acted_between_two_states_are_told(library: ctypes.CDLL) -> None:
+def test_limits_that_acted_between_two_states_are_reported(library: ctypes.CDLL) -> None:
     window = {"window_maximum": 1_000, "window_minimum": -1_000}
-    board = Board(library).begin(**told_to_run(push(), batch_layout=2, **window))
+    board = Board(library).begin(**run_values(push(), batch_layout=2, **window))
     board.run([0] * 12 + [960] + [0] * 12)
     assert [bool(state.limits & LimitFlag.POSITION) for state in board.states] == [False, False, True]
 
 
 def test_the_fault_log_has_each_tick_with_its_own_limits(library: ctypes.CDLL) -> None:
     window = {"window_maximum": 1_000, "window_minimum": -1_000}
-    board = Board(library).begin(**told_to_run(push(), batch_layout=2, **window))
+    board = Board(library).begin(**run_values(push(), batch_layout=2, **window))
     board.run([0] * 12 + [960] + [0] * 5 + [1_001])
     entries = []
     for first in range(0, 30, 2):
@@ -522,7 +500,7 @@ def test_the_fault_log_has_each_tick_with_its_own_limits(library: ctypes.CDLL) -
 
 
 def test_pins_show_what_the_law_does(library: ctypes.CDLL) -> None:
-    board = Board(library).begin(**told_to_run(push(trial_ticks=20), batch_layout=2))
+    board = Board(library).begin(**run_values(push(trial_ticks=20), batch_layout=2))
     pins = []
     for board.count in [0] * 5 + [150] * 5 + [0] * 20:
         board.supervise()
@@ -549,7 +527,7 @@ def test_a_wall_changes_at_the_tick_that_the_answer_names(
     )
     first.settle_ticks = second.settle_ticks = 0
     surface = first.wall.surface_whole if arithmetic == FLOAT else first.fixed_wall.surface // 256
-    board = Board(library).begin(**told_to_run(first, current_limit=500, speed_limit=2**32 - 1))
+    board = Board(library).begin(**run_values(first, current_limit=500, speed_limit=2**32 - 1))
     p = law_of(board)
     home = first.home_target // 2**24
     there = [*range(home, surface + 40, 3)]
@@ -575,7 +553,7 @@ def test_a_wall_changes_at_the_tick_that_the_answer_names(
 
 
 def test_a_wall_does_not_change_under_a_pressed_hand(library: ctypes.CDLL) -> None:
-    board = Board(library).begin(**told_to_run(push()))
+    board = Board(library).begin(**run_values(push()))
     surfaces = {"here": 100, "nearer": 50, "farther": 150}
     for count, surface, status in (
         (101, "farther", Status.INSIDE_WALL),  # inside the one that is
@@ -593,8 +571,8 @@ def test_a_wall_does_not_change_under_a_pressed_hand(library: ctypes.CDLL) -> No
 
 
 def test_a_bilateral_wall_does_not_change_while_it_runs(library: ctypes.CDLL) -> None:
-    """Its spring acts on both sides: no place is free of it."""
-    board = Board(library).begin(**told_to_run(push(), bilateral=1))
+    # Its spring acts on both sides: no place is free of it.
+    board = Board(library).begin(**run_values(push(), bilateral=1))
     for count in (50, 100, 101):
         board.run([count] * 3)
         assert board.configure(fixed_surface=150 * 256).status == Status.INSIDE_WALL
@@ -602,7 +580,7 @@ def test_a_bilateral_wall_does_not_change_while_it_runs(library: ctypes.CDLL) ->
 
 
 def test_a_wall_that_cannot_be_computed_is_refused_while_it_runs(library: ctypes.CDLL) -> None:
-    board = Board(library).begin(**told_to_run(push()))
+    board = Board(library).begin(**run_values(push()))
     board.run([0] * 5)
     ack = board.configure(fixed_stiffness=-1)
     assert (ack.status, ack.detail) == (Status.INCONSISTENT, BY_NAME["fixed_stiffness"].id)
@@ -619,9 +597,9 @@ def test_a_wall_of_a_law_that_does_not_run_may_change_at_any_time(library: ctype
 
 
 class Slow(Board):
-    """A board whose main loop does one device_poll for 8 bytes of the host, and one for each `poll`."""
+    """A board whose main loop polls once for each 8 bytes of the host, and once for each `poll`."""
 
-    heard: list[m.Message]  # answers
+    replies: list[m.Message]
 
     def receive(self, data: bytes) -> bytes:
         while data:
@@ -630,30 +608,30 @@ class Slow(Board):
 
     def poll(self) -> None:
         self.library.host_poll(self.core.address, b"", 0)
-        self.heard += self.take(self.core.take())
+        self.replies += self.take(self.core.take())
 
     def begin_change(self, **values: Value) -> None:
-        """Bring a block as far as the COMMIT, and nothing of what that begins."""
-        self.nonce, self.heard = self.nonce + 1, []
+        """Send a block up to its COMMIT, without polling for the reply."""
+        self.nonce, self.replies = self.nonce + 1, []
         *messages, commit = set_parameters(encode_block(values), self.nonce)
         for message in messages:
             assert self.ask(message).status == Status.OK
         self.receive(self.host.send(commit))
-        assert not self.heard
+        assert not self.replies
 
 
 def test_a_wall_changes_piece_by_piece_while_the_law_runs_on(library: ctypes.CDLL, law: LawLibrary) -> None:
-    """The answer names the tick, however many passed meanwhile; before it the old wall, from it on the new one."""
+    # The reply names the tick from which the new wall acts, however many ticks passed.
     p = push()
-    board = Slow(library).begin(**told_to_run(p))
+    board = Slow(library).begin(**run_values(p))
     board.run([90] * 10)
     board.begin_change(fixed_surface=95 * 256, fixed_stiffness=7 * 2**8)
-    while not board.heard:
+    while not board.replies:
         board.count = 94 if len(board.fed) % 2 else 60
         board.tick()
         board.poll()
         board.poll()
-    (ack,) = board.heard
+    (ack,) = board.replies
     assert isinstance(ack, m.Ack)
     assert ack.status == Status.OK
     assert 20 < len(board.fed) < 50
@@ -672,21 +650,21 @@ def test_a_wall_changes_piece_by_piece_while_the_law_runs_on(library: ctypes.CDL
 
 
 def test_a_fault_in_the_middle_of_a_change_leaves_the_old_wall(library: ctypes.CDLL) -> None:
-    board = Slow(library).begin(**told_to_run(push()))
+    board = Slow(library).begin(**run_values(push()))
     board.run([0] * 5)
     before, crc = bytes(law_of(board)), board.crc
     board.begin_change(fixed_surface=95 * 256)
     library.host_fault(board.core.address, int(Fault.INTERNAL))
     for _ in range(60):
         board.poll()
-    (ack,) = board.heard
+    (ack,) = board.replies
     assert isinstance(ack, m.Ack)
     assert (ack.status, ack.detail, ack.crc) == (Status.BAD_STATE, State.FAULT, crc)
     assert bytes(law_of(board)) == before
 
 
 def test_a_host_that_does_not_wait_finds_the_change_done(library: ctypes.CDLL) -> None:
-    board = Slow(library).begin(**told_to_run(push()))
+    board = Slow(library).begin(**run_values(push()))
     board.run([0] * 5)
     board.begin_change(fixed_surface=95 * 256)
     board.nonce += 1
@@ -696,7 +674,7 @@ def test_a_host_that_does_not_wait_finds_the_change_done(library: ctypes.CDLL) -
 
 
 def test_a_request_in_the_same_bytes_finds_the_change_done(library: ctypes.CDLL) -> None:
-    board = Board(library).begin(**told_to_run(push()))
+    board = Board(library).begin(**run_values(push()))
     board.nonce += 1
     *messages, commit = set_parameters(encode_block({"fixed_surface": 95 * 256}), board.nonce)
     for message in messages:
@@ -711,10 +689,10 @@ def test_a_request_in_the_same_bytes_finds_the_change_done(library: ctypes.CDLL)
 
 
 def test_a_reset_forgets_a_change(library: ctypes.CDLL) -> None:
-    board = Slow(library).begin(**told_to_run(push()))
+    board = Slow(library).begin(**run_values(push()))
     board.run([0] * 5)
     board.begin_change(fixed_surface=95 * 256)
     library.host_restart(board.core.address)
     for _ in range(60):
         board.poll()
-    assert not board.heard
+    assert not board.replies

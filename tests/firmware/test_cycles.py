@@ -1,4 +1,4 @@
-"""No two files of the firmware need each other: neither by what they include nor by what they call."""
+"""No two files of the firmware need each other, neither by includes nor by calls."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ GENERATED = {"board_config"}
 
 
 def cycle_of(graph: Graph) -> list[str] | None:
-    """A way around, if there is one."""
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
@@ -27,7 +26,7 @@ def cycle_of(graph: Graph) -> list[str] | None:
 
 
 def includes() -> Graph:
-    """x.c and x.h are one node: what either includes."""
+    """Return the includes of each node; x.c and x.h are one."""
     files = [*FIRMWARE.rglob("*.c"), *FIRMWARE.rglob("*.h")]
     graph: dict[str, set[str]] = {}
     for path in files:
@@ -45,19 +44,18 @@ def node_of(path: Path) -> str:
 
 
 def calls() -> Graph:
-    """For each object file those that define what it calls or reads."""
+    """Return the files that define the symbols that each object file uses."""
     defined: dict[str, str] = {}
     wanted: dict[str, set[str]] = {}
-    for source, built in kept_objects(compiler(), SOURCES).items():
-        node = node_of(source)
-        listed = subprocess.run(["nm", built], capture_output=True, text=True, check=True).stdout
-        wanted[node] = set()
-        for line in listed.splitlines():
-            kind, symbol = line.split()[-2:]
-            if kind == "U":
-                wanted[node].add(symbol)
-            elif kind.isupper():
-                defined[symbol] = node
+    nodes = {str(built): node_of(source) for source, built in kept_objects(compiler(), SOURCES).items()}
+    listed = subprocess.run(["nm", "-A", *nodes], capture_output=True, text=True, check=True).stdout
+    for line in listed.splitlines():
+        node = nodes[line.partition(":")[0]]
+        kind, symbol = line.split()[-2:]
+        if kind == "U":
+            wanted.setdefault(node, set()).add(symbol)
+        elif kind.isupper():
+            defined[symbol] = node
     return {node: {defined[name] for name in names if name in defined} for node, names in wanted.items()}
 
 

@@ -1,4 +1,4 @@
-"""The table of single faults names tests, codes and steps that there are, and says where there is none."""
+"""The table of single faults names existing tests, codes and steps, and shows a missing test."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def functions(path: str) -> set[str]:
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row.part}: {row.fault}"[:60])
-def test_what_a_row_names_is_there(row: SingleFault) -> None:
+def test_each_row_names_existing_tests_codes_and_steps(row: SingleFault) -> None:
     for test in row.tests:
         path, _, name = test.partition("::")
         assert name.startswith("test_")
@@ -47,8 +47,8 @@ def test_what_a_row_names_is_there(row: SingleFault) -> None:
 
 def test_every_fault_of_the_protocol_and_every_part_has_a_row() -> None:
     assert {row.part for row in ROWS} == PARTS
-    told = {code for row in ROWS for code in row.codes}
-    assert told >= {fault.name for fault in Fault if fault is not Fault.NONE}
+    named = {code for row in ROWS for code in row.codes}
+    assert named >= {fault.name for fault in Fault if fault is not Fault.NONE}
 
 
 def test_a_row_without_a_test_says_so_on_the_page() -> None:

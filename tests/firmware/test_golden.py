@@ -55,6 +55,7 @@ def run_here(runner: ct.CDLL, file: bytes) -> Result:
     return runner.golden_run(memory, ct.create_string_buffer(file, len(file)), ct.c_size_t(len(file)))
 
 
+@pytest.mark.exhaustive("::test_runner_accepts_a_vector_and_rejects_each_change")
 def test_the_vectors_are_whole_runs_that_hit_the_wall(vectors: list[golden.Vector]) -> None:
     assert len(vectors) == len(golden.SCHEMES) * len(golden.SIDES) * (len(golden.ESTIMATORS) + 1)
     assert len({v.name for v in vectors}) == len(vectors)
@@ -65,19 +66,22 @@ def test_the_vectors_are_whole_runs_that_hit_the_wall(vectors: list[golden.Vecto
         assert (side * v.records["current"]).min() < -500, "the wall answers against its side"
 
 
+@pytest.mark.exhaustive("::test_runner_accepts_a_vector_and_rejects_each_change")
 def test_this_computer_meets_them(runner: ct.CDLL, vectors: list[golden.Vector]) -> None:
     for v in vectors:
         result = run_here(runner, v.to_bytes())
         assert (result.verdict, result.ticks) == (MET, len(v.records)), f"{v.name}: {result}"
 
 
-def test_a_runner_says_what_is_wrong(runner: ct.CDLL, vectors: list[golden.Vector]) -> None:
-    file = vectors[0].to_bytes()
-    at = file.index(vectors[0].records.tobytes())
+def test_runner_accepts_a_vector_and_rejects_each_change(law: LawLibrary, runner: ct.CDLL) -> None:
+    vector = golden.vector(law, "fdm-butterworth-fixed", "dual", 1, FIXED)
+    file = vector.to_bytes()
+    at = file.index(vector.records.tobytes())
 
     def with_byte(position: int, value: int) -> Result:
         return run_here(runner, file[:position] + bytes([value]) + file[position + 1 :])
 
+    assert run_here(runner, file).verdict == MET
     assert run_here(runner, file[:-1]).verdict == BAD_FILE
     assert with_byte(4, 2).verdict == BAD_FILE
     assert with_byte(64 + 16, 9).verdict == REFUSED
@@ -89,7 +93,7 @@ def test_a_runner_says_what_is_wrong(runner: ct.CDLL, vectors: list[golden.Vecto
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.filterwarnings("ignore::UserWarning")
 @pytest.mark.parametrize("core", cortex.CORES.values(), ids=lambda core: core.name)
-@pytest.mark.exhaustive("::test_this_computer_meets_them")
+@pytest.mark.exhaustive("::test_runner_accepts_a_vector_and_rejects_each_change")
 def test_a_processor_meets_them(core: cortex.CortexCore, vectors: list[golden.Vector]) -> None:
     pytest.importorskip("unicorn", reason="unicorn is not installed (pip install unicorn==2.1.4)")
     image = build(core)
@@ -109,7 +113,7 @@ def test_a_processor_meets_them(core: cortex.CortexCore, vectors: list[golden.Ve
 @pytest.mark.parametrize("core", cortex.CORES.values(), ids=lambda core: core.name)
 @pytest.mark.exhaustive("tests/firmware/law/test_law_excitation.py::test_large_tables_are_pythons_too")
 def test_an_excitation_is_ready_in_seconds(core: cortex.CortexCore) -> None:
-    """250 lines over a second at 20 kHz, from the cost of a piece; both kinds of phases."""
+    # 250 lines over a second at 20 kHz, from the cost of a piece; both kinds of phases.
     for phases in PHASES:
         excitation = ExcitationTable(250, 1, 1, 20_000, 2**16, phases=phases)
         simulator = cortex.Simulator(build(core))

@@ -1,4 +1,4 @@
-"""The port to this computer keeps its duties, and each wrong one is found by the duty that it breaks, in its words."""
+"""The port to this computer keeps its duties, and each wrong port is found by the duty that it breaks."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from firmware_protocol.duties import Duty, duties
 from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError, LinkLostError
 from rig.firmware._port_check import STEPS, PortCheck, PortCheckRequest, check_port, failure
+from tests.conformance.tiers import first_by_default
 from tests.firmware import simulated_port
 from tests.firmware.simulated_port import Run, SimulatedPort, powered_up, wrong_ports
 
@@ -46,19 +47,24 @@ def test_the_port_to_this_computer_keeps_every_duty(board: ctypes.CDLL) -> None:
     assert failure(found) is None
 
 
-def said(duty: Duty, text: str) -> bool:
-    """Whether a sentence is the duty's own, with numbers in it."""
+def is_message_of(duty: Duty, text: str) -> bool:
+    """Return True if a text is the message of a duty, with numbers in it."""
     pieces = map(re.escape, re.split(r"\{[^}]*\}", duty.broken))
     return re.fullmatch(".*".join(pieces), text) is not None
 
 
-@pytest.mark.parametrize("wrong", wrong_ports())
+FIRST = {name.partition("__")[0]: name for name in reversed(wrong_ports())}  # of each duty
+
+
+@pytest.mark.parametrize(
+    "wrong", first_by_default(sorted(wrong_ports(), key=lambda n: n not in FIRST.values()), len(FIRST))
+)
 def test_a_wrong_port_is_found_by_the_duty_that_it_breaks(board: ctypes.CDLL, wrong: str) -> None:
     found = checked(board, f"wrong_{wrong}")
     duty = DUTIES[wrong.partition("__")[0]]
     reasons = broken(found)
     assert list(reasons) == [duty.name], {name: one.text for name, one in reasons.items()}
-    assert said(duty, reasons[duty.name].text)
+    assert is_message_of(duty, reasons[duty.name].text)
     error = failure(found)
     assert error is not None
     assert error.message == f"duty broken: {reasons[duty.name].text}"
@@ -66,12 +72,12 @@ def test_a_wrong_port_is_found_by_the_duty_that_it_breaks(board: ctypes.CDLL, wr
 
 
 def was_on(board: ctypes.CDLL) -> tuple[bool, bool]:
-    """Whether the amplifier was ever switched on, and whether it is."""
+    """Return whether the amplifier was ever on, and whether it is on."""
     ever, now = (ctypes.c_bool.in_dll(board, name).value for name in ("ever_on", "is_on"))
     return ever, now
 
 
-def test_without_consent_nothing_is_switched_on_and_what_is_not_seen_says_what_it_wants(
+def test_check_without_consent_switches_nothing_on_and_names_the_missing_options(
     board: ctypes.CDLL,
 ) -> None:
     found = checked(board, "watch_enable", PortCheckRequest(seconds=0.1))
@@ -106,7 +112,7 @@ def test_a_current_above_the_rigs_limit_is_refused(board: ctypes.CDLL) -> None:
 
 
 class Silent(SimulatedPort):
-    """A board of which nothing comes any longer behind so many questions."""
+    """A board that stops replying after so many questions."""
 
     def __init__(self, run: Run, questions: int) -> None:
         super().__init__(run)
@@ -121,7 +127,7 @@ class Silent(SimulatedPort):
         return data if self._left >= 0 else b""
 
 
-def test_a_board_that_falls_silent_breaks_what_was_tried_and_the_rest_is_not_seen(board: ctypes.CDLL) -> None:
+def test_board_that_stops_replying_breaks_the_duty_in_test_and_skips_the_rest(board: ctypes.CDLL) -> None:
     link = Silent(powered_up(board), 3)
     found = check_port(lambda: link, PortCheckRequest(seconds=0.1))
     texts = {one.name: one.text for one in found.checks}
@@ -130,7 +136,7 @@ def test_a_board_that_falls_silent_breaks_what_was_tried_and_the_rest_is_not_see
     assert texts["write whole"] == "the board no longer replies"
 
 
-def test_where_nobody_answers_it_says_what_to_flash(board: ctypes.CDLL) -> None:
+def test_silent_port_is_a_lost_link_with_the_image_to_flash(board: ctypes.CDLL) -> None:
     link = Silent(powered_up(board), 0)
     with pytest.raises(LinkLostError, match="no reply at") as caught:
         check_port(lambda: link, PortCheckRequest())

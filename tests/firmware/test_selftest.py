@@ -1,4 +1,4 @@
-"""The self test on the firmware itself: its law runs in this computer's build, its samples are whole, nothing moves."""
+"""The self test on this computer's build of the firmware: its law runs, its samples are whole, nothing moves."""
 
 from __future__ import annotations
 

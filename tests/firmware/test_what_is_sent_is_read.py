@@ -1,4 +1,4 @@
-"""No parameter stands on the wire that no device reads."""
+"""Every parameter on the wire is read by the firmware."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def test_what_was_built_for_a_pico_is_flashed_to_a_pico(
     assert (drive / made.uf2.name).read_bytes() == made.uf2.read_bytes()
 
 
-@pytest.mark.exhaustive("tests/firmware/test_build.py::test_boards_and_settings_that_are_none_are_refused")
+@pytest.mark.exhaustive("tests/firmware/test_build.py::test_unknown_boards_and_settings_are_refused")
 def test_a_setting_that_the_board_cannot_have_is_refused_by_name(run: Any) -> None:
     cross.need_compiler()
     code, _, err = run("firmware", "build", "--set", "enable_pin=2")

@@ -1,4 +1,4 @@
-"""What a device must be told to run a law: the structure of the C law as values of the parameter table.
+"""The structure of the C law as values of the parameter table.
 
 Written from the table and law.h, not from the firmware that reads it, so that the two check each other.
 """
@@ -34,7 +34,7 @@ _FIXED = (
 
 
 def wire_values(p: ct.Structure) -> dict[str, Value]:
-    """Name → value of all that makes a law; what is zero because another law is meant stays at its default."""
+    """Return the parameters of a law; those that are zero because another law is meant keep their default."""
     values: dict[str, Value] = {name: getattr(p, name) for name in _SAME}
     values |= {
         "law": p.arithmetic + 1,
@@ -64,7 +64,7 @@ def wire_values(p: ct.Structure) -> dict[str, Value]:
 
 
 def live_values(p: ct.Structure) -> dict[str, Value]:
-    """Of these what may change while the device is armed."""
+    """Return those that may change while the device is armed."""
     names = ("surface", "stiffness", "damping", "shift", "constant_high", "constant_low")
     fixed = _fixed_wall(p.fixed_wall)
     live = {f"fixed_{name}": fixed[f"fixed_{name}"] for name in names} if p.fixed_wall.shift else {}

@@ -14,6 +14,7 @@ from rig.control import estimators
 from rig.control.estimators.arrays import inputs as estimator_inputs
 from rig.control.estimators.arrays import run
 from tests.conformance.fixed_law import ExactFilter, golden_vectors
+from tests.conformance.tiers import first_by_default
 from tests.firmware.law.law_design import FLOAT, scale_of, set_estimator
 from tests.firmware.law.law_library import Parameters, inputs
 
@@ -78,7 +79,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", first_by_default([1, 2]))
 def test_float_velocity_equals_the_host_to_rounding(law: Any, case: Any, seed: int) -> None:
     name, settings_, allowed = CASES[case]
     host, windows, ticks = both(law, name, *motion(seed), **settings_)
@@ -88,7 +89,7 @@ def test_float_velocity_equals_the_host_to_rounding(law: Any, case: Any, seed: i
 
 
 @given(st.data())
-@settings(max_examples=60)
+@settings(max_examples=25)
 @pytest.mark.parametrize("name", ["foaw-end", "foaw-best"])
 def test_windows_of_foaw_are_the_hosts(law: Any, name: str, data: st.DataObject) -> None:
     """Steps of whole counts, so that samples lie on the edge of the band time and again."""
@@ -136,7 +137,7 @@ def test_explicit_levant_stays_within_its_own_chatter_of_the_host(law: Any, disc
 
 
 @given(st.data())
-@settings(max_examples=60)
+@settings(max_examples=25)
 def test_fixed_velocity_is_exact_after_gaps(law: Any, data: st.DataObject) -> None:
     vectors = golden_vectors(data.draw(st.integers(0, 1000)), ticks=1)
     p = bare(estimators.get("fdm").prepare({}, 1.0, 1.0))

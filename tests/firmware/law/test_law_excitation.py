@@ -52,6 +52,7 @@ def test_cosine_and_phases_are_pythons(law: Any, number: int, line: int) -> None
     assert law.so.law_line_phase(number, line) == hashed_phases(number, line + 1)[line]
 
 
+@settings(max_examples=30)
 @given(tables(), st.integers(1, 5000))
 def test_the_table_is_pythons_to_the_bit_in_whatever_pieces(law: Any, excitation: Any, cosines: int) -> None:
     p = excited(FIXED, excitation)
@@ -78,7 +79,7 @@ def test_large_tables_are_pythons_too(law: Any, excitation: Any, most_bits: bool
 
 
 @given(tables(), st.data())
-@settings(max_examples=50)
+@settings(max_examples=25)
 def test_currents_are_pythons_to_the_bit(law: Any, excitation: Any, data: st.DataObject) -> None:
     elapsed = data.draw(st.lists(st.sampled_from([1, 1, 1, 2, 9, 100_000]), min_size=1, max_size=40))
     p = excited(FIXED, excitation)
@@ -100,13 +101,8 @@ def test_it_repeats_and_is_the_multisine_that_the_host_names(law: Any, arithmeti
 
 def test_a_device_refuses_what_the_host_refuses(law: Any) -> None:
     table = ExcitationTable(400, 1, 1, 1000, 2**16)
-    for field, value in (
-        ("first", 101),
-        ("lines", 4097),
-        ("bits", 16),
-        ("amplitude", 2**31),
-        ("period", 65_537),
-    ):
+    broken = {"first": 101, "lines": 4097, "bits": 16, "amplitude": 2**31, "period": 65_537}
+    for field, value in broken.items():
         p = excited(FIXED, table)
         setattr(p.excitation, field, value)
         assert law.check(p) != 0

@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 
 from rig.core.sample import Phase, RowFlag
 from tests.conformance.fixed_law import golden_vectors
+from tests.conformance.tiers import first_by_default
 from tests.firmware.law.exact_law import ExactLaw
 from tests.firmware.law.law_cases import BREAKS, broken, golden_parameters
 from tests.firmware.law.law_library import SOURCES, inputs
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", first_by_default(range(40), 10))
 def test_quanta_are_the_golden_ones(law: Any, seed: int) -> None:
     vectors = golden_vectors(seed)
     p = golden_parameters(vectors)
@@ -28,9 +29,8 @@ def test_quanta_are_the_golden_ones(law: Any, seed: int) -> None:
 
 
 @given(st.data())
-@settings(max_examples=100)
+@settings(max_examples=30)
 def test_a_whole_run_is_exact(law: Any, data: st.DataObject) -> None:
-    """Homing, settling, trial, release; gaps, slew limits, slow handles, either direction, windows left, speed."""
     draw = data.draw
     vectors = golden_vectors(draw(st.integers(0, 10_000)), ticks=1)
     p = golden_parameters(vectors)
@@ -63,19 +63,6 @@ def test_a_whole_run_is_exact(law: Any, data: st.DataObject) -> None:
     assert list(zip(*(ticks[n].tolist() for n in ("current", "flags", "phase")), strict=True)) == expected
 
 
-def test_two_instances_know_nothing_of_each_other(law: Any) -> None:
-    vectors = [golden_vectors(seed) for seed in (1, 2)]
-    parameters = [golden_parameters(v) for v in vectors]
-    states = [law.reset(p) for p in parameters]
-    for state in states:
-        state.phase = Phase.TRIAL
-    answers = [[], []]
-    for k in range(400):
-        for i in (0, 1):
-            answers[i].append(law.tick(states[i], parameters[i], vectors[i].counts[k]).current)
-    assert [tuple(a) for a in answers] == [v.quanta for v in vectors]
-
-
 def test_a_lower_limit_holds_at_once_whatever_the_slew(law: Any) -> None:
     vectors = golden_vectors(3)
     p = golden_parameters(vectors)
@@ -86,17 +73,6 @@ def test_a_lower_limit_holds_at_once_whatever_the_slew(law: Any) -> None:
     assert law.tick(state, p, vectors.counts[0]).current == 1000
     p.current_limit, p.fixed_wall.trial_slew = 10, 1 << 15
     assert law.tick(state, p, vectors.counts[0]).current == 10
-
-
-def test_a_wall_may_change_between_two_ticks(law: Any) -> None:
-    vectors = golden_vectors(3)
-    p = golden_parameters(vectors)
-    state = law.reset(p)
-    state.phase = Phase.TRIAL
-    p.fixed_wall.stiffness = p.fixed_wall.damping = 0
-    p.fixed_wall.constant = 7 << p.fixed_wall.shift
-    assert law.check(p) == 0
-    assert law.tick(state, p, vectors.counts[0]).current == 7
 
 
 @pytest.mark.parametrize(
@@ -110,17 +86,16 @@ def test_parameters_that_would_overflow_are_refused(law: Any, verdict: Any, fiel
 
 def test_flags_and_phases_are_the_hosts_numbers() -> None:
     header = SOURCES.joinpath("law.h").read_text()
-    for enum in (Phase, RowFlag):
-        for member in enum:
-            loops = (
-                "LATE",
-                "GAP",
-                "ENERGY",
-                "VIOLENT",
-                "UNMOVED",
-                "CURRENT_FOLLOWS",
-                "CURRENT_DIFFERS",
-                "OTHER_CURRENT",
-            )
-            if member.name not in loops:  # the host alone notices those
-                assert f"LAW_{member.name} = {int(member)}" in header
+    of_the_host = [
+        "LATE",
+        "GAP",
+        "ENERGY",
+        "VIOLENT",
+        "UNMOVED",
+        "CURRENT_FOLLOWS",
+        "CURRENT_DIFFERS",
+        "OTHER_CURRENT",
+    ]
+    for member in (*Phase, *RowFlag):
+        if member.name not in of_the_host:
+            assert f"LAW_{member.name} = {int(member)}" in header

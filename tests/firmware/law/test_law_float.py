@@ -1,4 +1,4 @@
-"""The float32 law of a tick against `rig.control.step`: the same inputs, and either law's hit in a closed loop."""
+"""The float32 law of a tick against `rig.control.step`: for the same inputs, and in a closed loop."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from rig.control import estimators, laws
 from rig.control.step import CONTROL, ControllerState, new_memory, step
 from rig.core.sample import Phase, RowFlag
+from tests.conformance.tiers import first_by_default
 from tests.firmware.law.law_design import FIXED, FLOAT, parameters_of
 from tests.firmware.law.law_library import inputs
 from tests.firmware.law.law_rigs import (
@@ -131,9 +132,9 @@ def drawn_controller(random: Any) -> Any:
 
 
 def test_every_option_and_limit_is_the_hosts(law: Any) -> None:
-    """Walks of counts with gaps, under 200 drawn controllers: each phase and each flag is seen, and equal."""
+    """Walks of counts with gaps, under 80 drawn controllers: each phase and each flag is seen, and equal."""
     seen = set()
-    for seed in range(200):
+    for seed in range(80):
         random = np.random.default_rng(seed)
         host = drawn_controller(random)
         c = host.control[0]
@@ -153,22 +154,17 @@ def test_every_option_and_limit_is_the_hosts(law: Any) -> None:
             assert abs(tick["current"] - quanta) <= 1
             seen |= {(Phase(m["phase"]), flag) for flag in RowFlag(int(m["flags"]))}
     assert {phase for phase, _ in seen} == set(Phase) - {Phase.WAIT}
-    currents = {RowFlag.CURRENT_FOLLOWS, RowFlag.CURRENT_DIFFERS, RowFlag.OTHER_CURRENT}
-    hosts = {
-        RowFlag.LATE,
-        RowFlag.GAP,
-        RowFlag.NONFINITE,
-        RowFlag.ENERGY,
-        RowFlag.VIOLENT,
-        RowFlag.UNMOVED,
-    } | currents
-    assert {flag for _, flag in seen} == set(RowFlag) - hosts
+    of_the_host = (
+        RowFlag.LATE | RowFlag.GAP | RowFlag.NONFINITE | RowFlag.ENERGY | RowFlag.VIOLENT | RowFlag.UNMOVED
+    )
+    of_the_host |= RowFlag.CURRENT_FOLLOWS | RowFlag.CURRENT_DIFFERS | RowFlag.OTHER_CURRENT
+    assert {flag for _, flag in seen} == set(~of_the_host)
     assert {(Phase.HOMING, RowFlag.SLEW_BOUND), (Phase.TRIAL, RowFlag.SLEW_BOUND)} <= seen
 
 
 @given(st.data())
-@settings(max_examples=50)
-def test_what_is_compared_with_a_count_is_decided_as_on_the_host(data: st.DataObject) -> None:
+@settings(max_examples=12)
+def test_comparisons_with_counts_are_those_of_the_host(data: st.DataObject) -> None:
     """Window and homing tolerance: whole counts on the device, float64 on the host, often on the very edge."""
     host = controller_of(experiment_of("fdm", {}, DUAL, SHORT))
     c, draw = host.control[0], data.draw
@@ -191,7 +187,7 @@ def test_what_is_compared_with_a_count_is_decided_as_on_the_host(data: st.DataOb
         assert (p.home_minimum <= travel <= p.home_maximum) == at_home
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("scheme", first_by_default(SCHEMES))
 @pytest.mark.parametrize("name", ["fixed", "butterworth", "foaw-end", "levant", "kalman"])
 def test_a_hit_in_a_closed_loop_has_the_hosts_verdict(law: Any, name: str, scheme: Any) -> None:
     """One count that comes a tick later makes another path; what a hit is judged by stays."""

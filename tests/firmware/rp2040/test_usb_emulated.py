@@ -28,7 +28,7 @@ from tests.firmware.rp2040.conftest import PRESET
 from tests.firmware.rp2040.session import Session
 from tests.firmware.rp2040.usb_line import UsbLine, UsbSupervisor
 from tests.firmware.rp2040.usb_link import EmulatedUsb
-from tests.firmware.test_core_law import push, told_to_run
+from tests.firmware.test_core_law import push, run_values
 
 RIG, PORT = 1, 2
 STALL = -32
@@ -156,7 +156,7 @@ def test_pulled_and_plugged_in_again(pico: emulator.Pico) -> None:
 def test_every_tick_of_a_law_arrives(pico: emulator.Pico, built: BuildResult, rate: int) -> None:
     """BATCH without a gap, in the time that the bus takes for its packets; and how much of the bus that is."""
     host = UsbSupervisor(UsbLine(pico), int(built.dictionary_hash, 16))
-    host.begin(**told_to_run(push(), position_rate=rate, batch_layout=0, **WIDE_OPEN))
+    host.begin(**run_values(push(), position_rate=rate, batch_layout=0, **WIDE_OPEN))
     before = host.line.look()
     host.watch(STREAM_US)
     after = host.line.look()
@@ -175,7 +175,7 @@ def test_a_cable_that_is_pulled_in_a_session_ends_with_no_current(
     pico: emulator.Pico, built: BuildResult
 ) -> None:
     host = UsbSupervisor(UsbLine(pico), int(built.dictionary_hash, 16))
-    host.begin(**told_to_run(push(), position_rate=20_000, **WIDE_OPEN))
+    host.begin(**run_values(push(), position_rate=20_000, **WIDE_OPEN))
     host.watch(20_000.0)
     assert pico.look()["enabled"]
     pico.ask("usb_suspend", asleep=True)
