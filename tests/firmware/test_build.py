@@ -163,7 +163,7 @@ def test_a_board_without_a_current_monitor_says_so(monitor: str, measured: bool,
     assert float(noise[1]) == pytest.approx(expected)
 
 
-@pytest.mark.exhaustive("tests/system/test_cli_firmware.py::test_an_image_is_built_and_looked_at")
+@pytest.mark.exhaustive("tests/system/test_cli_firmware.py::test_an_image_is_built_and_inspected")
 def test_image_contains_its_facts(built: Any) -> None:
     for path in (built.elf, built.bin):
         found = info(str(path))
@@ -181,7 +181,7 @@ def test_image_contains_its_facts(built: Any) -> None:
     assert facts["rig"] == cross.RIG
 
 
-@pytest.mark.exhaustive("tests/system/test_cli_firmware.py::test_an_image_is_built_and_looked_at")
+@pytest.mark.exhaustive("tests/system/test_cli_firmware.py::test_an_image_is_built_and_inspected")
 def test_its_sizes_are_those_of_the_program(built: Any) -> None:
     listed = subprocess.run(
         ["arm-none-eabi-size", built.elf], capture_output=True, text=True, check=True
@@ -194,7 +194,7 @@ def test_its_sizes_are_those_of_the_program(built: Any) -> None:
     assert len(read_segments(built.elf.read_bytes(), "x")) >= 1
 
 
-@pytest.mark.exhaustive("tests/system/test_cli_firmware.py::test_an_image_is_built_and_looked_at")
+@pytest.mark.exhaustive("tests/system/test_cli_firmware.py::test_an_image_is_built_and_inspected")
 def test_the_same_inputs_give_the_same_bytes_wherever_board_and_compiler_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

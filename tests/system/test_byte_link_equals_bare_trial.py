@@ -45,7 +45,7 @@ def over_the_wire(experiment: Any, path: Any, url: str = "sim://") -> Any:
         return open_recording(trial_on(device, experiment, path, seed=experiment.trial.seed).recording)
 
 
-@pytest.mark.parametrize("name", first_by_default(presets.names(), 3))
+@pytest.mark.parametrize("name", first_by_default(presets.names(), 2))
 @pytest.mark.parametrize(
     "changes",
     [{}, {"controller.estimator": "fdm"}, HELD, {**HELD, "operator.grip": "firm", "trial.seed": 3}],

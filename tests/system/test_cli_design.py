@@ -1,4 +1,4 @@
-"""`rig design` as a person meets it: a section to paste, files, JSON, what is refused, a device."""
+"""`rig design`: a section to paste, files, JSON, refusals, a device."""
 
 import json
 import re
@@ -44,6 +44,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     )
 
 
+@pytest.mark.exhaustive("::test_json_of_a_design_is_read_again")
 def test_a_design_is_a_section_to_paste_with_picture_page_and_numbers(run: Any, tmp_path: Path) -> None:
     code, out, err = run("design", *FEW, "--paper", "-o", "mine.toml")
     assert code == 0, err
@@ -60,35 +61,33 @@ def test_a_design_is_a_section_to_paste_with_picture_page_and_numbers(run: Any, 
     page = (place / "design.html").read_text()
     assert "fitted on the stability limits" in page, "the numbers of this preset are the paper's"
     assert "data:image/png" in page
-    told = json.loads((place / "design.json").read_text())
-    assert told["toml"] == section
-    (against,) = told["against"]
+    found = json.loads((place / "design.json").read_text())
+    assert found["toml"] == section
+    (against,) = found["against"]
     assert against["listed"] == 1, "the paper's scheme is the preset's own"
     assert against["text"] in out
     assert against["text"] in page
-    assert page.count(told["recommended"]["label"].split(",")[0]) >= 1
+    assert page.count(found["recommended"]["label"].split(",")[0]) >= 1
 
 
-def test_json_is_one_document_and_the_same_command_reads_what_is_done(run: Any) -> None:
+def test_json_of_a_design_is_read_again(run: Any) -> None:
     first = run("design", *FEW, "--json", "--no-plot")
     assert first[0] == 0, first[2]
-    told = json.loads(first[1])
-    assert told["files"]["picture"] is None
-    assert told["on_rig"] == []
+    found = json.loads(first[1])
+    assert found["files"]["picture"] is None
+    assert found["on_rig"] == []
     assert run("design", *FEW, "--json", "--no-plot")[1] == first[1]
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "words"),
     [
-        (["-K", "300"], r"add --must-be-stable"),
         (["--must-be-stable", "-K", "-1"], r"wall.stiffness = -1"),
         (["--goal", "best"], r"stiffness.*damping.*area.*quiet"),
         (
             ["--url", "sim://", "--most-rate", "10k"],
             r"--most-rate is given together with --url: the device at the URL reports",
         ),
-        (["--confirm", "no"], r"--confirm needs a device"),
         (["--scheme", "uniform:10k,estimator=fmd"], r"fmd"),
         (["--fidelity-to", "0"], r"--fidelity-to = 0 is out of range: .*above 0"),
         (["--round-trip", "-1"], r"--round-trip = -1 is out of range"),
@@ -96,17 +95,17 @@ def test_json_is_one_document_and_the_same_command_reads_what_is_done(run: Any) 
         (["--most-cost", "1"], r"the limiting one is 1 \(--most-cost\); .*\(--most-rate\)"),
     ],
 )
-def test_what_cannot_be_is_refused_in_a_sentence(run: Any, arguments: Any, said: str) -> None:
+def test_an_impossible_design_is_refused(run: Any, arguments: Any, words: str) -> None:
     code, _, err = run("design", *FEW, *arguments)
     assert code == 2
-    assert re.search(said, err), err
+    assert re.search(words, err), err
 
 
-@pytest.mark.exhaustive("::test_a_design_is_a_section_to_paste_with_picture_page_and_numbers")
+@pytest.mark.exhaustive("::test_json_of_a_design_is_read_again")
 def test_with_a_device_the_recommended_scheme_is_hit_there(run: Any, tmp_path: Path) -> None:
     code, out, err = run("design", *FEW, "--url", "sim://koul-compliant", "--json", "--no-plot")
     assert code == 0, err
-    told = json.loads(out)
-    assert told["on_rig"][0]["schemes"][0]["scheme"] == told["recommended"]["scheme"]
-    assert all(one["hits"] > 0 for one in told["on_rig"])
+    found = json.loads(out)
+    assert found["on_rig"][0]["schemes"][0]["scheme"] == found["recommended"]["scheme"]
+    assert all(one["hits"] > 0 for one in found["on_rig"])
     assert list(tmp_path.glob("designs/*/zwidth-*/hits/*.parquet"))

@@ -1,4 +1,4 @@
-"""``rig firmware`` as a person meets it."""
+"""``rig firmware``: build, inspect, flash, self-test."""
 
 import json
 from pathlib import Path
@@ -7,8 +7,10 @@ from typing import Any
 import pytest
 
 from rig.firmware import _flash as flashing
+from rig.firmware._uf2 import RP2040, Piece, write_uf2
 from tests.conformance.firmware import need_compiler
 from tests.firmware import cross
+from tests.rig.firmware.test_firmware_flash import IMAGE
 
 
 def test_the_law_of_the_firmware_streams_without_a_current(run: Any) -> None:
@@ -22,14 +24,21 @@ def test_the_law_of_the_firmware_streams_without_a_current(run: Any) -> None:
     assert "0 gaps; no current" in out
 
 
-def test_what_is_no_image_is_refused(run: Any, tmp_path: Path) -> None:
-    (tmp_path / "text.uf2").write_text("hello")
-    assert run("firmware", "info", "text.uf2")[0] == 2
-    assert run("firmware", "flash", "text.uf2")[0] in (2, 3)
-    assert run("firmware", "flash", "none.uf2", "--drive", tmp_path)[0] == 2
+def test_an_image_is_flashed_to_the_drive_of_a_pico(
+    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    image, drive = tmp_path / "a.uf2", tmp_path / "RPI-RP2"
+    image.write_bytes(write_uf2([Piece(0x1000_0000, IMAGE)], RP2040))
+    drive.mkdir()
+    (drive / "INFO_UF2.TXT").write_text("Model: Raspberry Pi RP2\nBoard-ID: RPI-RP2\n")
+    monkeypatch.setattr(flashing, "_wait_until_gone", lambda *_arguments: None)
+    code, out, err = run("firmware", "flash", image, "--drive", drive)
+    assert code == 0, err
+    assert f"the drive at {drive} took the image: a pico" in out
+    assert (drive / image.name).read_bytes() == image.read_bytes()
 
 
-def test_without_a_compiler_the_command_says_what_to_install(
+def test_without_a_compiler_the_command_names_the_package_to_install(
     run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
@@ -49,27 +58,14 @@ def built(run: Any, tmp_path: Path) -> Any:
     return json.loads(out)
 
 
-def test_an_image_is_built_and_looked_at(run: Any, built: Any) -> None:
+def test_an_image_is_built_and_inspected(run: Any, built: Any) -> None:
     assert built["rig"] == "koul-rigid"
     assert {Path(built[kind]).exists() for kind in ("elf", "bin", "facts")} == {True}
     code, out, _ = run("firmware", "info", built["elf"])
     assert code == 0
-    for words in ("mps2", "koul-rigid", built["dictionary_hash"], "compatible", "yes"):
-        assert words in out
-
-
-def test_what_was_built_for_a_pico_is_flashed_to_a_pico(
-    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made = cross.image("rp2040")
-    drive = tmp_path / "RPI-RP2"
-    drive.mkdir()
-    (drive / "INFO_UF2.TXT").write_text("Model: Raspberry Pi RP2\nBoard-ID: RPI-RP2\n")
-    monkeypatch.setattr(flashing, "_wait_until_gone", lambda *_arguments: None)
-    code, out, err = run("firmware", "flash", made.uf2, "--drive", drive)
-    assert code == 0, err
-    assert f"the drive at {drive} took the image: rp2040, {made.firmware}" in out
-    assert (drive / made.uf2.name).read_bytes() == made.uf2.read_bytes()
+    assert all(
+        words in out for words in ("mps2", "koul-rigid", built["dictionary_hash"], "compatible", "yes")
+    )
 
 
 @pytest.mark.exhaustive("tests/firmware/test_build.py::test_unknown_boards_and_settings_are_refused")

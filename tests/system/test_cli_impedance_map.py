@@ -1,10 +1,12 @@
-"""`rig impedance map` as a person meets it: tables, JSON, pictures, going on, and what cannot be."""
+"""`rig impedance map`: tables, JSON, pictures, and a map that is read again."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 SMALL = (
     "impedance", "map", "-K", "5000,10000,400000", "-B", "60,120", "--realisations", "2",
@@ -13,6 +15,7 @@ SMALL = (
 FDM = ("--scheme", "uniform:1k,estimator=fdm-butterworth,cutoff_hz=499")
 
 
+@pytest.mark.exhaustive("::test_json_is_one_document_and_the_same_command_reads_it_again")
 def test_the_papers_four_estimators_stand_beside_the_paper(run: Any, tmp_path: Path) -> None:
     code, out, _ = run(*SMALL)
     assert code == 0
@@ -30,22 +33,8 @@ def test_the_papers_four_estimators_stand_beside_the_paper(run: Any, tmp_path: P
 
 
 def test_json_is_one_document_and_the_same_command_reads_it_again(run: Any) -> None:
-    arguments = (
-        *SMALL,
-        *FDM,
-        "--json",
-        "--no-plot",
-        "--judged-band",
-        "2:200",
-        "--seed",
-        "3",
-        "--z-score",
-        "3",
-        "--effective-hz",
-        "10",
-        "-o",
-        "here",
-    )
+    more = "--json --no-plot --judged-band 2:200 --seed 3 --z-score 3 --effective-hz 10 -o here"
+    arguments = (*SMALL, *FDM, *more.split())
     code, out, _ = run(*arguments)
     assert code == 0
     facts = json.loads(out)

@@ -1,4 +1,4 @@
-"""`rig session new`, `check` and `schema` as a person meets them."""
+"""`rig session new` and `check`."""
 
 import json
 from pathlib import Path
@@ -33,10 +33,7 @@ def test_a_new_protocol_is_written_once_and_passes(run: Any, tmp_path: Path) -> 
     assert code == 0, err
     assert "rig session check study.toml" in out
     text = (tmp_path / "study.toml").read_text()
-    code, _, err = run("session", "new", "study.toml", "--template", "koul-fig6")
-    assert code == 9
-    assert "study.toml" in err
-    assert "exist" in err
+    assert run("session", "new", "study.toml", "--template", "koul-fig6")[0] == 9
     assert (tmp_path / "study.toml").read_text() == text
     code, out, err = run("session", "check", "study.toml", "--participants", "3", "--unblind", "--json")
     assert code == 0, err
@@ -46,20 +43,15 @@ def test_a_new_protocol_is_written_once_and_passes(run: Any, tmp_path: Path) -> 
     assert {cell["condition"] for cell in plan["cells"]} == {"uniform 20 kHz", "dual-rate 20/2 kHz"}
 
 
-def test_templates_are_listed_and_an_unknown_one_is_refused(run: Any, tmp_path: Path) -> None:
+def test_templates_are_listed(run: Any) -> None:
     code, out, _ = run("session", "new", "--list")
     assert code == 0
     assert out.split()[0] == "brown-factorial"
     assert json.loads(run("session", "new", "--list", "--json")[1]).keys() >= {"koul-fig6"}
-    code, _, err = run("session", "new", "--template", "koul-fig5")
-    assert code == 2
-    assert "did you mean koul-fig6" in err
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("blind", first_by_default(["both", "none", "operator", "participant"], 2))
-def test_a_blinded_operator_who_checks_the_plan_learns_no_order(run: Any, tmp_path: Path, blind: str) -> None:
-    """Whose turn is which condition's is what the console hides."""
+def test_the_plan_hides_the_order_from_a_blinded_operator(run: Any, tmp_path: Path, blind: str) -> None:
     (tmp_path / "study.toml").write_text(
         PLAN.replace("participants = 4", f'participants = 4\nblind = "{blind}"')
     )
@@ -71,31 +63,13 @@ def test_a_blinded_operator_who_checks_the_plan_learns_no_order(run: Any, tmp_pa
     ) == hidden
     _, unblinded, _ = run("session", "check", "study.toml", "--unblind")
     assert "A: " in unblinded
-    told = json.loads(run("session", "check", "study.toml", "--json")[1])
-    assert (told["orders"] is None) == hidden
+    plan = json.loads(run("session", "check", "study.toml", "--json")[1])
+    assert (plan["orders"] is None) == hidden
 
 
-def test_what_is_refused_is_printed_and_ends_with_an_error(run: Any, tmp_path: Path) -> None:
+def test_a_refused_rule_is_printed_and_ends_with_an_error(run: Any, tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text(PLAN + "[stop]\ntrials = 2\n")
     code, out, err = run("session", "check", "study.toml")
     assert code == 2
     assert "no stop.trials" in out
     assert "refused: stop.trials" in err
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", "[study]: is missing"),
-        ("[study", "not valid TOML"),
-        (PLAN.replace("dual:20k/2k", "dual:20k/3k"), 'condition 2, "dual"'),
-        (PLAN.replace("step", "stepp"), "did you mean step?"),
-    ],
-)
-def test_a_bad_file_is_refused_in_words(run: Any, tmp_path: Path, text: Any, words: str) -> None:
-    Path(tmp_path / "study.toml").write_text(text)
-    code, out, err = run("session", "check", "study.toml")
-    assert (code, out) == (2, "")
-    assert words in err
-    assert "study.toml" in err
-    assert "Traceback" not in err

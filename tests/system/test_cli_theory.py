@@ -1,4 +1,4 @@
-"""`rig theory walls` as a person meets it: numbers, bounds, picture, JSON; and without the simulation."""
+"""`rig theory walls`: numbers, bounds, picture, JSON."""
 
 from __future__ import annotations
 
@@ -6,11 +6,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from rig.analysis import theory
-from rig.analysis.theory import _limits as limits
 from rig.analysis.theory import _summary as summary
 
 
@@ -21,7 +19,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(summary, name, number)
 
 
-def test_it_says_what_the_maps_of_a_hand_would_speak_of(run: Any) -> None:
+def test_an_automated_trial_names_the_limit_in_a_normal_hand(run: Any) -> None:
     """An automated trial has an end mass and no hand, a map a normal hand: K_max at B = 0 is 30 and 519."""
     code, out, _ = run("theory", "walls", "--rig", "koul-compliant", "--no-plot", "--scheme", "dual:20k/2k")
     assert code == 0
@@ -41,14 +39,7 @@ def test_rates_are_compared_with_the_same_filter_if_asked_and_a_difference_is_pr
     asked = (
         "theory",
         "walls",
-        "--rig",
-        "koul-rigid",
-        "--no-plot",
-        "--scheme",
-        "uniform:20k",
-        "-B",
-        "0.5",
-        "--json",
+        *["--rig", "koul-rigid", "--no-plot", "--scheme", "uniform:20k", "-B", "0.5", "--json"],
     )
     found = {}
     for cutoff in ("as-in-the-paper", "same"):
@@ -63,25 +54,7 @@ def test_rates_are_compared_with_the_same_filter_if_asked_and_a_difference_is_pr
     assert found["as-in-the-paper"]["cutoffs"] in out
 
 
-def test_equal_rules_are_one_line_and_meaningless_ones_none(run: Any) -> None:
-    code, out, _ = run(
-        "theory", "walls", "--rig", "koul-rigid", "--no-plot", "--scheme", "dual:20k/2k", "-B", "1e6"
-    )
-    assert code == 0
-    assert out.count("Gil") == 1
-    (line,) = (line for line in out.splitlines() if "Gil" in line)
-    for text in ("multi-rate passivity, lag and delay", "necessary", "Diolaiti"):
-        assert text in line
-    assert "exact (rigid rig)" in out
-    code, out, _ = run(
-        "theory", "walls", "--rig", "koul-rigid", "--no-plot", "--scheme", "dual:20k/2k", "--json"
-    )
-    (scheme,) = json.loads(out)["schemes"]
-    names = [bound["name"] for bound in scheme["at_zero"]["passivity"]["bounds"]]
-    assert len(names) == 6
-    assert names[0] == "passivity, lag and delay counted"
-
-
+@pytest.mark.usefixtures("undrawn")
 def test_schemes_that_are_not_linear_are_a_line_beside_those_that_are(run: Any, tmp_path: Path) -> None:
     schemes = (
         "dual:20k/2k,estimator=levant",
@@ -105,7 +78,7 @@ def test_schemes_that_are_not_linear_are_a_line_beside_those_that_are(run: Any, 
     assert "not linear" in err
 
 
-def test_a_delay_is_told_in_ticks_and_for_each_scheme(run: Any) -> None:
+def test_a_delay_is_given_in_ticks_and_for_each_scheme(run: Any) -> None:
     late = ("--no-plot", "--set", "rig.simulation.computation_delay_ticks=2", "--rig", "koul-rigid")
     code, out, _ = run("theory", "walls", *late)
     assert code == 0
@@ -116,31 +89,7 @@ def test_a_delay_is_told_in_ticks_and_for_each_scheme(run: Any) -> None:
     assert [scheme["delay_s"] for scheme in facts["schemes"]] == pytest.approx([1e-4, 1e-4, 1e-3])
 
 
-def test_what_a_capped_scan_does_not_know_is_null(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the scan ends before stability does no frequency belongs to the end; JSON has no NaN."""
-    monkeypatch.setattr(limits, "stiffnesses", lambda lifted, damping: np.geomspace(1.0, 500.0, 100))
-    code, out, _ = run("theory", "walls", "--no-plot", "--json", "--scheme", "dual:20k/2k", "-B", "2")
-    assert code == 0
-    assert "NaN" not in out
-    assert "Infinity" not in out
-    limit = json.loads(out)["schemes"][0]["at_wall"]["limit"]
-    assert limit["capped"]
-    assert limit["frequency_hz"] is None
-    code, out, _ = run("theory", "walls", "--no-plot", "--scheme", "dual:20k/2k", "-B", "2")
-    assert "above 500 N·m/rad, where the scan ended" in out
-
-
-def test_a_rig_without_damping_has_no_passive_wall_and_still_a_picture(run: Any, tmp_path: Path) -> None:
-    code, out, _ = run(
-        "theory", "walls", "--rig", "koul-rigid", "--scheme", "uniform:20k",
-        "--set", "rig.mechanics.motor_damping=0", "--set", "rig.mechanics.link_damping=0",
-    )  # fmt: skip
-    assert code == 0
-    (line, *_) = (line for line in out.splitlines() if "passivity, lag and delay counted" in line)
-    assert line.split("counted")[1].split()[0] == "0"
-    assert (tmp_path / "theory-koul-rigid.png").exists()
-
-
+@pytest.mark.usefixtures("undrawn")
 def test_json_is_the_result_of_the_function(run: Any, tmp_path: Path) -> None:
     code, out, _ = run(
         "theory", "walls", "--json", "--scheme", "dual:20k/2k", "--scheme", "uniform:20k,estimator=kalman",
@@ -149,7 +98,7 @@ def test_json_is_the_result_of_the_function(run: Any, tmp_path: Path) -> None:
     assert code == 0
     facts = json.loads(out)
     assert facts["picture"] == str(tmp_path / "new" / "place" / "theory-koul-compliant.pdf")
-    assert Path(facts["picture"]).read_bytes().startswith(b"%PDF")
+    assert Path(facts["picture"]).exists()
     assert facts["operator"] == "firm"
     assert facts["damping"] == 2.0
     first, second = facts["schemes"]
@@ -158,12 +107,3 @@ def test_json_is_the_result_of_the_function(run: Any, tmp_path: Path) -> None:
     assert first["at_wall"]["limit"]["stiffness"] == pytest.approx(exact.stiffness, rel=1e-6)
     assert first["at_zero"]["binding"]
     assert len(first["curve"]) >= summary.CURVE_POINTS
-
-
-def test_a_linear_rig_has_its_units_and_no_picture_is_drawn_unless_wanted(run: Any, tmp_path: Path) -> None:
-    code, out, _ = run("theory", "walls", "--rig", "chawda-linear", "--no-plot", "--set", "wall.damping=0")
-    assert code == 0
-    assert "N/m" in out
-    assert "N·m" not in out
-    assert out.count("K_max at") == 1
-    assert not list(tmp_path.iterdir())

@@ -1,20 +1,21 @@
-"""The course lab: every command of its pages runs as it stands, and every number of its answers is what they print.
+"""The course: the commands of its pages run as they stand, and print the numbers of its answers.
 
-In a page a shell block is executed line by line; a TOML block whose first line is a comment with a file's name is that
-file. In the answers a number between backticks stands in what the page's commands printed; ``a / b = c`` is calculated.
+The first line of a TOML block names its file. In an answer a number between backticks is printed by a command of the
+page; ``a / b = c`` is calculated.
 """
 
 from __future__ import annotations
 
 import re
-import shlex
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from tests.conformance.guides import ROOT
 from tests.conformance.tiers import first_by_default
+from tests.system.test_docs import run_line
 
 COURSE = ROOT / "rig" / "docs" / "course"
 PAGES = sorted(COURSE.glob("[0-9]*.md"))
@@ -34,11 +35,13 @@ def test_there_are_six_exercises_and_each_has_questions_and_answers() -> None:
 
 
 @pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize("page", first_by_default(PAGES, 2), ids=lambda page: page.stem)
-def test_every_command_runs_and_the_answers_have_its_numbers(page: Path, run: Any) -> None:
+@pytest.mark.parametrize("page", first_by_default(PAGES), ids=lambda page: page.stem)
+def test_every_command_runs_and_the_answers_have_its_numbers(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     text = page.read_text(encoding="utf-8")
-    printed = "".join(_run_block(kind, block, run) for kind, block in BLOCK.findall(text))
-    printed = re.sub(r"\s+", " ", printed)
+    printed = _run_page(text)
     for answer in ANSWERS.findall(text):
         for span in SPAN.findall(answer):
             if " = " in span and SUM.fullmatch(left := span.partition(" = ")[0]):
@@ -48,22 +51,14 @@ def test_every_command_runs_and_the_answers_have_its_numbers(page: Path, run: An
                 assert span in printed, f"{page.name}: {span} is not what the commands print"
 
 
-def _run_block(kind: str, block: str, run: Any) -> str:
-    """Do what a block says; what its commands print."""
-    if kind == "toml":
-        name = block.splitlines()[0].lstrip("# ")
-        Path(name).write_text(block, encoding="utf-8")
-        return ""
-    printed = ""
-    for line in block.splitlines():
-        words = shlex.split(line, comments=True)
-        if not words:
-            continue
-        assert words[0] == "rig", line
-        target = words[words.index(">") + 1] if ">" in words else None
-        code, out, err = run(*(words[1 : words.index(">")] if target else words[1:]))
-        assert code == 0, f"{line}\n{err}"
-        if target:
-            Path(target).write_text(out, encoding="utf-8")
-        printed += out
-    return printed
+def _run_page(text: str) -> str:
+    """Write the files of a page and run its commands; return their output."""
+    output = StringIO()
+    with redirect_stdout(output):
+        for kind, block in BLOCK.findall(text):
+            if kind == "toml":
+                Path(block.splitlines()[0].lstrip("# ")).write_text(block, encoding="utf-8")
+            for line in block.splitlines() if kind == "sh" else ():
+                if line.strip():
+                    run_line(line)
+    return re.sub(r"\s+", " ", output.getvalue())

@@ -1,7 +1,4 @@
-"""A link that holds frames back and delivers one each tick: up to a command's lifetime it drives, and no longer.
-
-In virtual time at 1 kHz, on the readable device and the core in C.
-"""
+"""A link that delays frames, in virtual time at 1 kHz: no command drives the motor after its lifetime."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -56,7 +53,7 @@ def steady(delay: int) -> Delays:
 
 
 def growing(delay: int) -> Delays:
-    """A buffer that fills by and by: the device hears something in most ticks."""
+    """A buffer that fills slowly: the device receives a frame in most ticks."""
     return lambda frame: min(frame // 2, delay)
 
 
@@ -67,7 +64,7 @@ def once(delay: int) -> Delays:
 
 @dataclass
 class Run:
-    """A device behind a link that is late from one command on, and what went over it."""
+    """A device behind a link that is late from one command on, and the frames on that link."""
 
     link: MemoryLink
     delays: Delays
@@ -80,11 +77,11 @@ class Run:
     recording: Any = None
 
     def listen(self) -> None:
-        """Hear what the two ends send, when they send it."""
+        """Record the frames of both ends."""
         assert self.link.line is not None
         line, send = self.link.line, self.link.line.send
 
-        def heard(direction: Direction, data: bytes, tick: int) -> None:
+        def record(direction: Direction, data: bytes, tick: int) -> None:
             for raw in raw_frames(data):
                 _, type_id, _, session, sequence = HEADER.unpack_from(raw)
                 message = LAYOUTS[type_id].unpack(raw)
@@ -97,7 +94,7 @@ class Run:
                     self.frames.append(raw[4:])
             send(direction, data, tick)
 
-        line.send = heard  # type: ignore[method-assign]
+        line.send = record  # type: ignore[method-assign]
 
     def _faults(self, begin: Mapping[Direction, int]) -> Iterator[FrameFault]:
         for direction, frame in product(self.directions, range(FRAMES)):
@@ -112,11 +109,10 @@ class Run:
         return self.commands[self.first][0]
 
     def flagged(self) -> int:
-        """STATEs that say that a command was too old."""
+        """Return the number of STATEs with the flag of a command that was too old."""
         return sum(bool(state.limits & LimitFlag.COMMAND_TOO_OLD) for _, state in self.states)
 
-    def assert_told(self) -> None:
-        """It ended as the link's fault, and says what to do."""
+    def assert_link_delayed(self) -> None:
         assert isinstance(self.error, LinkLostError)
         assert "hub" in self.error.remedy
         assert self.recording.trailer["reason"] == "link_delayed"
@@ -148,13 +144,13 @@ def ran(directory: Path, delays: Delays, make: Callable[..., Any] = SimulatedDev
 
 
 @pytest.fixture
-def not_looking(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A device that takes each command as it comes, however long it was under way."""
+def no_age_check(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A device that accepts each command, whatever its age."""
     monkeypatch.setattr(readable, "is_too_old", lambda *command: False)
 
 
-@pytest.mark.parametrize("delay", range(LIFETIME + 1))
-def test_up_to_a_lifetime_the_device_takes_what_comes(
+@pytest.mark.parametrize("delay", [0, 1, LIFETIME])
+def test_up_to_a_lifetime_the_device_takes_each_command(
     delay: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run, core = (ran(tmp_path, steady(delay), make) for make in (SimulatedDevice, FirmwareDevice))
@@ -163,11 +159,11 @@ def test_up_to_a_lifetime_the_device_takes_what_comes(
     assert run.frames == core.frames == ran(tmp_path, steady(delay)).frames
 
 
-# Once the effort has faded nothing is left for a delay to change.
 @pytest.mark.parametrize(
-    "delay", first_by_default([LIFETIME + 1, LONGEST, *range(LIFETIME + 2, LIFETIME + RAMP + 3), 25], 2)
+    "delay",
+    first_by_default([LIFETIME + 1, LONGEST, LIFETIME + 2, LIFETIME + RAMP - 1, LIFETIME + RAMP, 25], 2),
 )
-def test_beyond_it_nothing_late_drives_the_motor_and_the_effort_ramps_to_zero(
+def test_a_command_beyond_its_lifetime_drives_nothing_and_the_effort_ramps_to_zero(
     delay: int, tmp_path: Path
 ) -> None:
     run, core = (ran(tmp_path, steady(delay), make) for make in (SimulatedDevice, FirmwareDevice))
@@ -182,7 +178,7 @@ def test_beyond_it_nothing_late_drives_the_motor_and_the_effort_ramps_to_zero(
     assert driven[LIFETIME - 1 :] == sorted(driven[LIFETIME - 1 :], reverse=True), "the ramp only falls"
     assert not any(state.current_commanded for passed, state in after if passed >= LIFETIME + RAMP)
     if delay < LIFETIME + RAMP - 1:
-        run.assert_told()
+        run.assert_link_delayed()
     else:
         assert isinstance(run.error, DeviceFaultError), "nothing at all came until the end"
         assert run.link.device.fault is Fault.NONE
@@ -191,11 +187,11 @@ def test_beyond_it_nothing_late_drives_the_motor_and_the_effort_ramps_to_zero(
 
 
 @pytest.mark.parametrize("make", [SimulatedDevice, FirmwareDevice])
-def test_a_buffer_that_fills_by_and_by_drives_no_longer_than_a_lifetime(
+def test_a_buffer_that_fills_slowly_drives_no_longer_than_a_lifetime(
     make: Callable[..., Any], tmp_path: Path
 ) -> None:
     run = ran(tmp_path, growing(LONGEST), make)
-    run.assert_told()
+    run.assert_link_delayed()
     late = 2 * (LIFETIME + 1)  # frames, until one is late by more than a lifetime
     newest = run.commands[run.first + late - 1]
     assert all(state.command_sequence <= newest[1] for _, state in run.states if state.current_commanded != 0)
@@ -209,42 +205,48 @@ def test_a_link_that_is_late_from_the_first_command_on_never_moves_the_motor(
 ) -> None:
     run = ran(tmp_path, steady(delay), first=0)
     assert not any(state.current_commanded for _, state in run.states)
-    run.assert_told()
+    run.assert_link_delayed()
     assert len(run.recording.rows) <= delay + LIFETIME + 2, "long before a silent host's half second"
 
 
-@pytest.mark.usefixtures("not_looking")
-@pytest.mark.parametrize("directions", [(Direction.TO_DEVICE,), (Direction.TO_HOST,), tuple(Direction)])
+@pytest.mark.usefixtures("no_age_check")
 @pytest.mark.parametrize(
-    "delays", [steady(6), steady(12), growing(8), growing(LONGEST)], ids=["6", "12", "up to 8", "up to 40"]
+    ("delays", "directions"),
+    [
+        (steady(6), (Direction.TO_DEVICE,)),
+        (steady(12), tuple(Direction)),
+        (growing(8), (Direction.TO_HOST,)),
+        (growing(LONGEST), (Direction.TO_DEVICE,)),
+    ],
+    ids=["6", "12", "up to 8", "up to 40"],
 )
-def test_the_host_ends_it_when_the_device_does_not_look(
+def test_the_host_ends_the_run_where_the_device_checks_no_age(
     delays: Delays, directions: tuple[Direction, ...], tmp_path: Path
 ) -> None:
     run = ran(tmp_path, delays, directions=directions)
-    run.assert_told()
+    run.assert_link_delayed()
     assert run.flagged() == 0
     assert run.recording.rows["effort_sent"][-1] == 0.0
     run.link.elapse(1e-3 * (LIFETIME + RAMP + LONGEST))
     assert run.link.device.current == 0
 
 
-@pytest.mark.usefixtures("not_looking")
-@pytest.mark.parametrize("delay", [LIFETIME + 1, 12, LONGEST])
+@pytest.mark.usefixtures("no_age_check")
+@pytest.mark.parametrize("delay", [LIFETIME + 1, LONGEST])
 def test_the_host_needs_a_lifetime_of_late_commands(delay: int, tmp_path: Path) -> None:
     """The first of them is active after the delay and shows a sample later."""
     run = ran(tmp_path, steady(delay), first=0)
-    run.assert_told()
+    run.assert_link_delayed()
     assert len(run.recording.rows) == delay + 2 + LIFETIME
 
 
 @pytest.mark.parametrize("looks", [True, False])
-@pytest.mark.parametrize("delay", [1, 4, 8, 12])
+@pytest.mark.parametrize("delay", [4, 8])
 def test_late_commands_with_one_in_time_behind_them_end_nothing(
     looks: bool, delay: int, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
     if not looks:
-        request.getfixturevalue("not_looking")
+        request.getfixturevalue("no_age_check")
     run = ran(tmp_path, once(delay))
     assert run.error is None
     assert run.flagged() == (looks and delay > LIFETIME)
@@ -257,7 +259,7 @@ def test_a_silence_long_after_a_late_command_is_a_silence(tmp_path: Path) -> Non
     assert run.recording.trailer["reason"] == "device_fault"
 
 
-def test_its_verdict_is_invalid(tmp_path: Path) -> None:
+def test_the_verdict_of_a_delayed_hit_is_invalid(tmp_path: Path) -> None:
     run = behind(steady(8))
     with FramedDevice(run.link) as device, pytest.raises(LinkLostError) as caught:
         list(hit(HitRequest(experiment=EXPERIMENT, device=device, output=tmp_path), admit))

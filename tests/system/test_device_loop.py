@@ -1,4 +1,4 @@
-"""A law on the device from end to end: the commands that run one, over frames, against the firmware itself."""
+"""A law on the device from end to end, against the compiled firmware."""
 
 from __future__ import annotations
 
@@ -73,15 +73,15 @@ def test_a_wall_that_changes_while_the_device_runs_it_replays_at_its_tick(
     posted = []
 
     def watch(repeat: Any, experiment: Any) -> Any:
-        def told(ticks: Any, phase: Any) -> None:
+        def progress(ticks: Any, phase: Any) -> None:
             if not posted:
                 posted.append(live._post(rings[0], {"wall.stiffness": 90.0, "wall.damping": 0.05}))
                 with pytest.raises(PlanError, match="cannot change while"):
                     live._post(rings[0], {"wall.damping_on": "entry"})
 
-        return told
+        return progress
 
-    patient = config.override(BOARD, {"homing.settle_s": 4.0})  # virtual time flies
+    patient = config.override(BOARD, {"homing.settle_s": 4.0})
     (result,) = hit(HitRequest(experiment=patient, output=tmp_path), admit, watch)
     assert [number for number, _ in posted] == [1]
     recording = result.recording
@@ -94,7 +94,7 @@ def test_a_wall_that_changes_while_the_device_runs_it_replays_at_its_tick(
     assert replay(recording).exact
 
 
-def test_an_impedance_by_the_devices_own_excitation_is_the_hosts(tmp_path: Path) -> None:
+def test_an_impedance_excited_by_the_device_is_that_of_the_host(tmp_path: Path) -> None:
     changes = {
         "excitation.channel": "motor",
         "excitation.low_hz": 20.0,
@@ -126,14 +126,14 @@ def test_an_impedance_by_the_devices_own_excitation_is_the_hosts(tmp_path: Path)
     assert replay(recording).exact
 
 
-def test_the_commands_say_where_the_law_ran(run: Any, tmp_path: Path) -> None:
+def test_commands_name_the_place_of_the_law(run: Any, tmp_path: Path) -> None:
     need_compiler()
     sets = [f"--set={key}={value}" for key, value in SHORT.items()]
     code, out, _ = run("hit", EXAMPLE, *sets, "--no-plot", "--json", "-o", tmp_path)
     assert code == 0
-    (told,) = json.loads(out)["hits"]
-    assert (told["loop"], told["arithmetic"]) == ("device", "fixed")
-    _, shown, _ = run("show", told["recording"])
+    (found,) = json.loads(out)["hits"]
+    assert (found["loop"], found["arithmetic"]) == ("device", "fixed")
+    _, shown, _ = run("show", found["recording"])
     assert "the device, in integers" in shown
     assert "currents differ" in shown
 
@@ -153,7 +153,7 @@ def test_a_map_of_a_device_is_hit_by_its_own_law(run: Any, tmp_path: Path) -> No
     assert [one.header["extra"]["loop"] for one in recordings] == ["device", "device"]
 
 
-def test_a_map_in_simulation_says_what_it_stands_for(run: Any, tmp_path: Path) -> None:
+def test_a_map_in_simulation_names_the_device_that_it_represents(run: Any, tmp_path: Path) -> None:
     narrow = ["--scheme", "dual:20k/2k", "--damping", "0.1", "--offsets", "0.1", "-K", "100:120"]
     code, out, _ = run("zwidth", EXAMPLE, *narrow, "--no-plot", "-o", tmp_path)
     assert code == 0

@@ -1,4 +1,4 @@
-"""New walls for a law on the device, the firmware itself at the far end: on both sides from one and the same sample."""
+"""New walls for a law on the device, against the compiled firmware: active on both sides from the same sample."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import pytest
 
 from rig import config
 from rig.config import controller, device_law, presets
-from rig.core.errors import RigError
 from rig.core.sample import Phase
 from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault, Happening
 from rig.devices.framed import FramedDevice
@@ -23,9 +22,8 @@ from rig.loop.replay import replay_rows
 from rig.realtime import control_words
 from rig.realtime.ring import Ring
 from sim_backend.board.firmware import FirmwareDevice
-from sim_backend.board.firmware_library import FIRMWARE
 from sim_backend.ends.link import MemoryLink
-from tests.conformance.tiers import first_by_default
+from tests.conformance.firmware import need_compiler
 
 RATE = 10_000
 WAIT_S = 20.0
@@ -43,10 +41,7 @@ EXCITED = {
 
 @pytest.fixture(scope="module", autouse=True)
 def _has_compiler() -> None:
-    try:
-        FIRMWARE.compiler()
-    except RigError:
-        pytest.skip("no C compiler is installed (package gcc)")
+    need_compiler()
 
 
 class Session:
@@ -142,8 +137,8 @@ def test_walls_change_on_both_sides_at_one_sample(estimator: str) -> None:
     assert there.stiffness == pytest.approx([first, second, *third][-1]["parameters"][0], rel=1e-7)
 
 
-def test_a_device_that_took_a_wall_is_no_stranger_afterwards() -> None:
-    """The active parameters are ours, though a loop set them: nobody takes the device for one that restarted."""
+def test_a_device_that_took_a_wall_is_configured_again() -> None:
+    """The host knows the parameters that a loop set, and does not take the device for one that restarted."""
     session = Session("fdm-butterworth-fixed", {HOMING: 500.0})
     session.run()
     session.host._dictionary = replace(session.host.dictionary, simulated=False)
@@ -155,18 +150,14 @@ def test_a_device_that_took_a_wall_is_no_stranger_afterwards() -> None:
     )
 
 
+@pytest.mark.exhaustive("::test_walls_change_on_both_sides_at_one_sample")
 @pytest.mark.parametrize(
-    "kind",
-    first_by_default(
-        [FaultKind.DROP, FaultKind.CORRUPT, FaultKind.DUPLICATE, FaultKind.REORDER, FaultKind.DELAY]
-    ),
+    "kind", [FaultKind.DROP, FaultKind.CORRUPT, FaultKind.DUPLICATE, FaultKind.REORDER, FaultKind.DELAY]
 )
 @pytest.mark.parametrize("way", Direction)
-def test_a_conversation_that_suffers_ends_with_the_same_wall_on_both_sides(
-    kind: FaultKind, way: Direction
-) -> None:
-    """Each frame of it is struck once, words and answers; what is lost is said again."""
-    Session("fdm-butterworth-fixed", {})  # reads the dictionary: all others know it
+def test_after_a_fault_in_the_update_both_sides_have_the_same_wall(kind: FaultKind, way: Direction) -> None:
+    """Each frame of the update is struck once; a lost one is sent again."""
+    Session("fdm-butterworth-fixed", {})  # reads the dictionary, which is cached
     clean = Session("fdm-butterworth-fixed", {HOMING: 150.0})
     line = clean.link.line
     assert line is not None

@@ -1,4 +1,4 @@
-"""The site: every command and example of its pages runs as it stands; what cannot says why, and exists."""
+"""The site: its commands and examples run as they stand, or the page states why not."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ PAGES = {
     for page in GUIDES
     if site.SOURCES in page.parents and page.parent.name != "course"
 }
-# What some pages must say when they are run; the others must end without an error.
-SAYS = {
+# Pages whose output must match a pattern; the others must end without an error.
+PATTERNS = {
     "index.md": r"stable|limit cycle",
     "first-walls.md": r"(?s)stable.*K_max.*area",
     "reference/python.md": r"stable 0\.0 N·m|stable -",
@@ -57,13 +57,18 @@ def runs(page: Path) -> list[Block]:
 
 
 LONG = {  # half a second and more
+    "how-to/cluster.md",
+    "how-to/device-loop.md",
     "first-walls.md",
     "how-to/drive.md",
     "how-to/estimators-in-a-wall.md",
+    "reference/python.md",
     "tutorials/ci.md",
     "tutorials/first-hit.md",
     "tutorials/own-estimator.md",
     "tutorials/own-law.md",
+    "tutorials/own-rig.md",
+    "tutorials/session.md",
 }
 RUNNING = sorted(
     (name for name, page in PAGES.items() if any(b.language != "toml" for b in runs(page))),
@@ -73,13 +78,13 @@ RUNNING = sorted(
 
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("name", first_by_default(RUNNING, len(RUNNING) - len(LONG)))
-def test_what_a_page_shows_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_examples_of_a_page_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if name == "how-to/device-loop.md":
         need_compiler()
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {"__name__": name}
-    said = StringIO()
-    with redirect_stdout(said):
+    output = StringIO()
+    with redirect_stdout(output):
         for number, block in enumerate(runs(PAGES[name])):
             if block.file:
                 Path(block.file).write_text(block.text, encoding="utf-8")
@@ -89,18 +94,15 @@ def test_what_a_page_shows_runs(name: str, tmp_path: Path, monkeypatch: pytest.M
                 run_line(line)
         for test in [one for key, one in names.items() if key.startswith("test_")]:
             test(**{"tmp_path": tmp_path} if "tmp_path" in inspect.signature(test).parameters else {})
-    assert re.search(SAYS.get(name, ""), said.getvalue()), said.getvalue()
+    assert re.search(PATTERNS.get(name, ""), output.getvalue()), output.getvalue()
 
 
 def run_line(line: str) -> None:
-    """Run a line of a shell: a plain command of ours or pytest in this process, which has compiled the loop already.
-
-    An exception that nobody could raise is told by the pytest around it: looking for garbage twice takes a second.
-    """
+    """Run a line of a shell: a plain `rig` or pytest command in this process, where the loop is compiled."""
     words = shlex.split(line, comments=True)
     words = words[: words.index("||")] if "||" in words else words  # what follows is for when it fails
     if words[0] == "pytest":
-        without = ("-p", "no:cacheprovider", "-p", "no:unraisableexception")
+        without = ("-p", "no:cacheprovider", "-p", "no:unraisableexception")  # the outer pytest reports these
         assert pytest.main([*words[1:], "-p", "rig.testing.plugin", *without]) == 0
         return
     if words[0] != "rig" or {"&&", "|"} & set(words):
@@ -138,20 +140,19 @@ def test_a_command_that_is_not_run_exists_with_its_options(line: str) -> None:
     parse_line(shlex.split(line, comments=True)[1:])
 
 
-def test_every_page_of_commands_is_looked_at() -> None:
-    """A reason is a sentence, not a way out."""
+def test_each_block_that_does_not_run_has_a_reason() -> None:
     reasons = {block.reason for page in GUIDES for block in blocks(page) if block.reason}
     assert all(len(reason) > 10 for reason in reasons)
     shown = [line for page in PAGES.values() for block in runs(page) for line in block.commands()]
     assert len(shown) >= 25
 
 
-# ------------------------------------------------------------------ what is made of the tables
+# ------------------------------------------------------------------ generated pages
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The sources with every page that is made, as Sphinx gets them; a link into nothing is an error."""
+    """The sources with all generated pages, as Sphinx gets them."""
     place = tmp_path_factory.mktemp("docs") / "docs"
     shutil.copytree(site.SOURCES, place)
     runpy.run_path(str(place / "made.py"))["make_pages"](place)
@@ -176,7 +177,7 @@ def test_every_command_fault_key_and_column_has_its_place(made: Path) -> None:
     assert "<!--" not in "".join(page.read_text() for page in made.rglob("*.md"))
 
 
-def test_a_fault_has_its_remedy_and_what_breaks_when_it_comes(made: Path) -> None:
+def test_the_page_of_a_fault_has_its_remedy_and_causes(made: Path) -> None:
     page = (made / "reference" / "faults" / "encoder.md").read_text()
     assert Fault.ENCODER.remedy[1:] in page
     assert "Found by" in page
@@ -189,7 +190,7 @@ def test_the_page_of_public_names_has_them_all() -> None:
     assert sorted([*re.findall(r"`(\w+)`", "".join(rows)), "__version__"]) == rig.__all__
 
 
-def test_what_the_second_paper_measures_needs_the_public_names_alone() -> None:
+def test_measurements_of_the_second_paper_need_public_names_alone() -> None:
     code = "".join(examples(site.SOURCES / "how-to" / "estimators-in-a-wall.md"))
     assert re.findall(r"^ *(?:import|from) (\S+)", code, re.MULTILINE) == ["rig"]
     assert set(re.findall(r"\brig\.(\w+)", code)) <= set(rig.__all__)
@@ -241,14 +242,14 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return sources
 
 
-def test_a_site_is_built_and_told(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_site_is_built(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert rig.cli.run(["serve", "docs", "--no-open", "--strict", "-o", str(out)]) == 0
     assert "One page" in (out / "html" / "index.html").read_text()
     assert str(out / "html" / "index.html") in capsys.readouterr().out
 
 
-@pytest.mark.exhaustive("::test_a_site_is_built_and_told")
+@pytest.mark.exhaustive("::test_a_site_is_built")
 def test_a_warning_is_an_error_where_that_is_asked_for(small: Path, tmp_path: Path) -> None:
     (small / "index.md").write_text("# One page\n\n[nothing](nowhere.md)\n")
     assert site.build_site(tmp_path / "out").pages > 0

@@ -1,4 +1,4 @@
-"""Somebody leads the hand of a simulated rig in real time, from another process, and the wall stops them."""
+"""The hand of a simulated rig is moved in real time from another process, and the wall stops it."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ AHEAD, PRESS = 0.02, 2.0  # into the wall (rad, N)
 
 @pytest.mark.parametrize("firmware", [False, True], ids=["readable", "firmware"])
 @pytest.mark.quiet
-def test_the_hand_goes_where_somebody_leads_it(firmware: bool, tmp_path: Path) -> None:
+def test_the_hand_follows_the_shared_memory(firmware: bool, tmp_path: Path) -> None:
     if firmware:
         need_compiler()
     seen, moved = [], {}
     with SharedHand.create(tmp_path / "hand") as hand:
 
         def watch(repeat: Any, experiment: Any) -> Any:
-            def told(ticks: Any, phase: Any) -> None:  # some fifty times a second, like a mouse
+            def progress(ticks: Any, phase: Any) -> None:  # some fifty times a second, like a mouse
                 seen.append(phase)
-                # Now: what it remembers is over before a busy machine has sealed the recording.
+                # Read now: the memory has ended before a busy machine has sealed the recording.
                 moved.update((motion.device_time_ns, motion) for motion in hand.motions())
                 waits = seen.count(Phase.TRIAL) * 0.02 < experiment.trial.baseline_s + 0.1
                 if phase == Phase.TRIAL and not waits:
@@ -45,7 +45,7 @@ def test_the_hand_goes_where_somebody_leads_it(firmware: bool, tmp_path: Path) -
                 else:
                     hand.move(experiment.trial.start, 0.0)
 
-            return told
+            return progress
 
         url = f"sim://?hand={hand.path}" + ("&firmware=1" if firmware else "")
         request = HitRequest(experiment=DRIVEN, url=url, realtime=True, output=tmp_path, changes=SOFT)
@@ -63,4 +63,4 @@ def test_the_hand_goes_where_somebody_leads_it(firmware: bool, tmp_path: Path) -
     push = trial["effort_sent"][-len(trial) // 10 :].mean()
     operator, radius = DRIVEN.operator, DRIVEN.rig.mechanics.handle_radius
     most = (PRESS + operator.hand_stiffness * AHEAD * radius) * radius
-    assert -1.2 * most < push < -0.5 * most, "as hard as somebody presses there"
+    assert -1.2 * most < push < -0.5 * most, "as hard as the hand presses there"

@@ -1,11 +1,8 @@
-"""What can break, breaks in a trial of the shipped host, in virtual time; each time the effort ends at zero.
+"""Faults in a trial of the shipped host, in virtual time: each time the effort ends at zero.
 
-Frames suffer at every place of a short run. With homing, a push and a release it is some forty ticks long; with
-configuration it is about 70 frames each way, and each of them is struck once by each kind of fault, but for frames that
-are all alike: those of the push, and comparisons of the clocks between the first and the last, are struck by every
-third kind in turn, and of the pages of the dictionary, which a device sends once, the first, one in the middle and the
-last. What costs a frame and not the run strikes three of a run, far apart. What the world does to the device strikes
-with the law on the host and on the device. What devices do with faults is in tests/firmware/test_firmware_faults.py.
+A short run is about forty ticks long and, with configuration, has about 70 frames each way. Each frame is struck once
+by each kind of fault; of frames that are all alike (those of the push, comparisons of the clocks, pages of the
+dictionary) only some are. Faults of the devices themselves: tests/firmware/test_firmware_faults.py.
 """
 
 import os
@@ -54,9 +51,7 @@ SUPERVISED_S = 0.020  # for how long a device with a law of its own follows it w
 START = -0.015
 TICKS = 16  # frames before the first sample and command
 PUSH = range(TICKS + 7, TICKS + 31)  # those of ticks that differ in nothing but their numbers
-CLOCKS = range(
-    TICKS - EXCHANGES, TICKS - 2
-)  # and those of comparisons of the clocks, before; as many come at the end
+CLOCKS = range(TICKS - EXCHANGES, TICKS - 2)  # comparisons of the clocks; as many come at the end
 STRIKE = 900  # ticks of the link: in a long trial, some hundred behind the impact
 
 SHORT = config.override(
@@ -125,7 +120,7 @@ def frames_of(directory: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """The same for a host that has not met the device, and asks for its dictionary first."""
+    """Frames of a run of a host that reads the dictionary first."""
     framed._dictionaries.clear()
     return frames_of(tmp_path_factory.mktemp("first"))
 
@@ -142,26 +137,23 @@ def frames(pages: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
     return sent
 
 
-# Each kind one way by default.
-STRUCK = sorted(
-    product(FaultKind, Direction),
-    key=lambda pair: [*FaultKind].index(pair[0]) % 2 != [*Direction].index(pair[1]),
-)
+# By default every ninth frame, by one kind that ends a run and one that costs a frame.
+DEFAULT = [(FaultKind.SILENCE, Direction.TO_DEVICE, 9), (FaultKind.CORRUPT, Direction.TO_HOST, 9)]
+STRUCK = [*DEFAULT, *((kind, direction, 1) for kind, direction in product(FaultKind, Direction))]
+strikes = pytest.mark.parametrize(("kind", "direction", "every"), first_by_default(STRUCK, len(DEFAULT)))
 
 
-@pytest.mark.parametrize(("kind", "direction"), first_by_default(STRUCK, len(FaultKind)))
+@strikes
 def test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording(
-    kind: Any, direction: Any, frames: Any, tmp_path: Path
+    kind: Any, direction: Any, every: int, frames: Any, tmp_path: Path
 ) -> None:
     turn, count = list(FaultKind).index(kind) % 3, frames[direction]
     alike = {*PUSH, *CLOCKS, *range(count - EXCHANGES + 1, count - 1)}
-    chosen = [frame for frame in range(count) if frame not in alike or frame % 3 == turn]
+    chosen = [frame for frame in range(count) if frame not in alike or frame % 3 == turn][::every]
     if kind in (FaultKind.SILENCE, FaultKind.UNPLUG):
         finished = sum(struck(kind, direction, [frame], tmp_path) for frame in chosen)
-        last_words = (
-            2 * STOP_FRAMES + 5 + EXCHANGES
-        )  # stops, disarming and its repeats, clocks compared at rest
-        assert finished <= last_words + 1000 * (LIFETIME_S + RAMP_S) + 1, (
+        closing = 2 * STOP_FRAMES + 5 + EXCHANGES  # stops, disarming and its repeats, clocks compared at rest
+        assert finished <= closing + 1000 * (LIFETIME_S + RAMP_S) + 1, (
             "the watchdog ends every longer silence"
         )
         return
@@ -175,13 +167,18 @@ def test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording(
         )
 
 
-@pytest.mark.parametrize("direction", Direction)
-@pytest.mark.parametrize("kind", FaultKind)
-def test_a_fault_at_a_page_of_the_dictionary_is_asked_again_or_ends_before_anything_moves(
-    kind: Any, direction: Any, pages: Any, frames: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@strikes
+def test_after_a_fault_at_a_page_of_the_dictionary_it_is_requested_again_or_nothing_moves(
+    kind: Any,
+    direction: Any,
+    every: int,
+    pages: Any,
+    frames: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     last = pages[direction] - frames[direction]
-    for page in (0, 1, last // 2, last - 1, last):
+    for page in (0, 1, last // 2, last - 1, last)[:: 2 if every > 1 else 1]:
         monkeypatch.setattr(framed, "_dictionaries", {})
         finished = struck(kind, direction, [page], tmp_path)
         assert finished == (kind not in (FaultKind.SILENCE, FaultKind.UNPLUG)), page
@@ -237,12 +234,6 @@ def gives_nan(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, p
 
 
 @kernel(LAW_SIGNATURE)
-def gives_infinity(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
-    state[1] += 1.0
-    return np.inf if state[1] > 15.0 else 0.0
-
-
-@kernel(LAW_SIGNATURE)
 def raises(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     state[1] += 1.0
     if state[1] > 15.0:
@@ -250,9 +241,7 @@ def raises(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, para
     return 0.0
 
 
-@pytest.mark.parametrize(
-    ("function", "reason"), [(gives_nan, "nonfinite"), (gives_infinity, "nonfinite"), (raises, "law_raised")]
-)
+@pytest.mark.parametrize(("function", "reason"), [(gives_nan, "nonfinite"), (raises, "law_raised")])
 def test_a_law_that_fails_ends_the_run_with_zero_and_is_named(
     function: Any, reason: str, tmp_path: Path
 ) -> None:
@@ -268,11 +257,6 @@ def test_a_law_that_fails_ends_the_run_with_zero_and_is_named(
         assert "too deep for me" in str(trial.error)
         assert isinstance(trial.error.__cause__, ValueError)  # type: ignore[union-attr]
         assert len(trial.rows) > 10
-
-
-def test_leaving_the_window_ends_the_run_with_zero(tmp_path: Path) -> None:
-    narrow = {"rig.limits.position_maximum": 0.0005, "wall.stiffness": 60.0, "trial.duration_s": 0.2}
-    Bench(**narrow).run(tmp_path).check(GuardError, DeviceFaultError)
 
 
 def test_a_start_out_of_reach_is_given_up(tmp_path: Path) -> None:
@@ -299,7 +283,7 @@ def test_ctrl_c_stops_within_a_tick_and_leaves_a_whole_recording(tmp_path: Path)
     assert trial.rows["phase"][-1] == Phase.TRIAL
 
 
-# ---------------------------------------------------------------------- the host falls silent
+# ---------------------------------------------------------------------- silence of the host
 
 
 @each_far_end
@@ -321,11 +305,11 @@ def test_silence_of_the_host_ramps_the_effort_down_and_latches(far_end: str, tmp
 
 
 @each_far_end
-@pytest.mark.parametrize("fault", [Fault.ENCODER, Fault.EMERGENCY_STOP, Fault.OVER_CURRENT])
+@pytest.mark.parametrize("fault", first_by_default([Fault.ENCODER, Fault.EMERGENCY_STOP, Fault.OVER_CURRENT]))
 def test_a_fault_of_the_device_at_any_tick_is_reported_with_every_sample_up_to_it(
     fault: Fault, far_end: str, tmp_path: Path
 ) -> None:
-    for tick in range(0, 36, 3):
+    for tick in (0, 4, 17, 33):
         place = tmp_path / str(tick)
         place.mkdir()
         trial = Bench(Faults(device=(DeviceFault(tick, fault),)), far_end=far_end).run(place)
@@ -354,14 +338,12 @@ CASES: dict[str, tuple[Callable[[Any], None], tuple[Fault, ...]]] = {
     "an encoder that jumps": (slip(1_500), (Fault.OVER_SPEED, Fault.BATCH_OVERFLOW)),
     "a short circuit": (lambda device: setattr(device.hardware, "leak", 32_767), (Fault.OVER_CURRENT,)),
     "the emergency stop": (lambda device: device.press_emergency_stop(), (Fault.EMERGENCY_STOP,)),
-    "a law that is not finite": (lambda device: device.inject_fault(Fault.NON_FINITE), (Fault.NON_FINITE,)),
     "a late tick": (lambda device: device.inject_fault(Fault.TICK_OVERRUN), (Fault.TICK_OVERRUN,)),
-    "a watchdog reset of a port": (lambda device: device.inject_fault(Fault.INTERNAL), (Fault.INTERNAL,)),
 }
 
 
 @each_far_end
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", first_by_default(CASES, 2))
 def test_a_fault_in_the_wall_is_reported_with_cause_and_remedy(
     name: str, far_end: str, tmp_path: Path
 ) -> None:

@@ -1,8 +1,7 @@
-"""Faults again, in real time, over a real port: a device process at the other end of a line that breaks.
+"""Faults in real time over a pseudo-terminal to a device process.
 
-Nothing here depends on the processors that the machine has left (`tests.conformance.far_end`), and nothing is asserted
-about latency: every wait is bounded by seconds, the device ends without current (its own witness says so), the
-recording reads, and what the line lost is counted.
+Nothing depends on spare processors (`tests.conformance.far_end`) or asserts a latency: the device ends without current,
+by its own witness, and the recording reads.
 """
 
 import resource
@@ -26,7 +25,6 @@ from rig.core.errors import (
     RecordingError,
     StoppedError,
 )
-from rig.core.sample import Phase
 from rig.devices import open_device
 from rig.devices.fault_script import Direction, FaultKind, FrameFault
 from rig.recording.reader import open_recording
@@ -117,7 +115,8 @@ def broken(kind: FaultKind, *directions: Direction, strikes: int = 1) -> tuple[F
 
 
 @on_both
-def test_without_a_fault_it_completes(bench: Bench) -> None:
+@pytest.mark.exhaustive("::test_a_signal_to_a_host_process_leaves_the_device_at_rest")
+def test_a_run_without_a_fault_completes(bench: Bench) -> None:
     device = bench.start()
     trial = bench.run(device, long=False).check(replays=bench.firmware)
     assert device["peak"] > 0, "it did push"
@@ -143,7 +142,7 @@ ENDINGS: dict[str, tuple[dict[str, Any], type[Exception], Fault]] = {
 
 @on_both
 @pytest.mark.parametrize("name", first_by_default(ENDINGS))
-def test_what_ends_a_run_is_an_error_with_its_remedy_and_a_device_at_rest(name: str, bench: Bench) -> None:
+def test_an_ended_run_has_an_error_with_its_remedy_and_a_device_at_rest(name: str, bench: Bench) -> None:
     script, error, fault = ENDINGS[name]
     device = bench.start(**script)
     trial = bench.run(device).check(error, replays=bench.firmware)  # type: ignore[arg-type]
@@ -222,30 +221,13 @@ def test_an_exception_of_the_caller_ends_the_run_with_zero(bench: Bench) -> None
     assert open_recording(bench.directory / "trial.rigcap").complete
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.signals
-def test_a_signal_stops_the_loop_and_leaves_a_whole_recording(number: Any, bench: Bench) -> None:
-    device, sent = bench.start(), []
-
-    def interrupt(ticks: Any, phase: Any) -> None:
-        if ticks > bench.early and not sent:
-            sent.append(ticks)
-            signal.raise_signal(number)
-
-    trial = bench.run(device, progress=interrupt).check(StoppedError, replays=False)
-    assert trial.rows["phase"][-1] in (Phase.HOMING, Phase.TRIAL)
-
-
 @on_both
 @pytest.mark.parametrize(
     "number", first_by_default([signal.SIGKILL, signal.SIGINT, signal.SIGTERM, signal.SIGSTOP])
 )
 @pytest.mark.signals
 def test_a_signal_to_a_host_process_leaves_the_device_at_rest(number: Any, bench: Bench) -> None:
-    """From outside, as a person, a session manager and the kernel send them; a stopped host is like a dead one.
-
-    The device has latched LINK_LOST for a host that vanished; the next one clears it and says so.
-    """
+    """The device latches LINK_LOST for a host that vanished; the next host clears it."""
     device, path = bench.start(), bench.directory / "trial.rigcap"
     host = HostProcess(device.url, bench.long, path)
     try:
@@ -254,7 +236,7 @@ def test_a_signal_to_a_host_process_leaves_the_device_at_rest(number: Any, bench
         device.wait_for_rest()
         if number == signal.SIGSTOP:
             host.send(signal.SIGCONT)
-        said = host.ended()
+        ending = host.ended()
     finally:
         host.close()
     expected = {
@@ -263,9 +245,9 @@ def test_a_signal_to_a_host_process_leaves_the_device_at_rest(number: Any, bench
         signal.SIGKILL: "killed",
         signal.SIGSTOP: "DeviceFaultError",
     }[number]
-    assert said == expected
-    assert open_recording(path).complete == (said != "killed")
-    if said == "killed":
+    assert ending == expected
+    assert open_recording(path).complete == (ending != "killed")
+    if ending == "killed":
         assert device["first_fault"] == Fault.LINK_LOST
         assert device["state"] == State.FAULT
         path.unlink()
@@ -276,7 +258,7 @@ def test_a_signal_to_a_host_process_leaves_the_device_at_rest(number: Any, bench
     "tests/system/test_faults.py::test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording"
 )
 def test_a_full_disk_is_reported_at_the_end_and_the_device_is_at_rest(bench: Bench) -> None:
-    """A limit on the size of files stands for it: the same path, with EFBIG for ENOSPC."""
+    """A limit on the size of files gives EFBIG in place of ENOSPC, on the same path."""
     device = bench.start()
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
 
@@ -293,7 +275,7 @@ def test_a_full_disk_is_reported_at_the_end_and_the_device_is_at_rest(bench: Ben
     assert (np.diff(trial.rows["tick"]) == 1).all()
 
 
-def test_a_device_that_somebody_else_has_open_is_refused_before_anything_moves(bench: Bench) -> None:
+def test_a_device_that_another_program_has_open_is_refused_before_anything_moves(bench: Bench) -> None:
     device = bench.start()
     with open_device(device.url):
         trial = bench.run(device)

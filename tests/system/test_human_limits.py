@@ -100,7 +100,7 @@ def test_more_effort_than_a_person_may_meet_is_refused_wherever_it_is_written() 
         ({"rig.limits.oscillations": 11}, "rig.limits.oscillations = 11 (1 to 10 for people)"),
     ],
 )
-def test_a_file_that_says_otherwise_is_reported_on_a_simulated_rig_and_refused_on_a_real_one(
+def test_other_limits_in_a_file_are_reported_on_a_simulated_rig_and_refused_on_a_real_one(
     changes: dict[str, Any], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     experiment = held("koul-rigid", **{"wall.damping": 0.05, **changes})

@@ -37,7 +37,7 @@ def test_a_slow_hit_of_the_linear_rig_needs_a_c_of_20_to_33(recordings: Any) -> 
     assert lipschitz_of(recordings[1]).lipschitz > 20.0
 
 
-def test_it_is_the_acceleration_of_the_plant_within_a_tenth(recordings: Any) -> None:
+def test_the_constant_is_the_acceleration_of_the_plant_within_a_tenth(recordings: Any) -> None:
     for recording in recordings:
         rows, time_s = recording.rows, recording.time_s
         fit = lipschitz_of(recording)

@@ -1,4 +1,4 @@
-"""A hit in real time and another terminal: it sees the loop, changes its wall, stops it, saves what a crash left."""
+"""A hit in real time, and another terminal that changes its wall, stops it, or recovers its capture."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-import rig.experiments.hits.hit  # noqa: F401  (compiles the loop before anybody waits for it)
+import rig.experiments.hits.hit  # noqa: F401  (compiles the loop)
 from rig.config import experiment_from_mapping
 from rig.core.errors import StoppedError
 from rig.experiments.trials.live import change_wall, parameter_set
@@ -98,7 +98,7 @@ def test_another_terminal_changes_the_wall_and_stops_the_loop(
 
 
 @pytest.mark.quiet
-def test_what_a_killed_hit_left_is_recovered_and_nothing_else_stays(tmp_path: Path) -> None:
+def test_the_capture_of_a_killed_hit_is_recovered_and_its_processes_end(tmp_path: Path) -> None:
     """The capture is sealed; and the device's process, the one that draws, and what multiprocessing started go."""
     mark, before = uuid.uuid4().hex, set(os.listdir("/dev/shm"))
     links_before = list(links_of_this_process()).count(LINK)

@@ -28,8 +28,8 @@ PERSON = config.override(
         "trial.release_s": 0.05,
     },
 )
-MODULATIONS = (0.0, 0.01, 0.02, 0.2)
-TREMORS = (0.0, GRIPS["relaxed"].tremor, GRIPS["firm"].tremor)  # m rms: none, least and most of a hand
+MODULATIONS = (0.0, 0.01, 0.2)
+TREMORS = (0.0, GRIPS["firm"].tremor)  # m rms: none, and most of a hand
 
 
 @pytest.fixture(scope="module")
@@ -39,9 +39,7 @@ def limit() -> float:
 
 
 @pytest.mark.parametrize("share", first_by_default([0.3, 1.0]))
-def test_a_press_however_still_is_no_fault_and_keeps_its_wall(
-    share: float, limit: float, rig_hit: Hits
-) -> None:
+def test_a_still_press_is_no_fault(share: float, limit: float, rig_hit: Hits) -> None:
     for modulation, tremor in itertools.product(MODULATIONS, TREMORS):
         changes = {
             "wall.stiffness": share * limit,

@@ -16,7 +16,7 @@ GUIDES = {path.parent.name: examples(path) for path in (README, *sorted((ROOT / 
 
 
 def names_of(guide: str, number: int, directory: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """Run an example, and what it says is a test, in a directory; its names."""
+    """Run an example in a directory; return its names."""
     monkeypatch.chdir(directory)
     names: dict[str, Any] = {"__name__": f"example_{number}"}
     exec(compile(GUIDES[guide][number], f"{guide}, example {number}", "exec"), names)
@@ -24,19 +24,18 @@ def names_of(guide: str, number: int, directory: Path, monkeypatch: pytest.Monke
 
 
 def test_every_guide_with_an_example_is_known() -> None:
-    """Whoever adds one says here what it must show."""
     assert {name: len(found) for name, found in GUIDES.items() if found} == {
         README.parent.name: 1, "estimators": 3, "search": 1,
     }  # fmt: skip
 
 
-def test_the_example_with_a_law_of_ones_own_runs(
+def test_the_example_with_a_new_law_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     names = names_of(README.parent.name, 0, tmp_path, monkeypatch)
-    said = capsys.readouterr().out.split()
-    assert said[0] in {"stable", "limit"}
-    assert "N·m" in said
+    output = capsys.readouterr().out.split()
+    assert output[0] in {"stable", "limit"}
+    assert "N·m" in output
     assert list(tmp_path.glob("recordings/*.parquet"))
     assert (tmp_path / "hit.png").stat().st_size > 10_000
     assert not names["again"].exact, "fdm is another estimator"

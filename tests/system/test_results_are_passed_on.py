@@ -1,4 +1,4 @@
-"""Nothing is computed twice: how often a hit and a session validate, design, judge and read, told in numbers."""
+"""A hit and a session validate, design, judge and read each thing once."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ COUNTED: dict[str, Callable[..., Any]] = {
 
 @pytest.fixture
 def seen(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
-    """Counts the calls, by whatever name and from wherever in `rig` they come."""
+    """Count the calls from anywhere in `rig`."""
     calls: Counter[str] = Counter()
 
     def counting(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -74,7 +74,7 @@ def test_a_hit_validates_designs_judges_and_reads_back_once(
     assert result.experiment.controller.loop == loop
     assert seen == {
         "files": 1,
-        "rules": 2,  # of the file, and of the experiment in effect, whoever made it: nothing else is armed
+        "rules": 2,  # of the file, and of the experiment in effect: nothing else is armed
         "designs": 1,
         "parameters": 1,
         "plans": 1,
@@ -85,17 +85,17 @@ def test_a_hit_validates_designs_judges_and_reads_back_once(
 
 
 @pytest.mark.parametrize("loop", ["host", "device"])
-def test_what_is_planned_is_what_runs(loop: str, tmp_path: Path) -> None:
+def test_a_planned_run_is_the_one_that_runs(loop: str, tmp_path: Path) -> None:
     experiment = override(presets.load("koul-rigid"), {"controller.loop": loop})
     run = plan.make_plan(experiment).run
     assert run is not None
     (result,) = hit(HitRequest(experiment=experiment, output=tmp_path), admit)
     header = result.recorded.recording.header
     assert header["initial_state"] == json.loads(json.dumps(run.controller.as_mapping()))
-    told = header["identity"]["parameters"]
-    assert told["verified"] == 1, "a simulation; a plan alone arms nothing"
+    active = header["identity"]["parameters"]
+    assert active["verified"] == 1, "a simulation; a plan alone arms nothing"
     planned = {**run.parameters, "verified": 1}
-    assert {name: told[name] for name in planned} == pytest.approx(
+    assert {name: active[name] for name in planned} == pytest.approx(
         planned, rel=2.0**-24
     )  # float32 on the wire
 
@@ -123,11 +123,11 @@ def test_a_rehearsal_of_eleven_trials_checks_each_wall_once_and_reads_each_recor
     ends = {(name, end) for name in ("hidden-dual", "hidden-uniform") for end in (20.0, 120.0)}
     assert seen == {
         "files": 1,  # the preset
-        # and each wall that is hit, or that a search may end at; in effect for a condition's device, and for each hit
+        # each wall that is hit or that a search may end at, for a condition's device and for each hit
         "rules": 1 + len(met | ends) + conditions + trials,
         # each wall that a rule may ask for, as a hit of its own, and each trial
         "plans": conditions * levels + practice + trials,
-        # and what of the device each condition needs
+        # and the device of each condition
         "designs": conditions * levels + practice + trials + conditions,
         "parameters": conditions * levels + practice + trials + conditions,
         "judgements": trials,

@@ -42,13 +42,13 @@ def calm(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return protocol, rehearse(protocol, place / "study")
 
 
-def test_a_session_is_the_same_to_the_last_bit_from_its_seed(calm: tuple[Path, Path], tmp_path: Path) -> None:
+def test_equal_seeds_give_equal_sessions(calm: tuple[Path, Path], tmp_path: Path) -> None:
     protocol, directory = calm
     again = rehearse(protocol, tmp_path)
     assert comparable(read(again / LOG)) == comparable(read(directory / LOG))
 
 
-def test_its_recordings_are_hashed_readable_and_say_nothing_in_their_names(calm: tuple[Path, Path]) -> None:
+def test_recordings_of_a_session_are_hashed_and_have_blind_names(calm: tuple[Path, Path]) -> None:
     _, directory = calm
     state = SessionState.of(read(directory / LOG))
     assert state.ended == "complete"
@@ -66,7 +66,7 @@ def test_its_recordings_are_hashed_readable_and_say_nothing_in_their_names(calm:
         assert 0.0 < trial.heat < 1.0
 
 
-@pytest.mark.exhaustive("::test_what_was_known_of_the_person_is_found_by_the_analysis")
+@pytest.mark.exhaustive("::test_the_analysis_finds_the_threshold_of_the_simulated_person")
 def test_the_first_session_of_a_newcomer_ends_in_ten_minutes_with_intervals_that_show_the_effect(
     tmp_path: Path,
 ) -> None:
@@ -88,12 +88,12 @@ def test_the_first_session_of_a_newcomer_ends_in_ten_minutes_with_intervals_that
     assert f"{slow.low:.4g}" in page
 
 
-def test_what_was_known_of_the_person_is_found_by_the_analysis(calm: tuple[Path, Path]) -> None:
-    """Twelve verdicts, one of them a lapse: K50 is told within a part of the range of 100 that was searched."""
+def test_the_analysis_finds_the_threshold_of_the_simulated_person(calm: tuple[Path, Path]) -> None:
+    """Twelve verdicts, one of them a lapse, over a range of 100."""
     found = analyse([calm[1]], AnalysisOptions(include_marked=True))  # `most` is small: a run ends by it
-    told = [one for one in found.of_participants if one.measure == "K50 person"]
-    assert {one.condition for one in told} == {"hidden-dual", "hidden-uniform"}
-    for one in told:
+    estimates = [one for one in found.of_participants if one.measure == "K50 person"]
+    assert {one.condition for one in estimates} == {"hidden-dual", "hidden-uniform"}
+    for one in estimates:
         assert one.low <= 65.0 <= one.high
         assert one.high - one.low < 90.0
 

@@ -26,8 +26,8 @@ def begin(protocol: Path, study: Path) -> None:
     run_session(protocol, "P01", rehearsal_desk(PERSON), runner=DeviceRunner(), study=study, person=PERSON)
 
 
-def go_on(protocol: Path, study: Path) -> None:
-    """What a person does after a crash."""
+def resume(protocol: Path, study: Path) -> None:
+    """Resume the session, or begin it where its log is empty."""
     try:
         resume_session(study / "P01", rehearsal_desk(PERSON), runner=DeviceRunner())
     except ConfigError as error:
@@ -55,7 +55,7 @@ def calm(protocol: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
     return study / "P01", fuse.names
 
 
-def test_a_recording_is_on_disk_under_its_name_before_the_log_tells_of_it(
+def test_a_recording_is_on_disk_under_its_name_before_the_log_names_it(
     calm: tuple[Path, list[str]],
 ) -> None:
     _, calls = calm
@@ -81,7 +81,7 @@ def test_death_at_every_call_of_recorder_and_sealer(
     protocol: Path, calm: tuple[Path, list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     directory, calls = calm
-    # Parquet is written in a hundred pieces, and what half a file looks like is nobody's business: three of them.
+    # Parquet is written in a hundred pieces, of which three are enough.
     pieces = [number for number, name in enumerate(calls) if name == "write draft of t0001.parquet"]
     first = calls.index("create t0001.rigcap")
     places = set(range(first, len(calls))) - set(pieces)
@@ -91,10 +91,12 @@ def test_death_at_every_call_of_recorder_and_sealer(
         with fused(monkeypatch, fuse), suppress(DeadError):
             begin(protocol, study)
         assert fuse.dead, calls[place]
-        for trial in SessionState.of(read(study / "P01" / LOG)).trials:  # what is told of is there, whole
+        for trial in SessionState.of(
+            read(study / "P01" / LOG)
+        ).trials:  # each file that the log names is complete
             assert sha256_of(study / "P01" / trial.recording) == trial.sha256
         left = {sha256_of(path) for path in (study / "P01" / "trials").iterdir()}
-        go_on(protocol, study)
+        resume(protocol, study)
         events = read(study / "P01" / LOG)
         assert comparable(events) == comparable(read(directory / LOG)), calls[place]
         (trial,) = SessionState.of(events).trials

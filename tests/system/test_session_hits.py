@@ -1,4 +1,4 @@
-"""What a session's log keeps of a hit on the simulated rig."""
+"""Hits of a session on the simulated rig: numbers in its log, memory behind a trial."""
 
 from __future__ import annotations
 
@@ -18,12 +18,14 @@ from rig.session.engine._log import SessionLog, read
 from tests.conformance.firmware import need_compiler
 
 
-def test_a_number_that_is_none_is_null_in_the_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_number_that_is_not_finite_is_null_in_the_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     judge, measured = hit.judge, hits.baseline
 
     def judged(recording: Any, experiment: Any) -> Any:
-        said = judge(recording, experiment)
-        return replace(said, verdict=replace(said.verdict, heard=float("nan")))
+        judgement = judge(recording, experiment)
+        return replace(judgement, verdict=replace(judgement.verdict, heard=float("nan")))
 
     def noisy(recording: Any, experiment: Any) -> Any:
         free = measured(recording, experiment)

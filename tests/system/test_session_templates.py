@@ -31,9 +31,9 @@ def test_a_template_is_rehearsed_and_reported(
     path.write_text(re.sub(r"\[practice\]\nstiffness = \[.*?\]", "[practice]\nstiffness = []", text))
     study = str(tmp_path / "study")
     assert rig(["session", "run", str(path), "P01", "--rehearse", "--study", study, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["ended"], told["counted"]) == (f"{TRIALS} trials", TRIALS)
-    assert told["invalid"] == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["ended"], result["counted"]) == (f"{TRIALS} trials", TRIALS)
+    assert result["invalid"] == 0
     assert rig(["session", "analyse", study, "--output", str(out)]) == 0
     report = (out / "report.html").read_text()
     for condition in load_protocol(path).condition:

@@ -30,7 +30,7 @@ FRAMES = 300  # of the armed device that reach the host before
 
 
 class Loose(DeviceRunner):
-    """A rig whose plug comes out in a trial, and that is none that can be opened anew without looking at it."""
+    """A rig whose plug comes out in a trial."""
 
     def hit(self, experiment: Experiment, changes: Any, directory: Path, name: str, *rest: Any) -> TrialDone:
         if name != UNPLUGGED:
@@ -55,7 +55,7 @@ class Loose(DeviceRunner):
 
 
 class Leaving(RehearsalDesk):
-    """Somebody who leaves when a hit ended early, to look at the plug."""
+    """An operator who leaves when a hit ended early."""
 
     def ask(self, question: Question) -> Reply:
         if question.kind == "trouble":
@@ -63,7 +63,7 @@ class Leaving(RehearsalDesk):
         return super().ask(question)
 
 
-def test_a_session_whose_rig_was_unplugged_goes_on_to_the_same_results(tmp_path: Path) -> None:
+def test_a_session_resumes_after_a_pulled_plug_to_the_same_results(tmp_path: Path) -> None:
     protocol = written(tmp_path)
     protocol.write_text(protocol.read_text().replace("repeats = 2", "repeats = 1"))
     studies = tmp_path / "calm", tmp_path / "loose"
@@ -94,5 +94,5 @@ def test_a_session_whose_rig_was_unplugged_goes_on_to_the_same_results(tmp_path:
 
 
 def about(trial: RecordedTrial) -> tuple[Any, ...]:
-    """What a trial asked, and what was said."""
+    """Return wall and verdict of a trial."""
     return trial.condition, trial.repeat, trial.stiffness, trial.verdict

@@ -1,7 +1,6 @@
-"""A signal stops a run in whichever thread it runs, and the recording says so; so do `rig.stop` and the program's end.
+"""A signal, `rig.stop` and the end of the program stop a run in any thread, and the recording is complete.
 
-Each program runs a trial that would last for a minute, sends itself a signal in its middle, and leaves. The signal is
-for the process: Python's handlers run in the main thread alone, which does something else here.
+Python's signal handlers run in the main thread alone, which does something else in these programs.
 """
 
 from __future__ import annotations
@@ -92,17 +91,14 @@ run()
             pytest.param(HANDLED, signal.SIGINT, {0}, id="a handler of its own"),
             pytest.param(EXITS, signal.SIGTERM, {7}, id="a handler that exits"),
         ],
-        2,
     ),
 )
-def test_a_run_stops_whichever_thread_it_is_in(
-    ending: str, number: int, codes: set[int], tmp_path: Path
-) -> None:
+def test_a_run_stops_in_any_thread(ending: str, number: int, codes: set[int], tmp_path: Path) -> None:
     assert_stopped(ending, number, codes, tmp_path, realtime=False)
 
 
 @pytest.mark.signals
-@pytest.mark.exhaustive("::test_a_run_stops_whichever_thread_it_is_in")
+@pytest.mark.exhaustive("::test_a_run_stops_in_any_thread")
 def test_a_run_in_real_time_stops_too(tmp_path: Path) -> None:
     assert_stopped(TO_THREAD, signal.SIGINT, INTERRUPTED, tmp_path, realtime=True)
 
@@ -110,15 +106,15 @@ def test_a_run_in_real_time_stops_too(tmp_path: Path) -> None:
 def assert_stopped(ending: str, number: int, codes: set[int], output: Path, *, realtime: bool) -> None:
     program = f"SIGNAL, REALTIME, OUTPUT = {int(number)}, {realtime}, {str(output)!r}\n{PROGRAM}{ending}"
     with started(sys.executable, "-c", program, stderr=subprocess.PIPE, text=True) as process:
-        said = process.communicate(timeout=90)[1]
-    assert process.returncode in codes, said
+        error_output = process.communicate(timeout=90)[1]
+    assert process.returncode in codes, error_output
     (path,) = output.glob("*.*")  # sealed, and no second repeat
     recording = open_recording(path)
     assert (path.suffix, recording.complete, recording.trailer["reason"]) == (".parquet", True, "stopped")
     assert len(recording) > 0
 
 
-def test_rig_stop_stops_every_run_of_the_program_and_what_would_follow(tmp_path: Path) -> None:
+def test_rig_stop_stops_every_run_and_its_repeats(tmp_path: Path) -> None:
     """The second repeat of one thread, too, and a map between two of its trials; then all may begin again."""
     ready = threading.Barrier(3)
 

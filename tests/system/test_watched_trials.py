@@ -1,4 +1,4 @@
-"""Whole trials that the watch ends, on every way there is to a wall; and trials that begin with free space."""
+"""Whole trials that the watch ends, with and without bytes; and trials that begin with free space."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_a_law_on_the_device_is_ended_by_the_host(rig_hit: Hits) -> None:
     assert "times in succession" in str(hit.error)
 
 
-def test_a_motor_that_pushes_is_watched_when_it_is_asked_for(rig_hit: Hits) -> None:
+def test_the_push_of_a_motor_is_watched_where_that_is_set(rig_hit: Hits) -> None:
     motor = override(presets.load("koul-compliant"), {**SHORT, "wall.stiffness": 300.0})
     assert_stable(rig_hit(motor))
     with pytest.raises(PlanError, match=r"energy: the push gives up to"):
@@ -101,7 +101,7 @@ def test_a_motor_that_pushes_is_watched_when_it_is_asked_for(rig_hit: Hits) -> N
 
 
 @pytest.mark.parametrize("grip", ["relaxed", "firm"])
-def test_a_stable_wall_trips_nothing_and_is_the_same_to_the_bit(grip: str) -> None:
+def test_the_watch_changes_no_bit_of_a_stable_wall(grip: str) -> None:
     held = override(PLACED, {"operator.grip": grip, **HELD})
     freely = HitSimulator(held).hit(300.0, 0.5)
     watched = HitSimulator(override(held, {"rig.limits.oscillations": 10, "rig.limits.energy": 0.02})).hit(
@@ -112,7 +112,7 @@ def test_a_stable_wall_trips_nothing_and_is_the_same_to_the_bit(grip: str) -> No
     assert freely.ticks == watched.ticks
 
 
-def test_a_plan_says_what_watches() -> None:
+def test_a_plan_lists_its_watches() -> None:
     for_people = {
         "rig.limits.human": True,
         "rig.limits.effort": 0.28,
@@ -148,7 +148,7 @@ def test_a_baseline_comes_before_the_hit(rig_hit: Hits) -> None:
     assert baseline(plain.recording, plain.experiment) is None
 
 
-def test_where_nobody_keeps_the_handle_off_the_wall_there_is_no_baseline() -> None:
+def test_an_automated_trial_has_no_baseline() -> None:
     with pytest.raises(ConfigError, match=r"trial\.baseline_s .* must be 0 with trial\.kind"):
         override(presets.load("koul-compliant"), {"trial.baseline_s": 0.5})
     steps = [step.name for step in make_plan(override(PLACED, {"trial.baseline_s": 0.3})).steps]

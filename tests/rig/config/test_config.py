@@ -1,4 +1,4 @@
-"""An experiment file is either an experiment, or one error that says everything that is wrong with it."""
+"""An experiment file is either an experiment, or one error that lists everything that is wrong with it."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def written(folder: Path, text: str) -> Path:
 # Files
 
 
-def test_a_file_says_only_what_differs_from_its_preset(tmp_path: Path) -> None:
+def test_a_file_has_only_the_differences_from_its_preset(tmp_path: Path) -> None:
     path = written(tmp_path, 'preset = "koul-compliant"\nwall.stiffness = 150\n[trial]\nrepeats = 5\n')
     experiment = load_experiment(path)
     assert experiment == override(KOUL, {"wall.stiffness": 150.0, "trial.repeats": 5})
@@ -68,8 +68,8 @@ def test_a_complete_file_needs_no_preset(tmp_path: Path) -> None:
     assert load_experiment(str(path)) == CHAWDA
 
 
-def said_of(make: Callable[[], Experiment]) -> Experiment | str:
-    """The experiment, or everything that is said to be wrong with it."""
+def experiment_or_error(make: Callable[[], Experiment]) -> Experiment | str:
+    """Return the experiment, or the text of its error."""
     try:
         return make()
     except ConfigError as error:
@@ -80,26 +80,20 @@ VALUES = (None, -1, 2.0, math.nan, True, "x", "firm", [1.0, 2], {"a": 1})
 
 
 @pytest.mark.parametrize("name", ["koul-compliant", "chawda-linear"])
-def test_a_change_means_and_is_refused_as_if_a_file_on_that_preset_had_said_it(name: str) -> None:
-    """One sets fields of what is checked, the other is checked as a whole."""
+def test_a_change_is_equal_to_a_file_on_that_preset_or_refused_alike(name: str) -> None:
+    """One sets fields of a checked experiment, the other is checked as a whole."""
     base, source = presets.load(name), f"hit.toml (on preset {name})"
     names = parameters().keys() - {"rig.name"}  # a file with a name of its own has a homing servo of its own
     keys = [*sorted(names), "realtime.wall.stiffness", "realtime.nonsense", "rig.limits", "wall.nonsense", ""]
     for key, value in itertools.product(keys, VALUES):
         file = {"preset": name, **nest({key: value})}
-        said = said_of(partial(experiment_from_mapping, file, "hit.toml"))
-        assert said_of(partial(override, base, {key: value}, source)) == said, (key, value)
+        expected = experiment_or_error(partial(experiment_from_mapping, file, "hit.toml"))
+        found = experiment_or_error(partial(override, base, {key: value}, source))
+        assert found == expected, (key, value)
 
 
-def test_a_change_leaves_alone_what_it_does_not_name() -> None:
-    changed = override(KOUL, {"wall.stiffness": 150, "rig.limits.speed": 9.0})
-    assert (changed.wall.stiffness, changed.rig.limits.speed) == (150.0, 9.0)
-    assert changed.rig.mechanics is KOUL.rig.mechanics
-    assert changed.trial is KOUL.trial
-
-
-def test_the_rules_are_asked_also_where_nothing_changes() -> None:
-    """Of what was put together by hand: nothing is armed without them."""
+def test_rules_are_checked_also_where_nothing_changes() -> None:
+    """An experiment may be built by hand; nothing is armed without the rules."""
     limits = replace(KOUL.rig.limits, effort=100.0)
     with pytest.raises(ConfigError, match=r"rig\.limits\.effort = 100\.0 N·m: must be at most"):
         override(replace(KOUL, rig=replace(KOUL.rig, limits=limits)), {})
@@ -148,13 +142,13 @@ def test_a_missing_file_suggests_its_neighbour(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["", "\0.toml"])
-def test_what_cannot_be_read_is_named(tmp_path: Path, name: str) -> None:
+def test_a_path_that_cannot_be_read_is_named(tmp_path: Path, name: str) -> None:
     with pytest.raises(ConfigError, match="cannot be read"):
         load_experiment(tmp_path / name)  # a directory; a path that no system takes
 
 
 def test_a_file_lists_every_section_that_is_missing_and_an_empty_one_is_called_that(tmp_path: Path) -> None:
-    """An empty file is what a command leaves that failed behind ``>``."""
+    """A failed command behind ``>`` leaves an empty file."""
     with pytest.raises(ConfigError, match=r"hit\.toml: is empty"):
         load_experiment(written(tmp_path, "# nothing\n"))
     with pytest.raises(ConfigError) as caught:
@@ -261,7 +255,7 @@ def test_a_missing_key_is_asked_for_with_its_range() -> None:
     assert "rig.limits.speed: is missing" in str(caught.value)
 
 
-def test_what_the_physics_itself_refuses_keeps_its_place() -> None:
+def test_an_error_of_the_physics_keeps_its_place() -> None:
     text = refusal({"rig.mechanics.transmission_stiffness": 0.0})
     assert text.startswith("hit.toml: [rig.mechanics]: a two-mass rig needs transmission_stiffness")
     assert "transmission_stiffness = 0.0" in text
@@ -279,7 +273,7 @@ def test_values_that_overflow_are_no_traceback() -> None:
     assert "hit.toml: some values are too large" in refusal({"rig.mechanics.handle_radius": 1e200})
 
 
-def test_a_rounding_residue_is_a_place_and_what_no_float_can_square_is_none() -> None:
+def test_a_rounding_residue_is_a_position_and_a_float_that_cannot_be_squared_is_refused() -> None:
     residue = 0.1 + 0.2 - 0.3
     assert override(KOUL, {"wall.position": residue}).wall.position == residue
     for value in (1e-31, -1e-160, 1e16):
@@ -503,7 +497,7 @@ def test_a_wall_on_the_other_side_is_pushed_with_negative_effort() -> None:
     assert mirrored.trial.effort == -0.15
 
 
-def test_a_person_is_protected_unless_somebody_overrides_it_aloud() -> None:
+def test_a_person_is_protected_without_an_explicit_override() -> None:
     safe = override(KOUL, {"rig.limits.human": True, "rig.limits.effort": 0.286})
     assert safe.rig.limits.effort == 0.286
     assert (
@@ -511,7 +505,7 @@ def test_a_person_is_protected_unless_somebody_overrides_it_aloud() -> None:
     )
 
 
-def test_without_a_word_a_person_holds_the_handle_and_the_limit_is_the_nominal_effort() -> None:
+def test_by_default_a_person_holds_the_handle_and_the_limit_is_the_nominal_effort() -> None:
     table = as_mapping(KOUL)
     del table["rig"]["limits"]["effort"], table["rig"]["limits"]["human"]
     limits = experiment_from_mapping(table, "hit.toml").rig.limits
@@ -538,7 +532,7 @@ def test_another_estimator_does_not_inherit_settings() -> None:
     assert same.controller.parameters == {"cutoff_hz": 200.0, "order": 2.0}
 
 
-def test_realtime_changes_are_kept_aside_and_checked_when_applied() -> None:
+def test_realtime_changes_are_stored_and_checked_when_applied() -> None:
     experiment = experiment_from_mapping(
         {"preset": "koul-compliant", "realtime": {"wall": {"stiffness": 50}}}, "hit.toml"
     )
@@ -579,6 +573,7 @@ def _numbers_of(experiment: Experiment) -> st.SearchStrategy[dict[str, Any]]:
     )
 
 
+@settings(max_examples=50)
 @given(_numbers_of(KOUL))
 def test_a_mapping_brings_back_the_same_experiment_also_through_json(changes: dict[str, Any]) -> None:
     experiment = override(KOUL, changes)
@@ -588,7 +583,7 @@ def test_a_mapping_brings_back_the_same_experiment_also_through_json(changes: di
 
 
 def outcome(load: Callable[[], Experiment], source: str) -> Experiment | None:
-    """Return the experiment, or None after a `ConfigError` that names its source; let any other exception out."""
+    """Return the experiment, or None after a `ConfigError` that names its source."""
     try:
         return load()
     except ConfigError as error:
@@ -622,7 +617,7 @@ PLACES = [
 ]
 
 
-@settings(max_examples=400)
+@settings(max_examples=100)
 @given(st.sampled_from([KOUL, CHAWDA]), st.sampled_from(PLACES), JUNK)
 def test_any_single_corrupted_value_gives_an_experiment_or_a_config_error(
     base: Experiment, key: str, value: Any
@@ -635,7 +630,7 @@ def test_any_single_corrupted_value_gives_an_experiment_or_a_config_error(
         assert math.isfinite(experiment.rig.encoder.resolution)
 
 
-@settings(max_examples=200)
+@settings(max_examples=80)
 @given(st.binary(max_size=60), st.integers(0, 5000))
 def test_any_damage_to_a_file_gives_an_experiment_or_a_config_error(
     tmp_path_factory: pytest.TempPathFactory, junk: bytes, place: int
@@ -669,12 +664,11 @@ def test_the_schema_for_editors_knows_presets_ranges_units_and_meanings() -> Non
     assert stiffness["description"] == "K [N·m/rad or N/m]"
     assert schema["$defs"]["Wall"]["additionalProperties"] is False
     assert "required" not in json.dumps(schema)
-
-
-def test_the_rig_model_is_the_physics_of_the_rig() -> None:
-    model = rig_model(KOUL)
-    assert model == rig_model(KOUL.rig)
-    assert (model.name, model.motion, model.mechanics) == ("koul-compliant", "rotary", KOUL.rig.mechanics)
+    jsonschema = pytest.importorskip("jsonschema")
+    jsonschema.Draft202012Validator.check_schema(schema)
+    validator = jsonschema.Draft202012Validator(schema)
+    assert validator.is_valid({"preset": "koul-rigid", "wall": {"stiffness": 100.0}})
+    assert not validator.is_valid({"wall": {"stiffness": "stiff"}})
 
 
 def test_thresholds_at_the_handle_become_thresholds_at_the_link() -> None:

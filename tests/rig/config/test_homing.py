@@ -38,7 +38,7 @@ def test_a_preset_has_the_tolerance_that_it_describes(name: str) -> None:
     assert homing.home_tolerance(x) == x.homing.tolerance_counts * x.rig.encoder.resolution
 
 
-def test_where_friction_holds_the_handle_farther_away_it_is_home_there() -> None:
+def test_the_home_tolerance_covers_the_rest_within_friction() -> None:
     x = override(KOUL, {"rig.mechanics.motor_coulomb": 0.03, "rig.encoder.counts_per_revolution": 2048})
     assert homing.home_tolerance(x) == pytest.approx(1.25 * 0.03 / 20.0)
     assert homing.home_tolerance(override(x, {"homing.stiffness": 200.0})) == pytest.approx(

@@ -1,4 +1,4 @@
-"""Programs come from where they are installed, not from the directory that somebody works in."""
+"""Programs come from where they are installed, not from the working directory."""
 
 import os
 import shutil
@@ -17,12 +17,7 @@ def test_a_program_of_the_working_directory_is_not_found_by_its_name(
     entry: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "inside").mkdir()
-    for program in (
-        tmp_path / "sh",
-        tmp_path / "cc-here",
-        tmp_path / "inside" / "sh",
-        tmp_path / "inside" / "cc-here",
-    ):
+    for program in (place / name for place in (tmp_path, tmp_path / "inside") for name in ("sh", "cc-here")):
         program.write_text("#!/bin/sh\n")
         program.chmod(0o755)
     installed = shutil.which("sh")
@@ -31,7 +26,7 @@ def test_a_program_of_the_working_directory_is_not_found_by_its_name(
     assert shutil.which("cc-here") is not None
     assert find_program("cc-here") is None
     assert find_program("sh") == installed
-    assert find_program("./cc-here") == "./cc-here"  # somebody named it
+    assert find_program("./cc-here") == "./cc-here"  # a path is used as it is
     monkeypatch.setenv("PATH", entry)
     assert find_program("sh") is None
 

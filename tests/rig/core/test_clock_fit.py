@@ -45,7 +45,7 @@ class World:
         return [(int(d) - self.up_ns) * self.under / self.over for d in device_ns]
 
     def error_ns(self, fit: Any, device_ns: Any) -> Any:
-        """What the fit gives less the truth."""
+        """Return the result of the fit minus the truth."""
         return (fit.host_of(device_ns) - self.start_ns) - np.array(self.host(device_ns))
 
     def exchanges(
@@ -82,13 +82,15 @@ def ends_of(exchanges: Any) -> Any:
 # ---------------------------------------------------------------------- against the truth
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
-    ppm=st.floats(-200.0, 200.0),
+    ppm=st.floats(-200.0, 200.0, allow_subnormal=False),
     count=st.integers(3, 120),
     span_s=st.floats(0.2, 3600.0),
     ways=st.tuples(st.integers(0, 200_000), st.integers(0, 200_000)),
-    jitter=st.tuples(st.floats(0.0, 100_000.0), st.floats(0.0, 100_000.0)),
+    jitter=st.tuples(
+        st.floats(0.0, 100_000.0, allow_subnormal=False), st.floats(0.0, 100_000.0, allow_subnormal=False)
+    ),
     burst=st.sampled_from([0.0, 0.0, 0.2, 0.4]),
     seed=st.integers(0, 2**32),
 )
@@ -156,7 +158,7 @@ def test_ways_that_differ_shift_the_offset_by_half_the_difference_and_the_bound_
 
 @pytest.mark.parametrize(("jitter", "share"), [((0.0, 5e4), 0.5), ((5e4, 0.0), -0.5), ((5e4, 5e4), 0.0)])
 def test_waiting_on_one_way_alone_is_seen_and_taken_out(jitter: tuple[float, ...], share: float) -> None:
-    """The excess of a round trip then tells the error; without it the offset would be off by half the mean wait."""
+    """The excess of a round trip shows the error; without it the offset would be wrong by half the mean wait."""
     world = World(0.0)
     exchanges = world.exchanges(300, 10.0, ways_ns=(1_000, 1_000), jitter_ns=jitter)
     fit = fit_clock(exchanges)
@@ -180,13 +182,13 @@ def test_one_exchange_leaves_the_drift_to_the_prior() -> None:
 
 
 @pytest.mark.parametrize("count", [2, 8])
-def test_exchanges_within_a_moment_say_nothing_of_the_drift(count: int) -> None:
+def test_exchanges_within_a_millisecond_give_no_drift(count: int) -> None:
     fit = fit_clock(World(150.0).exchanges(count, 0.001))
     assert abs(fit.drift_ppm) < 1.0
     assert fit.drift_sd_ppm == pytest.approx(100.0, rel=0.01)
 
 
-def test_two_exchanges_a_minute_apart_do() -> None:
+def test_two_exchanges_a_minute_apart_give_the_drift() -> None:
     world = World(150.0)
     exchanges = world.exchanges(2, 0.0)
     later = World(150.0, start_ns=world.start_ns).exchanges(1, 0.0)
@@ -199,7 +201,7 @@ def test_two_exchanges_a_minute_apart_do() -> None:
     assert fit.drift_sd_ppm < 5.0
 
 
-def test_nothing_to_fit_is_an_error_that_says_so() -> None:
+def test_exchanges_without_a_usable_one_are_an_error() -> None:
     with pytest.raises(RigError, match="none of 0 clock exchanges"):
         fit_clock(np.zeros(0, EXCHANGE))
     backwards = as_exchanges([(100, 50, 40, 200), (100, 50, 60, 90), (0, 0, 10_000, 100)])
@@ -241,7 +243,7 @@ def test_slow_exchanges_are_rejected_from_ten_times_the_median_excess_on() -> No
         assert fit_clock(np.concatenate([good, added])).rejected - before.rejected == rejected
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(
     bad=st.integers(1, 12),
     shift=st.one_of(st.integers(10**6, 10**12), st.integers(-(10**12), -(10**6)), st.just(268_435_456_000)),
@@ -265,7 +267,7 @@ def test_stamps_that_do_not_belong_together_are_rejected(bad: int, shift: Any, s
 ANY = st.integers(-(2**63), 2**63 - 1)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
     st.lists(
         st.one_of(
@@ -288,7 +290,7 @@ def test_any_stamps_give_a_fit_of_finite_numbers_or_an_error(stamps: Any) -> Non
     assert len(fit.device_of(fit.host_of(np.array([0, 10**12])))) == 2
 
 
-def test_a_unit_of_time_that_is_wrong_is_told() -> None:
+def test_a_wrong_unit_of_time_is_refused() -> None:
     """Sixteen units a microsecond, declared as ten."""
     exchanges = World().exchanges(20, 2.0)
     for name in EXCHANGE.names[1:3]:
@@ -313,13 +315,13 @@ FITS = st.builds(
     ClockFit,
     reference_ns=st.integers(0, 10**17),
     offset_ns=st.integers(-(10**18), 10**18),
-    drift_ppm=st.floats(-200.0, 200.0),
-    offset_sd_ns=st.floats(0.0, 1e6),
-    drift_sd_ppm=st.floats(0.0, 100.0),
+    drift_ppm=st.floats(-200.0, 200.0, allow_subnormal=False),
+    offset_sd_ns=st.floats(0.0, 1e6, allow_subnormal=False),
+    drift_sd_ppm=st.floats(0.0, 100.0, allow_subnormal=False),
     asymmetry_bound_ns=st.integers(0, 10**6),
     round_trip_ns=st.integers(0, 10**6),
-    share=st.floats(-0.5, 0.5),
-    residual_rms_ns=st.floats(0.0, 1e6),
+    share=st.floats(-0.5, 0.5, allow_subnormal=False),
+    residual_rms_ns=st.floats(0.0, 1e6, allow_subnormal=False),
     span_ns=st.integers(0, 10**14),
     used=st.integers(1, 10_000),
     rejected=st.integers(0, 10_000),

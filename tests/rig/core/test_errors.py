@@ -16,7 +16,7 @@ def every_error(root: Any = RigError) -> Iterator[Any]:
         yield from every_error(child)
 
 
-def test_kinds_of_errors_that_are_no_kin_have_exit_codes_of_their_own() -> None:
+def test_unrelated_errors_have_different_exit_codes() -> None:
     for module in pkgutil.walk_packages(rig.__path__, "rig."):
         if module.name != "rig.__main__":
             with suppress(ConfigError):  # an extra that is not installed

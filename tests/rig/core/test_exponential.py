@@ -11,7 +11,7 @@ from rig.core.exponential import expm
 
 @pytest.mark.parametrize("size", [1, 2, 6, 9])
 @pytest.mark.parametrize("norm", [0.0, 1e-9, 0.499, 0.5, 0.501, 1.0, 30.0])
-def test_it_is_scipy_s(size: int, norm: float) -> None:
+def test_the_exponential_equals_scipys(size: int, norm: float) -> None:
     matrix = np.random.default_rng(size).normal(size=(size, size))
     matrix *= norm / np.linalg.norm(matrix, 1)
     expected = linalg.expm(matrix)

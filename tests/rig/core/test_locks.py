@@ -17,7 +17,7 @@ input()
 """
 
 
-def test_one_has_it_and_the_next_when_it_is_released_or_its_file_closed(tmp_path: Path) -> None:
+def test_a_lock_has_one_holder_until_release_or_close(tmp_path: Path) -> None:
     path = tmp_path / "file"
     with open(path, "ab") as first, open(path, "ab") as second:
         assert not is_locked(path)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from rig.core.model import Amplifier, Encoder, Mechanics, RigModel, state_space
+from rig.core.model import Amplifier, Encoder, Mechanics, state_space
 
 # The fitted values of Koul's rig: free-free mode of the capstan near 586 Hz.
 COMPLIANT = Mechanics(
@@ -156,10 +156,6 @@ def test_encoder_resolution_of_koul_and_chawda() -> None:
     assert Encoder(quantum=1e-6).resolution == 1e-6
 
 
-def test_one_current_quantum_is_this_much_effort() -> None:
-    assert AMPLIFIER.effort_quantum == pytest.approx(0.234e-3)
-
-
 @pytest.mark.parametrize(
     "given",
     [
@@ -194,15 +190,3 @@ def test_a_description_out_of_range_or_with_an_unknown_key_is_refused(key: str, 
     assert TypeAdapter(Mechanics).validate_json(json.dumps(good)).motor_inertia == 1e-4
     with pytest.raises(ValidationError, match=key):
         TypeAdapter(Mechanics).validate_json(json.dumps(good | {key: value}))
-
-
-def test_a_rig_is_hashable_data_with_usable_defaults() -> None:
-    rig = RigModel(
-        name="koul",
-        motion="rotary",
-        mechanics=COMPLIANT,
-        amplifier=AMPLIFIER,
-        encoder=Encoder(counts_per_revolution=1000, ratio=10.0),
-    )
-    assert rig.simulation.computation_delay_ticks == 0
-    assert hash(rig) == hash(replace(rig))

@@ -1,4 +1,4 @@
-"""Another package in the place of pyserial, pyusb or this one: a sentence names it, and what puts it right."""
+"""Another package in the place of pyserial, pyusb or this one is named with the command that removes it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NAMESAKES = {
 
 
 def install(place: Path, name: str, distribution: str, text: str = "") -> None:
-    """Put a package of others where Python finds it first, as pip leaves it."""
+    """Put another package where Python finds it first, as pip installs it."""
     (place / name).mkdir(parents=True)
     (place / name / "__init__.py").write_text(text)
     facts = place / f"{distribution}-2.4.1.dist-info"
@@ -46,9 +46,7 @@ def run(place: Path, *command: str) -> subprocess.CompletedProcess[str]:
         for name in NAMESAKES
     ),
 )
-def test_a_package_under_the_name_of_another_is_named_with_what_puts_it_right(
-    name: str, text: str, tmp_path: Path
-) -> None:
+def test_a_package_in_place_of_another_is_named_with_its_remedy(name: str, text: str, tmp_path: Path) -> None:
     install(tmp_path, name, f"other-{name}", text)
     done = run(tmp_path, "-m", "rig", *NAMESAKES[name], "--json")
     assert done.returncode == 2, done.stderr
@@ -58,8 +56,6 @@ def test_a_package_under_the_name_of_another_is_named_with_what_puts_it_right(
         done.stderr,
     ), done.stderr
     assert json.loads(done.stdout)["error"]["exit_code"] == 2
-    listed = run(tmp_path, "-m", "rig", "device", "list")
-    assert f"py{name}, but to other-{name}" in listed.stdout + listed.stderr
 
 
 OVERWRITTEN = """
@@ -71,7 +67,7 @@ sys.exit(cli.run(sys.argv[1:]))
 """
 
 
-def test_an_init_of_others_over_ours_is_named_and_a_stop_works_all_the_same(
+def test_an_overwritten_init_is_named_and_a_stop_still_works(
     tmp_path: Path,
 ) -> None:
     done = run(tmp_path, "-c", OVERWRITTEN, "plan")

@@ -1,4 +1,4 @@
-"""A person in the model and in an experiment: grips, impedance, and what changes when a hand pushes, not the motor."""
+"""A person in the model and in an experiment: grips, impedance, and a hand that pushes in place of the motor."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from rig import config
-from rig.cli import options
 from rig.config import controller, override, presets
 from rig.core.errors import ConfigError
 from rig.core.model import Operator, StateSpace, state_space
@@ -90,23 +89,7 @@ def test_on_two_masses_the_hand_holds_the_link() -> None:
     assert added == pytest.approx(0.01 * impedance_at_handle(operator, s), rel=1e-8)
 
 
-def test_hand_and_its_inputs_come_after_those_of_the_rig() -> None:
-    for experiment, order, frictions in ((RIGID, 3, 1), (KOUL, 5, 2)):
-        mechanics, amplifier = experiment.rig.mechanics, experiment.rig.amplifier
-        free, both = state_space(mechanics, amplifier), state_space(mechanics, amplifier, GRIPS["normal"])
-        assert (free.order, both.order) == (order, order + 2)
-        assert (free.hand_position, both.hand_position) == (None, order)
-        assert free.b.shape[1] == 2 + frictions
-        assert both.operator_inputs == slice(2 + frictions, 5 + frictions)
-        assert free.operator_inputs == slice(2 + frictions, 2 + frictions)
-        assert both.friction_inputs == free.friction_inputs == slice(2, 2 + frictions)
-        assert both.b.shape == (order + 2, 5 + frictions)
-        assert (both.sensed_position, both.handle_position, both.effort) == (
-            free.sensed_position, free.handle_position, free.effort,
-        )  # fmt: skip
-
-
-def test_where_the_hand_is_meant_to_be_the_rig_comes_to_rest() -> None:
+def test_the_rig_rests_at_the_intended_position_of_the_hand() -> None:
     both = state_space(KOUL.rig.mechanics, KOUL.rig.amplifier, GRIPS["normal"])
     wanted = both.operator_inputs.start
     rest = np.linalg.solve(both.a, -both.b[:, wanted] * 0.02)
@@ -118,7 +101,7 @@ def test_where_the_hand_is_meant_to_be_the_rig_comes_to_rest() -> None:
 # Experiments
 
 
-def test_who_does_not_speak_of_a_person_gets_the_motor_and_the_end_mass() -> None:
+def test_by_default_the_motor_pushes_and_the_end_mass_is_on() -> None:
     model = config.rig_model(KOUL)
     assert (model.operator, model.reach) == (None, None)
     assert model.mechanics.end_mass == 0.07
@@ -137,12 +120,12 @@ def test_with_a_person_the_motor_pushes_nothing_and_the_end_mass_is_off() -> Non
     assert law.control["constant_effort"][0] == 0.0
 
 
-def test_the_device_is_told_that_somebody_may_hold_the_handle_still() -> None:
-    for experiment, told in ((KOUL, 0), (held(), 1)):
+def test_the_device_knows_that_a_person_may_hold_the_handle_still() -> None:
+    for experiment, expected in ((KOUL, 0), (held(), 1)):
         values = controller.prepared(
             experiment, current_quantum_a=0.001, reference_count=0, verified=True
         ).parameters
-        assert values["hold_to_run"] == told
+        assert values["hold_to_run"] == expected
 
 
 def test_a_grip_brings_its_numbers_and_single_ones_may_be_set() -> None:
@@ -159,7 +142,7 @@ def test_a_grip_brings_its_numbers_and_single_ones_may_be_set() -> None:
     assert from_file.operator == replace(GRIPS["relaxed"], depth=0.003)
 
 
-def test_an_experiment_written_before_there_were_people_still_loads() -> None:
+def test_an_experiment_without_an_operator_section_still_loads() -> None:
     old = config.as_mapping(KOUL)
     del old["operator"], old["trial"]["kind"]
     assert config.experiment_from_mapping(old, "an old recording") == KOUL
@@ -189,7 +172,7 @@ def test_a_recorded_experiment_has_every_number_of_its_operator() -> None:
         ({"operator.press": 0.5}, "operator.press = 0.5 N: must be at least "),
     ],
 )  # fmt: skip
-def test_a_person_who_cannot_do_the_trial_is_refused(changes: dict[str, Any], words: str) -> None:
+def test_an_operator_that_cannot_do_the_trial_is_refused(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(ConfigError) as caught:
         override(KOUL, {**HUMAN, **changes})
     assert words in str(caught.value)
@@ -225,7 +208,7 @@ def test_the_push_at_rest_is_that_of_springs_in_series() -> None:
 # Plan and command line
 
 
-def test_the_plan_says_who_pushes_and_where_the_hand_goes_afterwards() -> None:
+def test_the_plan_names_the_grip_and_checks_the_hand_behind_the_wall() -> None:
     for base in (KOUL, CHAWDA):
         for grip in GRIPS:
             plan = make_plan(held(base, operator__grip=grip))
@@ -241,14 +224,6 @@ def test_the_plan_says_who_pushes_and_where_the_hand_goes_afterwards() -> None:
 def test_the_predicted_impact_of_a_hand_is_of_the_size_of_the_simulated_one() -> None:
     """0.566 rad/s in simulation, for the normal grip."""
     assert predict_impact(held()).velocity == pytest.approx(0.566, rel=0.2)
-
-
-def test_the_option_chooses_a_grip_or_the_motor() -> None:
-    assert options.changes(rate=None, sets=(), operator="firm") == {
-        "trial.kind": "human", "operator.grip": "firm",
-    }  # fmt: skip
-    assert options.changes(rate=None, sets=(), operator="none") == {"trial.kind": "constant-effort"}
-    assert options.changes(rate=None, sets=()) == {}
 
 
 def test_a_rig_named_in_the_url_is_held_by_the_person_of_the_experiment() -> None:

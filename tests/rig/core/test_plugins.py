@@ -1,4 +1,4 @@
-"""Parts of third parties: one that is broken is named, listed with the reason, and takes no other with it."""
+"""Plug-ins of third parties: a broken one is named, listed with the reason, and breaks no other."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SOURCES = {
 
 @pytest.fixture(params=SOURCES)
 def broken(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    """Name of a plug-in of every group that gives nothing of use."""
+    """Name of a plug-in of every group that has no usable part."""
     name = f"theirs_{request.param}"
     (tmp_path / f"{name}.py").write_text(SOURCES[request.param])
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -34,14 +34,15 @@ def broken(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize("get", [estimators.get, laws.get])
-def test_asking_for_it_is_an_error_that_names_it(get: object, broken: str) -> None:
+def test_a_broken_plug_in_is_an_error_that_names_it(get: object, broken: str) -> None:
     assert callable(get)
     with pytest.raises(ConfigError, match=f"{broken}:PART") as caught:
         get("theirs")
     assert caught.value.remedy
 
 
-def test_the_lists_show_it_with_the_reason_beside_what_works(
+@pytest.mark.parametrize("broken", ["raises"], indirect=True)
+def test_the_lists_show_a_broken_plug_in_with_the_reason(
     broken: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert rig.cli.run(["estimators", "list", "--json"]) == 0
@@ -52,8 +53,8 @@ def test_the_lists_show_it_with_the_reason_beside_what_works(
     ]
     assert rig.cli.run(["estimators", "list", "theirs"]) == 2
     assert rig.cli.run(["device", "list", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["backends"]
-    assert [one["scheme"] for one in told if one["broken"]] == ["theirs"]
+    backends = json.loads(capsys.readouterr().out)["backends"]
+    assert [one["scheme"] for one in backends if one["broken"]] == ["theirs"]
     assert rig.cli.run(["device", "show", "theirs://x"]) == 2
 
 

@@ -1,4 +1,4 @@
-"""Processes that serve this one: they live until they are closed or their parent ends, and change nothing of it."""
+"""Processes that serve this one end when they are closed or their parent ends, and change nothing in it."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def serving(name: str = "waits") -> Any:
     return announced(announce_and_wait, name=name, by_hand="no command")
 
 
-def test_it_outlives_the_thread_that_started_it_and_ends_with_its_context() -> None:
+def test_a_process_outlives_the_thread_that_started_it_and_ends_with_its_context() -> None:
     with ExitStack() as stack:
         found: list[int] = []
         thread = threading.Thread(target=lambda: found.append(stack.enter_context(serving())))
@@ -76,7 +76,7 @@ with serving() as pid:
 
 
 @pytest.mark.signals
-def test_it_ends_with_a_parent_that_is_killed() -> None:
+def test_a_process_ends_with_a_killed_parent() -> None:
     with started(sys.executable, "-c", PARENT, stdout=subprocess.PIPE, text=True) as parent:
         pid, forked = map(int, parent.stdout.readline().split())
         try:
@@ -89,7 +89,7 @@ def test_it_ends_with_a_parent_that_is_killed() -> None:
 
 
 def looks() -> tuple[Any, ...]:
-    """What a start must not change, even for a moment."""
+    """Return the state that a start must not change, even for a moment."""
     main = sys.modules["__main__"]
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGCHLD)
     return main, dict(os.environ), os.getcwd(), sys.argv[:], sys.path[:], [*map(signal.getsignal, numbers)]
@@ -118,7 +118,7 @@ def test_several_threads_start_some_at_a_time_and_nothing_of_the_program_changes
     assert looks() == before
 
 
-def test_what_it_refuses_is_raised_here_and_what_does_not_start_is_named() -> None:
+def test_an_error_in_the_process_is_raised_here_and_an_early_end_is_named() -> None:
     with pytest.raises(RigError, match="not today"), announced(refuse, name="refuses", by_hand="none"):
         pass
     with (

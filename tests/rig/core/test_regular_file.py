@@ -1,4 +1,4 @@
-"""What a user or a page names is read only if it is a regular file of a bounded size; nothing waits for another one."""
+"""A file that a user or a page names is read only if it is a regular file of a bounded size."""
 
 import itertools
 import os
@@ -41,7 +41,7 @@ NAMED = {"a map": maps.PLAN, "a rig": "rig.toml"}
 @pytest.mark.timeout(60)  # a reader that opens a FIFO never comes back
 @pytest.mark.parametrize("what", ["fifo", "/dev/zero", "directory"])
 @pytest.mark.parametrize("kind", READERS)
-def test_no_reader_opens_what_is_no_regular_file(kind: str, what: str, tmp_path: Path) -> None:
+def test_no_reader_opens_a_file_that_is_not_regular(kind: str, what: str, tmp_path: Path) -> None:
     path = tmp_path / NAMED.get(kind, "file")
     if what == "fifo":
         os.mkfifo(path)

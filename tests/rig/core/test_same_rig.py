@@ -1,4 +1,4 @@
-"""A device is of the experiment's rig, or both values of what differs are said."""
+"""A device belongs to the experiment's rig, or both values of each difference are named."""
 
 from dataclasses import replace
 from typing import Any
@@ -18,8 +18,11 @@ AMPLIFIER, ENCODER, MECHANICS = MODEL.amplifier, MODEL.encoder, MODEL.mechanics
 
 
 def built_for(model: RigModel, **changes: Any) -> Dictionary:
-    told = describe(model, firmware="1", simulated=False, rate_default=1_000, rate_maximum=50_000)
-    return replace(told, **changes)
+    settings = changes.pop("settings_of_board", None)
+    dictionary = describe(
+        model, firmware="1", simulated=False, rate_default=1_000, rate_maximum=50_000, settings=settings
+    )
+    return replace(dictionary, **changes)
 
 
 def with_amplifier(**changes: Any) -> RigModel:
@@ -31,7 +34,7 @@ def with_mechanics(**changes: Any) -> RigModel:
 
 
 @pytest.mark.parametrize("name", presets.names())
-def test_a_device_of_the_rig_is_one(name: str) -> None:
+def test_a_device_of_the_rig_is_accepted(name: str) -> None:
     model = config.rig_model(presets.load(name))
     found = check_rig(model, built_for(model))
     assert (found.outcome, "does not report" in found.text) == (Outcome.OK, False)
@@ -63,7 +66,7 @@ def test_a_device_of_another_rig_is_refused_with_both_values(name: str) -> None:
     assert "rig" in found.remedy
 
 
-def test_what_was_identified_anew_may_differ_by_less_than_the_stall_check_forgives() -> None:
+def test_identified_values_may_differ_by_less_than_the_stall_check_tolerates() -> None:
     near = with_mechanics(
         link_inertia=3 * MECHANICS.link_inertia,
         motor_coulomb=MECHANICS.motor_coulomb + 0.9 * FRICTION_SHARE * AMPLIFIER.effort_limit,
@@ -71,7 +74,7 @@ def test_what_was_identified_anew_may_differ_by_less_than_the_stall_check_forgiv
     assert check_rig(MODEL, built_for(near)).outcome is Outcome.OK
 
 
-def test_what_a_device_does_not_tell_is_said_and_not_refused() -> None:
+def test_a_value_that_the_device_does_not_report_is_named_and_not_refused() -> None:
     found = check_rig(MODEL, built_for(MODEL, constants=()))
     assert found.outcome is Outcome.OK
     assert "does not report over_current (quantum), effort_quantum (N·m)" in found.text
@@ -81,33 +84,19 @@ def test_what_a_device_does_not_tell_is_said_and_not_refused() -> None:
 
 def test_pins_and_scales_that_the_experiment_names_are_those_of_the_board() -> None:
     model = replace(MODEL, board=(("enable_pin", 6), ("full_scale", 12.0)))
-    told = describe(
-        MODEL,
-        firmware="1",
-        simulated=False,
-        rate_default=1_000,
-        rate_maximum=50_000,
-        settings={"enable_pin": 6, "full_scale": 12, "pwm_pin": 8},
-    )
-    told = decode(encode(told))
-    assert check_rig(model, told).outcome == Outcome.OK
-    other = check_rig(model, replace(told, settings=(SettingInfo("enable_pin", 10),)))
+    board = {"enable_pin": 6, "full_scale": 12, "pwm_pin": 8}
+    dictionary = decode(encode(built_for(MODEL, settings_of_board=board)))
+    assert check_rig(model, dictionary).outcome == Outcome.OK
+    other = check_rig(model, replace(dictionary, settings=(SettingInfo("enable_pin", 10),)))
     assert other.outcome == Outcome.REFUSED
     assert "enable_pin of its board is 10 there and 6 here" in other.text
     assert "full_scale of its board is not reported there and 12.0 here" in other.text
-    assert check_rig(model, replace(told, settings=(), simulated=True)).outcome == Outcome.OK
+    assert check_rig(model, replace(dictionary, settings=(), simulated=True)).outcome == Outcome.OK
 
 
-def test_a_board_without_the_index_or_the_switch_that_the_rig_counts_on_is_another_rigs() -> None:
+def test_a_board_without_the_index_or_the_switch_of_the_rig_is_refused() -> None:
     model = replace(MODEL, reference=Reference(index=True, limit_switch="minimum", travel=1.0))
-    bare = describe(
-        MODEL,
-        firmware="1",
-        simulated=False,
-        rate_default=1_000,
-        rate_maximum=50_000,
-        settings={"encoder_index": "none", "limit_switch": "none"},
-    )
+    bare = built_for(MODEL, settings_of_board={"encoder_index": "none", "limit_switch": "none"})
     refused = check_rig(model, bare)
     assert refused.outcome == Outcome.REFUSED
     assert "encoder_index of its board is none there and wired here" in refused.text
@@ -116,4 +105,4 @@ def test_a_board_without_the_index_or_the_switch_that_the_rig_counts_on_is_anoth
     assert check_rig(model, wired).outcome == Outcome.OK
     assert (
         check_rig(model, replace(bare, settings=())).outcome == Outcome.OK
-    )  # a board that tells no such setting
+    )  # a board without these settings

@@ -21,7 +21,7 @@ with scratch("test") as place:
 """
 
 
-def test_what_a_killed_process_left_is_removed_and_nothing_else(
+def test_only_the_directory_of_a_killed_process_is_removed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))

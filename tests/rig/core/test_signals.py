@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
@@ -12,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.control.estimators import quantise
-from rig.experiments.estimation._signals import SIGNALS, Signal, edge_times, ramp, sine, wall_bounce
+from rig.experiments.estimation._signals import SIGNALS, Signal, edge_times, sine, wall_bounce
 
 FINE = 1e-6  # step of the brute-force oracles (s)
 
@@ -74,13 +72,6 @@ def test_edges_are_where_a_finely_sampled_encoder_changes(name: Any, offset: flo
     assert found[known] == pytest.approx(expected[known], abs=1.01 * FINE)
 
 
-def test_edges_of_a_ramp_are_the_boundaries_of_its_cells() -> None:
-    times = np.arange(0.0, 0.01, 1e-4)
-    found = edge_times(ramp(speed=0.1), times, 1e-5, offset=0.5)
-    steps = np.floor(0.1 * times / 1e-5 + 0.5 + 1e-9)
-    assert found[steps > 0] == pytest.approx((steps[steps > 0] - 0.5) * 1e-4, abs=1e-12)
-
-
 def test_a_turn_between_two_samples_may_leave_an_edge_that_no_count_shows() -> None:
     """Over a boundary and back within one period: the count is unchanged, the last edge is not."""
     signal = sine(amplitude=1e-3, frequency_hz=10.0)  # its peak, at 25 ms, is 1 mm
@@ -107,10 +98,3 @@ def test_an_edge_lies_between_its_sample_and_the_one_before_that_shows_another_c
     assert (edges <= times).all()
     assert (np.diff(edges[np.isfinite(edges)]) >= 0).all()
     assert (edges[changed] >= times[changed - 1] - 1e-12).all()
-
-
-def test_signals_load_numpy_alone() -> None:
-    heavy = "{'numba', 'scipy', 'matplotlib'}"
-    script = f"import sys, rig.experiments.estimation._signals; print(sorted({heavy} & set(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"

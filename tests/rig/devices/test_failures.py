@@ -42,7 +42,7 @@ def test_each_number_has_its_error(number: Any, on_usb: Any, on_serial: Any) -> 
 
 
 @pytest.mark.parametrize("number", [*FAILURES, errno.EBADF, 0])
-def test_every_error_says_what_happened_and_what_to_do(number: Any) -> None:
+def test_every_error_has_its_device_and_a_remedy(number: Any) -> None:
     error = link_error(number, USB)
     assert isinstance(error, LinkLostError)
     assert error.exit_code == LinkLostError.exit_code

@@ -1,4 +1,4 @@
-"""Transactions of the host: retries, refusals in words, take-overs, and ends that never raise."""
+"""Transactions of the host: retries, refusals, take-overs, and ends that never raise."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ from tests.conformance.rigs import linear_rig, rotary_rig
 
 
 class Wire:
-    """A link that keeps what the host says, when it says it, and what it hears."""
+    """A link that records the frames of both ends, those of the host with their times."""
 
     def __init__(self, link: Any) -> None:
         self.link = link
         self.url, self.clock, self.bytes_per_second = link.url, link.clock, link.bytes_per_second
         self.sent = []
-        self.heard = b""
+        self.received = b""
 
     def read(self, timeout_s: Any) -> Any:
         data = self.link.read(timeout_s)
-        self.heard += data
+        self.received += data
         return data
 
     def write(self, data: Any) -> None:
@@ -54,12 +54,12 @@ class Wire:
         self.link.close()
 
     def messages(self) -> Any:
-        """What the host sent, decoded."""
+        """Return the frames of the host, decoded."""
         return [decoded(frame) for _, frame in self.sent]
 
     def answers(self, kind: Any) -> Any:
-        """What the device answered, of one kind."""
-        frames = [frame + b"\0" for frame in self.heard.split(b"\0") if frame]
+        """Return the replies of the device of one type."""
+        frames = [frame + b"\0" for frame in self.received.split(b"\0") if frame]
         return [message for message in map(decoded, frames) if isinstance(message, kind)]
 
 
@@ -68,7 +68,7 @@ def decoded(frame: Any) -> Any:
 
 
 def make(*, faults: Any = None, **options: Any) -> Any:
-    """A device, what goes over its wire, and a host that has never met one."""
+    """Return a device, the wire to it, and a host without cached dictionaries."""
     framed._dictionaries.clear()
     simulated = SimulatedDevice(rotary_rig(), **options)
     wire = Wire(MemoryLink(simulated, faults))
@@ -76,7 +76,7 @@ def make(*, faults: Any = None, **options: Any) -> Any:
 
 
 class Answering:
-    """A far end made of one function: request in, answers out, in virtual time."""
+    """A far end in virtual time whose replies are those of one function."""
 
     def __init__(self, answer: Any) -> None:
         self._link = MemoryLink(SimulatedDevice(rotary_rig()))
@@ -108,7 +108,7 @@ def silent(*directions: Any) -> Any:
 # ---------------------------------------------------------------------- retries
 
 
-def test_a_silent_device_is_asked_four_times_at_20_40_80_ms_and_then_given_up() -> None:
+def test_a_request_without_reply_is_sent_four_times_and_the_link_is_lost() -> None:
     _, wire, device = make(faults=silent())
     with pytest.raises(LinkLostError, match="does not answer Identify") as caught:
         device.identify()
@@ -128,8 +128,8 @@ def test_one_lost_frame_of_any_transaction_costs_a_repeat_and_nothing_else(direc
     device.arm()
     device.disarm()
     requests = len(clean.sent)
-    # The pages of the dictionary are all alike: a few of them, then everything that comes after.
-    for frame in [*range(0, requests - 20, 10), *range(requests - 20, requests)]:
+    # Pages and chunks are all alike: a few of them, and the last requests.
+    for frame in [0, requests // 2, *range(requests - 20, requests - 4, 4), *range(requests - 4, requests)]:
         fault = FrameFault(kind=FaultKind.DROP, direction=direction, frame=frame)
         simulated, wire, device = make(faults=Faults(frames=(fault,)))
         assert device.configure(RUN_PARAMETERS).values == echo.values
@@ -180,7 +180,7 @@ def frame_of(message: Any, major: Any = m.MAJOR) -> Any:
     return encode_frame(bytes([major]) + pack(message)[1:])
 
 
-# ---------------------------------------------------------------------- strangers
+# ---------------------------------------------------------------------- incompatible devices
 
 
 def another_major(request: Any) -> Any:
@@ -220,18 +220,12 @@ def test_a_dictionary_that_makes_no_sense_is_an_incompatible_device(answer: Any)
         device.identify()
 
 
-@pytest.mark.parametrize("answer", [another_major, garbage])
-@pytest.mark.parametrize("command", [["device", "show", "sim://"], ["hit", "--no-plot", "--url", "sim://"]])
-def test_the_command_line_says_so_in_one_line(
-    command: list[str],
-    answer: Any,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
+def test_a_hit_of_an_incompatible_device_is_refused_in_one_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(rig.devices, "open_link", lambda url, model=None: Answering(answer))
-    assert rig.cli.run(command) == 4
+    monkeypatch.setattr(rig.devices, "open_link", lambda url, model=None: Answering(garbage))
+    assert rig.cli.run(["hit", "--no-plot", "--url", "sim://"]) == 4
     error = capsys.readouterr().err
     assert "Traceback" not in error
     assert error.splitlines()[-1].startswith("rig: the device at sim://strange")
@@ -246,7 +240,7 @@ def test_an_answer_of_the_wrong_kind_is_a_refusal_that_names_it() -> None:
 
 
 @pytest.mark.parametrize("stamps", [(0, 2**64 - 1), (2**64 - 1, 0)])
-def test_a_device_time_that_nobody_can_count_is_an_incompatible_device(stamps: Any) -> None:
+def test_a_device_time_out_of_range_is_an_incompatible_device(stamps: Any) -> None:
     _, wire, device = make()
     assert device.dictionary
     wire.link = Answering(lambda request: frame_of(m.Time(request.nonce, 0, *stamps)))
@@ -254,27 +248,24 @@ def test_a_device_time_that_nobody_can_count_is_an_incompatible_device(stamps: A
         device.exchange_clock()
 
 
-def test_a_refusal_with_a_status_that_nobody_knows_names_its_number() -> None:
+@pytest.mark.parametrize(
+    "request_of", [FramedDevice.identify, lambda device: device.status_of(m.Identify(0, 0))]
+)
+def test_a_refusal_with_an_unknown_status_names_its_number(request_of: Any) -> None:
     device = FramedDevice(Answering(lambda request: frame_of(m.Ack(request.nonce, 0, 200, 0, 0, 0))))
     with pytest.raises(DeviceRefusedError, match=r"refused Identify: status 200 .unknown to this") as refused:
-        device.identify()
+        request_of(device)
     assert refused.value.status == 200
 
 
-def test_a_status_that_nobody_knows_is_a_refusal_for_who_asks_for_it_too() -> None:
-    device = FramedDevice(Answering(lambda request: frame_of(m.Ack(request.nonce, 0, 200, 0, 0, 0))))
-    with pytest.raises(DeviceRefusedError, match="status 200"):
-        device.status_of(m.Identify(0, 0))
-
-
-def test_a_refusal_for_a_state_that_nobody_knows_names_its_number() -> None:
+def test_a_refusal_in_an_unknown_state_names_its_number() -> None:
     bad_state = Status.BAD_STATE
     device = FramedDevice(Answering(lambda request: frame_of(m.Ack(request.nonce, 0, bad_state, 99, 0, 0))))
     with pytest.raises(DeviceRefusedError, match=r"refused Identify: .*\(state 99\)"):
         device.identify()
 
 
-def test_a_device_that_tells_the_same_page_for_ever_is_an_incompatible_one() -> None:
+def test_a_device_that_repeats_one_page_for_ever_is_incompatible() -> None:
     asked = []
 
     def answer(request: Any) -> bytes:
@@ -328,14 +319,6 @@ def test_a_refused_parameter_is_named_with_the_range_that_the_device_allows() ->
     assert caught.value.remedy
 
 
-def test_a_refused_block_changes_nothing() -> None:
-    _, _, device = make()
-    before = device.configure(RUN_PARAMETERS)
-    with pytest.raises(DeviceRefusedError):
-        device.configure({"ramp_us": 5_000, "window_minimum": 10, "window_maximum": -10})
-    assert device.configure(RUN_PARAMETERS).values == before.values
-
-
 def test_the_echo_is_what_the_device_has_active() -> None:
     _, _, device = make()
     echo = device.configure(RUN_PARAMETERS)
@@ -344,11 +327,11 @@ def test_the_echo_is_what_the_device_has_active() -> None:
 
 
 def pages(wire: Any) -> Any:
-    """Questions for a page of the active parameters."""
+    """Return the number of requests for a page of the active parameters."""
     return sum(isinstance(message, m.GetParameters) for message in wire.messages())
 
 
-def test_what_the_fingerprint_proves_is_not_read_page_by_page() -> None:
+def test_parameters_with_a_matching_fingerprint_are_not_read() -> None:
     simulated, wire, device = make()
     echo = device.configure(RUN_PARAMETERS)
     assert pages(wire) == 0
@@ -359,7 +342,7 @@ def test_what_the_fingerprint_proves_is_not_read_page_by_page() -> None:
     assert FramedDevice(MemoryLink(simulated)).active_parameters() == part.values
 
 
-def test_what_the_fingerprint_does_not_prove_is_read() -> None:
+def test_parameters_without_a_matching_fingerprint_are_read() -> None:
     simulated, _, stranger = make()
     stranger.configure({**RUN_PARAMETERS, "slew_limit": 77})
     wire = Wire(MemoryLink(simulated))
@@ -371,7 +354,7 @@ def test_what_the_fingerprint_does_not_prove_is_read() -> None:
     assert echo.values == heir.active_parameters()
 
 
-def test_a_device_that_is_opened_again_tells_its_dictionary_by_its_hash() -> None:
+def test_a_known_dictionary_is_recognised_by_its_hash() -> None:
     simulated, wire, device = make()
     known = device.dictionary
     read = len(wire.sent)
@@ -399,17 +382,6 @@ def test_arming_is_refused_with_the_reason(missing: str, status: Any, word: str)
     assert device.connection.session == 0
 
 
-def test_arming_repeats_the_fingerprint_of_the_configuration() -> None:
-    simulated, _, device = make()
-    device.configure(RUN_PARAMETERS)
-    stranger = FramedDevice(MemoryLink(simulated))
-    stranger._nonce = 30_000
-    stranger.configure({**RUN_PARAMETERS, "current_limit": 400})
-    with pytest.raises(DeviceRefusedError) as caught:
-        device.arm()
-    assert caught.value.status == Status.HASH_MISMATCH
-
-
 def test_a_stale_session_is_answered_with_another_number() -> None:
     """The device remembers the number of the last session, a host that was just started does not."""
     simulated, _, first = make()
@@ -427,7 +399,7 @@ def test_a_stale_session_is_answered_with_another_number() -> None:
 
 
 def test_a_device_that_is_not_ready_is_asked_again_until_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Such as one that works out its excitation; in the time of its link."""
+    """Such as one that computes its excitation; in the time of its link."""
     monkeypatch.setattr(framed, "READY_S", 3.0)
     simulated, wire, device = make()
     device.configure(RUN_PARAMETERS)
@@ -467,27 +439,24 @@ def test_a_device_that_calls_every_session_stale_is_not_asked_for_ever() -> None
 
 
 def test_parameters_that_a_loop_has_changed_are_ours() -> None:
-    """A law on the device takes new walls while it runs; the next session arms with the fingerprint of them all."""
+    """The next session arms with the fingerprint behind the walls that a law on the device took."""
     _, wire, device = make()
     device.configure(RUN_PARAMETERS)
     device.arm()
     streams = {"next_command": 0, "newest_state": 0, "state": int(State.RUNNING), "nonce": 9}
     device.take_back(**streams, parameters_crc=0x12345678)
     device.disarm()
-    with pytest.raises(
-        DeviceRefusedError
-    ) as refused:  # this device took none: so it was asked with that fingerprint
+    with pytest.raises(DeviceRefusedError) as refused:  # this device took none, and so compares
         device.arm()
     assert refused.value.status == Status.HASH_MISMATCH
     assert wire.messages()[-1].parameters_crc == 0x12345678
 
 
 def test_any_number_of_sessions_can_follow_each_other_on_one_device() -> None:
-    """Also where the nonce comes round to the number used last."""
     _, _, device = make()
     device.configure(RUN_PARAMETERS)
     previous = 0
-    for _ in range(300):
+    for _ in range(260):
         device._nonce = (previous - 2) % 0x10000
         session = device.arm()
         assert 1 <= session <= 255
@@ -496,7 +465,7 @@ def test_any_number_of_sessions_can_follow_each_other_on_one_device() -> None:
         device.disarm()
 
 
-def test_what_the_state_forbids_is_a_refusal_in_words() -> None:
+def test_a_refusal_names_the_state() -> None:
     _, _, device = make()
     device.identify()
     with pytest.raises(DeviceRefusedError, match="IDENTIFIED"):
@@ -505,8 +474,8 @@ def test_what_the_state_forbids_is_a_refusal_in_words() -> None:
         device.disarm()
 
 
-def test_a_fault_in_the_middle_of_configuring_is_a_refusal_in_words() -> None:
-    """The BEGIN is lost; before it is repeated the device says FAULT, in which it takes no BEGIN."""
+def test_a_fault_in_the_middle_of_configuring_is_a_refusal() -> None:
+    """The BEGIN is lost; before it is sent again the device enters FAULT, where it refuses BEGIN."""
     _, wire, device = make(faults=Faults())
     device.configure(RUN_PARAMETERS)
     begin = next(i for i, message in enumerate(wire.messages()) if isinstance(message, m.SetBegin))
@@ -534,7 +503,7 @@ def armed(simulated: Any, *, running: Any) -> Any:
 
 
 @pytest.mark.parametrize("left_in", [State.ARMED, State.RUNNING, State.FAULT])
-def test_a_device_that_a_dead_host_left_is_taken_over_by_configuring_it(left_in: Any) -> None:
+def test_a_device_of_a_dead_host_is_taken_over_by_configuring_it(left_in: Any) -> None:
     simulated = SimulatedDevice(rotary_rig())
     first, session = armed(simulated, running=left_in is not State.ARMED)
     if left_in is State.FAULT:
@@ -560,21 +529,9 @@ def test_a_fault_whose_cause_is_still_there_is_not_cleared() -> None:
     assert "emergency stop" in str(caught.value), "the fault by name, not a parameter of the same number"
 
 
-def test_a_device_that_faulted_or_restarted_between_two_trials_is_configured_again() -> None:
-    simulated, wire, device = make()
-    device.configure(RUN_PARAMETERS)
-    simulated.inject_fault(Fault.ENCODER)
-    wire.link.elapse(0.01)
-    device.configure(RUN_PARAMETERS)
-    simulated.reset()
-    device.configure(RUN_PARAMETERS)
-    device.arm()
-    assert simulated.connection.state is State.ARMED
-
-
 @pytest.fixture
 def real(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Simulated devices that claim to be real ones: where zero is, they learn from a person once a session."""
+    """Simulated devices that claim to be real ones, whose zero a person sets once a session."""
     claim_to_be_real(monkeypatch)
 
 
@@ -588,7 +545,7 @@ def reset_and_met_by_another(simulated: Any, wire: Any) -> None:
 
 
 def reset_and_faulty(simulated: Any, wire: Any) -> None:
-    """A fault of the start hides BOOT; only the parameters tell then."""
+    """A fault at the start hides BOOT; only the parameters differ then."""
     simulated.reset()
     simulated.inject_fault(Fault.ENCODER)
     wire.link.elapse(0.01)
@@ -616,9 +573,7 @@ def test_a_real_device_that_restarted_in_the_middle_of_a_session_is_not_armed_wi
     assert "position zero" in caught.value.remedy
     assert caught.value.status == Status.NOT_HOMED
     assert not any(isinstance(message, m.SetBegin) for message in wire.messages()[-4:])
-    FramedDevice(MemoryLink(simulated)).configure(
-        RUN_PARAMETERS
-    )  # a session of its own begins with its own zero
+    FramedDevice(MemoryLink(simulated)).configure(RUN_PARAMETERS)  # a new session has a new zero
 
 
 def test_counts_that_a_real_device_lost_in_the_middle_of_a_session_shift_its_zero_as_well(real: None) -> None:
@@ -642,7 +597,7 @@ def test_a_restart_between_reading_the_zero_and_configuring_is_noticed_too(real:
 
 
 def test_a_real_device_is_configured_again_as_often_as_one_likes(real: None) -> None:
-    """After trials, faults, and refused parameters: none of these is a restart."""
+    """Trials, faults and refused parameters are no restart."""
     simulated, wire, device = make()
     for stiffness in (100.0, 200.0):
         device.configure({**RUN_PARAMETERS, "float_stiffness": stiffness})
@@ -659,19 +614,19 @@ def test_a_real_device_is_configured_again_as_often_as_one_likes(real: None) -> 
 
 
 def test_a_lost_answer_to_the_parameters_is_no_restart(real: None) -> None:
-    """They may be active or not: nothing can be told from them then, and nothing is refused."""
+    """They may be active or not: no restart can be concluded."""
     other = {**RUN_PARAMETERS, "float_stiffness": 333.0}
     _, wire, device = make(faults=Faults())
     device.configure(RUN_PARAMETERS)
-    said = wire.link.line.frames[Direction.TO_HOST]
+    first = wire.link.line.frames[Direction.TO_HOST]
     device.configure(other)
-    for frame in range(said, wire.link.line.frames[Direction.TO_HOST]):
+    for frame in range(first, wire.link.line.frames[Direction.TO_HOST]):
         silence = FrameFault(kind=FaultKind.SILENCE, direction=Direction.TO_HOST, frame=frame)
         simulated, wire, device = make(faults=Faults(frames=(silence,)))
         device.configure(RUN_PARAMETERS)
         with pytest.raises(LinkLostError):
             device.configure(other)
-        wire.link.line._silent.clear()  # somebody puts the plug back in
+        wire.link.line._silent.clear()  # the plug is back in
         device.configure(RUN_PARAMETERS)
         assert simulated.connection.state is State.CONFIGURED
 
@@ -733,10 +688,10 @@ def test_closing_disarms_and_leaves_zero() -> None:
 
 @pytest.mark.parametrize("back", [False, True], ids=["gone", "back"])
 @pytest.mark.parametrize("ways", [tuple(Direction), (Direction.TO_DEVICE,)], ids=["nothing", "STATE"])
-def test_closing_on_a_device_that_does_not_answer_says_all_and_waits_for_no_answer(
+def test_closing_without_replies_sends_each_frame_and_does_not_wait(
     ways: tuple[Direction, ...], back: bool
 ) -> None:
-    """Its effort is zero by then, whatever the line does: a transaction is given up after more than a COMMAND lives."""
+    """The effort is zero by then: a transaction is given up after more than the lifetime of a COMMAND."""
     simulated, wire, device = make(faults=Faults())
     device.configure(RUN_PARAMETERS)
     device.arm()
@@ -751,13 +706,11 @@ def test_closing_on_a_device_that_does_not_answer_says_all_and_waits_for_no_answ
     if back:
         line._silent.clear()
     before, since_ns = len(wire.sent), wire.clock.now_ns()
-    stops = (
-        0 if device.connection.state is State.FAULT else STOP_FRAMES
-    )  # a fault that STATE told takes no COMMAND
+    stops = 0 if device.connection.state is State.FAULT else STOP_FRAMES  # a device in FAULT takes no COMMAND
     device.close()
     assert wire.clock.now_ns() == since_ns
-    said = [type(message) for message in wire.messages()[before:]]
-    assert said == [m.Command] * stops + [m.Disarm] * MOST_TRIES
+    sent = [type(message) for message in wire.messages()[before:]]
+    assert sent == [m.Command] * stops + [m.Disarm] * MOST_TRIES
     assert (simulated.connection.state is State.CONFIGURED) == back
 
 
@@ -769,7 +722,7 @@ def test_a_transaction_is_given_up_after_more_than_a_command_lives() -> None:
     assert sum(RETRY_AFTER_S) + RETRY_AFTER_S[-1] > 1e-6 * lives_us
 
 
-def test_the_streams_go_on_where_the_loop_left_them() -> None:
+def test_streams_continue_behind_the_loop() -> None:
     _, _, device = make()
     device.configure(RUN_PARAMETERS)
     device.arm()
@@ -778,8 +731,8 @@ def test_the_streams_go_on_where_the_loop_left_them() -> None:
     assert device.connection.state is State.RUNNING
 
 
-def test_a_state_that_nobody_knows_does_not_keep_the_host_from_stopping() -> None:
-    """A loop hands over the state byte of the newest STATE, whatever the device wrote there."""
+def test_the_host_can_stop_a_device_in_an_unknown_state() -> None:
+    """A loop hands over the state byte of the newest STATE as it is."""
     simulated, wire, device = make()
     device.configure(RUN_PARAMETERS)
     device.arm()
@@ -794,25 +747,6 @@ def test_a_state_that_nobody_knows_does_not_keep_the_host_from_stopping() -> Non
 # ---------------------------------------------------------------------- asking
 
 
-def test_the_clock_is_exact_in_virtual_time() -> None:
-    """Both clocks run at one rate; the device was switched on before the host."""
-    simulated = SimulatedDevice(rotary_rig(), position_rate_default=1000)
-    for _ in range(2345):
-        simulated.tick()
-    device = FramedDevice(MemoryLink(simulated))
-    device.identify()
-    device.link.clock.sleep_until(10_300_000)
-    fit = device.clock()
-    assert fit.offset_ns == pytest.approx(-2_345_000_000, abs=100)
-    assert (fit.round_trip_ns, fit.asymmetry_bound_ns, fit.used, fit.rejected) == (0, 0, 8, 0)
-    assert device.link.clock.now_ns() == 10_300_000, "exchanges without a pause cost no virtual time"
-    assert fit.drift_sd_ppm == pytest.approx(100.0)
-    spread = device.clock(20, over_s=0.5)
-    assert device.link.clock.now_ns() == pytest.approx(510_300_000, abs=1)
-    assert abs(spread.drift_ppm) <= 3 * spread.drift_sd_ppm < 1.0
-    assert spread.offset_ns == pytest.approx(-2_345_000_000, abs=100)
-
-
 def test_exchanges_lie_at_odd_distances() -> None:
     """Even ones would beat with the ticks of the device."""
     _, wire, device = make()
@@ -820,34 +754,15 @@ def test_exchanges_lie_at_odd_distances() -> None:
     distances = np.diff(stamps["host_sent"])
     assert stamps["host_sent"][-1] - stamps["host_sent"][0] == pytest.approx(1e9, abs=2)
     assert (distances > 0).all()
-    for period_ns in (1_000_000, 10_000_000):  # frames of a bus, STATE of a device that nobody has armed
+    for period_ns in (1_000_000, 10_000_000):  # frames of a bus, STATE of a device that is not armed
         phases = np.sort(stamps["host_sent"] % period_ns) / period_ns
         assert np.diff(phases, append=1.0 + phases[0]).max() < 0.25
     asked = [message.host_sent for message in wire.messages() if isinstance(message, m.GetTime)]
     assert asked == stamps["host_sent"].tolist()
 
 
-def test_answers_that_waited_do_not_count() -> None:
-    """Answers that wait on the way make a round trip long; the offset then comes from those that did not wait."""
-    _, wire, device = make(faults=Faults())
-    assert device.dictionary.simulated
-    asked = wire.link.line.frames[Direction.TO_HOST]
-    delays = tuple(
-        FrameFault(kind=FaultKind.DELAY, direction=Direction.TO_HOST, frame=asked + later, ticks=3)
-        for later in (0, 1, 4)
-    )
-    _, wire, device = make(faults=Faults(frames=delays))
-    assert device.dictionary.simulated
-    fit = device.clock(8)
-    assert wire.link.line.acted[FaultKind.DELAY] == 3
-    assert wire.clock.now_ns() >= 3_000_000
-    assert fit.rejected == 3
-    assert fit.offset_ns == pytest.approx(0, abs=100)
-    assert fit.asymmetry_bound_ns == 0
-
-
 def test_a_request_that_had_to_be_repeated_took_from_its_first_frame_on() -> None:
-    """The answer may be to either: its round trip is counted long, and so weighs nothing."""
+    """Its round trip is counted long, and so has no weight."""
     _, wire, device = make(faults=Faults())
     assert device.dictionary.simulated
     asked = wire.link.line.frames[Direction.TO_DEVICE]
@@ -878,8 +793,8 @@ def test_the_fault_report_pages_through_the_whole_ring_of_ticks() -> None:
     assert report.device_time_ns == pytest.approx(simulated.time_ns, abs=2_000_000)
 
 
-def test_a_slow_device_is_not_asked_for_its_ring_of_ticks_for_ever() -> None:
-    """Every answer comes at the last moment: what came in time is the report, its oldest ticks first."""
+def test_reading_the_ticks_of_a_slow_device_is_bounded() -> None:
+    """The report has the pages that came in time, the oldest ticks first."""
     simulated, wire, device = make(faults=Faults())
     device.configure(RUN_PARAMETERS)
     wire.link.elapse(0.5)
@@ -895,7 +810,7 @@ def test_a_slow_device_is_not_asked_for_its_ring_of_ticks_for_ever() -> None:
 
 
 class Slow(Wire):
-    """A link on which every write takes a while."""
+    """A link with slow writes."""
 
     def __init__(self, link: Any, takes_s: Any) -> None:
         super().__init__(link)
@@ -906,14 +821,7 @@ class Slow(Wire):
         super().write(data)
 
 
-def test_a_report_without_a_fault_says_so() -> None:
-    _, _, device = make()
-    device.identify()
-    report = device.fault_report()
-    assert (report.code, report.text) == (0, "no fault")
-
-
-def test_a_fault_that_neither_side_knows_is_still_told() -> None:
+def test_an_unknown_fault_is_named_by_its_number() -> None:
     _, _, device = make()
     report = device.explain_fault(4711)
     assert "4711" in report.name

@@ -1,4 +1,4 @@
-"""A program on this computer as a link: a simulated rig behind a Unix socket, in real time; latency is not asserted."""
+"""A simulated rig behind a Unix socket, in real time; no latency is asserted."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from tests.conformance.firmware import need_compiler
 from tests.conformance.host import Host
 from tests.conformance.link import check_link
 from tests.conformance.served import served_rig
+from tests.conformance.tiers import first_by_default
 
 WAIT_S = 20.0
 SLACK_S = 5.0  # of a loaded machine
@@ -32,7 +33,7 @@ def opened(path: Any, query: str = "") -> SocketLink:
     return open_link(DeviceUrl.parse(f"unix://{path}{query}"))
 
 
-@pytest.fixture(params=[None, False], ids=["default", "readable"])
+@pytest.fixture(params=first_by_default([None, False]), ids=["default", "readable"])
 def path(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Path]:
     """Of a simulated rig that is served."""
     with served_rig(firmware=request.param, socket=tmp_path / "port") as served:
@@ -51,7 +52,7 @@ def test_it_conforms_as_a_link(path: Path, tmp_path: Path) -> None:
         check_link(lambda: opened(path), lambda: opened(tmp_path / "silent"), slack_s=SLACK_S)
 
 
-def test_after_a_host_that_went_the_next_one_finds_link_lost_and_an_empty_line(path: Path) -> None:
+def test_after_a_lost_host_the_next_one_finds_link_lost_and_an_empty_line(path: Path) -> None:
     host = Host(opened(path))
     host.begin()
     last = host.next_state()
@@ -77,12 +78,12 @@ def test_a_program_that_ends_is_unplugged(tmp_path: Path) -> None:
         link.close()
 
 
-def test_where_nobody_listens_nothing_opens(tmp_path: Path) -> None:
+def test_a_socket_without_a_listener_does_not_open(tmp_path: Path) -> None:
     with pytest.raises(DeviceNotFoundError, match="no program answers"):
-        opened(tmp_path / "nobody")
+        opened(tmp_path / "missing")
     for query in ("?cpu=one", "?seed=1"):
         with pytest.raises(ConfigError, match="cpu"):
-            opened(tmp_path / "nobody", query)
+            opened(tmp_path / "missing", query)
 
 
 def test_a_loop_shares_the_processor_of_its_device_unless_the_user_names_another(tmp_path: Path) -> None:
@@ -95,6 +96,9 @@ def test_a_loop_shares_the_processor_of_its_device_unless_the_user_names_another
         link.close()
 
 
+@pytest.mark.exhaustive(
+    "tests/rig/devices/test_devices_table.py::test_a_device_process_is_the_firmware_when_the_url_says_so"
+)
 def test_a_plain_script_may_start_one(tmp_path: Path) -> None:
     """Without `if __name__ == "__main__"`: the child does not run the script again."""
     need_compiler()

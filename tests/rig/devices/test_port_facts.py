@@ -1,4 +1,4 @@
-"""Facts of serial ports, read from made-up sysfs trees that look like those of real adapters."""
+"""Facts of serial ports, read from sysfs trees like those of real adapters."""
 
 from __future__ import annotations
 
@@ -107,16 +107,14 @@ def test_an_ftdi_adapter_with_its_timer_as_it_comes(tree: Tree) -> None:
     assert tree.facts(facts.by_id[0]).vid_pid == "0403:6001", "the name that stays leads to the same port"
 
 
-def test_an_ftdi_adapter_at_one_millisecond_is_no_problem(tree: Tree) -> None:
-    facts = tree.facts(tree.plug("ttyUSB1", driver="ftdi_sio", vendor="0403", latency=1))
-    assert facts.latency_timer_ms == 1
-    assert facts.problems() == []
-
-
-def test_a_timer_that_makes_no_sense_is_unknown(tree: Tree) -> None:
-    facts = tree.facts(tree.plug("ttyUSB1", driver="ftdi_sio", vendor="0403", latency="soon"))
-    assert facts.latency_timer_ms is None
+@pytest.mark.parametrize(("latency", "known_ms"), [(1, 1), ("soon", None)])
+def test_an_ftdi_adapter_at_one_millisecond_or_without_a_timer_is_no_problem(
+    latency: Any, known_ms: Any, tree: Tree
+) -> None:
+    facts = tree.facts(tree.plug("ttyUSB1", driver="ftdi_sio", vendor="0403", latency=latency))
     assert facts.ftdi
+    assert facts.latency_timer_ms == known_ms
+    assert facts.problems() == []
 
 
 def test_a_board_that_is_a_usb_device_itself_has_no_latency_mode(
@@ -154,9 +152,9 @@ def test_a_pseudo_terminal_is_not_taken_for_the_console_of_the_same_number(tree:
 
 def test_facts_become_json(tree: Tree) -> None:
     facts = tree.facts(tree.plug("ttyUSB0", driver="ftdi_sio", vendor="0403", latency=16, by_id="usb-x"))
-    told = json.loads(json.dumps(plain(facts)))
-    assert told["latency_timer_ms"] == 16
-    assert len(told["by_id"]) == 1
+    found = json.loads(json.dumps(plain(facts)))
+    assert found["latency_timer_ms"] == 16
+    assert len(found["by_id"]) == 1
 
 
 @pytest.mark.parametrize(
@@ -165,14 +163,11 @@ def test_facts_become_json(tree: Tree) -> None:
         ({"driver": "serial8250", "low_latency": False}, "sudo setserial /dev/ttyS0 low_latency"),
         ({"hangs_up": True}, "stty -F /dev/ttyS0 -hupcl"),
         ({"exclusive": False}, "fuser -v /dev/ttyS0"),
-        (
-            {"driver": "ch341-uart", "low_latency": False},
-            None,
-        ),  # it has no such mode
+        ({"driver": "ch341-uart", "low_latency": False}, None),  # it has no such mode
         ({"low_latency": None, "exclusive": None, "dtr": None}, None),
     ],
 )
-def test_a_problem_is_what_one_command_removes(changed: Any, command: str | None) -> None:
+def test_a_problem_has_the_command_that_removes_it(changed: Any, command: str | None) -> None:
     problems = PortFacts(port="/dev/ttyS0", device="/dev/ttyS0", **changed).problems()
     assert len(problems) == (command is not None)
     assert all(command in problem.remedy for problem in problems)
@@ -189,7 +184,7 @@ def slave() -> Iterator[Any]:
     os.close(master)
 
 
-def test_what_a_pseudo_terminal_does_not_know_is_none(slave: Any) -> None:
+def test_a_pseudo_terminal_has_neither_modem_lines_nor_low_latency(slave: Any) -> None:
     assert tty.low_latency(slave) is None
     assert tty.set_low_latency(slave) is None
     assert tty.dtr(slave) is None
@@ -206,14 +201,14 @@ def test_settings_are_read_back_as_they_were_set(slave: Any) -> None:
         assert tty.is_exclusive(slave) is wanted
 
 
-def test_what_is_no_terminal_answers_nothing(tmp_path: Path) -> None:
+def test_a_file_has_no_settings_of_a_terminal(tmp_path: Path) -> None:
     with open(tmp_path / "file", "w") as file:
         assert tty.is_exclusive(file.fileno()) is None
         assert tty.low_latency(file.fileno()) is None
         assert tty.dtr(file.fileno()) is None
 
 
-def test_looking_a_port_up_opens_nothing(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reading_the_facts_of_a_port_does_not_open_it(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
     """Opening a port moves its modem lines, and may reset a board that is running."""
     port = tree.plug("ttyUSB0", driver="ftdi_sio", vendor="0403", latency=16)
     opened = []

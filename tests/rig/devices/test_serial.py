@@ -1,4 +1,4 @@
-"""A serial port as a link, on pseudo-terminals: what does not open, bounded waits, a pulled plug, a full line."""
+"""A serial port as a link, on pseudo-terminals: refusals, settings, a pulled plug, a full line."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_a_missing_port_is_named_with_the_ports_that_are_there(monkeypatch: pyte
     assert caught.value.exit_code == 3
 
 
-def test_what_is_no_serial_port_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_no_serial_port_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     for path in ("/dev/null", str(tmp_path / "file"), str(tmp_path)):
         with pytest.raises(DeviceNotFoundError, match=path):
@@ -103,7 +103,7 @@ def test_a_busy_port_is_refused_and_opens_when_it_is_free_again(line: Any) -> No
         (OSError(errno.ENXIO, "no such device"), "is not a serial port"),
     ],
 )
-def test_whatever_the_system_says_becomes_one_typed_error(
+def test_each_error_of_the_system_becomes_one_typed_error(
     error: Any, message: str, line: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: object, **__: object) -> None:
@@ -115,7 +115,7 @@ def test_whatever_the_system_says_becomes_one_typed_error(
 
 
 @pytest.mark.parametrize("baud", ["fast", "", "-9600", "299", "20000001", "1e6", "²", "9600.0"])
-def test_a_rate_that_is_none_is_refused(baud: str, line: Any) -> None:
+def test_an_invalid_rate_is_refused(baud: str, line: Any) -> None:
     with pytest.raises(ConfigError, match="baud"):
         opened(line.path, baud=baud)
 
@@ -127,16 +127,22 @@ def test_unknown_options_and_no_port_are_refused(line: Any) -> None:
         opened("")
 
 
-def test_a_refused_port_stays_free(line: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A port that vanishes between opening and setting up leaves no descriptor behind."""
+def vanish(descriptor: int) -> None:
+    raise termios.error(errno.EIO, "Input/output error")
 
-    def vanish(descriptor: int) -> None:
-        raise termios.error(errno.EIO, "Input/output error")
 
+@pytest.mark.parametrize(
+    ("configure", "words"),
+    [(vanish, "/dev/pts/"), (lambda descriptor: None, "VMIN")],
+    ids=["vanishes", "keeps no settings"],
+)
+def test_a_port_that_fails_while_opening_leaves_no_descriptor(
+    configure: Any, words: str, line: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     before = set(os.listdir("/proc/self/fd"))
     with monkeypatch.context() as patched:
-        patched.setattr(ports.tty, "configure", vanish)
-        with pytest.raises(DeviceNotFoundError, match=line.path):
+        patched.setattr(ports.tty, "configure", configure)
+        with pytest.raises(DeviceNotFoundError, match=words):
             opened(line.path)
     assert set(os.listdir("/proc/self/fd")) == before
     opened(line.path).close()
@@ -147,7 +153,11 @@ def test_a_refused_port_stays_free(line: Any, monkeypatch: pytest.MonkeyPatch) -
 
 def test_the_line_is_raw_blocks_for_a_byte_and_does_not_hang_up_when_closed(line: Any) -> None:
     """VMIN 1: a read of zero bytes can only mean hang-up. Without HUPCL closing drops no DTR and resets no board."""
+    default = opened(line.path)
+    assert termios.tcgetattr(default.port().handle)[4] == getattr(termios, f"B{DEFAULT_BAUD}")
+    default.close()
     link = opened(line.path, baud=115200)
+    assert link.bytes_per_second is None
     settings = termios.tcgetattr(link.port().handle)
     assert settings[CC][termios.VMIN] in (1, b"\x01")
     assert settings[CC][termios.VTIME] in (0, b"\x00")
@@ -162,14 +172,7 @@ def test_the_line_is_raw_blocks_for_a_byte_and_does_not_hang_up_when_closed(line
     os.close(after)
 
 
-def test_the_rate_of_the_project_unless_named(line: Any) -> None:
-    link = opened(line.path)
-    assert termios.tcgetattr(link.port().handle)[4] == getattr(termios, f"B{DEFAULT_BAUD}")
-    link.close()
-
-
-def test_what_was_said_to_nobody_before_is_thrown_away(line: Any) -> None:
-    """Bytes in the driver from before opening belong to another conversation."""
+def test_bytes_from_before_opening_are_discarded(line: Any) -> None:
     keep = os.open(line.path, os.O_RDWR | os.O_NOCTTY)
     os.write(line.device, b"old news")
     link = opened(line.path)
@@ -197,25 +200,6 @@ def test_the_rate_limits_a_uart_and_nothing_else(
     assert capacity_of(str(alias), baud) == capacity, "the port counts, not its alias"
 
 
-def test_a_pseudo_terminal_has_no_capacity_limit(link: Any) -> None:
-    assert link.bytes_per_second is None
-
-
-def test_a_line_that_does_not_keep_its_settings_is_refused_and_let_go(
-    line: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    before = set(os.listdir("/proc/self/fd"))
-    with monkeypatch.context() as patched:
-        patched.setattr(ports.tty, "configure", lambda descriptor: None)
-        with pytest.raises(DeviceNotFoundError, match="VMIN"):
-            opened(line.path)
-    assert set(os.listdir("/proc/self/fd")) == before
-
-
-def test_no_call_on_the_descriptor_blocks(line: Any, link: Any) -> None:
-    assert not os.get_blocking(link.port().handle)
-
-
 def test_a_symbolic_link_is_as_good_as_the_port(line: Any, tmp_path: Path) -> None:
     """Names in /dev/serial/by-id are such links."""
     alias = tmp_path / "usb-Raspberry_Pi_Pico_E660-if00"
@@ -229,8 +213,7 @@ def test_a_symbolic_link_is_as_good_as_the_port(line: Any, tmp_path: Path) -> No
     link.close()
 
 
-def test_of_two_names_that_differ_behind_a_hash_the_named_one_is_opened(line: Any, tmp_path: Path) -> None:
-    """`rig device show` found another rig behind the shorter name, which belongs to another device."""
+def test_names_that_differ_behind_a_hash_are_different_ports(line: Any, tmp_path: Path) -> None:
     (tmp_path / "usb-ACME_Rig").symlink_to("/dev/null")
     for name in ("usb-ACME_Rig#2", "usb-ACME_Rig%", "usb-ACME_Rig?x=1", os.fsdecode(b"usb \xff\n")):
         (tmp_path / name).symlink_to(line.path)
@@ -242,7 +225,7 @@ def test_of_two_names_that_differ_behind_a_hash_the_named_one_is_opened(line: An
 
 
 def test_descriptors_beyond_1023_wait_read_and_write(line: Any) -> None:
-    """select(2) knows 1024 of them; a process with many files open has more."""
+    """select(2) is limited to 1024 of them."""
     high = 1500
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if hard != resource.RLIM_INFINITY and hard <= high:
@@ -268,13 +251,11 @@ def test_descriptors_beyond_1023_wait_read_and_write(line: Any) -> None:
 # ---------------------------------------------------------------------- modem lines, low latency, exclusion
 
 
-def test_a_pseudo_terminal_knows_no_modem_lines_no_latency_and_is_not_kept_from_others_beyond_the_lock(
-    link: Any,
-) -> None:
+def test_a_pseudo_terminal_has_no_modem_lines_and_is_not_exclusive(link: Any) -> None:
     assert link.facts.low_latency is None
     assert link.facts.dtr is None
     assert link.facts.exclusive is False, (
-        "it would stay so after a kill -9, and nobody could open the port again"
+        "it would stay so after a kill -9, and no program could open the port"
     )
     assert link.facts.hangs_up is False
     assert link.messages == []
@@ -288,7 +269,7 @@ def test_dtr_is_on_or_off(dtr: str, line: Any) -> None:
 
 @pytest.fixture
 def real_port(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Let a pseudo-terminal pass for a real port with modem lines and a driver; what was asked of it, in order."""
+    """Replace a pseudo-terminal's ioctls by those of a port with modem lines and a driver."""
     monkeypatch.setattr(ports, "is_pseudo", lambda device: False)
     return ModemLine(monkeypatch)
 
@@ -350,7 +331,7 @@ def test_low_latency_is_set_and_read_back(line: Any, real_port: Any) -> None:
 
 
 @pytest.mark.parametrize("keeps_flag", [False, None])
-def test_a_driver_that_refuses_low_latency_is_found_out_whether_it_says_so_or_not(
+def test_a_driver_that_refuses_low_latency_is_detected_with_and_without_an_error(
     keeps_flag: bool | None, line: Any, real_port: Any
 ) -> None:
     real_port.keeps_flag = keeps_flag
@@ -368,7 +349,7 @@ def test_a_real_port_is_refused_to_others_while_it_is_open(line: Any, real_port:
     os.close(after)
 
 
-def test_what_was_not_obtained_is_told_with_its_remedy(
+def test_a_setting_that_the_port_refuses_is_a_message_with_its_remedy(
     line: Any, monkeypatch: pytest.MonkeyPatch, real_port: Any
 ) -> None:
     monkeypatch.setattr(tty_settings, "set_exclusive", lambda descriptor, wanted: False)
@@ -382,22 +363,15 @@ def test_what_was_not_obtained_is_told_with_its_remedy(
     link.close()
 
 
-# ---------------------------------------------------------------------- bounded in time
+# ---------------------------------------------------------------------- full lines
 
 
-def test_reading_waits_no_longer_than_asked(link: Any) -> None:
-    for timeout_s in (0.0, 0.03, -1.0):
-        before = time.monotonic()
-        assert link.read(timeout_s) == b""
-        assert max(0.0, timeout_s) - 0.002 <= time.monotonic() - before <= timeout_s + SLACK_S
-
-
-def test_a_line_that_nobody_reads_is_given_up_in_bounded_time(line: Any, either: Any) -> None:
+def test_writing_to_a_line_without_a_reader_ends_in_bounded_time(line: Any, either: Any) -> None:
     before = time.monotonic()
     with pytest.raises(LinkLostError, match="takes no more bytes"):
         either.write(b"x" * 4_000_000)
-    least_s = WRITE_TIMEOUT_S if isinstance(either, SerialLink) else 0.0
-    assert least_s <= time.monotonic() - before <= WRITE_TIMEOUT_S + SLACK_S
+    if isinstance(either, SerialLink):
+        assert time.monotonic() - before >= WRITE_TIMEOUT_S
 
 
 def test_a_line_that_is_read_late_takes_everything(line: Any, link: Any) -> None:
@@ -435,28 +409,16 @@ def test_a_plug_pulled_while_reading_is_noticed_at_once(line: Any, link: Any) ->
 
     pulling = threading.Timer(0.05, line.unplug)
     pulling.start()
-    before = time.monotonic()
-    with pytest.raises(LinkLostError):
-        link.read(SLACK_S * 2)
-    assert time.monotonic() - before < SLACK_S
+    with pytest.raises(LinkLostError):  # at the timeout it would return no bytes
+        link.read(60.0)
     pulling.join()
 
 
-def test_what_came_before_the_plug_was_pulled_is_read_first(line: Any, link: Any) -> None:
+def test_bytes_from_before_a_pulled_plug_are_read_first(line: Any, link: Any) -> None:
     os.write(line.device, b"last words")
     line.unplug()
-    said = b""
+    received = b""
     with contextlib.suppress(LinkLostError):
         while True:
-            said += link.read(0.5)
-    assert said in (b"last words", b""), "Linux may throw it away, but nothing else comes"
-
-
-def test_a_closed_link_is_lost_and_closes_twice(either: Any) -> None:
-    either.close()
-    either.close()
-    for use in (lambda: either.read(0.0), lambda: either.write(b"x")):
-        with pytest.raises(LinkLostError):
-            use()
-    assert either.failure() is None
-    assert either.truth() is None
+            received += link.read(0.5)
+    assert received in (b"last words", b""), "Linux may throw it away, but nothing else comes"

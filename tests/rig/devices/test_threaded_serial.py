@@ -1,4 +1,4 @@
-"""The serial link of the other systems, on pseudo-terminals here: the same contract, and a board that runs the law."""
+"""The serial link of the other systems, on pseudo-terminals: the same contract, and a board that runs the law."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_it_conforms_as_a_link_and_the_rig_behind_it_as_a_device(board: Any, lin
     check_device(lambda: opened(path), starts_in_boot=False)
 
 
-def test_what_does_not_open_is_one_error_with_its_remedy(line: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_port_that_does_not_open_is_one_error(line: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     first = opened(line.path)
     with pytest.raises(DeviceNotFoundError, match="in use by another program"):
         opened(line.path)
@@ -64,7 +64,7 @@ def test_what_does_not_open_is_one_error_with_its_remedy(line: Any, monkeypatch:
         opened("/dev/nothere")
     with pytest.raises(ConfigError, match="baud"):
         opened(line.path, "?baud=fast")
-    for text, told in (  # as pyserial words it on Windows
+    for text, words in (  # of pyserial on Windows
         ("could not open port 'COM7': FileNotFoundError(2, …)", "there is no port"),
         ("could not open port 'COM3': PermissionError(13, …)", "in use"),
         ("Cannot configure port, something went wrong", "does not open"),
@@ -75,7 +75,7 @@ def test_what_does_not_open_is_one_error_with_its_remedy(line: Any, monkeypatch:
                 raise serial.SerialException(text)
 
             patched.setattr(serial.Serial, "open", refuse)
-            with pytest.raises(DeviceNotFoundError, match=told):
+            with pytest.raises(DeviceNotFoundError, match=words):
                 opened("COM3")
 
 
@@ -93,7 +93,7 @@ def test_dtr_and_rts_are_set_before_the_port_opens(line: Any, monkeypatch: pytes
         assert at_opening.pop() == (asserted, asserted)
 
 
-def test_what_pyserial_says_without_a_number_is_an_unplugged_port(
+def test_an_error_of_pyserial_without_a_number_is_an_unplugged_port(
     line: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     link = opened(line.path)
@@ -128,7 +128,7 @@ def on_the_board(lifetime_s: float) -> Experiment:
 def test_a_law_on_the_board_runs_through_it_and_a_stop_is_sent_not_awaited(
     board: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """With the longest lifetime, in which a board that hears nothing would go on: STOP goes out at once, and again."""
+    """With the longest lifetime, in which a board without commands would continue: STOP is sent at once, and again."""
     need_compiler()
     monkeypatch.setitem(devices.BUILT_IN, "serial", "rig.devices._threaded_serial:open_link")
     sent: list[bytes] = []

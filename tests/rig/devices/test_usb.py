@@ -1,4 +1,4 @@
-"""USB links: what is refused and how it is said, on a bus of stand-ins. The transfers themselves: tests/system/usb."""
+"""USB links: opening and refusals, on a bus of stand-ins. The transfers themselves: tests/system/usb."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def test_no_such_device_lists_what_is_there(bus: Any) -> None:
     assert "No USB device here looks like a rig" in refused(bus, DeviceNotFoundError, hub()).remedy
 
 
-def test_two_devices_are_told_apart_by_their_serial_numbers(bus: Any) -> None:
+def test_a_serial_number_selects_one_of_two_devices(bus: Any) -> None:
     pair = (Device(serial="A"), Device(serial="B", port=2))
     caught = refused(bus, DeviceNotFoundError, *pair)
     assert "usb://1209:0001/A, usb://1209:0001/B" in caught.remedy
@@ -159,8 +159,8 @@ def test_two_devices_are_told_apart_by_their_serial_numbers(bus: Any) -> None:
     assert "claim" in pair[1].calls
 
 
-def test_a_serial_number_is_read_where_the_kernel_keeps_it(bus: Any, tmp_path: Path) -> None:
-    """Nobody needs a permission for that, and no device is opened."""
+def test_a_serial_number_is_read_from_sysfs(bus: Any, tmp_path: Path) -> None:
+    """That needs no permission and opens no device."""
     (tmp_path / "1-4").mkdir()
     (tmp_path / "1-4" / "serial").write_text("KERNEL\n")
     bus.devices = [Device(serial="ASKED", port=4)]
@@ -231,7 +231,7 @@ def test_a_driver_of_the_kernel_gives_way_and_comes_back_and_a_halt_is_cleared(b
     assert bus.closed == 1
 
 
-def test_a_device_that_nobody_configured_is_configured(bus: Any) -> None:
+def test_a_device_without_a_configuration_is_configured(bus: Any) -> None:
     device = Device(fails={"get_active_configuration": usb.core.USBError("Configuration not set")})
     bus.devices = [device]
     open_link("usb://1209:0001").close()
@@ -250,7 +250,7 @@ def test_without_libusb_the_package_is_named(monkeypatch: pytest.MonkeyPatch) ->
     assert links.available_devices() == []
 
 
-def test_what_is_not_as_tested_is_said_and_not_touched(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_untested_libusb_is_named_and_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     device = SimpleNamespace(backend=SimpleNamespace(lib=SimpleNamespace(), ctx=None))
     assert "backend is not libusb 1.0" in usb_handle._strange(device)
     monkeypatch.setattr(usb_handle, "_version", lambda: (1, 9))

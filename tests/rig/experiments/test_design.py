@@ -277,9 +277,7 @@ def test_the_section_to_paste_is_the_recommended_scheme(kept: Any, tmp_path: Pat
         assert pasted.controller.loop == applied.controller.loop
 
 
-@pytest.mark.exhaustive(
-    "tests/system/test_cli_design.py::test_json_is_one_document_and_the_same_command_reads_what_is_done"
-)
+@pytest.mark.exhaustive("tests/system/test_cli_design.py::test_json_of_a_design_is_read_again")
 def test_a_design_that_was_stopped_resumes_and_is_the_same(
     kept: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,4 +1,4 @@
-"""What a device says that cannot be, with the law on the host and on the device: the run ends and says so."""
+"""A device whose messages contradict each other, with the law on the host and on the device: the run ends."""
 
 from __future__ import annotations
 
@@ -58,10 +58,10 @@ LIES: dict[str, tuple[dict[str, Any], Contradiction]] = {
 
 
 @pytest.mark.parametrize("name", LIES)
-def test_with_the_law_here_a_contradiction_ends_the_run_and_says_which(name: str) -> None:
+def test_with_the_law_on_the_host_a_contradiction_ends_the_run_and_is_named(name: str) -> None:
     lie, expected = LIES[name]
-    told = [(PERIOD_NS * k, lied(k, lie if k > FROM else {})) for k in range(1, 60)]
-    link = Script(*told)
+    frames = [(PERIOD_NS * k, lied(k, lie if k > FROM else {})) for k in range(1, 60)]
+    link = Script(*frames)
     thread, end = test_loop.ran(link)
     restarted = expected is Contradiction.RESTARTED
     assert end.reason == (EndReason.DEVICE_RESTARTED if restarted else EndReason.DEVICE_CONTRADICTS)
@@ -71,7 +71,7 @@ def test_with_the_law_here_a_contradiction_ends_the_run_and_says_which(name: str
     test_loop.assert_ends_with_stops(link)
 
 
-def test_a_pressed_emergency_stop_ends_the_run_whether_the_device_latches_it_or_not() -> None:
+def test_a_pressed_emergency_stop_ends_the_run_without_a_latched_fault() -> None:
     pressed = int(Input.EMERGENCY_STOP)
     link = Script(*test_loop.ticks(1, 10), *test_loop.ticks(10, 30, inputs=pressed))
     thread, end = test_loop.ran(link)
@@ -80,7 +80,7 @@ def test_a_pressed_emergency_stop_ends_the_run_whether_the_device_latches_it_or_
 
 
 @pytest.mark.parametrize("name", ["time", "index and time", "inputs", "state"])
-def test_with_the_law_on_the_device_it_ends_too(name: str) -> None:
+def test_with_the_law_on_the_device_a_contradiction_ends_the_run(name: str) -> None:
     device = BatchDevice(test_supervise.taps(400), [0] * 400)
 
     def lie() -> None:
@@ -107,8 +107,8 @@ def test_with_the_law_on_the_device_it_ends_too(name: str) -> None:
     test_supervise.assert_ends_with_stops(device)
 
 
-def test_a_jump_back_of_the_clock_that_is_believed_is_no_wrap() -> None:
-    """A fault is believed whatever the clock says."""
+def test_a_jump_back_of_the_clock_in_a_fault_is_no_wrap() -> None:
+    """A fault is accepted with any clock."""
     receiver = Receiver()
     receiver.feed(state_frame(1_000))
     before = int(receiver.buffers.progress[0]["device_time"])

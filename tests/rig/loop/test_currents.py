@@ -17,8 +17,8 @@ from rig.loop.layout import COMMANDS_KEPT, Buffers
 from rig.realtime.codec import STATE
 
 
-def told(buffers: Any, sequence: int, current: int, age: int = 2, limits: int = 0) -> bool:
-    """Whether a STATE is marked."""
+def is_marked(buffers: Any, sequence: int, current: int, age: int = 2, limits: int = 0) -> bool:
+    """Return True if a STATE is marked."""
     memory = new_memory()
     buffers.state[STATE.state] = State.RUNNING
     buffers.state[STATE.command_sequence], buffers.state[STATE.command_age] = sequence % 65536, age
@@ -33,18 +33,20 @@ def told(buffers: Any, sequence: int, current: int, age: int = 2, limits: int = 
     st.integers(0, OLDER),
     st.integers(-3, 3),
 )
-def test_what_was_sent_is_known_and_what_was_not_is_marked(
+def test_only_a_current_that_was_not_sent_is_marked(
     first: int, currents: list[int], back: int, wrong: int
 ) -> None:
     buffers = Buffers.allocate()
     for number, current in enumerate(currents):
         keep_command(buffers.sent, (first + number) % 65536, current, number)
     newest = first + len(currents) - 1
-    assert told(buffers, newest, currents[-1] + wrong) == (wrong != 0)
-    assert not told(buffers, newest, currents[-1 - back], age=1), "it drove the tick in which the newest came"
+    assert is_marked(buffers, newest, currents[-1] + wrong) == (wrong != 0)
+    assert not is_marked(buffers, newest, currents[-1 - back], age=1), (
+        "it drove the tick in which the newest came"
+    )
     elsewhere = currents[-1 - back] + wrong
     recent = currents[-1 - OLDER :]
-    assert told(buffers, newest, elsewhere, age=1) == (elsewhere not in recent)
+    assert is_marked(buffers, newest, elsewhere, age=1) == (elsewhere not in recent)
 
 
 @pytest.mark.parametrize("limit", list(LimitFlag))
@@ -52,15 +54,15 @@ def test_a_limit_explains_another_current_and_a_warning_does_not(limit: LimitFla
     buffers = Buffers.allocate()
     keep_command(buffers.sent, 7, 100, 0)
     warns = limit in (LimitFlag.SPEED, LimitFlag.POSITION)
-    assert told(buffers, 7, 50, limits=int(limit)) == warns
+    assert is_marked(buffers, 7, 50, limits=int(limit)) == warns
 
 
-def test_a_command_that_is_forgotten_or_did_not_come_proves_nothing() -> None:
+def test_without_the_active_command_no_current_is_marked() -> None:
     buffers = Buffers.allocate()
     for number in range(COMMANDS_KEPT + 1):
         keep_command(buffers.sent, number, 100, number)
-    assert not told(buffers, 0, 3)
-    assert told(buffers, 1, 3)
-    assert not told(Buffers.allocate(), 5, 3)
-    assert not told(buffers, 1, 3, age=NO_COMMAND_YET)
+    assert not is_marked(buffers, 0, 3)
+    assert is_marked(buffers, 1, 3)
+    assert not is_marked(Buffers.allocate(), 5, 3)
+    assert not is_marked(buffers, 1, 3, age=NO_COMMAND_YET)
     assert np.all(buffers.sent >= 0)

@@ -1,9 +1,8 @@
-"""The compiled loop against a far end of a few lines: what it takes from the wire, when it ends, what it says last."""
+"""The compiled loop against a far end of a few lines: its samples, its ends, and its last commands."""
 
 from __future__ import annotations
 
 import ctypes
-import dataclasses
 import errno
 import os
 import socket
@@ -13,6 +12,7 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
+import hypothesis
 import numpy as np
 import pytest
 from hypothesis import given
@@ -26,7 +26,6 @@ from firmware_protocol.messages import STOP_FRAMES
 from firmware_protocol.packing import pack, unpack
 from rig.config import controller, presets
 from rig.control.law import Law
-from rig.control.step import SETTLE
 from rig.core.sample import Phase, RowFlag
 from rig.devices.port import LoopPort
 from rig.loop import _receive as receive
@@ -35,12 +34,12 @@ from rig.loop._host import run
 from rig.loop._rows import DRIFT_PPM
 from rig.loop._rows import lateness as row_lateness
 from rig.loop._run import LoopSettings, LoopThread
-from rig.loop.layout import PROGRESS, RECEIVE_BYTES, SETTINGS, Buffers, EndReason
+from rig.loop.layout import PROGRESS, RECEIVE_BYTES, Buffers, EndReason
 from rig.realtime import control_words, system
 from rig.realtime.atomics import load_word, store_word, write_word
 from rig.realtime.callbacks import callback_plugs
 from rig.realtime.clock import MonotonicClock, VirtualClock
-from rig.realtime.codec import HEAD, STATE
+from rig.realtime.codec import STATE
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
 from rig.realtime.ring import Ring
@@ -113,7 +112,7 @@ class Receiver:
         return int(self.buffers.state[STATE.count])
 
 
-def test_of_several_frames_the_newest_is_kept_and_the_others_are_passed() -> None:
+def test_the_newest_of_several_frames_is_used() -> None:
     receiver = Receiver()
     assert receiver.feed(b"".join(state_frame(i, count=10 * i) for i in (5, 6, 7, 8))) == 4
     assert (receiver.sample_index, receiver.count) == (8, 80)
@@ -121,9 +120,9 @@ def test_of_several_frames_the_newest_is_kept_and_the_others_are_passed() -> Non
     assert receiver.feed(state_frame(9, count=90)) == 1
 
 
-def test_every_frame_that_is_no_news_has_its_counter() -> None:
+def test_each_frame_that_is_not_used_is_counted() -> None:
     receiver = Receiver()
-    receiver.feed(state_frame(5, count=50))
+    receiver.feed(b"\0\0\0" + state_frame(5, count=50) + b"\0\0")
     damaged = bytearray(state_frame(6))
     damaged[9] ^= 0x40
     identity = encode_frame(pack(m.Time(1, 2, 3, 4)))
@@ -144,13 +143,7 @@ def test_every_frame_that_is_no_news_has_its_counter() -> None:
     assert receiver.feed(state_frame(7)) == 2, "what was lost or damaged is passed too"
 
 
-def test_delimiters_alone_are_no_frames() -> None:
-    receiver = Receiver()
-    assert receiver.feed(b"\0\0\0" + state_frame(1) + b"\0\0") == 1
-    assert receiver.counters["bad_frames"] == 0
-
-
-def test_the_sample_index_and_the_devices_clock_go_on_when_their_32_bits_are_full() -> None:
+def test_sample_index_and_device_time_continue_behind_32_bits() -> None:
     receiver = Receiver()
     start = WRAP - 2
     receiver.feed(state_frame(start))
@@ -171,7 +164,7 @@ def test_the_devices_clock_wraps_within_a_run_of_five_minutes() -> None:
     assert int(receiver.buffers.progress[0]["device_time"]) == 595_000 * 16_000
 
 
-def test_noise_without_a_delimiter_is_bounded_and_the_next_frame_is_heard() -> None:
+def test_noise_without_a_delimiter_is_bounded_and_the_next_frame_is_received() -> None:
     receiver = Receiver()
     noise = b"\x55" * 700
     for _ in range(20):
@@ -195,6 +188,7 @@ PIECES = st.lists(
 )
 
 
+@hypothesis.settings(max_examples=40)
 @given(pieces=PIECES, cuts=st.lists(st.integers(1, 60), min_size=1, max_size=50))
 def test_frames_may_be_cut_anywhere(pieces: Any, cuts: list[int]) -> None:
     """Whole, byte by byte or in any pieces: the same samples, the same counters."""
@@ -215,18 +209,6 @@ def test_frames_may_be_cut_anywhere(pieces: Any, cuts: list[int]) -> None:
             whole.sample_index,
             whole.buffers.state.tolist(),
         )
-
-
-@given(indices=st.lists(st.integers(0, 30), min_size=1, max_size=40))
-def test_one_at_a_time_exactly_the_rising_indices_are_taken(indices: list[int]) -> None:
-    receiver = Receiver()
-    newest = None
-    for index in indices:
-        passed = receiver.feed(state_frame(index, count=index))
-        expected = 1 if newest is None else max(0, index - newest)
-        assert passed == expected
-        newest = index if newest is None else max(newest, index)
-        assert receiver.sample_index == receiver.count == newest
 
 
 # ---------------------------------------------------------------------- lateness
@@ -259,25 +241,11 @@ def test_on_the_grid_nothing_is_late_and_one_late_receipt_does_not_move_the_grid
     assert result[51:] == [0] * 49
 
 
-def test_an_earlier_receipt_makes_the_grid_earlier() -> None:
-    """The first receipt may itself be late: from the first better one on, lateness counts from there."""
-    receipts = [300_000 + PERIOD_NS * k for k in range(5)] + [PERIOD_NS * k for k in range(5, 8)]
-    receipts.append(8 * PERIOD_NS + 100_000)
-    result = lateness(receipts)
-    assert result[:8] == [0] * 8
-    assert 99_000 <= result[8] <= 100_000
-
-
-def test_gaps_are_not_lateness() -> None:
-    indices = [0, 1, 2, 30, 31]
-    assert lateness([PERIOD_NS * i for i in indices], indices) == [0] * 5
-
-
-@pytest.mark.parametrize(("ppm", "late"), [(50, False), (90, False), (-90, False), (1000, True)])
+@pytest.mark.parametrize(("ppm", "late"), [(90, False), (-90, False), (1000, True)])
 def test_two_ordinary_crystals_may_differ_and_a_slow_host_may_not(ppm: int, late: bool) -> None:
-    """100 s at 1 kHz; the host's clock runs fast or slow against the device's by some parts in a million."""
+    """20 s at 1 kHz."""
     assert DRIFT_PPM == 100
-    result = lateness([round(PERIOD_NS * k * (1 + ppm * 1e-6)) for k in range(100_000)])
+    result = lateness([round(PERIOD_NS * k * (1 + ppm * 1e-6)) for k in range(20_000)])
     assert (max(result) > PERIOD_NS) is late
     assert min(result) >= 0
 
@@ -292,16 +260,16 @@ def test_lateness_is_never_negative_nor_more_than_the_delay(delays: list[int]) -
 
 
 class Script:
-    """A far end that says given bytes at given times, or breaks, and keeps what it hears.
+    """A far end that sends given bytes at given times, or breaks, and records the frames of the host.
 
-    `script` has (time in ns, what): bytes to hear, a negative errno, or a function to call.
+    `script` has pairs of a time (ns) and bytes to send, a negative errno, or a function to call.
     """
 
     def __init__(self, *script: Any) -> None:
         self.clock = VirtualClock(0)
         self.events = sorted(script, key=lambda event: event[0])
         self.arrived = b""
-        self.heard = []
+        self.sent = []
         self.error = 0
         self.write_error = 0
         self.room = 1 << 30  # bytes that a write takes
@@ -330,7 +298,7 @@ class Script:
 
     def _write(self, data: bytes) -> int:
         self._check(self.write_error)
-        self.heard.append((self.clock.now_ns(), data))
+        self.sent.append((self.clock.now_ns(), data))
         return min(len(data), self.room)
 
     @staticmethod
@@ -346,12 +314,12 @@ class Script:
         return None
 
     def commands(self) -> Any:
-        """What was heard: (header, message)."""
-        return [unpack(decode_frame(frame[:-1])) for _, frame in self.heard]
+        """Return headers and messages of the host."""
+        return [unpack(decode_frame(frame[:-1])) for _, frame in self.sent]
 
 
 def at_rest(law: Any = None, **control: Any) -> Any:
-    """A controller that homes where the handle is, and pushes for ever unless told otherwise."""
+    """Return a controller that homes where the handle is and pushes for ever by default."""
     made = controller.for_experiment(COMPLIANT, current_quantum_a=0.001, law=law)
     wanted = {"home_target": 0.0, "settle_ticks": 0, "trial_ticks": 1 << 40, "release_ticks": 1, **control}
     for name, value in wanted.items():
@@ -388,7 +356,6 @@ def ticks(first: Any, last: Any, **fields: Any) -> Any:
 
 
 def assert_ends_with_stops(link: Any) -> None:
-    """The last commands that the device hears are STOPs with zero current."""
     last = link.commands()[-STOP_FRAMES:]
     assert len(last) == STOP_FRAMES
     for header, command in last:
@@ -421,7 +388,7 @@ def test_a_silent_link_ends_the_run_after_the_agreed_time() -> None:
     assert_ends_with_stops(link)
 
 
-def test_a_device_that_never_says_anything_is_silent_too() -> None:
+def test_a_device_without_any_frame_is_silent_too() -> None:
     link = Script()
     thread, end = ran(link)
     assert (end.reason, end.counters["ticks"]) == (EndReason.LINK_SILENT, 0)
@@ -443,11 +410,6 @@ def test_a_broken_link_ends_the_run_with_its_error_number() -> None:
     _, end = ran(link)
     assert (end.reason, end.counters["errno"]) == (EndReason.LINK_CLOSED, errno.EIO)
     assert end.counters["ticks"] == 9
-
-
-def test_a_link_that_only_reads_badly_still_carries_the_stop() -> None:
-    link = Script(*ticks(1, 10), (10 * PERIOD_NS, -errno.EIO))
-    ran(link)
     assert_ends_with_stops(link)
 
 
@@ -473,11 +435,10 @@ def test_a_full_line_is_counted_and_survived() -> None:
 
 
 def test_a_command_that_does_not_fit_the_wire_is_not_sent() -> None:
-    """Whatever the settings say, no byte beyond a frame leaves."""
     link = Script(*ticks(1, 5))
     _, end = ran(link, lifetime_us=1 << 40)
     assert end.counters["unsent"] == 4
-    assert link.heard == []
+    assert link.sent == []
 
 
 def test_the_last_state_before_the_link_broke_is_still_answered() -> None:
@@ -526,12 +487,11 @@ def test_a_supervisor_that_falls_silent_ends_the_run() -> None:
     [
         {"fault": int(Fault.ENCODER)},
         {"state": int(State.FAULT)},
-        {"state": int(State.CONFIGURED)},  # it says that it is not armed, in a frame of the session
-        {"state": int(State.BOOT)},
+        {"state": int(State.CONFIGURED)},
         {"state": 200},
     ],
 )
-def test_a_fault_of_the_device_ends_the_run_in_the_tick_that_tells_it(fields: Any) -> None:
+def test_a_fault_of_the_device_ends_the_run_in_the_tick_that_reports_it(fields: Any) -> None:
     link = Script(*ticks(1, 10), *ticks(10, 20, **fields))
     thread, end = ran(link)
     assert (end.reason, end.counters["ticks"]) == (EndReason.DEVICE_FAULT, 10)
@@ -570,21 +530,21 @@ def raises(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, para
     return 0.0
 
 
-def test_an_exception_in_a_law_is_told_and_the_streams_can_be_taken_over() -> None:
+def test_an_exception_in_a_law_ends_the_run_and_the_streams_can_be_taken_over() -> None:
     link = Script(*ticks(1, 100))
     thread, end = ran(link, at_rest(Law("raises", "for this test", raises, 2, lambda wall: [])))
     assert end.reason == EndReason.LAW_RAISED
     assert "too deep" in str(end.error)
     assert thread.ring.get(control_words.LOOP_DONE) == 1
     streams = thread.handover()
-    assert streams["next_command"] == len(link.heard)
+    assert streams["next_command"] == len(link.sent)
     assert streams["state"] == State.RUNNING
 
 
 # ---------------------------------------------------------------------- gaps and the ring
 
 
-def test_what_was_skipped_is_one_gap_that_the_law_is_told() -> None:
+def test_skipped_samples_are_one_gap_of_the_law() -> None:
     frames = [state_frame(k) for k in range(1, 8)]
     link = Script((PERIOD_NS, frames[0]), (7 * PERIOD_NS, b"".join(frames[1:])), *ticks(8, 12))
     thread, end = ran(link)
@@ -596,8 +556,8 @@ def test_what_was_skipped_is_one_gap_that_the_law_is_told() -> None:
     assert thread._controller.memory[0]["index"] == 10
 
 
-def test_samples_that_never_came_are_told_from_those_that_came_too_late() -> None:
-    """Of 3 … 7 the law sees the last; 3 and 5 were lost on the way, 4 and 6 waited in the line behind 7."""
+def test_lost_samples_and_late_samples_are_counted_apart() -> None:
+    """The law gets 7: 3 and 5 were lost, 4 and 6 arrived together with 7."""
     late = b"".join(state_frame(k) for k in (4, 6, 7))
     link = Script(*ticks(1, 3), (7 * PERIOD_NS, late), *ticks(8, 10))
     thread, end = ran(link)
@@ -605,7 +565,7 @@ def test_samples_that_never_came_are_told_from_those_that_came_too_late() -> Non
     assert (end.counters["skipped"], end.counters["lost"]) == (2, 2)
 
 
-def test_what_was_said_before_the_loop_began_is_no_gap() -> None:
+def test_samples_from_before_the_loop_are_no_gap() -> None:
     link = Script((PERIOD_NS, b"".join(state_frame(k) for k in range(1, 6))), *ticks(6, 9))
     thread, end = ran(link)
     assert thread.ring.rows["elapsed_ticks"][:4].tolist() == [1, 1, 1, 1]
@@ -708,7 +668,7 @@ def delayed(duration_ns: Any) -> Any:
     return link
 
 
-def test_grid_points_that_passed_are_skipped_and_counted_and_never_made_up_for() -> None:
+def test_missed_grid_points_are_counted_and_not_repeated() -> None:
     link = delayed(4_500_000)
     thread, end = ran(link, host_paced=True)
     seen = thread.ring.rows[: end.counters["ticks"]]
@@ -720,7 +680,7 @@ def test_grid_points_that_passed_are_skipped_and_counted_and_never_made_up_for()
 
 
 @pytest.mark.parametrize("host_paced", [False, True])
-def test_where_a_late_tick_is_not_to_be_survived_the_run_ends_with_zero(host_paced: bool) -> None:
+def test_a_late_tick_ends_the_run_with_zero_where_that_is_set(host_paced: bool) -> None:
     late = Script(*ticks(1, 20), (22 * PERIOD_NS, state_frame(20)), *ticks(22, 40))
     link = delayed(2_500_000) if host_paced else late
     thread, end = ran(link, host_paced=host_paced, stop_when_late=True)
@@ -743,6 +703,7 @@ def test_a_device_paced_host_that_was_away_is_late_though_the_newest_sample_is_n
     assert_ends_with_stops(link)
 
 
+@pytest.mark.quiet
 def test_a_host_paced_loop_in_real_time_keeps_its_grid_and_may_spin_at_the_end_of_a_wait(wire: Any) -> None:
     memory = Ring.allocate(4096)
     changes = {"host_paced": True, "spin_ns": 100_000, "lost_after_ns": 5_000_000_000}
@@ -764,8 +725,8 @@ def test_a_host_paced_loop_in_real_time_keeps_its_grid_and_may_spin_at_the_end_o
 # ---------------------------------------------------------------------- signals
 
 
-def test_a_signal_stops_the_loop_within_a_tick_though_python_never_runs(wire: Any) -> None:
-    """The handler in machine code counts it in a word, which the loop reads in each tick."""
+def test_a_signal_stops_the_loop_while_python_does_not_run(wire: Any) -> None:
+    """The handler in machine code counts it in a word that the loop reads in each tick."""
     requests = np.array([7], np.int64)
     memory = Ring.allocate(4096)
     changes = {"stop_requests": requests.ctypes.data, "stop_requests_before": 7}
@@ -783,7 +744,7 @@ def test_a_signal_stops_the_loop_within_a_tick_though_python_never_runs(wire: An
     assert memory.get(control_words.STOP) == 1
 
 
-# ---------------------------------------------------------------------- clocks compared
+# ---------------------------------------------------------------------- clocks
 
 
 class Answering(Script):
@@ -794,7 +755,7 @@ class Answering(Script):
 
     def _write(self, data: bytes) -> int:
         taken = super()._write(data)
-        header, message = unpack(decode_frame(self.heard[-1][1][:-1]))
+        header, message = unpack(decode_frame(self.sent[-1][1][:-1]))
         if isinstance(message, m.GetTime):
             received = self.clock.now_ns() * 16 // 1000 + self.offset_units
             answer = m.Time(message.nonce, message.host_sent, received, received + 16)
@@ -825,10 +786,10 @@ def test_an_answer_that_comes_too_late_or_twice_is_no_exchange() -> None:
     thread, end = ran(link, exchange_every_ns=10 * PERIOD_NS)
     questions = [message for _, message in link.commands() if isinstance(message, m.GetTime)]
     assert end.counters["other_frames"] == len(questions) - 1 > 3
-    assert thread.exchanges()[:, 0].tolist() == [questions[-1].host_sent], "nothing was asked after this one"
+    assert thread.exchanges()[:, 0].tolist() == [questions[-1].host_sent], "the last request"
 
 
-# ---------------------------------------------------------------------- parameters on the way
+# ---------------------------------------------------------------------- new parameters
 
 
 def rows_of(thread: Any) -> Any:
@@ -879,7 +840,7 @@ def test_a_wall_never_appears_around_the_handle() -> None:
     assert thread._buffers.progress[0]["waiting_set"] == 1
 
 
-# ---------------------------------------------------------------------- one text for every link
+# ---------------------------------------------------------------------- real time
 
 
 class Socket:
@@ -922,7 +883,7 @@ def until(condition: Any) -> None:
         time.sleep(0.001)
 
 
-def heard(wire: Any) -> Any:
+def sent_frames(wire: Any) -> Any:
     wire.theirs.setblocking(False)
     data = b""
     try:
@@ -952,7 +913,7 @@ def test_virtual_and_real_time_run_the_same_machine_code(wire: Any) -> None:
 
 
 def test_the_loop_needs_no_python_while_it_runs(wire: Any) -> None:
-    """One thread holds the GIL without letting go (a C call through PyDLL); the loop answers every sample."""
+    """One thread holds the GIL (a C call through PyDLL); the loop answers every sample."""
     memory = Ring.allocate(4096)
     thread = LoopThread(wire, at_rest(), settings(lost_after_ns=10_000_000_000), memory)
     interval = sys.getswitchinterval()
@@ -960,7 +921,7 @@ def test_the_loop_needs_no_python_while_it_runs(wire: Any) -> None:
     try:
         wire.theirs.send(state_frame(1))
         until(lambda: memory.get(control_words.TICKS) == 1)
-        sys.setswitchinterval(60.0)  # nobody is asked to give the GIL away
+        sys.setswitchinterval(60.0)  # no thread is asked to release the GIL
         for k in range(2, 60):
             os.write(wire.theirs.fileno(), state_frame(k))
         ctypes.PyDLL(None).usleep(300_000)
@@ -982,7 +943,7 @@ def test_stopping_a_loop_in_real_time_ends_with_stops_on_the_wire(wire: Any) -> 
     thread.wait(lambda done, phase: seen.append((done, phase)))
     thread.finish()
     assert thread.end().reason == EndReason.STOPPED
-    commands = heard(wire)
+    commands = sent_frames(wire)
     assert [command.mode for _, command in commands] == [m.Mode.CURRENT] + [m.Mode.STOP] * STOP_FRAMES
     assert seen
     assert not thread._thread.is_alive() or not thread._thread.join(WAIT_S)
@@ -1017,15 +978,6 @@ def test_an_exception_of_the_progress_does_not_stop_the_caller_from_finishing(wi
     assert thread.end().reason == EndReason.STOPPED
 
 
-def test_settings_and_buffers_have_the_fields_that_the_loop_reads() -> None:
-    assert {field.name for field in dataclasses.fields(LoopSettings)} == set(SETTINGS.names)
-    buffers = Buffers.allocate()
-    assert len(buffers.state) == len(STATE)
-    assert len(buffers.header) == len(HEAD)
-    assert buffers.received.nbytes == RECEIVE_BYTES
-    assert SETTLE == Phase.SETTLE
-
-
 # ---------------------------------------------------------------------- a law that does not return
 
 
@@ -1038,9 +990,7 @@ def waits_for_a_word(penetration: Any, velocity: Any, elapsed_ticks: Any, state:
     return 0.0
 
 
-def test_a_law_that_never_returns_keeps_nobody_from_ending_the_run(
-    wire: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_ends_though_its_law_never_returns(wire: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rig.loop._run.JOIN_S", 0.2)
     words = np.zeros(2, np.int64)
     entered, freed = (int(words.ctypes.data) + 8 * place for place in range(2))
@@ -1057,11 +1007,13 @@ def test_a_law_that_never_returns_keeps_nobody_from_ending_the_run(
         thread.wait()
         thread.finish()
         end = thread.end()
-        heard(wire)
+        sent_frames(wire)
     finally:
         write_word(freed, 1)
     until(lambda: not thread._thread.is_alive())
-    assert heard(wire) == [], "its descriptor may be somebody else's by now: not even a stop leaves"
+    assert sent_frames(wire) == [], (
+        "its descriptor may belong to another file by now: not even a stop is sent"
+    )
     assert end.reason == EndReason.STUCK
     assert thread._ended.wait(WAIT_S)
     assert thread.end().reason == EndReason.STOPPED

@@ -17,9 +17,9 @@ pytestmark = pytest.mark.signals
 
 @pytest.fixture(autouse=True)
 def handlers() -> Iterator[None]:
-    """As they are in a program of its own."""
+    """Set the handlers of a new program."""
     before = {number: signal.getsignal(number) for number in STOPPING}
-    for number in STOPPING:  # which a shell may have told this process to ignore
+    for number in STOPPING:  # which a shell may have set to be ignored
         signal.signal(number, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
@@ -56,9 +56,9 @@ def test_ctrl_c_while_handlers_return_is_raised_when_all_of_them_have(
     monkeypatch: pytest.MonkeyPatch, place: int
 ) -> None:
     """Raised in between, it would leave handlers that swallow SIGTERM, and a wake-up descriptor that is closed."""
-    told: list[int] = []
-    signal.signal(signal.SIGTERM, lambda number, frame: told.append(number))
-    signal.signal(signal.SIGHUP, lambda number, frame: told.append(number))
+    received: list[int] = []
+    signal.signal(signal.SIGTERM, lambda number, frame: received.append(number))
+    signal.signal(signal.SIGHUP, lambda number, frame: received.append(number))
     before: dict[int, Any] = {number: signal.getsignal(number) for number in STOPPING}
     restored: list[int] = []
 

@@ -308,7 +308,7 @@ def opening_clears_a_halt(cable: Cable) -> None:
     Host(cable.open()).identify()
 
 
-def busy_is_said(cable: Cable) -> None:
+def a_busy_device_is_refused(cable: Cable) -> None:
     cable.order("busy")
     with pytest.raises(DeviceNotFoundError, match="in use by another program") as caught:
         cable.open()
@@ -383,30 +383,18 @@ def packets_come_while_python_is_locked(cable: Cable) -> int:
 
 
 def hits_from_the_command_line(cable: Cable, url: str, directory: str) -> tuple[int, dict[str, Any]]:
-    """Exit code, and what is told in JSON, of a short hit over the link of a URL."""
+    """Return exit code and JSON of a short hit over the link of a URL."""
     from rig import cli  # noqa: PLC0415
 
-    said = StringIO()
-    changes = (
-        "verdict.late_fraction=0.9",
-        "controller.command_lifetime_s=0.02",
-        "trial.duration_s=0.3",
-        "verdict.tail_s=0.1",
+    output = StringIO()
+    # -K 10 is stable with two ticks of delay, as the gate computes it: at most 26.8 N·m/rad.
+    options = (
+        "--verified --no-plot --json --rate 500 -K 10 --set verdict.late_fraction=0.9 --set verdict.tail_s=0.1 "
+        "--set controller.command_lifetime_s=0.02 --set trial.duration_s=0.3"
     )
-    options = ("--verified", "--no-plot", "--json", "--rate", "500", "-o", directory)
-    wall = ("-K", "10")  # stable with two ticks of delay, as the gate computes it: at most 26.8 N·m/rad
-    with contextlib.redirect_stdout(said):
-        code = cli.run(
-            [
-                "hit",
-                "--url",
-                url,
-                *wall,
-                *options,
-                *(word for change in changes for word in ("--set", change)),
-            ]
-        )
-    return code, json.loads(said.getvalue())
+    with contextlib.redirect_stdout(output):
+        code = cli.run(["hit", "--url", url, *options.split(), "-o", directory])
+    return code, json.loads(output.getvalue())
 
 
 def unplugged_in_a_trial(cable: Cable, directory: str) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The child of the USB tests: does checks, one a line with its arguments, and tells their outcome in a line of JSON."""
+"""The child of the USB tests: runs a check for each line of input, and writes its outcome as a line of JSON."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def main() -> None:
     program.begin()
     from tests.system.usb import checks  # noqa: PLC0415
 
-    said = os.fdopen(os.dup(1), "w", buffering=1)
+    outcomes = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
     for line in sys.stdin:
         os.environ["UMOCKDEV_DIR"], orders, answers, transfers, name, *arguments = line.split()
@@ -26,8 +26,8 @@ def main() -> None:
             except BaseException:
                 answer = {"failure": traceback.format_exc()}
             cable.tidy()
-        said.write(json.dumps(answer) + "\n")
-    said.close()
+        outcomes.write(json.dumps(answer) + "\n")
+    outcomes.close()
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """The parent's side of the USB tests: buses with a bridge and a device behind it, and a child in which libusb sees one.
 
 The child runs under umockdev's preload library, so that its libusb, which is the real one, finds the emulated bus.
-It does named checks (`checks`), each on the bus that it is told, and orders faults from the bridge itself.
+It runs named checks (`checks`), each on a given bus, and orders faults from the bridge itself.
 """
 
 from __future__ import annotations

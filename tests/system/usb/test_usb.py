@@ -62,7 +62,7 @@ def check(request: pytest.FixtureRequest, child: Child, bus: Bus) -> Check:
         "conforms_as_a_device",
         "bytes_keep_their_order",
         "opening_clears_a_halt",
-        "busy_is_said",
+        "a_busy_device_is_refused",
         "a_driver_of_the_kernel_gives_way_and_comes_back",
         "nothing_is_left_behind",
     ],
@@ -86,7 +86,7 @@ def test_a_link(check: Check, what: str) -> None:
         "replugged",
     ],
 )
-def test_what_happens_to_a_cable_is_one_typed_error_soon(check: Check, event: str) -> None:
+def test_each_event_of_a_cable_is_one_typed_error(check: Check, event: str) -> None:
     after_ms = check(event)
     print(f"{event}: {after_ms:.1f} ms")
     assert after_ms < SECONDS
@@ -114,7 +114,7 @@ def test_a_device_is_listed_with_its_url(check: Check) -> None:
     assert device == {"url": f"{checks.URL}/0001", "name": "simulated rig", "path": "1-1", "is_rig": True}
 
 
-def test_the_slow_way_is_said(check: Check) -> None:
+def test_plain_transfers_are_noted_with_their_reason(check: Check) -> None:
     note = check("says_how_it_works")
     assert note == "" or "the URL asks for it" in note
 
@@ -151,9 +151,9 @@ def rig(request: pytest.FixtureRequest, program: Path, child: Child) -> Iterator
 def test_a_hit_from_the_command_line(rig: Rig, tmp_path: Path) -> None:
     """It is judged and recorded, and every tick is accounted for."""
     url = checks.URL if rig.transfers == "queued" else f"{checks.URL}/0001?transfers=plain"
-    code, told = rig.check("hits_from_the_command_line", url, str(tmp_path))
-    assert (code, told["error"], len(told["hits"])) == (0, None, 1)
-    assert told["hits"][0]["verdict"]["kind"] == "stable", told["hits"][0]["verdict"]
+    code, result = rig.check("hits_from_the_command_line", url, str(tmp_path))
+    assert (code, result["error"], len(result["hits"])) == (0, None, 1)
+    assert result["hits"][0]["verdict"]["kind"] == "stable", result["hits"][0]["verdict"]
     (path,) = tmp_path.glob("*.parquet")
     recording = open_recording(path)
     assert len(recording.rows) > 0
