@@ -1,7 +1,7 @@
 """Clock exchanges one after another, as one compiled function without the GIL: how long a link takes there and back.
 
-It uses the plug points of the loop (`rig.realtime.plugs`), its codec and its way of waiting, so that what it measures
-is what the loop will meet: the same system calls, the same scheduling, the STATE frames of the device in between.
+`rig.doctor._round_trip` calls it. It must use the loop's plug points, codec and way of waiting, so that the loop will
+have the times that it measures.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ _BUFFERS_TYPE = type_of(PingBuffers)
 
 @kernel(types.int64(_BUFFERS_TYPE, types.int64, _INTS))
 def _take(buffers: PingBuffers, length: int, tally: Any) -> int:
-    """Look at one frame: 1 for the answer to the newest question, whose fields are then in `buffers.values`."""
+    """Decode one frame: 1 for the reply to the newest request, whose fields are then in `buffers.values`."""
     raw, header, values = buffers.raw, buffers.header, buffers.values
     if codec.decode_time(raw, length, header, values) == 0:
         if values[TIME.nonce] == tally[TALLY.nonce] and values[TIME.host_sent] == tally[TALLY.last_sent]:
@@ -95,11 +95,12 @@ def _take(buffers: PingBuffers, length: int, tally: Any) -> int:
 
 @kernel(types.int64(PORT_TYPE, _BUFFERS_TYPE, _INTS))
 def _gather(port: LoopPort, buffers: PingBuffers, tally: Any) -> int:
-    """Read what is there and look at its frames: 1 when the answer came (into `buffers`), 0, or negative errno."""
+    """Read and decode all available frames: 1 when the reply came (into `buffers`), 0, or negative errno."""
     received, answer = buffers.received, buffers.answer
     came = 0
     got = np.int64(1)
-    for _ in range(MOST_READS):  # a far end that never pauses must not keep us here
+    # Bounded: a device that never pauses must not keep this function from its deadline.
+    for _ in range(MOST_READS):
         if got <= 0:
             break
         filled = tally[TALLY.filled]
@@ -129,7 +130,7 @@ def _gather(port: LoopPort, buffers: PingBuffers, tally: Any) -> int:
 
 @kernel(types.int64(PORT_TYPE, _BUFFERS_TYPE, _INTS, types.int64, types.int64))
 def _listen(port: LoopPort, buffers: PingBuffers, tally: Any, until_ns: int, for_answer: int) -> int:
-    """Take what comes until a moment, or until the answer is there if one is waited for: 1 if it came, 0, or -errno."""
+    """Receive until a moment, or until the awaited reply arrives: 1 if it arrived, 0, or -errno."""
     while port.now(port.clock_handle) < until_ns:
         ready = port.wait(port.handle, until_ns)
         if ready > 0:
@@ -155,7 +156,7 @@ def ping(
     period_ns: int,
     timeout_ns: int,
 ) -> int:
-    """Ask for the time again and again, until a moment or until the table is full.
+    """Request the time repeatedly, until a moment or until the table is full.
 
     Parameters
     ----------
@@ -217,6 +218,7 @@ def ping(
             tally[TALLY.answered] = row + 1
         elif taken == size:
             tally[TALLY.lost] += 1
-        tally[TALLY.nonce] = (tally[TALLY.nonce] + 1) % _NONCES  # what comes now answers nothing any more
+        # A new nonce, also after a timeout: a reply that comes now is late and counts as such.
+        tally[TALLY.nonce] = (tally[TALLY.nonce] + 1) % _NONCES
         time_ns = received_ns
     return int(tally[TALLY.answered])

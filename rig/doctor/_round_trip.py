@@ -1,9 +1,7 @@
-"""The round trip of a link, measured: how long a question and its answer take, how many are lost, what rate it carries.
+"""The round trip of a link, measured: duration of request and reply, losses, and the rate that the link carries.
 
-The device reports how long it kept a question (two of the four stamps of a clock exchange). The rest of the round trip
-is the link's: what a sample and the command that answers it need in a loop, and what decides its delay. A simulated
-device answers at its next tick, so its round trip is about a tick and the link's share a fraction of one; a board
-answers at once, and the two are equal.
+The device reports how long it kept a request (two of the four stamps of a clock exchange). The rest of the round trip
+is the link's, which decides the delay of a loop. The gate and `rig doctor` call it.
 """
 
 from __future__ import annotations

@@ -2,18 +2,11 @@
 
 On a real device it refuses
 
-* a link that in 99.9 % of all cases takes more than half of a command's lifetime there and back: the device would drop
-  the wall in the middle of a contact, again and again;
-* more lost questions than `LOST_SHARE`;
+* a link that in 99.9 % of all cases takes more than half of a command's lifetime there and back;
+* more lost requests than `LOST_SHARE`;
 * a wall that linear theory finds unstable at the loop's rate with the measured delay, in no hand or in any of those
   that may hold it (`rig.doctor.late_loops`: the spectral radius over one velocity period is 1 or more).
 
-A law that the device runs itself answers within the tick: its delay is the device's own execution time, which is less
-than a tick or the device reports missed ticks, and the amplifier's input, such as the period of a pulse width. Its wall
-is judged without delay, and the result with a whole tick of delay is reported. The link only has to bring a command
-within the lifetime of that loop, which is longer.
-
-Linear theory leaves out Coulomb friction, which stabilises walls that it finds unstable; the gate does not count on it.
 Passivity is reported and not required. A simulated device is never refused.
 
 Hits, identification, motions, the design, `rig.doctor` and sessions call it. It must not move anything: a refusal comes
@@ -42,8 +35,10 @@ from rig.doctor.late_loops import LateLoops, loop_delay_ticks, unstable_hands
 from rig.doctor.predicted import homing_checks
 from rig.realtime.scheduling import obtained
 
-LIFETIME_SHARE = 0.5  # of a command's lifetime that the link may take there and back
-LOST_SHARE = 0.001  # of the questions: a loop loses one command in a thousand without effect
+# Share of a command's lifetime that the link may take there and back: a slower one would make the device drop the wall
+# in the middle of a contact.
+LIFETIME_SHARE = 0.5
+LOST_SHARE = 0.001  # of the requests: a loop loses one command in a thousand without effect
 SHORTEST_S, LONGEST_S = 1.0, 4.0  # of a measurement before arming; as long as bounding p99.9 takes
 SIMULATED_S = 0.2  # on a simulated device, which is never refused
 
@@ -52,6 +47,7 @@ def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
     """Judge one experiment on one measured link."""
     rate, wall = experiment.controller.position_rate, experiment.wall
     delay = loop_delay_ticks(experiment, measurement, rate)
+    # Coulomb friction, which stabilises walls that linear theory finds unstable, is not counted on.
     judged = late_wall(experiment, delay)
     executed = experiment.controller.loop == "device" and not measurement.virtual and judged.radius
     return Gate(
@@ -177,7 +173,9 @@ def _short(number: int, bounded: float) -> Check:
 
 @question("execution")
 def _execution(experiment: Experiment) -> Check:
-    """The wall under a whole tick of delay: at its highest rate the device needs about two thirds of one."""
+    """Report the wall's stability under a whole tick of delay, where the device runs the law."""
+    # The device answers within the tick, two thirds of one at its highest rate, or it reports missed ticks: the gate
+    # itself counts no delay.
     wall = experiment.wall
     late = LateLoops.of(experiment, 1).radius(wall.stiffness, wall.damping)
     text = "the law runs on the device within a tick; with a full tick of delay this wall would be"

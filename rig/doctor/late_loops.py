@@ -1,10 +1,8 @@
 """Linear theory of an experiment whose commands act a number of ticks late, in every hand that may hold the handle.
 
-Theory covers the spring and damper of the built-in walls with linear estimators. For an estimator that is not linear,
-the usual filtered difference at the same rates stands in, and every result computed with it is marked: without damping
-the estimator has no effect, and with damping an adaptive one has at best a little less lag than this filter, which was
-designed for the same noise. Two velocity rates that alternate are computed one by one. A law that is not a spring and
-damper is not computed.
+Theory covers the spring and damper of the built-in walls with linear estimators. For an estimator that is not linear
+the usual filtered difference at the same rates is used, and every result with it is marked. Two velocity rates that
+alternate are computed one by one.
 
 The gate, the examination of a machine, sessions and the console call it. It must not measure a link, nor decide whether
 a wall may be armed.
@@ -27,7 +25,9 @@ from rig.core.operators import GRIPS, NO_OPERATOR
 if TYPE_CHECKING:
     from rig.doctor._round_trip import LinkMeasurement
 
-LARGEST_DELAY = 40  # ticks: at a longer delay a command's lifetime has long ended
+LARGEST_DELAY = 40  # ticks: at a longer delay a command's lifetime has ended
+# In place of an estimator that is not linear: without damping an estimator has no effect, and with damping an adaptive
+# one has at best a little less lag than this filter, which was designed for the same noise.
 STAND_IN = "fdm-butterworth"
 SPRING_AND_DAMPER = ("spring-damper", "bilateral", "excited")  # laws whose wall is K and B, excitation aside
 

@@ -8,11 +8,7 @@ The motor's effort F is known, the position X is measured with an encoder's nois
 H is the delay of the effort: whole ticks and a first-order lag. The second factor of P is there for a rig of two
 masses: a sensor beside the motor sees the link vibrate against a motor that stands still (anti-resonance ω_a) and both
 against each other (resonance ω_r), and m·(ω_a/ω_r)² is the motor's own share of the inertia. S is Coulomb friction: the
-levels from sliding, with the sign of the measured velocity, removed within the fit. It leaves out that friction of
-a handle that stops is less than its level, and that the link behind an elastic drive turns round at other times than
-the motor does; with an effort six times the friction the first costs some 0.2 % of the inertia, the second shows in the
-damping of the modes. That bias is the same in every realisation; the
-interval of the inertia contains it (`FRICTION_BIAS`).
+levels from sliding, with the sign of the measured velocity, removed within the fit.
 
 Under voltage drive the effort that flows is H·F less the back-EMF b_e·s·X behind the lag L. So the rig answers like
 1/(1/P + b_e·s·L) in the place of P; b_e is given, because the motion of a rigid rig does not tell it from b.
@@ -52,6 +48,8 @@ ROUNDS = 3  # of fit and weights
 MODE_GAIN = 1.5  # factor by which a mode must reduce the weighted error to be accepted
 LEAST_SPLIT = 1.05  # resonance over anti-resonance: below it the two cancel
 LARGEST_RATIO = 0.5  # damping ratio of what is still a mode
+# Friction of a handle that stops is less than its level, and the link behind an elastic drive reverses at other times
+# than the motor: with an effort six times the friction the first costs some 0.2 % of the inertia, in every realisation.
 # Share of Coulomb friction over effort (rms) by which removing it may miss the inertia: chosen on 100 simulated runs
 # (ten rigs, ten seeds). On others (54 random rigs, 106 runs; 2026-11-29) the interval held the inertia in 86 of 88 runs
 # of rigid and 12 of 18 of elastic ones; in five of the six no mode was found: `rig.experiments.identification.identify`
@@ -268,6 +266,7 @@ class _Problem:
         self, start: Floats, free: Sequence[int], ticks: int, weights: Floats, which: slice = slice(None)
     ) -> Floats:
         """Return the least squares over the free parameters, each in units of its own size."""
+        # Units of their own size: the parameters span ten orders of magnitude.
         size = np.abs(start)
         size[B] = max(size[B], 1e-3 * abs(start[M]) * 2.0 * np.pi * self.lines[0])
         size[LAG] = 0.1 / self.rate if size[LAG] == 0.0 else size[LAG]
@@ -289,6 +288,7 @@ class _Problem:
     def fit(self, start: Floats, free: Sequence[int], ticks: int) -> _Fit:
         """Fit and weights in turn: the weights follow from what the fit leaves, smoothed over neighbouring lines."""
         power = np.mean(np.abs(self.position) ** 2, axis=0)
+        # Before anything is known of the noise: 2 % of the motion, and the encoder's floor.
         first = np.sqrt((0.02**2) * power + self.floor**2)
         weights, parameters = first, start
         for _ in range(ROUNDS):
@@ -300,7 +300,8 @@ class _Problem:
         return _Fit(parameters, ticks, weights, cost, unexplained)
 
     def _unexplained(self, error: Complexes, power: Floats) -> float:
-        """Return share of the velocity (rms) that the fit leaves and that follows the effort; noise follows nothing."""
+        """Return the share of the velocity (rms) that the fit leaves and that follows the effort."""
+        # Noise is not correlated with the effort: the mean over realisations removes it.
         runs, drive = len(error), np.mean(np.abs(self.effort) ** 2, axis=0)
         gain = np.mean(error * self.effort.conj(), axis=0) / drive
         noise = np.sum(np.abs(error - gain * self.effort) ** 2, axis=0) / (runs - 1)

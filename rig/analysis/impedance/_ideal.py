@@ -9,12 +9,10 @@ alike, and its held effort moves the rig at all of them. What comes back by way 
 to position and G its discretisation (hold, plant, sampler), A = G(e^{sT}) − ZOH·P = Σ_{n≠0} P·ZOH at ω + n·2π/T.
 Without it (``images=False``) remains what one expects, m·s + b + ZOH·(K/s + B·H/s).
 
-A mass hardly moves at 600 Hz, so little comes back. For 0.52 kg at 1 kHz, fdm, fdm-butterworth and kalman, at every
-line up to 400 Hz, images change Z by at most 0.16 % and 0.05° for stable walls up to 40 kN/m and 100 N·s/m, by 0.5 %
-and 0.6° up to 60 kN/m, by 1.4 % up to 100 kN/m, and by 7 % for the stiffest that are just stable, where rig and wall
-cancel and all that is left is small. A record of the loop's ticks is another matter: it shows motions at all images as
-one, and an excitation that the loop's own motor plays moves the rig at all of them; without A that would be off by 3 %
-at 250 Hz and 29 % at 400 Hz. At half the rate a line and its image coincide, and no impedance is defined.
+For 0.52 kg at 1 kHz, fdm, fdm-butterworth and kalman, at every line up to 400 Hz, images change Z by at most 0.16 % and
+0.05° for stable walls up to 40 kN/m and 100 N·s/m, by 1.4 % up to 100 kN/m, and by 7 % for the stiffest that are just
+stable. In a record of the loop's own ticks they are 3 % at 250 Hz and 29 % at 400 Hz. At half the rate a line and its
+image coincide, and no impedance is defined.
 
 In general (two masses, lag, delay in ticks, position at T1 and velocity at T2 = N·T1, held or extrapolated) the
 sampled loop has N frequencies ω + m·2π/T2 that the velocity path mixes. With x_m the sampled position at each, G_m
@@ -163,7 +161,7 @@ class _Plant:
         return self.handle if seen == "handle" else self.sensed
 
     def response(self, lines_hz: ArrayLike, row: int, column: int) -> Complexes:
-        """From an input to a state at s = jω, shape (n,)."""
+        """Return the response from an input to a state at s = jω, shape (n,)."""
         return _transfer(_s(np.atleast_1d(lines_hz)), self.a, self.b[:, column], row)
 
 

@@ -3,20 +3,14 @@
 *Passive* is a port whose impedance has no negative real part; equivalently, whose phase stays within ±90°, which is
 how the second paper tests it. Measured lines have noise, and a stiff wall comes within a degree of −90° at low
 frequencies ((b + B − K·T/2)·ω/K rad), so each line gets a tolerance from its own uncertainty: it fails when Re Ẑ <
-−t, t being `z_score` standard deviations. That is the same as a phase beyond ±(90° + asin(t/|Ẑ|)). A line that passes
-was not shown to be active; with a z-score of 0 the test is the paper's.
-
-The linear test is blind to what a wall does beside the lines: a chattering estimator passes it with most of its
-motion out of step with the excitation. So the residual power is a second test.
+−t, t being `z_score` standard deviations. That is the same as a phase beyond ±(90° + asin(t/|Ẑ|)); with a z-score of 0
+the test is the paper's. The residual power beside the lines is a second test.
 
 *Fidelity* is the second paper's: root mean square over the lines of |Ẑ| − |K/(jω) + B|. It is dominated by the rig's
 inertia (1.886·f N·s/m for 0.52 kg up to f Hz) and depends on band and lines, both of which belong beside it.
 
 Beside it stand *effective stiffness* −ω·Im Z and *effective damping* Re Z of what was added to the rig, in per cent of
-what was asked for. They are functions of frequency: what delays and filters a wall turns stiffness into negative
-damping, and damping into stiffness, as the frequency rises. So they are stated over a low band, where hands act:
-weighted means over its lines, which is what least squares of K/(jω) + B gives. And a relative error in the manner of
-Colonnese.
+what was requested, as weighted means over the lines of a low band, and a relative error in the manner of Colonnese.
 """
 
 from __future__ import annotations
@@ -32,8 +26,12 @@ from rig.analysis.impedance._fitting import Fit, RigidRig, fit
 from rig.analysis.impedance._signals import Complexes, Floats
 
 Z_SCORE = 2.0  # standard deviations by which a real part must be below zero to count
-RESIDUAL = 0.1  # share of the motion's power off the lines above which a wall does not count as passive
-EFFECTIVE_HZ = 20.0  # up to here effective stiffness and damping are averaged
+# Share of the motion's power off the lines above which a wall does not count as passive: a chattering estimator passes
+# the test at the lines with most of its motion out of step with the excitation.
+RESIDUAL = 0.1
+# Up to here, where hands act, effective stiffness and damping are averaged: as the frequency rises, delays and filters
+# turn stiffness into negative damping, and damping into stiffness.
+EFFECTIVE_HZ = 20.0
 EFFECTIVE_LINES = 3  # fewer say nothing about a misfit
 COHERENCE = 0.5  # γ² of the motion below which a line says nothing
 

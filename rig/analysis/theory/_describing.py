@@ -14,17 +14,11 @@ velocity that is held (and extrapolated), the delay, and the plant at its ticks,
 
 three equations for A, ω and x0. Without friction ω is where the phase of G·C crosses −180°, whatever A, and
 A = |G·C|·q: at most (2/π)·|G·C| counts while one edge is crossed, so a wall that is linearly stable (|G·C| < 1) buzzes
-by less than 0.64 counts. Of several balances the largest is taken, but each may be the one that is seen, and which of
-them is a matter of where the handle comes from: only the only one (`alone`) is a prediction. Friction does not decide
-between them: where a mass rests in part of its period, friction dissipates less than this model assumes, and a limit
-cycle that the model rules out may persist. `duty` is the fraction of a count that the mean reading lies above a whole
-one: ½ buzzes most, 0 not at all (until A is half a count).
+by less than 0.64 counts. `duty` is the fraction of a count that the mean reading lies above a whole one: ½ buzzes most,
+0 not at all (until A is half a count).
 
-What it takes for granted: one sinusoid (the loop is a low pass: harmonics of the reading, its images in the velocity's
-sampling and toggling between two ticks are left out) and motion without rest. Friction that brings a mass to rest in
-each half period is beyond it. Where friction is stronger than what half a count or less makes of effort the handle may
-as well rest (`may_rest`): which of both it does is a matter of where it comes from. So it is beyond the linear limit,
-where a small cycle may balance and every larger motion grows.
+It assumes one sinusoid (the loop is a low pass: harmonics of the reading, its images in the velocity's sampling and
+toggling between two ticks are left out) and motion without rest.
 
 Source: own derivation; describing functions are textbook (Gelb and Vander Velde 1968, not opened).
 """
@@ -114,6 +108,9 @@ def limit_cycle(
     held = sum(state_space(model.mechanics, model.amplifier).friction) if friction else 0.0
     open_loop = _Open.of(loop, stiffness, damping, friction=friction)
     balances = [open_loop.balance(at, duty) for at in open_loop.crossings(duty)]
+    # The largest of several balances: which one is seen depends on where the handle comes from. Only a single one
+    # (`alone`) is a prediction, and friction does not decide: where a mass rests in part of its period, friction
+    # dissipates less than this model assumes, and a cycle that the model rules out may persist.
     amplitude, frequency = max(balances, default=NOTHING)
     smooth = _Open.of(loop, stiffness, damping, friction=False) if friction else open_loop
     return LimitCycle(
@@ -187,7 +184,8 @@ class _Open:
             return np.asarray(x)
         driven = read * self.other - 1j * self.rubs[0] * self.rubbed_other[0]
         y, rub = driven, np.zeros_like(driven)
-        for _ in range(TURNS):  # the other mass's friction turns with its motion
+        # The other mass's friction turns with its motion, which depends on that friction: a fixed-point iteration.
+        for _ in range(TURNS):
             rub = -1j * self.rubs[1] * np.exp(1j * np.angle(y))
             y = driven + rub * self.rubbed_other[1]
         return np.asarray(x + rub * self.rubbed[1])
@@ -232,6 +230,6 @@ def _law(loop: LinearLoop, stiffness: float, damping: float, hz: Vector, z: Comp
 
 
 def _states(at: Complex, a: Vector, b: Vector) -> Complex:
-    """(at·1 − A)⁻¹·b: all states over frequency."""
+    """Return all states over frequency: (at·1 − A)⁻¹·b."""
     resolvent = at[:, None, None] * np.eye(len(b)) - a
     return np.asarray(np.linalg.solve(resolvent, np.broadcast_to(b[:, None], (len(at), len(b), 1)))[..., 0])

@@ -133,6 +133,7 @@ class Waves:
         k = 0.5 * stiffness[:, None]
         det = 1.0 + 2.0 * k * self.along.real - k**2 * self.aside
         failing = (det < 0.0).sum(axis=1)
+        # Haynsworth's formula divides by it; its sign is already counted.
         det = np.copysign(np.maximum(np.abs(det), SINGULAR), det)
         reading = (self.read / det).sum(axis=1)
         heard = (np.abs(self.heard) ** 2 * self.given / det).sum(axis=1)
@@ -182,7 +183,8 @@ def passive_stiffness(loop: LinearLoop, dampings: Sequence[float], rig: Damping)
             now = ~waves.at(failing).passive(middle[of[failing]], b[of[failing]])
             worse = np.isin(np.arange(len(b)), of[failing[now]])
             low, high = np.where(worse, low, middle), np.where(worse, middle, high)
-            failing = failing[now | ~worse[of[failing]]]  # a phase that is passive at a K is so below
+            # Passive K form a convex set: a phase that is passive at one K is so below it and needs no further test.
+            failing = failing[now | ~worse[of[failing]]]
         left, first = np.unique(of[failing], return_index=True)
         stiffness[left] = low[left]
         rows, worst = np.divmod(failing[first], theta.shape[1])
@@ -201,11 +203,13 @@ def _nearer(theta: Vector, worst: int) -> Vector:
 
 
 def _sums(turn: Vector, sigma: float) -> tuple[Vector, Vector, Vector]:
-    """Over the aliases z = turn + 2πk, with z² and σ in ticks: Σ 1/z², Σ 1/(1 + σ²z²) and Σ 1/(z·(1 + σ²z²))."""
+    """Return Σ 1/z², Σ 1/(1 + σ²z²) and Σ 1/(z·(1 + σ²z²)) over the aliases z = turn + 2πk, z and σ in ticks."""
     half = 0.5 * turn
     squares, odd = 0.25 / np.sin(half) ** 2, 0.5 / np.tan(half)
-    if sigma == 0.0:  # 1/(1 + 0) over all aliases is infinite, and counts only times a lag of 0
+    # The second sum is infinite without a lag, and is used only times a lag of 0.
+    if sigma == 0.0:
         return squares, np.zeros_like(turn), odd
+    # With q = e^(−1/σ), not cosh and sinh of 1/σ, which overflow for a short lag.
     q = math.exp(-1.0 / sigma)
     below = 1.0 + q * q - 2.0 * q * np.cos(turn)
     return squares, 0.5 * (1.0 - q * q) / sigma / below, odd - q * np.sin(turn) / below

@@ -124,10 +124,7 @@ class Lifted:
     def frequency(self, stiffness: float, damping: float) -> float:
         """Return the frequency (Hz) of the mode that decides, not aliased to the velocity rate.
 
-        An eigenvalue of Φ gives a frequency only up to multiples of 1/T2. Between, the mode's position follows from its
-        eigenvector, tick by tick: (that part of the exponential) × (something of period T2). The strongest harmonic of
-        the latter says which multiple is meant. What remains is the alias of the position rate, which is the
-        plant's own.
+        What remains is the alias of the position rate, which is the plant's own.
         """
         if self.softest is not None and self.softest.radius(stiffness, damping) >= self.radius(
             stiffness, damping
@@ -139,6 +136,8 @@ class Lifted:
         value, z = complex(values[i]), vectors[:, i].astype(complex)
         n, period_s = self.loop.divider, self.loop.period_s
         first, other = self.ticks(stiffness, damping)
+        # An eigenvalue of Φ gives a frequency up to multiples of 1/T2. Tick by tick the mode's position is a part of
+        # the exponential times a function of period T2, whose strongest harmonic decides the multiple.
         factor = value ** (1.0 / n) if value != 0.0 else 1.0
         wave = np.empty(n, complex)
         for k in range(n):
@@ -166,6 +165,7 @@ def _at_the_worse_place(
     softest = lifted.softest
     if softest is None:
         return own
+    # A wall softer than the cogging there lets the handle slide to the next detent, which is no oscillation.
     rests = k + softest.loop.cogging - softest.loop.compensated > 0.0
     return np.where(rests, worse(own, _at_the_worse_place(softest, worse, measure, k, b)), own)
 
@@ -176,11 +176,9 @@ def _radius(phi: Matrix) -> Vector:
 
 
 def _decays(phi: Matrix) -> Flags:
-    """Return whether the spectral radius ρ is below 1: ρ^m ≤ ‖Φ^m‖ and ρ^m ≥ |trace Φ^m|/n, for m = 16, 256 and so on.
-
-    Squaring rounds like eigenvalues do: relative to ρ, both are wrong by some 1e-16 times the eigenvalue's condition. A
-    power decides only where ρ is farther from 1 than CLEAR^(1/m), which is 1e-5 at the last one.
-    """
+    """Return whether the spectral radius ρ is below 1, by ρ^m ≤ ‖Φ^m‖ and ρ^m ≥ |trace Φ^m|/n for powers m of 16."""
+    # Powers cost a fifth of eigenvalues and round alike: both are wrong by some 1e-16 times the eigenvalue's condition.
+    # A power decides only where ρ is farther from 1 than CLEAR^(1/m), which is 1e-5 at the last one.
     decays, left, power = np.zeros(len(phi), np.bool_), np.arange(len(phi)), phi
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not clear
         for _ in range(POWERS):

@@ -22,14 +22,10 @@ With b the viscous damping of the rig, T1 and T2 the periods, β a property of t
   where it is the rule for a rigid rig, K_max = b/(T1/2 + lag + delay).
 
 Under voltage drive back-EMF is damping too: without a lag at any speed, behind a lag in slow motion only. The exact
-condition counts it as it is. At B = 0 slow motion decides, and b has it in full: what is necessary stays so (koul-rigid
-within 3 % of exact, but twice too high where there is hardly any other damping and the lag is about a tick), and K_max
-of a rigid rig still follows Gil's rule. A damper is most critical in fast motion, and a closed form contains a single
-b: behind a lag no closed form holds for B > 0. With the b of slow motion it would be twice too high for koul-rigid at
-B = 0.02, uniform at 20 kHz, and the rule for B_max by up to 1.8 times; that rule uses the b of fast motion.
+condition counts it as it is.
 
-All are about a bilateral wall. What they leave out is in `rig.analysis.theory._loop`; only Abbott and Okamura and
-Diolaiti know quantum and friction. None has its hand in it: they ask for any.
+All are about a bilateral wall and any passive hand. What they leave out is in `rig.analysis.theory._loop`; only Abbott
+and Okamura and Diolaiti include quantum and friction.
 """
 
 from __future__ import annotations
@@ -113,7 +109,7 @@ def passivity_bound(
     *,
     operator: str | Operator | None = None,
 ) -> PassivityBound:
-    """Return multi-rate passivity and the conditions of the literature, at a damping of the wall (N·m·s/rad or N·s/m).
+    """Return the multi-rate passivity and the literature's conditions, at a damping of the wall (N·m·s/rad or N·s/m).
 
     Raises `rig.core.errors.ConfigError` as `rig.analysis.theory._loop.linear_loop` does.
     """
@@ -153,7 +149,7 @@ def beta(loop: LinearLoop, *, negative: bool = False) -> float:
     general the effort of a period is the vector g·H·θ with g_i = 1, or 1 + i·(1 − z⁻¹)/N when extrapolated, and the rig
     must make up for the largest eigenvalue of minus its Hermitian part, from increments of position to efforts.
 
-    Lag and delay are left out; `negative` asks for a wall of negative damping.
+    Lag and delay are excluded; `negative` means a wall of negative damping.
     """
     return needed_per_damping(loop, Damping(1.0), late=False, negative=negative)
 
@@ -204,9 +200,12 @@ def _bounds(loop: LinearLoop, damping: float, share: float) -> list[Bound]:
         passive_stiffness(loop, [damping], _port(loop))[0],
         proven,
     )
+    # A damper is most critical in fast motion, and a closed form has a single b: behind a lag none holds for B > 0.
+    # With the b of slow motion it would be twice too high for koul-rigid at B = 0.02, uniform at 20 kHz.
     if damping != 0.0 and _fast_damping(subject) < subject.damping:
         return [exact]
-    # Slow motion is rigid and meets all damping; what is no such limit takes the damping of the motor side.
+    # At B = 0 slow motion decides, which is rigid and meets all damping, back-EMF too (koul-rigid within 3 % of exact,
+    # but twice too high with hardly any other damping and a lag of about a tick). Else b is that of the motor side.
     b = subject.damping if damping == 0.0 else port
     meaning: Meaning = "necessary" if damping == 0.0 else "approximate"
     return [
@@ -272,6 +271,7 @@ def rigid_b_max(loop: LinearLoop) -> float:
     filter of a dual-rate wall dominates, by 20 % where the lag does, or a difference without a filter. b leaves out
     back-EMF behind a lag.
     """
+    # The b of fast motion: with that of slow motion the rule would be too high by up to 1.8 times.
     hold = loop.tick_s if loop.extrapolate else loop.period_s
     tau = estimator_delay_s(loop) + 0.5 * hold + loop.late_s
     return _fast_damping(loop.subject) + 0.5 * math.pi * loop.subject.inertia / tau
