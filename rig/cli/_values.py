@@ -93,7 +93,7 @@ def presets() -> list[str]:
 def estimators() -> list[str]:
     """Names of all estimators, plug-ins included."""
     known: list[str] = listing()["estimators"]
-    return [*known, *(point.name for point in plugins.found("rig.estimators", known))]
+    return [*known, *(point.name for point in plugins.find_plugins("rig.estimators", known))]
 
 
 def _rigs(incomplete: str) -> Iterator[str]:

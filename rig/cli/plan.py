@@ -58,7 +58,9 @@ def plan(
     elif changes:
         experiment = config.override(experiment, changes)
     config.check_plugins(experiment, str(file or preset or options.DEFAULT_PRESET))
-    planned = plan_of(controller.prepared(experiment), linked=linked, round_trip_s=round_trip, board=board)
+    planned = plan_of(
+        controller.prepare_controller(experiment), linked=linked, round_trip_s=round_trip, board=board
+    )
     if as_json:
         output.print_json(planned)
     else:

@@ -336,7 +336,7 @@ def better(value: Any, parameter: ConfigKey) -> str:
 def _mistaken_choices(kind: FileKind[Any], table: Table) -> Iterator[Problem]:
     """Find true or 1.0 where a choice is the whole number 1: equal in Python, but not in a file."""
     root: Any = kind.root
-    for key, parameter in _numbered(root):
+    for key, parameter in _numbered_keys(root):
         value = value_at(table, key.split("."))
         if isinstance(value, bool | float) and value in parameter.choices:
             must = f"must be {parameter.expected(None)} ({parameter.meaning})"
@@ -344,7 +344,7 @@ def _mistaken_choices(kind: FileKind[Any], table: Table) -> Iterator[Problem]:
 
 
 @cache
-def _numbered(root: Any) -> tuple[tuple[str, ConfigKey], ...]:
+def _numbered_keys(root: Any) -> tuple[tuple[str, ConfigKey], ...]:
     """Return the keys below a dataclass that choose among numbers."""
     found = parameters_of(root).items()
     return tuple(

@@ -1,8 +1,8 @@
 """From an experiment to the numbers of one run: the controller of the loop, and the parameters of the device.
 
-One place turns configured quantities into ticks, counts and quanta: the host's law
-(`for_experiment`) and the device's parameters (`device_parameters`) come from the same values. `prepared` makes both
-once for a run: a plan shows, checks and executes that object.
+One place turns configured quantities into ticks, counts and quanta: the host's law (`for_experiment`) and the device's
+parameters (`device_parameters`) come from the same values. `prepare_controller` makes both once for a run: a plan
+shows, checks and executes that object.
 
 Plans, trials, hits, maps, the design, `rig.doctor.gate` and self tests of boards call it. It must not open a device,
 nor write to one.
@@ -169,7 +169,7 @@ def _law(experiment: Experiment, law: Law) -> Law:
     if rates.friction_compensation > 0.0:
         law = _without_friction(experiment, law)
     if rates.cogging_compensation:
-        law = cogging.compensated(law, rig.cogging, rates.cogging_limit * rig.limits.nominal_effort)
+        law = cogging.compensate_cogging(law, rig.cogging, rates.cogging_limit * rig.limits.nominal_effort)
     return law
 
 
@@ -189,7 +189,7 @@ def _without_friction(experiment: Experiment, law: Law) -> Law:
         dead_band=rates.friction_dead_band or usual,
         share=rates.friction_compensation,
     )
-    return friction.compensated(law, wanted)
+    return friction.compensate_friction(law, wanted)
 
 
 def command_lifetime_s(experiment: Experiment) -> float:
@@ -214,7 +214,7 @@ def supervise_lifetime_s(experiment: Experiment) -> float:
     return SUPERVISE_LIFETIME_S if configured is None else configured
 
 
-def prepared(
+def prepare_controller(
     experiment: Experiment,
     *,
     current_quantum_a: float | None = None,

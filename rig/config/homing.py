@@ -148,14 +148,14 @@ def stable_servo(x: Experiment, ticks: int = SPARE_TICKS) -> Servo:
     mass, softness = inertia(x), 4.0 * DAMPING_RATIO**2
     corner = min(corner, math.sqrt(stiffest_for_counts(x, effort, USUAL_COUNT_SHARE) * softness / mass))
     return Servo(
-        stiffness=_rounded(mass * corner**2 / softness),
-        damping=_rounded(mass * corner),
-        effort=min(_rounded(effort), limits.nominal_effort, limits.effort),
-        slew=_rounded(effort * corner / math.sqrt(softness) / USUAL_RISE),
+        stiffness=_round(mass * corner**2 / softness),
+        damping=_round(mass * corner),
+        effort=min(_round(effort), limits.nominal_effort, limits.effort),
+        slew=_round(effort * corner / math.sqrt(softness) / USUAL_RISE),
         tolerance_counts=nearest_tolerance(x),
     )
 
 
-def _rounded(value: float) -> float:
+def _round(value: float) -> float:
     """Return three digits of a value."""
     return float(f"{value:.3g}")

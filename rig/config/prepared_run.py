@@ -1,7 +1,7 @@
 """A run, prepared for one device: what a trial executes.
 
-Data alone. `rig.config.controller.prepared` makes it; who runs it need not know how a law or a device's parameters are
-designed.
+Data alone. `rig.config.controller.prepare_controller` makes it; its users need not know how a law or a device's
+parameters are designed.
 
 Trials, hits and motions of `rig.experiments` receive it. It must not import what makes it.
 """

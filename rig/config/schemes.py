@@ -91,7 +91,7 @@ class Scheme:
             velocity_rate=velocity_rate,
             estimator=None if estimator is None else str(estimator),
             parameters=given,
-            **_checked(own, text),
+            **_check_types(own, text),
         )
 
     @classmethod
@@ -244,7 +244,7 @@ def _setting(text: str, whole: str) -> tuple[str, float | str]:
         return key, value
 
 
-def _checked(own: Mapping[str, float | str], text: str) -> dict[str, Any]:
+def _check_types(own: Mapping[str, float | str], text: str) -> dict[str, Any]:
     """Types of the keys of [controller]; their ranges are the experiment's business."""
     checked: dict[str, Any] = dict(own)
     for key in ("slow_velocity_rate", "slow_below"):

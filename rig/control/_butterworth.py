@@ -16,7 +16,7 @@ _TWICE_RATE = 4.0  # of the analogue prototype, whose sampling rate is 2
 
 def low_pass(order: int, cutoff_hz: float, rate_hz: float) -> list[list[float]]:
     """Return the sections b0, b1, b2, 1, a1, a2, the fastest poles first; the gain is in the first."""
-    corner = _prewarped(cutoff_hz, rate_hz)
+    corner = _prewarp(cutoff_hz, rate_hz)
     return _sections(corner * _prototype(order), -np.ones(order), corner**order)
 
 
@@ -24,20 +24,20 @@ def high_pass(order: int, cutoff_hz: float, rate_hz: float) -> list[list[float]]
     """Return the sections of a high pass of even order, as `low_pass`."""
     prototype = _prototype(order)
     return _sections(
-        _prewarped(cutoff_hz, rate_hz) / prototype, np.ones(order), float(np.real(1.0 / np.prod(-prototype)))
+        _prewarp(cutoff_hz, rate_hz) / prototype, np.ones(order), float(np.real(1.0 / np.prod(-prototype)))
     )
 
 
 def band_pass(low_hz: float, high_hz: float, rate_hz: float) -> list[list[float]]:
     """Return the sections of a band pass with two poles for each edge, as `low_pass`."""
-    low, high = _prewarped(low_hz, rate_hz), _prewarped(high_hz, rate_hz)
+    low, high = _prewarp(low_hz, rate_hz), _prewarp(high_hz, rate_hz)
     width, middle = high - low, math.sqrt(low * high)
     half = (_prototype(2) * width / 2).astype(complex)
     apart = np.sqrt(half**2 - middle**2)
     return _sections(np.concatenate((half + apart, half - apart)), np.array([1.0, 1.0, -1.0, -1.0]), width**2)
 
 
-def _prewarped(corner_hz: float, rate_hz: float) -> float:
+def _prewarp(corner_hz: float, rate_hz: float) -> float:
     return float(_TWICE_RATE * np.tan(np.pi * (2.0 * corner_hz / rate_hz) / 2.0))
 
 

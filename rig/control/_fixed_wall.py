@@ -78,7 +78,7 @@ def reaction(penetration: int, velocity: int, wall: FixedWall) -> int:
 
 
 @kernel(types.int64(types.int64, WALL), inline=True)
-def guarded(total: int, wall: FixedWall) -> int:
+def limit_current(total: int, wall: FixedWall) -> int:
     """Return the current of an effort in quanta · 2^shift: nearest quantum, halves towards +∞, within ±limit."""
     quanta = shift_right(total, wall.shift, NEAREST)
     return min(max(quanta, -wall.limit), wall.limit)
@@ -102,7 +102,7 @@ def current_quanta(count: int, velocity: int, wall: FixedWall) -> int:
     int
         Current in quanta of the wire.
     """
-    return guarded(wall.constant - wall.side * reaction(depth(count, wall), velocity, wall), wall)
+    return limit_current(wall.constant - wall.side * reaction(depth(count, wall), velocity, wall), wall)
 
 
 def design_wall(

@@ -14,7 +14,7 @@ from rig.realtime.kernel import kernel
 
 
 @kernel("f8(f8, f8)", inline=True)
-def limited(effort: float, limit: float) -> float:
+def clip_effort(effort: float, limit: float) -> float:
     """Clip an effort to ±limit; a value that is not finite gives zero (the caller flags it)."""
     # min and max would turn a NaN into a limit, which is full effort.
     if not math.isfinite(effort):
@@ -23,7 +23,7 @@ def limited(effort: float, limit: float) -> float:
 
 
 @kernel("f8(f8, f8, f8)", inline=True)
-def slewed(effort: float, previous: float, step: float) -> float:
+def limit_slew(effort: float, previous: float, step: float) -> float:
     """Keep an effort within ±step of the previous one."""
     return min(max(effort, previous - step), previous + step)
 

@@ -35,7 +35,7 @@ TRAVEL, TRAVEL_COUNTS = 0.25, 1.5  # of the handle: share of what the verdict ca
 
 
 @kernel("f8(f8, f8, f8, b1)", inline=True)
-def energy_given(before: float, effort: float, travel: float, free: bool) -> float:
+def add_energy(before: float, effort: float, travel: float, free: bool) -> float:
     """Return the energy (J) that the motor has given after a travel (rad or m) under an effort (N·m or N)."""
     # The effort is the one that was sent: where it acts d ticks later, the sum is off by effort times the travel in d
     # ticks. A sampled wall leaks as well: a count that is left and entered again gives stiffness times the count

@@ -61,7 +61,7 @@ def bounded_at(position: float, minimum: float, maximum: float, limit: float, ha
     return float(min(inside, 1.0) * min(max(effort, -limit), limit))
 
 
-def compensated(law: Law, cogging: Cogging, limit: float) -> Law:
+def compensate_cogging(law: Law, cogging: Cogging, limit: float) -> Law:
     """Return a law that does what `law` does, and compensates cogging up to a limit (N·m or N).
 
     The wrapper is compiled for the law when it is first used (a second or two).
@@ -76,7 +76,7 @@ def compensated(law: Law, cogging: Cogging, limit: float) -> Law:
     return Law(
         law.name + SUFFIX,
         f"{law.summary}, with cogging compensated",
-        _wrapped(law.function),
+        _wrap_law(law.function),
         law.floats,
         design,
     )
@@ -84,11 +84,11 @@ def compensated(law: Law, cogging: Cogging, limit: float) -> Law:
 
 def around(law: Law) -> Law:
     """Return the wrapper of a law without numbers of its own: what a replay needs, whose recording has them."""
-    return compensated(law, Cogging(), 0.0)
+    return compensate_cogging(law, Cogging(), 0.0)
 
 
 @lru_cache(maxsize=32)  # compiling takes a second or two
-def _wrapped(function: Callable[..., float]) -> Any:
+def _wrap_law(function: Callable[..., float]) -> Any:
     @kernel(LAW_SIGNATURE, cache=False)
     def law_with_cogging_compensated(
         penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats

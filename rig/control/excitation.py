@@ -145,7 +145,7 @@ class Multisine:
         amplitudes = _spectrum(spectrum, lines)
         share = amplitudes**2 / np.sum(amplitudes**2)
         phases = first_phase - 2.0 * np.pi * np.concatenate([[0.0], np.cumsum(np.cumsum(share))[:-1]])
-        return _sized(cls(period_s, lines, amplitudes, _wrapped(phases)), spectrum, rms, peak)
+        return _scale_to_size(cls(period_s, lines, amplitudes, _wrap_phase(phases)), spectrum, rms, peak)
 
     @classmethod
     def random(
@@ -167,7 +167,7 @@ class Multisine:
         """
         lines = _lines(band, period_s, spacing_lines, odd)
         phases = np.random.default_rng(seed).uniform(-np.pi, np.pi, len(lines))
-        return _sized(cls(period_s, lines, _spectrum(spectrum, lines), phases), spectrum, rms, peak)
+        return _scale_to_size(cls(period_s, lines, _spectrum(spectrum, lines), phases), spectrum, rms, peak)
 
     @property
     def harmonics(self) -> NDArray[np.int64]:
@@ -253,7 +253,7 @@ class Multisine:
         """Return the steady answer of a linear system with this complex gain at each line (shape (n,))."""
         gain = np.broadcast_to(np.asarray(response, dtype=np.complex128), self.lines_hz.shape)
         return replace(
-            self, amplitudes=self.amplitudes * np.abs(gain), phases=_wrapped(self.phases + np.angle(gain))
+            self, amplitudes=self.amplitudes * np.abs(gain), phases=_wrap_phase(self.phases + np.angle(gain))
         )
 
     def position(self, impedance: ImpedanceModel) -> Multisine:
@@ -382,11 +382,11 @@ def _spectrum(spectrum: Spectrum, lines: Floats) -> Floats:
     return amplitudes
 
 
-def _wrapped(phases: Floats) -> Floats:
+def _wrap_phase(phases: Floats) -> Floats:
     return np.asarray((phases + np.pi) % (2.0 * np.pi) - np.pi)
 
 
-def _sized(shape: Multisine, spectrum: Spectrum, rms: float | None, peak: float | None) -> Multisine:
+def _scale_to_size(shape: Multisine, spectrum: Spectrum, rms: float | None, peak: float | None) -> Multisine:
     if rms is not None and peak is not None:
         raise ConfigError("both an rms and a peak are given", remedy="give one of them")
     if rms is None and peak is None:

@@ -106,7 +106,7 @@ def dead_band_of(resolution: float, velocity_rate: float, cutoff_hz: float) -> f
     return 4.0 * resolution * min(velocity_rate, 0.46 * 2.0 * math.pi * cutoff_hz)
 
 
-def compensated(law: Law, wanted: Compensation) -> Law:
+def compensate_friction(law: Law, wanted: Compensation) -> Law:
     """Return a law that does what `law` does, and compensates friction.
 
     The wrapper is compiled for the law when it is first used (a second or two).
@@ -119,7 +119,7 @@ def compensated(law: Law, wanted: Compensation) -> Law:
     return Law(
         law.name + SUFFIX,
         f"{law.summary}, with friction compensation",
-        _wrapped(law.function),
+        _wrap_law(law.function),
         law.floats,
         design,
     )
@@ -127,11 +127,11 @@ def compensated(law: Law, wanted: Compensation) -> Law:
 
 def around(law: Law) -> Law:
     """Return the wrapper of a law without numbers of its own: what a replay needs, whose recording has them."""
-    return compensated(law, Compensation(up=0.0, down=0.0, dead_band=1.0))
+    return compensate_friction(law, Compensation(up=0.0, down=0.0, dead_band=1.0))
 
 
 @lru_cache(maxsize=32)  # compiling takes a second or two
-def _wrapped(function: Callable[..., float]) -> Any:
+def _wrap_law(function: Callable[..., float]) -> Any:
     @kernel(LAW_SIGNATURE, cache=False)
     def law_with_compensation(
         penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats

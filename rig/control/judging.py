@@ -39,7 +39,7 @@ __all__ = [
     "TrialSignals",
     "judge",
     "measure",
-    "measured",
+    "measure_signals",
     "meter",
     "recorded_signals",
     "true_signals",
@@ -131,10 +131,10 @@ def judge(signals: TrialSignals, thresholds: Thresholds) -> Verdict:
 
     A trial shorter than its tail is judged on all its samples; one without samples is invalid.
     """
-    return measured(signals, thresholds).verdict
+    return measure_signals(signals, thresholds).verdict
 
 
-def measured(signals: TrialSignals, thresholds: Thresholds, *, thrown_out: bool = False) -> Measured:
+def measure_signals(signals: TrialSignals, thresholds: Thresholds, *, thrown_out: bool = False) -> Measured:
     """Measure one trial: a verdict without its texts."""
     numbers = meter(thresholds, signals.tick_s, signals.resolution).recorded(
         signals.position, signals.effort, signals.penetration, _flags(signals), signals.velocity

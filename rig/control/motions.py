@@ -24,8 +24,10 @@ Floats = NDArray[np.float64]
 
 TICK = 1  # state of both laws: the present tick, plus one; 0 before the first
 
-SEGMENT, TRACED_STATE = 2, 3  # state of `traced`
-STIFFNESS, DAMPING, LIMIT, TICK_S, PATH = range(5)  # parameters of `traced`; PATH: pairs of tick and position
+SEGMENT, TRACED_STATE = 2, 3  # state of `servo_to_points`
+STIFFNESS, DAMPING, LIMIT, TICK_S, PATH = range(
+    5
+)  # parameters of `servo_to_points`; PATH: pairs of tick and position
 
 PULSE, STAGE, STAGE_TICKS, ORIGIN, DRIVE, TURN, NUDGES_STATE = 2, 3, 4, 5, 6, 7, 8  # state of `nudges`
 RATE, MOST, MOVED, REST_TICKS, BRAKE, PULSES = range(6)  # parameters of `nudges`
@@ -35,7 +37,7 @@ NOTHING = 0.1  # share of the way below which a push has moved nothing
 
 
 @kernel(LAW_SIGNATURE)
-def traced(
+def servo_to_points(
     penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
 ) -> float:
     """Return the servo along straight lines between points (tick, position), holding the last: spring, damper, clipped.
@@ -97,7 +99,7 @@ def nudges(
     return float(-min(max(brake, -state[DRIVE]), state[DRIVE]))
 
 
-def tracing(
+def make_tracing_law(
     path: Sequence[tuple[float, float]], *, stiffness: float, damping: float, limit: float, rate_hz: float
 ) -> Law:
     """Return a law that takes the handle along a path.
@@ -118,10 +120,10 @@ def tracing(
             parameters += [float(round(time_s * rate_hz)), wall["side"] * (position - wall["position"])]
         return parameters
 
-    return Law("traced", "servo along a path", traced, TRACED_STATE, design)
+    return Law("traced", "servo along a path", servo_to_points, TRACED_STATE, design)
 
 
-def nudging(
+def make_nudging_law(
     *,
     effort_per_s: float,
     most_effort: float,
@@ -167,10 +169,12 @@ def nudging(
 
 
 def traced_law() -> Law:
-    """Return the law of `tracing` without numbers of its own: what a replay needs, whose recording has them."""
-    return tracing((), stiffness=0.0, damping=0.0, limit=0.0, rate_hz=1.0)
+    """Return the law of `make_tracing_law` without numbers of its own, for a replay, whose recording has them."""
+    return make_tracing_law((), stiffness=0.0, damping=0.0, limit=0.0, rate_hz=1.0)
 
 
 def nudged_law() -> Law:
-    """Return the law of `nudging` without numbers of its own: what a replay needs, whose recording has them."""
-    return nudging(effort_per_s=0.0, most_effort=0.0, moved=0.0, rest_s=0.0, brake=0.0, pulses=0, rate_hz=1.0)
+    """Return the law of `make_nudging_law` without numbers of its own, for a replay, whose recording has them."""
+    return make_nudging_law(
+        effort_per_s=0.0, most_effort=0.0, moved=0.0, rest_s=0.0, brake=0.0, pulses=0, rate_hz=1.0
+    )

@@ -102,7 +102,7 @@ class Compiled:
     memory: tuple[str, ...]
 
 
-def compiled(
+def compile_function(
     form: Form,
     function: Callable[..., float],
     name: str | None,
@@ -128,7 +128,7 @@ def compiled(
     arguments = _arguments(form, what, function, memory)
     seen = namedtuple("Parameters", [*form.given, *own])  # type: ignore[misc]
     kept = np.dtype((np.record, [(one, np.float64) for one in memory]))
-    inner = _compiled(form, what, function, arguments, seen, kept)
+    inner = _compile(form, what, function, arguments, seen, kept)
     numbers = ", ".join(f"parameters[{k}]" for k in range(len(seen._fields)))
     sources = {
         **{argument: source for argument, (_, source) in form.quantities.items()},
@@ -199,7 +199,7 @@ def _arguments(form: Form, what: str, function: Callable[..., float], memory: Se
     return list(inspect.signature(function).parameters)
 
 
-def _compiled(
+def _compile(
     form: Form,
     what: str,
     function: Callable[..., float],

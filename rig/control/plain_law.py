@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from rig.control.law import Law
-from rig.control.plain_functions import NO_NUMBERS, Form, Parameter, compiled, unknown_name
+from rig.control.plain_functions import NO_NUMBERS, Form, Parameter, compile_function, unknown_name
 from rig.core.present import Item, Row
 from rig.realtime.kernel import kernel, prepare
 from rig.realtime.plugs import LAW_CLAMPED, LAW_SIGNATURE
@@ -109,7 +109,7 @@ def law(
     """
 
     def decorate(function: Callable[..., float]) -> PlainLaw:
-        made = compiled(_form(everywhere), function, name, parameters, memory)
+        made = compile_function(_form(everywhere), function, name, parameters, memory)
         declared = kernel(LAW_SIGNATURE, cache=False, no_refcount=True)(made.kernel)
         prepare(declared)
         return PlainLaw(

@@ -404,12 +404,12 @@ def _sources(control: Any, memory: Any, elapsed_ticks: int) -> float:
 
 
 @kernel(types.void(CONTROL_TYPE, MEMORY_TYPE, types.float64, types.float64, types.int64), inline=True)
-def _watched(control: Any, memory: Any, position: float, penetration: float, elapsed_ticks: int) -> None:
+def _watch_effort(control: Any, memory: Any, position: float, penetration: float, elapsed_ticks: int) -> None:
     """Flag what the effort of the last tick has done; `memory` still has the position that it began at."""
     c, m = control[0], memory[0]
     if m["phase"] not in (TRIAL, RELEASE):
         return
-    m["energy"] = watch.energy_given(
+    m["energy"] = watch.add_energy(
         m["energy"], m["effort_sent"], position - m["position"], penetration <= 0.0
     )
     if c["energy_limit"] > 0.0 and m["energy"] > c["energy_limit"]:
@@ -439,7 +439,7 @@ def _watched(control: Any, memory: Any, position: float, penetration: float, ela
 
 
 @kernel(types.void(CONTROL_TYPE, MEMORY_TYPE, types.int64, types.int64), inline=True)
-def _moved(control: Any, memory: Any, count: int, slewed: int) -> None:
+def _watch_standstill(control: Any, memory: Any, count: int, slewed: int) -> None:
     """Flag an effort of the last tick that, with those before, must have moved the handle away from two counts."""
     c, m = control[0], memory[0]
     # One tick of impulse for each sample, however many were lost before: there the command may not have arrived.
@@ -464,7 +464,7 @@ def _moved(control: Any, memory: Any, count: int, slewed: int) -> None:
 
 
 @kernel(types.int64(CONTROL_TYPE, MEMORY_TYPE, types.float64, types.int64), inline=True)
-def _guarded(control: Any, memory: Any, wanted: float, elapsed_ticks: int) -> int:
+def _guard_effort(control: Any, memory: Any, wanted: float, elapsed_ticks: int) -> int:
     """Limit, slew and round the sum (steps 6 and 7); flag what acted, and cut when the run must end."""
     c, m = control[0], memory[0]
     if not math.isfinite(wanted) or not math.isfinite(m["velocity"]):
@@ -484,11 +484,11 @@ def _guarded(control: Any, memory: Any, wanted: float, elapsed_ticks: int) -> in
     effort = wanted
     # Branches and not min/max: they predict well, while the next step would wait for a clip that seldom acts.
     if abs(effort) > c["effort_limit"]:
-        effort = guard.limited(effort, c["effort_limit"])
+        effort = guard.clip_effort(effort, c["effort_limit"])
         m["flags"] |= SATURATED
     slew = elapsed_ticks * (c["homing_slew"] if m["phase"] in (HOMING, SETTLE) else c["trial_slew"])
     if not m["limited_effort"] - slew <= effort <= m["limited_effort"] + slew:
-        effort = guard.slewed(effort, m["limited_effort"], slew)
+        effort = guard.limit_slew(effort, m["limited_effort"], slew)
         m["flags"] |= SLEW_BOUND
     # The slew limit starts from the value before rounding, or small steps would be lost to the quantum for ever.
     m["limited_effort"] = effort
@@ -527,8 +527,8 @@ def step(controller: ControllerArguments, count: int, edge_age_s: float, elapsed
     m["index"] += elapsed_ticks
     position = c["resolution"] * count_difference(count, c["reference_count"])
     m["penetration"] = c["wall_side"] * (position - c["wall_position"])
-    _watched(control, memory, position, m["penetration"], elapsed_ticks)
-    _moved(control, memory, count, slewed)
+    _watch_effort(control, memory, position, m["penetration"], elapsed_ticks)
+    _watch_standstill(control, memory, count, slewed)
     m["position"] = position
     if m["penetration"] > 0.0:
         m["flags"] |= INSIDE
@@ -571,4 +571,4 @@ def step(controller: ControllerArguments, count: int, edge_age_s: float, elapsed
         if controller.law_state[LAW_CLAMPED] != 0.0:
             m["flags"] |= CLAMPED
     m["effort_wanted"] = _sources(control, memory, elapsed_ticks)
-    return _guarded(control, memory, m["effort_wanted"], elapsed_ticks)
+    return _guard_effort(control, memory, m["effort_wanted"], elapsed_ticks)

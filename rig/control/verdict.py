@@ -292,7 +292,7 @@ class Measured:
 
     @cached_property
     def verdict(self) -> Verdict:
-        """Return the outcome, reasons and numbers, by the signals alone (see `overruled` for the rest)."""
+        """Return the outcome, reasons and numbers, by the signals alone (see `overrule` for the rest)."""
         kind, reasons = decide(self.numbers, self.thresholds)
         shown = {
             name: self.numbers[name].item() for name in Verdict.__dataclass_fields__ if name not in _WORDS
@@ -325,7 +325,7 @@ class Measured:
         return not self.found & (UNSTABLE | Objection.GONE | _EXCEEDED_BY[criterion])
 
 
-def overruled(verdict: Verdict, kind: Kind, reason: str) -> Verdict:
+def overrule(verdict: Verdict, kind: Kind, reason: str) -> Verdict:
     """Return the same numbers with another outcome, for a reason that the signals do not show."""
     return replace(verdict, kind=kind, reasons=(reason, *verdict.reasons))
 

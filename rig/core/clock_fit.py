@@ -111,13 +111,13 @@ class ClockFit:
         # Whole numbers, and only the small drift part in floats: after 104 days 2^53 ns, the last exact float, is
         # passed.
         since: _Ints = np.asarray(device_ns, np.int64) - self.reference_ns
-        return since + (self.reference_ns + self.offset_ns) + _rounded(since, self.drift_ppm * 1e-6)
+        return since + (self.reference_ns + self.offset_ns) + _round(since, self.drift_ppm * 1e-6)
 
     def device_of(self, host_ns: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the device time of host times (ns): the inverse of `host_of`, to a nanosecond."""
         since: _Ints = np.asarray(host_ns, np.int64) - (self.reference_ns + self.offset_ns)
         drift = self.drift_ppm * 1e-6
-        return since + self.reference_ns - _rounded(since, drift / (1.0 + drift))
+        return since + self.reference_ns - _round(since, drift / (1.0 + drift))
 
     def sd_of(self, device_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the standard uncertainty of `host_of` (ns), asymmetry excluded; it grows away from the reference."""
@@ -321,13 +321,13 @@ def _fit(points: _Points, keep: _Mask, drift_prior_ppm: float) -> _ClockLine:
     right = (columns * weight) @ offset
     # Almost without the prior of the drift: one far beyond it must not look like a fault of the exchanges.
     free = prior * np.array([0.0, 1e-8, 1.0])
-    unbound, spread = _solved(normal, free, 1.0, right)
+    unbound, spread = _solve(normal, free, 1.0, right)
     residuals = offset - unbound @ columns
     chi2 = float(np.sum(weight * residuals**2))
     scale = 1.0
     if len(time) > 3:
         scale = max(1.0, np.sqrt(chi2 / (len(time) - 3)))
-    values, covariance = _solved(normal, prior, scale, right)
+    values, covariance = _solve(normal, prior, scale, right)
     back = np.array([[1.0, -centre, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])  # from the centre to the origin
     rms = float(np.sqrt(chi2 / np.sum(weight)))
     least_drift = max(0.0, abs(float(unbound[1])) - OFF_LINE * scale * float(np.sqrt(spread[1, 1])))
@@ -335,7 +335,7 @@ def _fit(points: _Points, keep: _Mask, drift_prior_ppm: float) -> _ClockLine:
     return _ClockLine(back @ values, back @ covariance @ back.T, scale, rms, least_trip, least_drift * 1e-3)
 
 
-def _solved(normal: _Floats, prior: _Floats, scale: float, right: _Floats) -> tuple[_Floats, _Floats]:
+def _solve(normal: _Floats, prior: _Floats, scale: float, right: _Floats) -> tuple[_Floats, _Floats]:
     """Return solution and covariance of the normal equations with a prior, in units that make both well conditioned."""
     matrix = normal / scale**2 + np.diag(prior)
     unit = 1.0 / np.sqrt(np.diag(matrix))
@@ -366,6 +366,6 @@ def _result(points: _Points, keep: _Mask, line: _ClockLine, total: int) -> Clock
     )
 
 
-def _rounded(times: _Ints, factor: float) -> _Ints:
+def _round(times: _Ints, factor: float) -> _Ints:
     """Return a small part of a time, to the nearest nanosecond."""
     return np.asarray(np.rint(times * factor), np.int64)

@@ -224,11 +224,11 @@ class Cogging:
 
     def effort(self, position: ArrayLike) -> NDArray[np.float64]:
         """Return the effort at positions (N·m or N)."""
-        return _summed(self.harmonics, position)
+        return _sum_harmonics(self.harmonics, position)
 
     def share(self, position: ArrayLike) -> NDArray[np.float64]:
         """Return the share by which the motor's own effort is larger at positions."""
-        return _summed(self.ripple, position)
+        return _sum_harmonics(self.ripple, position)
 
     def slope(self, position: ArrayLike) -> NDArray[np.float64]:
         """Return how the effort changes with the position (N·m/rad or N/m): a stiffness, of the other sign."""
@@ -243,7 +243,7 @@ class Cogging:
         return np.asarray(np.cos(angle) @ (s / k) - np.sin(angle) @ (c / k))
 
 
-def _summed(harmonics: NDArray[np.float64], position: ArrayLike) -> NDArray[np.float64]:
+def _sum_harmonics(harmonics: NDArray[np.float64], position: ArrayLike) -> NDArray[np.float64]:
     k, c, s = harmonics.reshape(-1, 3).T
     angle = np.multiply.outer(np.asarray(position, dtype=np.float64), k)
     return np.asarray(np.cos(angle) @ c + np.sin(angle) @ s)
@@ -507,7 +507,7 @@ def state_space(mechanics: Mechanics, amplifier: Amplifier, operator: Operator |
     if operator is None:
         return free
     moved = link + (mechanics.motor_inertia if mechanics.structure == "rigid" else 0.0)
-    return _held(free, operator, mechanics.handle_radius, moved)
+    return _couple_hand(free, operator, mechanics.handle_radius, moved)
 
 
 def _rigid(mechanics: Mechanics, amplifier: Amplifier, link: float) -> StateSpace:
@@ -552,7 +552,7 @@ def _two_mass(mechanics: Mechanics, amplifier: Amplifier, link: float) -> StateS
     )
 
 
-def _held(free: StateSpace, operator: Operator, radius: float, handle_inertia: float) -> StateSpace:
+def _couple_hand(free: StateSpace, operator: Operator, radius: float, handle_inertia: float) -> StateSpace:
     """Couple a hand to the handle, whose inertia includes the pads."""
     rows, columns = free.b.shape
     y, h = free.handle_position, rows

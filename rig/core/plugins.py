@@ -23,7 +23,7 @@ _registered: list[
 
 
 @contextmanager
-def registered(group: str, built_in: Container[str], name: str, part: Any) -> Iterator[None]:
+def register_temporarily(group: str, built_in: Container[str], name: str, part: Any) -> Iterator[None]:
     """Register a part by its name temporarily, in all threads; `ConfigError` if a built-in one has that name.
 
     Other processes, such as the workers of a cluster or a later run that resumes a map, find installed parts only.
@@ -46,16 +46,18 @@ def _registered_for(group: str) -> dict[str, Any]:
 
 def names(group: str, built_in: Container[str]) -> list[str]:
     """Return the names of the parts of a group that are no built-in ones, each once."""
-    return list(dict.fromkeys([*_registered_for(group), *(point.name for point in found(group, built_in))]))
+    return list(
+        dict.fromkeys([*_registered_for(group), *(point.name for point in find_plugins(group, built_in))])
+    )
 
 
-def found(group: str, built_in: Container[str]) -> list[EntryPoint]:
+def find_plugins(group: str, built_in: Container[str]) -> list[EntryPoint]:
     """Return the plug-ins of a group by name, without those that have the name of a built-in part."""
-    return [point for point in _found(entry_points, group) if point.name not in built_in]
+    return [point for point in _find_plugins(entry_points, group) if point.name not in built_in]
 
 
 @cache  # it looks through every installed package, which costs milliseconds, for each scheme and each check
-def _found(find: Callable[..., Any], group: str) -> tuple[EntryPoint, ...]:
+def _find_plugins(find: Callable[..., Any], group: str) -> tuple[EntryPoint, ...]:
     return tuple(sorted(find(group=group), key=lambda point: str(point.name)))
 
 
@@ -66,7 +68,7 @@ def load(group: str, kind: str, name: str, fits: Callable[[Any], bool]) -> Any:
     """
     if name in (parts := _registered_for(group)):
         return parts[name]
-    point = next((point for point in _found(entry_points, group) if point.name == name), None)
+    point = next((point for point in _find_plugins(entry_points, group) if point.name == name), None)
     if point is None:
         return None
     where = f"{kind} {name!r} ({point.value})"

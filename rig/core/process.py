@@ -27,7 +27,7 @@ STOP_TIMEOUT_S = 5.0
 
 
 @contextmanager
-def announced(
+def start_announced(
     serve: Callable[..., None], *arguments: Any, name: str, by_hand: str, descriptors: Sequence[int] = ()
 ) -> Iterator[Any]:
     """Start a process, yield what it announces, and end it with the context.
@@ -121,7 +121,7 @@ def _first(ours: Connection, served: bytes, name: str, by_hand: str) -> Any:
 
 
 def serve_parent(descriptor: int) -> None:
-    """Serve what the parent sends through a connection, in the process that `announced` started."""
+    """Serve what the parent sends through a connection, in the process that `start_announced` started."""
     if sys.platform != "win32":
         signal.pthread_sigmask(signal.SIG_SETMASK, ())  # the thread that started this may take no signals
     parent = Connection(descriptor)
@@ -141,7 +141,7 @@ def serve_parent(descriptor: int) -> None:
 def _end_with(descriptor: int) -> None:
     """Send this process SIGTERM when its parent has closed the connection or died, and SIGKILL some time later."""
     # Not PR_SET_PDEATHSIG: it acts when the thread ends that started this process.
-    if sys.platform != "win32":  # where `announced` refuses
+    if sys.platform != "win32":  # where `start_announced` refuses
         ended = select.poll()
         ended.register(descriptor, 0)  # a hang-up is reported always
         ended.poll()

@@ -65,7 +65,7 @@ def backends() -> list[Backend]:
     table = [Backend(scheme, target, DISTRIBUTION) for scheme, target in own.items()]
     return table + [
         Backend(point.name, point.value, point.dist.name if point.dist else "?")
-        for point in plugins.found("rig.devices", {*own, *RESERVED})
+        for point in plugins.find_plugins("rig.devices", {*own, *RESERVED})
     ]
 
 

@@ -81,7 +81,7 @@ class QueuedTransfers:
         transfer.type = _BULK
         transfer.timeout = 0  # none: what waits is bounded here
         transfer.length = len(buffer)
-        transfer.callback = address_of(compiled.completed, compiled.COMPLETED_SIGNATURE)
+        transfer.callback = address_of(compiled.mark_completed, compiled.COMPLETED_SIGNATURE)
         transfer.user_data = state_address
         transfer.buffer = buffer.ctypes.data
         return address

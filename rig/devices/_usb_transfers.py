@@ -1,8 +1,8 @@
 """The bulk pipes of a USB device for the compiled loop: libusb's transfers without Python and without the GIL.
 
 `usb_read`, `usb_write` and `usb_wait` have the contracts of `rig.realtime.system.descriptor_read`, `descriptor_write`
-and `descriptor_wait`. libusb calls `completed` at the end of a transfer, in the thread that handles events. No call may
-wait without a bound.
+and `descriptor_wait`. libusb calls `mark_completed` at the end of a transfer, in the thread that handles events. No
+call may wait without a bound.
 
 The handle of these functions is the address of a block of int64 words, `WORDS` and then one slot for each transfer;
 `rig.devices._usb_queue` makes it, with the addresses of libusb's functions (`rig.devices._usb_handle`). The layout of
@@ -332,7 +332,7 @@ def start(block: int) -> int:
 
 
 @kernel(_i64(_i64))
-def _flying(block: int) -> int:
+def _count_flying(block: int) -> int:
     """Return the transfers that the kernel still has."""
     count = 0
     for index in range(_word(block, _IN_COUNT) + _word(block, _OUT_COUNT)):
@@ -350,7 +350,7 @@ def flush(block: int, deadline_ns: int, cancel: int) -> int:
                 _call_one(_word(block, _CANCEL), _word(slot, _TRANSFER))
     while True:
         _handle_events(block)
-        left = _flying(block)
+        left = _count_flying(block)
         if cancel == 0:
             left = 0
             for index in range(_word(block, _OUT_COUNT)):
@@ -360,6 +360,6 @@ def flush(block: int, deadline_ns: int, cancel: int) -> int:
 
 
 @kernel(COMPLETED_SIGNATURE)
-def completed(transfer: int) -> None:
+def mark_completed(transfer: int) -> None:
     """Mark a transfer DONE in the word behind `user_data`, after its data: libusb's callback."""
     store_word(load_word(transfer + USER_DATA_AT), DONE)

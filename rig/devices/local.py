@@ -18,7 +18,7 @@ from rig import devices
 from rig.config import Host
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
-from rig.core.process import announced
+from rig.core.process import start_announced
 from rig.core.scratch import scratch
 from rig.core.this_system import processors, refuse_real_time
 from rig.devices import simulated_model
@@ -106,14 +106,14 @@ def serve_locally(
     cpu = max(processors())
     with scratch("device") as place:
         options |= {"seed": seed, "cpu": cpu} | ({} if terminal else {"socket": f"{place}/port"})
-        with announced(
+        with start_announced(
             _child, described, realtime, options, name="rig-device", by_hand="rig serve rig"
         ) as port:
             yield f"serial://{port}" if terminal else DeviceUrl.of("unix", port, {"cpu": str(cpu)}).text
 
 
 @contextmanager
-def opened(
+def open_device(
     url: str, model: RigModel | None, *, in_real_time: bool, seed: int = 0, realtime: str = "try"
 ) -> Iterator[FramedDevice]:
     """Open a device; in real time a simulated one becomes a process of its own, which ends with the context.

@@ -111,7 +111,7 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> UsbLink:
             )
         detached = _claim(device, pipes, url)
         try:
-            transfers = _opened(url, device, pipes, wanted)
+            transfers = _open(url, device, pipes, wanted)
         except BaseException:
             _release(device, pipes, detached)
             raise
@@ -358,7 +358,7 @@ class UsbLink(RealLink):
         return link_error(error_number(error), self.url.text)
 
 
-def _opened(url: DeviceUrl, device: Any, pipes: _Pipes, wanted: str) -> Transfers:
+def _open(url: DeviceUrl, device: Any, pipes: _Pipes, wanted: str) -> Transfers:
     """Return the fastest transfers that this device can have (`QueuedTransfers` or `PlainTransfers`)."""
     why = "the URL asks for it" if wanted == "plain" else unsuitable(device)
     if why and wanted == "queued":

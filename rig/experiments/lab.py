@@ -166,7 +166,7 @@ def plan(
         linked = planning.is_linked(url, realtime=realtime, round_trip_s=round_trip_s)
         planned = config.with_realtime(loaded, changes) if linked else _changed(loaded, changes)
         config.check_plugins(planned, planned.rig.name)
-        run = controller.prepared(planned, law=own[0])
+        run = controller.prepare_controller(planned, law=own[0])
         return planning.plan_of(run, linked=linked, round_trip_s=round_trip_s)
 
 
@@ -430,10 +430,10 @@ def _registered(law: Law | None, estimator: Estimator | None) -> Iterator[None]:
     """Register a law and an estimator of the caller for a while, unless they are given by name."""
     with ExitStack() as stack:
         if law is not None:
-            stack.enter_context(plugins.registered("rig.laws", laws.BUILT_IN, law.name, law))
+            stack.enter_context(plugins.register_temporarily("rig.laws", laws.BUILT_IN, law.name, law))
         if estimator is not None and not _built_in(estimator):
             stack.enter_context(
-                plugins.registered("rig.estimators", estimators.BUILT_IN, estimator.name, estimator)
+                plugins.register_temporarily("rig.estimators", estimators.BUILT_IN, estimator.name, estimator)
             )
         yield
 

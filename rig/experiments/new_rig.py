@@ -594,7 +594,7 @@ def _correct(draft: _Draft, *, in_real_time: bool) -> None:
     before = REALTIME if in_real_time else ""
     for _ in range(CORRECTIONS + 1):
         x = draft.in_real_time(0) if in_real_time else draft.experiment()
-        plan = plan_of(controller.prepared(x), linked=True) if in_real_time else make_plan(x)
+        plan = plan_of(controller.prepare_controller(x), linked=True) if in_real_time else make_plan(x)
         found = refused(plan.checks)
         changes = {f"{before}{key}": value for check in found for key, value in check.changes.items()}
         if not changes:

@@ -25,7 +25,7 @@ from rig.core.present import Row, plain
 from rig.core.scratch import scratch
 from rig.firmware._board_config import BoardConfig, configure
 from rig.firmware._boards import FIRMWARE, Board, load, settings_of
-from rig.firmware._elf import Segment, flat, read_segments, sealed
+from rig.firmware._elf import Segment, flat, read_segments, seal
 from rig.firmware._scales import check_scales
 from rig.firmware._toolchain import Compiler, find_compiler
 from rig.firmware._uf2 import write_uf2
@@ -290,7 +290,7 @@ def _compile(
     compiler.run([*flags, *script, "-o", "program.elf", *objects, "-lm"], scratch)
     on_progress("linking", 1.0)
     content = (scratch / "program.elf").read_bytes()
-    return content if board.sealed_behind is None else sealed(content, board.sealed_behind)
+    return content if board.sealed_behind is None else seal(content, board.sealed_behind)
 
 
 def _write(

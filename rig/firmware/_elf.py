@@ -29,7 +29,7 @@ class Segment:
     memory_bytes: int
 
 
-def sealed(content: bytes, behind: int) -> bytes:
+def seal(content: bytes, behind: int) -> bytes:
     """Return a program whose last loaded word is the CRC-32 of its image, from so many bytes on up to that word."""
     segments = read_segments(content, "the new program")
     image = flat(tuple(segment.load for segment in segments if segment.load.data))

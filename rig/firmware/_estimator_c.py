@@ -112,12 +112,12 @@ def estimator_c(prepared: Prepared) -> EstimatorC:
     blocks = (parts, _numbers(form, values), _functions(form, prefix, whole=whole, per_count=per_count))
     text = "\n".join(block for block in blocks if block)
     includes = ["stdint.h", *(["math.h"] if re.search(r"\b(sqrtf|fabsf)\b", parts) else [])]
-    code = "\n".join(f"#include <{each}>" for each in sorted(includes)) + "\n\n" + _prefixed(text, prefix)
+    code = "\n".join(f"#include <{each}>" for each in sorted(includes)) + "\n\n" + _prefix_names(text, prefix)
     scale = per_count * velocity_format(prepared).lsb if whole else 1.0
     return EstimatorC(prefix, "int32_t" if whole else "float", scale, code)
 
 
-def _prefixed(text: str, prefix: str) -> str:
+def _prefix_names(text: str, prefix: str) -> str:
     """Return the names of the firmware that this file itself uses, as the excerpt has them."""
     return re.sub(r"\blaw_\w+", lambda found: renamed(found[0], prefix), text).replace(
         "NUMBERS", f"{prefix}_numbers"
@@ -192,22 +192,22 @@ def _functions(form: _Form, prefix: str, *, whole: bool, per_count: float) -> st
     begin = [f"*e = ({prefix}_estimator){{0}};"]
     begin += ["law_biquad_reset(&e->memory, &NUMBERS);"] if whole else []
     return f"""typedef struct {{
-{_indented(members)}
+{_indent(members)}
 }} {prefix}_estimator;
 
 /* Initialise: no count has been seen. */
 static inline void {prefix}_begin({prefix}_estimator *e)
 {{
-{_indented(begin)}
+{_indent(begin)}
 }}
 
 /* Call once per velocity period. */
 static inline {returns} {prefix}_velocity({prefix}_estimator *e, int32_t count, uint32_t elapsed)
 {{
-{_indented(body)}
+{_indent(body)}
 }}
 """
 
 
-def _indented(lines: list[str]) -> str:
+def _indent(lines: list[str]) -> str:
     return "\n".join(f"    {line}" if line else "" for line in lines)

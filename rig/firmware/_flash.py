@@ -127,7 +127,7 @@ def read_image(path: Path) -> tuple[bytes, Record]:
 def find_drives() -> list[BootDrive]:
     """Return every drive of a boot ROM that is mounted here."""
     found = []
-    for path in _mounted():
+    for path in _mount_points():
         drive = _drive(path)
         if drive is not None:
             found.append(drive)
@@ -144,7 +144,7 @@ def drive_at(path: Path) -> BootDrive:
     return drive
 
 
-def _mounted() -> list[Path]:
+def _mount_points() -> list[Path]:
     """Return the places where systems mount such a drive."""
     if sys.platform == "win32":
         return [Path(f"{letter}:\\") for letter in string.ascii_uppercase]
@@ -173,7 +173,7 @@ def _only(drives: list[BootDrive]) -> BootDrive:
         raise DeviceNotFoundError(
             f"several boards show their boot drives: {listed}", remedy="choose one with `drive`"
         )
-    unmounted = _unmounted()
+    unmounted = _wait_for_unmount()
     if unmounted:
         raise DeviceNotFoundError(
             f"a board's boot drive is not mounted: {unmounted}",
@@ -182,7 +182,7 @@ def _only(drives: list[BootDrive]) -> BootDrive:
     raise DeviceNotFoundError("no boot drive of a board found", remedy=HOLD)
 
 
-def _unmounted() -> Path | None:
+def _wait_for_unmount() -> Path | None:
     """Return a boot ROM's drive that the system sees and has not mounted."""
     labels = Path("/dev/disk/by-label")
     return next((labels / name for name in FAMILY_OF_DRIVE if (labels / name).exists()), None)

@@ -20,7 +20,7 @@ from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME
 from rig import config
 from rig.config import Experiment
-from rig.config.controller import prepared
+from rig.config.controller import prepare_controller
 from rig.core import check
 from rig.core.answers import ok, refused, skipped
 from rig.core.check import Check, Outcome
@@ -358,7 +358,7 @@ def _stream(device: FramedDevice, request: SelfTestRequest) -> Check:
         return skipped("give `stream` and `rig` to run the rig's law with a current limit of zero")
     experiment = config.override(request.experiment, {"controller.loop": "device"})
     before = device.active_parameters()
-    wanted = prepared(
+    wanted = prepare_controller(
         experiment,
         current_quantum_a=device.dictionary.current_quantum_a,
         reference_count=device.count(),

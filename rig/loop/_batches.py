@@ -12,7 +12,7 @@ from numba import types
 
 from firmware_protocol.messages import BATCH_LAYOUTS
 from rig.core.sample import Phase
-from rig.loop._contradictions import ahead, clock_error, of_clock, take_news
+from rig.loop._contradictions import ahead, clock_error, find_clock_contradiction, take_news
 from rig.loop._exchange import take_time
 from rig.loop._parameter_update import take_answer
 from rig.loop._receive import add, forget_noise
@@ -63,7 +63,7 @@ def _take_batch(
     if v["started"] != 0:
         passed = ahead(first, v["index"])
         error = clock_error(settings, v["clock_error"], passed, time - v["time"])
-        found = of_clock(settings, passed + count, error)
+        found = find_clock_contradiction(settings, passed + count, error)
         if found != 0:
             progress[0]["contradiction"] = found
             return 0

@@ -72,7 +72,7 @@ def clock_error(settings: Any, error: int, samples: int, time: int) -> int:
 
 
 @kernel(types.int64(SETTINGS_TYPE, types.int64, types.int64))
-def of_clock(settings: Any, samples: int, error: int) -> int:
+def find_clock_contradiction(settings: Any, samples: int, error: int) -> int:
     """Return the contradiction in a sample that comes `samples` after the last one and has this `clock_error`."""
     if samples < -settings[0]["lost_after_ns"] // settings[0]["period_ns"]:
         return _RESTARTED
@@ -80,7 +80,7 @@ def of_clock(settings: Any, samples: int, error: int) -> int:
 
 
 @kernel(types.int64(SETTINGS_TYPE, PROGRESS_TYPE, INTS))
-def _of_itself(settings: Any, progress: Any, state: Any) -> int:
+def _find_own_contradiction(settings: Any, progress: Any, state: Any) -> int:
     """Return the contradiction between a STATE and itself, or the COMMANDs that were sent."""
     s, age = settings[0], state[STATE.command_age]
     if (state[STATE.device_time] - state[STATE.edge_time]) % WRAP > _OLDEST_EDGE:
@@ -103,9 +103,9 @@ def take_news(settings: Any, progress: Any, state: Any, before: Any, first: bool
         newer = ahead(state[STATE.sample_index], before[STATE.sample_index])
         time = state[STATE.device_time] - before[STATE.device_time]
         error = clock_error(settings, p["clock_error"], newer, time)
-        found = of_clock(settings, newer, error)
+        found = find_clock_contradiction(settings, newer, error)
     if found == _NONE and newer > 0:
-        found = _of_itself(settings, progress, state)
+        found = _find_own_contradiction(settings, progress, state)
         missed = state[STATE.missed_ticks] - before[STATE.missed_ticks]
         if found == _NONE and not first and not 0 <= missed < newer:
             found = _MISSED

@@ -39,7 +39,7 @@ _CURRENT, _FLAG_CURRENT = int(EndReason.CURRENT_DIFFERS), int(RowFlag.CURRENT_DI
 
 
 @kernel(types.int64(PROGRESS_TYPE))
-def contradicted(progress: Any) -> int:
+def reason_by_contradiction(progress: Any) -> int:
     """Return the reason to end that a contradiction of the device gives, or 0."""
     found = progress[0]["contradiction"]
     if found == 0:
@@ -48,7 +48,7 @@ def contradicted(progress: Any) -> int:
 
 
 @kernel(types.int64(INTS, PROGRESS_TYPE))
-def ended_by_device(state: Any, progress: Any) -> int:
+def reason_by_device(state: Any, progress: Any) -> int:
     """Return the reason to end that a STATE or a contradiction of the device gives, or 0.
 
     A pressed emergency stop is a fault too, although a device may still report ARMED.
@@ -57,11 +57,11 @@ def ended_by_device(state: Any, progress: Any) -> int:
     armed = state[STATE.state] == _ARMED or state[STATE.state] == _RUNNING
     if state[STATE.fault] != 0 or not armed or state[STATE.inputs] & _EMERGENCY != 0:
         return FAULT
-    return int(contradicted(progress))
+    return int(reason_by_contradiction(progress))
 
 
 @kernel(types.int64(INTS, SETTINGS_TYPE, PROGRESS_TYPE))
-def ended_at_the_switch(state: Any, settings: Any, progress: Any) -> int:
+def reason_by_switch(state: Any, settings: Any, progress: Any) -> int:
     """Return the reason to end that the limit switch gives in a STATE, or 0.
 
     A broken wire reads as pressed and ends the run as well.
@@ -78,7 +78,7 @@ def ended_at_the_switch(state: Any, settings: Any, progress: Any) -> int:
 
 
 @kernel(types.int64(PORT_TYPE, SETTINGS_TYPE, types.uintp))
-def end_requested(port: LoopPort, settings: Any, words: int) -> int:
+def reason_by_request(port: LoopPort, settings: Any, words: int) -> int:
     """Return the reason to end from outside, or 0: stop word, stop request, supervisor without heartbeat."""
     requests = settings[0]["stop_requests"]
     # The request is copied to the stop word of this run, so that `rig stop --list` shows that it is stopping.
@@ -93,7 +93,7 @@ def end_requested(port: LoopPort, settings: Any, words: int) -> int:
 
 
 @kernel(types.int64(MEMORY_TYPE))
-def ended_by_law(memory: Any) -> int:
+def reason_by_law(memory: Any) -> int:
     """Return the reason to end that `rig.control.step` or a comparison of the currents left in the tick's flags, or 0.
 
     With the law on the device this is the host's own step on the samples of a BATCH.

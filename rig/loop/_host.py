@@ -22,11 +22,11 @@ from rig.loop._ending import (
     OVERRUN,
     SILENT,
     STOPPED,
-    contradicted,
-    end_requested,
-    ended_at_the_switch,
-    ended_by_device,
-    ended_by_law,
+    reason_by_contradiction,
+    reason_by_device,
+    reason_by_law,
+    reason_by_request,
+    reason_by_switch,
 )
 from rig.loop._exchange import ask_time
 from rig.loop._link_delay import is_delayed
@@ -65,13 +65,13 @@ def _overran(settings: Any, memory: Any, progress: Any) -> bool:
 def _outcome(settings: Any, buffers: Buffers, memory: Any) -> int:
     """End reason that follows from this tick, 0 to continue."""
     progress = buffers.progress
-    reason = ended_by_device(buffers.state, progress)
+    reason = reason_by_device(buffers.state, progress)
     if reason == 0 and is_delayed(settings, buffers):
         reason = DELAYED
     if reason == 0:
-        reason = ended_at_the_switch(buffers.state, settings, progress)
+        reason = reason_by_switch(buffers.state, settings, progress)
     if reason == 0:
-        reason = ended_by_law(memory)
+        reason = reason_by_law(memory)
     if reason == 0 and settings[0]["stop_when_late"] != 0 and _overran(settings, memory, progress):
         reason = OVERRUN
     return int(reason)
@@ -104,7 +104,7 @@ _ENDS = -1  # times an EndReason: what `_receive` returns instead of a number of
 def _receive(port: LoopPort, settings: Any, buffers: Buffers, words: int) -> int:
     """Wait for the next tick, one period at most: samples passed, 0 for none, or minus the reason to end."""
     s, p = settings[0], buffers.progress[0]
-    reason = end_requested(port, settings, words)
+    reason = reason_by_request(port, settings, words)
     if reason != 0:
         return _ENDS * reason
     until_ns = port.now(port.clock_handle)
@@ -126,7 +126,7 @@ def _receive(port: LoopPort, settings: Any, buffers: Buffers, words: int) -> int
         return int(passed)
     # Before a closed link: a device that restarts may close the port as well, and its restart is the reason.
     if p["contradiction"] != 0:
-        return _ENDS * contradicted(buffers.progress)
+        return _ENDS * reason_by_contradiction(buffers.progress)
     if ready < 0:
         store_word(words + WORD * control_words.END_ERRNO, -ready)
         return _ENDS * CLOSED

@@ -132,7 +132,7 @@ def _may_begin(control: Any, waiting: Any, supervision: Any, time_ns: int) -> bo
 @kernel(
     types.int64(PORT_TYPE, types.uintp, CONTROL_TYPE, SETTINGS_TYPE, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE)
 )
-def say_update(
+def send_update(
     port: LoopPort,
     mailbox: int,
     control: Any,

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rig.realtime import stop_requests
-from rig.realtime.handlers import handled
+from rig.realtime.handlers import handle_signals
 from rig.realtime.stop_requests import STOPPING, RunSeries
 
 
@@ -64,7 +64,7 @@ def stop_on_signals() -> Iterator[Signals]:
     seen: list[int] = []
     raised: list[BaseException] = []
     try:
-        with handled(STOPPING, stop), stop_requests.run() as series:
+        with handle_signals(STOPPING, stop), stop_requests.run() as series:
             signals = Signals(series)
             try:
                 yield signals

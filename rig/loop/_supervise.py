@@ -34,14 +34,14 @@ from rig.loop._ending import (
     HEARTBEAT,
     SILENT,
     STOPPED,
-    contradicted,
-    end_requested,
-    ended_at_the_switch,
-    ended_by_device,
-    ended_by_law,
+    reason_by_contradiction,
+    reason_by_device,
+    reason_by_law,
+    reason_by_request,
+    reason_by_switch,
 )
 from rig.loop._exchange import ask_time
-from rig.loop._parameter_update import COMMITTED, GRANTED, IDLE, say_update
+from rig.loop._parameter_update import COMMITTED, GRANTED, IDLE, send_update
 from rig.loop._parameters import begin_set
 from rig.loop._receive import add, drain
 from rig.loop._rows import FLAG_GAP, leave_row
@@ -88,7 +88,7 @@ _ABANDONED = -1
 @kernel(
     types.int64(PORT_TYPE, CONTROL_TYPE, SHARED_TYPE, SETTINGS_TYPE, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE)
 )
-def _say(
+def _send_due(
     port: LoopPort,
     control: Any,
     shared: SharedRing,
@@ -107,7 +107,7 @@ def _say(
             taken = ask_time(port, settings, buffers)
         if taken < 0:
             return int(taken)
-    return int(say_update(port, shared.mailbox, control, settings, buffers, supervised))
+    return int(send_update(port, shared.mailbox, control, settings, buffers, supervised))
 
 
 @kernel(
@@ -226,11 +226,11 @@ def _run_law(
             m["flags"] |= FLAG_GAP
             add(words, control_words.LOST, elapsed - 1)
         compare_measured(buffers, controller.memory, elapsed)
-        reason = ended_by_device(state, buffers.progress)
+        reason = reason_by_device(state, buffers.progress)
         if reason == 0:
-            reason = ended_at_the_switch(state, settings, buffers.progress)
+            reason = reason_by_switch(state, settings, buffers.progress)
         if reason == 0:
-            reason = ended_by_law(controller.memory)
+            reason = reason_by_law(controller.memory)
         if reason != 0:
             m["effort_sent"] = 0.0
             m["current_sent"] = 0
@@ -244,14 +244,14 @@ def _run_law(
 
 
 @kernel(types.int64(INTS, SUPERVISION_TYPE, SETTINGS_TYPE, MEMORY_TYPE, PROGRESS_TYPE, types.int64))
-def _ended_without_a_row(
+def _reason_without_row(
     newest: Any, supervision: Any, settings: Any, memory: Any, progress: Any, ready: int
 ) -> int:
     """Return the reason to end that lies with the device or the link, or 0."""
     v, s, p = supervision[0], settings[0], progress[0]
-    reason = contradicted(progress)
+    reason = reason_by_contradiction(progress)
     if reason == 0 and v["heard"] != 0:
-        reason = ended_by_device(newest, progress)
+        reason = reason_by_device(newest, progress)
     if reason != 0:
         return int(reason)
     if ready < 0:
@@ -271,7 +271,7 @@ def _queue_fault(states: Any, samples: Any, supervision: Any, progress: Any) -> 
     v = supervision[0]
     for i in range(v["states_tail"], v["states_head"]):
         state = states[i % STATES_KEPT]
-        if ended_by_device(state, progress) != FAULT:
+        if reason_by_device(state, progress) != FAULT:
             continue
         index, time = state[STATE.sample_index], state[STATE.device_time]
         if v["started"] != 0:
@@ -331,11 +331,11 @@ def run(
     reason = 0
     last_row = False  # whether the row of the end is there
     while reason == 0:
-        reason = end_requested(port, settings, words)
+        reason = reason_by_request(port, settings, words)
         if reason != 0:
             break
         time_ns = port.now(port.clock_handle)
-        ready = _say(port, controller.control, shared, settings, buffers, supervised)
+        ready = _send_due(port, controller.control, shared, settings, buffers, supervised)
         if ready >= 0:
             idle = v["tail"] == v["head"] or v["step"] == COMMITTED
             until_ns = v["next_command"] if idle else time_ns
@@ -343,7 +343,7 @@ def run(
         reason = _run_law(controller, shared, settings, buffers, supervised, False)
         last_row = reason != _CONTINUE
         if not last_row:
-            reason = _ended_without_a_row(
+            reason = _reason_without_row(
                 newest, supervision, settings, controller.memory, buffers.progress, ready
             )
         if reason == CLOSED:

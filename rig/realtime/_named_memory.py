@@ -29,7 +29,7 @@ def make(size: int) -> int:
     directory = _own()
     number = max((int(name) for name in os.listdir(directory) if name.isdecimal()), default=0) + 1
     path = os.path.join(directory, str(number))
-    descriptor = _opened(path, "x+")
+    descriptor = _open(path, "x+")
     try:
         for start in range(0, size, len(_CHUNK)):
             # Written, not only extended: a full disk is reported here and not by a fault in a tick.
@@ -157,7 +157,7 @@ def _remove(path: str) -> None:
         return
 
 
-def _opened(path: str, mode: str) -> int:
+def _open(path: str, mode: str) -> int:
     """Open a file in binary mode and return its descriptor."""
     # FileIO and not os.open, which on Windows would change line ends without O_BINARY.
     with FileIO(path, mode) as file:

@@ -33,7 +33,7 @@ class _Errno(threading.local):
 _errno = _Errno()
 
 
-def _failed(error: OSError) -> int:
+def _fail(error: OSError) -> int:
     number = error.errno or errno.EIO
     _errno.number.value = _EAGAIN if number == errno.EAGAIN else number
     return -1
@@ -41,21 +41,21 @@ def _failed(error: OSError) -> int:
 
 def _refuse(*arguments: int) -> int:
     """Fail a call on the descriptor of a port: links have their own calls (`rig.devices._threaded_serial`)."""
-    return _failed(OSError(errno.ENOSYS, "not on this system"))
+    return _fail(OSError(errno.ENOSYS, "not on this system"))
 
 
 def _write(descriptor: int, address: int, size: int) -> int:
     try:
         return os.write(descriptor, ctypes.string_at(address, size))
     except OSError as error:
-        return _failed(error)
+        return _fail(error)
 
 
 def _sync(descriptor: int) -> int:
     try:
         os.fsync(descriptor)
     except OSError as error:
-        return _failed(error)
+        return _fail(error)
     return 0
 
 

@@ -112,7 +112,7 @@ def _sample_bytes() -> Ints:
     """Return the bytes of each field of a sample, a row for each layout; 0 for a field that is absent."""
     rows = np.zeros((len(messages.BATCH_LAYOUTS), len(SAMPLE)), dtype=np.int64)
     for layout, ctypes in messages.BATCH_LAYOUTS.items():
-        assert all(ctype.startswith("i") for ctype in ctypes)  # what `_signed` reads
+        assert all(ctype.startswith("i") for ctype in ctypes)  # what `_read_signed` reads
         rows[layout, : len(ctypes)] = [np.dtype(FORMATS[ctype]).itemsize for ctype in ctypes]
     return rows
 
@@ -276,7 +276,7 @@ def _encode(values: Ints, layout: Ints, type_id: int, session: int, sequence: in
 
 
 @kernel(_i64(_bytes, _i64, _i64), inline=True)
-def _number(raw: Bytes, at: int, size: int) -> int:
+def _read_unsigned(raw: Bytes, at: int, size: int) -> int:
     """Return the unsigned number of `size` bytes at an offset, little endian."""
     value = np.int64(0)
     for k in range(size):
@@ -285,9 +285,9 @@ def _number(raw: Bytes, at: int, size: int) -> int:
 
 
 @kernel(_i64(_bytes, _i64, _i64), inline=True)
-def _signed(raw: Bytes, at: int, size: int) -> int:
+def _read_signed(raw: Bytes, at: int, size: int) -> int:
     """Return the signed number of `size` bytes, fewer than eight."""
-    value = _number(raw, at, size)
+    value = _read_unsigned(raw, at, size)
     return int(value - ((value >> (8 * size - 1)) << (8 * size)))
 
 
@@ -314,7 +314,9 @@ def _decode(
     at = _HEADER_BYTES
     for field in range(layout.shape[0]):
         size = layout[field, 0]
-        values[field] = _signed(raw, at, size) if layout[field, 1] == 1 else _number(raw, at, size)
+        values[field] = (
+            _read_signed(raw, at, size) if layout[field, 1] == 1 else _read_unsigned(raw, at, size)
+        )
         at += size
     return 0
 
@@ -433,11 +435,11 @@ def decode_batch(raw: Bytes, length: int, header: Ints, values: Ints, samples: I
     at = _HEADER_BYTES + _BATCH_FIXED
     for i in range(data // size):
         # The sum may pass 32 bits, where the device's own counter wraps: the next line wraps it as well.
-        count += _signed(raw, at, difference)
+        count += _read_signed(raw, at, difference)
         samples[i, SAMPLE.count] = ((count + (1 << 31)) & 0xFFFFFFFF) - (1 << 31)
-        samples[i, SAMPLE.current_commanded] = _signed(raw, at + difference, commanded)
+        samples[i, SAMPLE.current_commanded] = _read_signed(raw, at + difference, commanded)
         samples[i, SAMPLE.current_measured] = (
-            _signed(raw, at + difference + commanded, measured) if measured > 0 else 0
+            _read_signed(raw, at + difference + commanded, measured) if measured > 0 else 0
         )
         at += size
     return int(data // size)

@@ -20,17 +20,17 @@ def listen(listener: Callable[[bool], None]) -> None:
     _listeners.append(listener)
 
 
-def began() -> None:
+def report_begin() -> None:
     """Report that a function is being compiled; those that it calls are compiled within it."""
     _move(1)
 
 
-def ended() -> None:
+def report_end() -> None:
     """Report that this function is compiled, or cannot be."""
     _move(-1)
 
 
-def counted() -> None:
+def count_kernel() -> None:
     """Count one more kernel that was typed and lowered."""
     _count["kernels"] += 1
 

@@ -75,10 +75,10 @@ def _classes(due: Any) -> tuple[type, ...]:
 
 def kind_of(value: Any) -> Any:
     """Return the numba type of a group whose members fit their fields; None for whatever else."""
-    return _fitting(value) if type(value) in _GROUPS else None
+    return _type_if_fitting(value) if type(value) in _GROUPS else None
 
 
-def _fitting(value: tuple[Any, ...]) -> Any:
+def _type_if_fitting(value: tuple[Any, ...]) -> Any:
     cls = type(value)
     for member, (classes, array) in zip(value, _due(cls), strict=True):
         if not _fits(member, classes, array):
@@ -88,7 +88,7 @@ def _fitting(value: tuple[Any, ...]) -> Any:
 
 def _typeof(value: tuple[Any, ...], context: Any) -> Any:
     """Type of an instance: what does not fit its field makes it another type, which no kernel takes."""
-    kind = _fitting(value)
+    kind = _type_if_fitting(value)
     if kind is None:
         kind = types.BaseTuple.from_types([typeof_impl(member, context) for member in value], type(value))
     return kind
@@ -106,7 +106,7 @@ def _fits(member: Any, classes: tuple[type, ...], array: tuple[Any, ...] | None)
     if not classes:
         return True
     if isinstance(member, tuple):
-        return type(member) is classes[0] and _fitting(member) is not None
+        return type(member) is classes[0] and _type_if_fitting(member) is not None
     # A bool is an int to Python and another type to numba.
     return isinstance(member, classes) and type(member) is not bool
 

@@ -96,7 +96,7 @@ class SharedHand:
             with open(os.open(path, os.O_RDWR | os.O_CREAT, 0o600), "r+b", buffering=0) as file:
                 status = os.fstat(file.fileno())
                 if stat.S_ISREG(status.st_mode) and status.st_size == 0:
-                    file.write((MAGIC + _packed(Wish(0, 0.0, 0.0))).ljust(SIZE, b"\0"))
+                    file.write((MAGIC + _pack(Wish(0, 0.0, 0.0))).ljust(SIZE, b"\0"))
                 return cls._mapped(file.fileno(), path)
         except OSError as error:
             raise ConfigError(
@@ -145,7 +145,7 @@ class SharedHand:
         last = self.read()
         # Also without a change: a number that stands still means that the hand has let go.
         sequence = (0 if last is None else last.sequence) + 1
-        self._memory[len(MAGIC) : WISH_END] = _packed(Wish(sequence, position, press))
+        self._memory[len(MAGIC) : WISH_END] = _pack(Wish(sequence, position, press))
 
     def read(self) -> Wish | None:
         """Return the newest wish; None while it is being written."""
@@ -193,6 +193,6 @@ class SharedHand:
         self.close()
 
 
-def _packed(wish: Wish) -> bytes:
+def _pack(wish: Wish) -> bytes:
     values = _VALUES.pack(wish.sequence, wish.position, wish.press)
     return values + _CRC.pack(zlib.crc32(values))

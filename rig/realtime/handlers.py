@@ -14,7 +14,7 @@ from typing import Any
 
 
 @contextmanager
-def handled(numbers: tuple[int, ...], handler: Callable[[int, Any], None]) -> Iterator[bool]:
+def handle_signals(numbers: tuple[int, ...], handler: Callable[[int, Any], None]) -> Iterator[bool]:
     """Install `handler` for these signals, except those that are ignored, and restore the earlier handlers at the end.
 
     Yields False without any change outside the main thread, which alone receives signals.
@@ -49,7 +49,7 @@ def interrupts_later() -> Iterator[None]:
     numbers = (signal.SIGINT, signal.SIGTERM)
     _handled_by.update({number: signal.getsignal(number) for number in numbers})
     try:
-        with handled(numbers, lambda number, frame: _waiting.append(number)):
+        with handle_signals(numbers, lambda number, frame: _waiting.append(number)):
             yield
     finally:
         _handled_by.clear()

@@ -36,10 +36,10 @@ class _Compilations(event.Listener):  # type: ignore[misc]
     """Reports to `rig.realtime.compiling` when numba begins and ends to compile, not when it loads from the cache."""
 
     def on_start(self, event: Any) -> None:
-        compiling.began()
+        compiling.report_begin()
 
     def on_end(self, event: Any) -> None:
-        compiling.ended()
+        compiling.report_end()
 
 
 event.register("numba:compile", _Compilations())

@@ -73,14 +73,14 @@ def readers_slot(state: int) -> int:
 
 
 @kernel(_i64(_i64), inline=True)
-def published(state: int) -> int:
+def state_after_publishing(state: int) -> int:
     """State after the writer's slot has been posted: the mail is fresh, and what lay there is the writer's."""
     mail = state >> 2 & 3
     return (state >> NUMBER) + 1 << NUMBER | FRESH | (state & 3 << 4) | writers_slot(state) << 2 | mail
 
 
 @kernel(_i64(_i64), inline=True)
-def claimed(state: int) -> int:
+def state_after_claiming(state: int) -> int:
     """State after the reader has taken the fresh mail and left its own slot there."""
     mail = state >> 2 & 3
     return state >> NUMBER << NUMBER | mail << 4 | readers_slot(state) << 2 | writers_slot(state)
@@ -107,7 +107,7 @@ def publish(mailbox: int) -> int:
     # before leaves its own slot half filled, which is never read: the word is the only shared state.
     while True:
         state = load_word(mailbox)
-        after = published(state)
+        after = state_after_publishing(state)
         if compare_exchange_word(mailbox, state, after) != 0:
             return int(after >> NUMBER)
 
@@ -120,7 +120,7 @@ def claim(mailbox: int) -> int:
         state = load_word(mailbox)
         if state & FRESH == 0:
             return -1
-        after = claimed(state)
+        after = state_after_claiming(state)
         if compare_exchange_word(mailbox, state, after) != 0:
             return int(readers_slot(after))
     return -1

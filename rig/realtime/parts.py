@@ -165,7 +165,7 @@ class PartCompiler(dispatcher._FunctionCompiler):  # type: ignore[misc,name-defi
             library=library,
             pipeline_class=self.pipeline_class,
         )
-        compiling.counted()
+        compiling.count_kernel()
         interrupts_now()
         return result
 
@@ -234,13 +234,13 @@ class KernelCache(caching.FunctionCache):  # type: ignore[misc]
 def _wait_for(descriptor: int) -> None:
     """Wait for a lock, `PATIENCE_S` at most: its owner may be a stopped process."""
     patience = time.monotonic() + PATIENCE_S
-    compiling.began()  # elsewhere, which takes as long
+    compiling.report_begin()  # elsewhere, which takes as long
     try:
         while not lock(descriptor) and time.monotonic() < patience:
             interrupts_now()
             time.sleep(POLL_S)
     finally:
-        compiling.ended()
+        compiling.report_end()
 
 
 def count_allocations(run: Callable[[], object]) -> int:

@@ -132,7 +132,7 @@ class Ring:
             size = os.fstat(descriptor).st_size
             if size < _INFO_AT:
                 raise RigError(f"{path} is shorter than the memory of a running loop", remedy="try again")
-            ring = cls(_mapped(descriptor, size, writable=writable), descriptor)
+            ring = cls(_map(descriptor, size, writable=writable), descriptor)
         except BaseException:
             os.close(descriptor)
             raise
@@ -322,7 +322,7 @@ def _shared_memory(size: int) -> tuple[NDArray[np.uint8], int]:
     try:
         descriptor = place.make(size)
         try:
-            return _mapped(descriptor, size), descriptor
+            return _map(descriptor, size), descriptor
         except OSError:
             place.close(descriptor)
             raise
@@ -332,7 +332,7 @@ def _shared_memory(size: int) -> tuple[NDArray[np.uint8], int]:
         ) from error
 
 
-def _mapped(descriptor: int, size: int, *, writable: bool = True) -> NDArray[np.uint8]:
+def _map(descriptor: int, size: int, *, writable: bool = True) -> NDArray[np.uint8]:
     """Return the file as an array, which owns the mapping: it is unmapped with the last view of it."""
     access = mmap.ACCESS_WRITE if writable else mmap.ACCESS_READ
     return np.frombuffer(mmap.mmap(descriptor, size, access=access), np.uint8)

@@ -197,7 +197,7 @@ def the_loop(pid: int | None = None) -> RunningLoop:
 
 
 @contextmanager
-def opened(loop: RunningLoop) -> Iterator[Ring]:
+def open_loop(loop: RunningLoop) -> Iterator[Ring]:
     """Open the memory of a loop.
 
     Raises

@@ -30,23 +30,23 @@ _NAME = re.compile(rb"(\w+)(?:[ \t]+as[ \t]+\w+)?")
 
 def source_files(packages: Iterable[str] = PACKAGES) -> dict[str, Path]:
     """Return every Python file of the packages by module name, found without importing them, in a fixed order."""
-    return {module: Path(path) for module, path in _found(packages).items()}
+    return {module: Path(path) for module, path in _find_files(packages).items()}
 
 
 def compiled_sources(packages: Iterable[str] = PACKAGES) -> dict[str, bytes]:
     """Return the files with kernels and all that they import, by module name, in a fixed order."""
-    texts = {module: _text(path) for module, path in _found(packages).items()}
+    texts = {module: _text(path) for module, path in _find_files(packages).items()}
     waiting = [module for module, text in texts.items() if _KERNEL in text]
     reached: set[str] = set()
     while waiting:
         module = waiting.pop()
         if module not in reached:
             reached.add(module)
-            waiting += _imported(texts[module], texts)
+            waiting += _find_imports(texts[module], texts)
     return {module: text for module, text in texts.items() if module in reached}
 
 
-def _found(packages: Iterable[str]) -> dict[str, str]:
+def _find_files(packages: Iterable[str]) -> dict[str, str]:
     files: dict[str, str] = {}
     for package in packages:
         try:
@@ -72,7 +72,7 @@ def _text(path: str) -> bytes:
         return b"\n" + file.read()
 
 
-def _imported(text: bytes, modules: Container[str]) -> list[str]:
+def _find_imports(text: bytes, modules: Container[str]) -> list[str]:
     """Return the modules of ours that a source imports anywhere in it: at its top, inside functions, for types."""
     found: list[str] = []
     for base, names, plain in _IMPORT.findall(text):

@@ -252,7 +252,7 @@ def listening() -> Iterator[RunSeries]:
     if threading.current_thread() is threading.main_thread():
         yield RunSeries()
     else:
-        with _hooked(_process()):
+        with _install_hook(_process()):
             yield RunSeries()
 
 
@@ -264,7 +264,7 @@ def together() -> Iterator[None]:
 
 
 @contextmanager
-def _hooked(process: _Process) -> Iterator[None]:
+def _install_hook(process: _Process) -> Iterator[None]:
     with process.lock:
         process.listeners += 1
         if process.hook is not None:
@@ -294,7 +294,7 @@ def run() -> Iterator[RunSeries]:
     The end of the program waits for it, and so does a signal whose default action would end the process.
     """
     process = _process()
-    with _hooked(process):
+    with _install_hook(process):
         series = RunSeries()
         with process.lock:
             _count_runs(process, +1)

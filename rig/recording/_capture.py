@@ -46,7 +46,7 @@ from numpy.typing import NDArray
 
 from rig.core.errors import RecordingError
 from rig.core.regular_file import TABLE_BYTES, open_regular
-from rig.recording._shape import parsed
+from rig.recording._shape import parse_json
 from rig.recording.canonical import canonical_json
 from rig.recording.data import Loss, Recording
 from rig.recording.files import plain_errors
@@ -85,7 +85,7 @@ class BlockHead(NamedTuple):
 
 def pack_header(header: dict[str, Any]) -> bytes:
     """Return the bytes of the file before its first block."""
-    text = _padded(canonical_json(header), _FILE_HEAD.size + _CRC.size)
+    text = _pad(canonical_json(header), _FILE_HEAD.size + _CRC.size)
     start = _FILE_HEAD.pack(MAGIC, VERSION, len(text)) + text
     return start + _CRC.pack(zlib.crc32(start))
 
@@ -99,7 +99,7 @@ def pack_block(magic: bytes, number: int, first_row: int, count: int, payload: b
 
 def pack_end(number: int, rows: int, trailer: dict[str, Any]) -> bytes:
     """Return the bytes of the end: `number` blocks and `rows` rows came before."""
-    return pack_block(END_MAGIC, number, rows, 0, _padded(canonical_json(trailer), 0))
+    return pack_block(END_MAGIC, number, rows, 0, _pad(canonical_json(trailer), 0))
 
 
 def write_capture(file: BinaryIO, recording: Recording, *, block_rows: int = BLOCK_ROWS) -> None:
@@ -121,7 +121,7 @@ def write_capture(file: BinaryIO, recording: Recording, *, block_rows: int = BLO
         file.write(pack_end(number, len(recording.rows), recording.trailer or {}))
 
 
-def _padded(text: bytes, before: int) -> bytes:
+def _pad(text: bytes, before: int) -> bytes:
     return text + b" " * (-(before + len(text)) % 8)
 
 
@@ -146,7 +146,7 @@ def read_capture(path: Path, columns: Collection[str] | None = None) -> Recordin
     RecordingError
         No such file, not a capture, a damaged header, or another format version.
     """
-    with _opened(path) as data:
+    with _open_mapped(path) as data:
         header, start = _read_header(path, data)
         dtype = dtype_of(header.get("schema", {}))
         found = _walk(data, start, dtype.itemsize)
@@ -168,13 +168,13 @@ def read_capture(path: Path, columns: Collection[str] | None = None) -> Recordin
 
 def read_capture_header(path: Path) -> Recording:
     """Return a capture without rows and trailer; errors as `read_capture`."""
-    with _opened(path) as data:
+    with _open_mapped(path) as data:
         header, _ = _read_header(path, data)
     return Recording(header, np.empty(0, dtype_of(header.get("schema", {}))), None, complete=False, path=path)
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[mmap.mmap]:
+def _open_mapped(path: Path) -> Iterator[mmap.mmap]:
     with plain_errors("read", path), open_regular(path) as file:
         if not file.read(1):
             raise RecordingError(
@@ -306,7 +306,7 @@ def _magics(data: mmap.mmap, place: int) -> Iterator[int]:
 
 def _json_object(text: bytes) -> dict[str, Any] | None:
     try:
-        value = parsed(text)
+        value = parse_json(text)
     except ValueError:
         return None
     return value if isinstance(value, dict) else None

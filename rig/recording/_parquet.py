@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from rig.core.deferred import parquet, pyarrow
 from rig.core.errors import RecordingError
 from rig.core.regular_file import open_regular
-from rig.recording._shape import parsed
+from rig.recording._shape import parse_json
 from rig.recording.canonical import canonical_json
 from rig.recording.data import Loss, Recording
 from rig.recording.files import plain_errors
@@ -111,19 +111,19 @@ def read_parquet(path: Path, columns: Collection[str] | None = None) -> Recordin
 
     Raises `RecordingError` when the file is not a recording, or when a bit of it has changed, in any column.
     """
-    with _opened(path) as file:
+    with _open_file(path) as file:
         return _recording(path, file, _metadata(path, file.schema_arrow), columns)
 
 
 def read_parquet_facts(path: Path) -> Recording:
     """Read a sealed recording without its rows, from the end of the file; raises `RecordingError` for another file."""
-    with _opened(path) as file:
+    with _open_file(path) as file:
         metadata = _metadata(path, file.schema_arrow)
         return _facts(path, metadata)
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def _open_file(path: Path) -> Iterator[Any]:
     check_pyarrow()
     with plain_errors("read", path), open_regular(path) as file:
         try:
@@ -164,7 +164,7 @@ def _recording(
 
 def is_stored(path: Path, expected: Recording, names: Collection[str]) -> bool:
     """Check that a sealed recording has these columns of another, to the last bit, a part of a column at a time."""
-    with _opened(path) as file:
+    with _open_file(path) as file:
         metadata = _metadata(path, file.schema_arrow)
         facts = _facts(path, metadata)
         if not set(names) <= set(facts.names) or file.metadata.num_rows != len(expected):
@@ -200,7 +200,7 @@ def _checked_columns(
 
 
 def _facts(path: Path, metadata: dict[bytes, bytes]) -> Recording:
-    header, trailer, complete, lost = (parsed(metadata[key]) for key in KEYS)
+    header, trailer, complete, lost = (parse_json(metadata[key]) for key in KEYS)
     check_version(path, header.get("version"))
     rows = np.empty(0, dtype_of(header["schema"]))
     return Recording(header, rows, trailer, complete is True, tuple(Loss(**loss) for loss in lost), path)

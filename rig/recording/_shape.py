@@ -58,7 +58,7 @@ TRAILER: dict[str, Any] = {
 }
 
 
-def parsed(text: bytes) -> Any:
+def parse_json(text: bytes) -> Any:
     """Parse JSON; raises `ValueError` for text that is not valid JSON, or nested deeper than `DEPTH`."""
     try:
         value = json.loads(text)

@@ -191,11 +191,11 @@ def git_revision(directory: Path) -> dict[str, Any] | None:
     `dirty`: None if git cannot compare. Files that a filter would convert count as edited once they were touched.
     Read anew each second: git takes longer than many a simulated hit.
     """
-    return _described(directory, int(time.monotonic()))
+    return _describe(directory, int(time.monotonic()))
 
 
 @lru_cache(maxsize=8)
-def _described(directory: Path, second: int) -> dict[str, Any] | None:
+def _describe(directory: Path, second: int) -> dict[str, Any] | None:
     """Ask git without running what the checkout's configuration, hooks and attributes name.
 
     Reading HEAD and paths runs nothing. Comparing would run core.fsmonitor and filters, so it gets an empty git

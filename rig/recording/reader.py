@@ -43,7 +43,7 @@ def open_recording(path: str | Path, columns: Collection[str] | None = None) -> 
     """
     path = Path(path)
     read = read_parquet if _is_parquet(path) else read_capture
-    recording = _checked(path, read(path, columns))
+    recording = _check(path, read(path, columns))
     if columns is None:
         return recording
     schema = schema_of(recording.header["schema"], columns)
@@ -57,7 +57,7 @@ def open_facts(path: str | Path) -> Recording:
     as `open_recording`.
     """
     path = Path(path)
-    return _checked(path, read_parquet_facts(path) if _is_parquet(path) else read_capture_header(path))
+    return _check(path, read_parquet_facts(path) if _is_parquet(path) else read_capture_header(path))
 
 
 def _is_parquet(path: Path) -> bool:
@@ -65,7 +65,7 @@ def _is_parquet(path: Path) -> bool:
         return file.read(len(_PARQUET_MAGIC)) == _PARQUET_MAGIC
 
 
-def _checked(path: Path, recording: Recording) -> Recording:
+def _check(path: Path, recording: Recording) -> Recording:
     missing = [column.name for column in COLUMNS if column.name not in recording.units]
     if missing:
         raise RecordingError(

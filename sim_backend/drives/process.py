@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
-from rig.core.process import announced
+from rig.core.process import start_announced
 from rig.realtime.scheduling import BoardScheduling, obtained
 from sim_backend.drives.bus import DriveModel, SimulatedAdapter
 from sim_backend.drives.faults import DriveScript
@@ -139,7 +139,7 @@ def simulated_drive(kind: Kind, model: RigModel, **options: Any) -> Iterator[Ser
     Raises `DeviceNotFoundError` when it does not come up.
     """
     by_hand = f"python -m sim_backend.drives {kind}"
-    with announced(_child, kind, model, options, name=f"simulated {kind}", by_hand=by_hand) as path:
+    with start_announced(_child, kind, model, options, name=f"simulated {kind}", by_hand=by_hand) as path:
         yield ServedDrive(path)
 
 

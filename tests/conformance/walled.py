@@ -59,7 +59,7 @@ class Walled:
         **parameters: int | float,
     ) -> None:
         """Arm; `inside`: the trial begins where the handle is, without homing."""
-        run = controller.prepared(x)
+        run = controller.prepare_controller(x)
         self.world = Bridged(rig_model(x), {**GAINS, **(settings or {})})
         self.host = Host(self.world)
         self.ratio = x.rig.encoder.ratio * x.rig.encoder.sign

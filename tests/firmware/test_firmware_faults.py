@@ -53,7 +53,7 @@ EXPERIMENT = config.override(
     },
 )
 MODEL = config.rig_model(EXPERIMENT)
-PARAMETERS = controller.prepared(
+PARAMETERS = controller.prepare_controller(
     EXPERIMENT, current_quantum_a=MODEL.amplifier.current_quantum_a, reference_count=0, verified=True
 ).parameters
 

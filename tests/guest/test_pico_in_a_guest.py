@@ -22,7 +22,7 @@ from firmware_protocol import messages as m
 from firmware_protocol.messages import USB_PRODUCT, USB_VENDOR
 from rig import config
 from rig.config import presets
-from rig.config.controller import prepared
+from rig.config.controller import prepare_controller
 from rig.devices import open_device, open_link
 from rig.devices.usb import available_devices
 from rig.experiments.trials import _trial as trial
@@ -116,7 +116,9 @@ def test_a_law_on_the_board_sends_its_ticks_and_leaves_no_current(board: Any) ->
     """Enumerated, identified, configured, armed, supervised, stopped: without the loop, a request at a time."""
     experiment = config.override(presets.load(pico.RIG), pico.CHANGES)
     quantum = experiment.rig.amplifier.current_quantum_a
-    told = prepared(experiment, current_quantum_a=quantum, reference_count=0, verified=True).parameters
+    told = prepare_controller(
+        experiment, current_quantum_a=quantum, reference_count=0, verified=True
+    ).parameters
     link = open_link(board.url)
     try:
         host = Host(link)

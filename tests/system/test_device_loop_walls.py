@@ -63,7 +63,7 @@ class Session:
         self.arithmetic = device_law.arithmetic_of(x.controller)
         quantum = self.host.dictionary.current_quantum_a
         self.bundle, armed = (controller.for_experiment(x, current_quantum_a=quantum) for _ in range(2))
-        parameters = controller.prepared(
+        parameters = controller.prepare_controller(
             x, current_quantum_a=quantum, reference_count=0, verified=True
         ).parameters
         self.echo = self.host.configure(parameters)

@@ -34,7 +34,8 @@ COUNTED: dict[str, Callable[..., Any]] = {
     "parameters": controller.device_parameters,
     "plans": plan.plan_of,
     "judgements": judgement.judge,
-    "measurings": judging.measured,  # a judgement is one of what was recorded, and in simulation one of the truth
+    # A judgement measures what was recorded, and in simulation the truth too.
+    "measurings": judging.measure_signals,
     "openings": reader.open_recording,
 }
 

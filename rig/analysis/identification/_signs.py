@@ -176,7 +176,7 @@ def _push(
     way = position[:top] - position[0]
     away = np.flatnonzero(np.abs(way) >= LEAST_COUNTS * resolution)
     first = int(away[0]) if len(away) else top - 1
-    inertia, began_s = _fitted(time_s[:top], effort[:top], way, resolution, decay, friction)
+    inertia, began_s = _fit(time_s[:top], effort[:top], way, resolution, decay, friction)
     return Push(
         direction=direction,
         moved=abs(float(way[-1])) >= LEAST_COUNTS * resolution,
@@ -189,7 +189,7 @@ def _push(
     )
 
 
-def _fitted(
+def _fit(
     time_s: Floats,
     effort: Floats,
     way: Floats,

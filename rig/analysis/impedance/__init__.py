@@ -6,7 +6,7 @@
 
 from rig.analysis.impedance._estimate import Impedance, periodic
 from rig.analysis.impedance._fitting import Fit, RigidRig, fit
-from rig.analysis.impedance._ideal import bare, ideal_wall, rendered, walls
+from rig.analysis.impedance._ideal import bare, ideal_wall, rendered_impedance, walls
 from rig.analysis.impedance._signals import Complexes, ExcitedRun, Floats, hold
 from rig.analysis.impedance._verdict import (
     EFFECTIVE_HZ,
@@ -41,6 +41,6 @@ __all__ = [
     "ideal_wall",
     "judge",
     "periodic",
-    "rendered",
+    "rendered_impedance",
     "walls",
 ]

@@ -58,13 +58,13 @@ def bare(
 ) -> Complexes:
     """Return the impedance of the rig without a wall, friction left out: m·s + b for a rigid one.
 
-    Parameters are those of `rendered`.
+    Parameters are those of `rendered_impedance`.
     """
     plant = _Plant.of(_loop(rig, scheme))
     return np.asarray(1.0 / (_s(lines_hz) * plant.response(lines_hz, plant.row(seen), EXTERNAL)))
 
 
-def rendered(
+def rendered_impedance(
     rig: RigLike | LinearLoop,
     stiffness: float,
     damping: float,
@@ -112,12 +112,12 @@ def walls(
     channel: Channel = "external",
     images: bool = True,
 ) -> Callable[[float, float], Complexes]:
-    """Return a function of K and B that gives `rendered`, with all that does not depend on the wall computed once."""
+    """Return a function of K and B that gives `rendered_impedance`; parts without the wall are computed once."""
     loop = _loop(rig, scheme)
     plant = _Plant.of(loop)
     lines = np.atleast_1d(np.asarray(lines_hz, dtype=np.float64))
     held = hold(lines, loop.tick_s)
-    loops = _sampled(loop, plant, lines, images)
+    loops = _sample_loop(loop, plant, lines, images)
     own, row = channel == "motor", plant.row(seen)
     # Position at the samples that each unit of excitation makes, the wall aside.
     made = loops.forward[:, 0] if own else plant.response(lines, plant.sensed, EXTERNAL)
@@ -175,7 +175,7 @@ class _Sampled:
     late: Complexes  # D_0
 
 
-def _sampled(loop: LinearLoop, plant: _Plant, lines: Floats, images: bool) -> _Sampled:
+def _sample_loop(loop: LinearLoop, plant: _Plant, lines: Floats, images: bool) -> _Sampled:
     n = loop.divider
     frequency = lines[:, None] + np.arange(n) / loop.period_s
     z = np.exp(2j * np.pi * frequency * loop.tick_s)

@@ -143,7 +143,7 @@ def estimate_welch(
     )
 
 
-def aligned(run: ExcitedRun) -> tuple[Floats, Floats, Floats]:
+def align_signals(run: ExcitedRun) -> tuple[Floats, Floats, Floats]:
     """Return the excitation, effort and velocity of a run as signals of time, all at the instants of its samples.
 
     Delays, hold and derivative act on the transform of the whole record, which is exact because it is periodic.
@@ -179,7 +179,7 @@ class _Spectra:
 
     @classmethod
     def of(cls, run: ExcitedRun, settings: WelchSettings) -> _Spectra:
-        r, f, v = aligned(run)
+        r, f, v = align_signals(run)
         length = settings.segment(len(r), run.rate_hz)
         overlap = int(settings.overlap * length)
         window = signal.get_window(settings.window, length, fftbins=False)

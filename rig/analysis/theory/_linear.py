@@ -96,7 +96,7 @@ def realise(
     NotLinearError
         An estimator that is not linear.
     """
-    found = _watched(estimators.get(name), tuple(settings.items()), period_s, resolution)
+    found = _excite(estimators.get(name), tuple(settings.items()), period_s, resolution)
     if isinstance(found, str):
         settings_text = ", ".join(f"{key} = {value}" for key, value in settings.items())
         raise NotLinearError(
@@ -109,13 +109,13 @@ def realise(
 
 
 @lru_cache(maxsize=256)  # a session's conditions, hands and delays ask for the same few again and again
-def _watched(
+def _excite(
     estimator: Estimator, settings: tuple[tuple[str, float | str], ...], period_s: float, resolution: float
 ) -> Realisation | str:
     """Return the realisation of an estimator, or the reason why it has no linear one."""
     probe = _Probe(estimator, dict(settings), period_s, resolution)
     rest, h = _settled_response(probe)
-    return _nonlinearity(probe, rest, h) or _realised(estimator.name, h, period_s)
+    return _nonlinearity(probe, rest, h) or _realise(estimator.name, h, period_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,14 +172,14 @@ def _nonlinearity(probe: _Probe, rest: int, h: Vector) -> str:
     for at, size, place, reason in others:
         if not _near(h, probe.impulse(rest=at, length=length, size=size, place=place), SAME):
             return reason
-    motion = _wandering(min(length, WANDERING))
+    motion = _random_walk(min(length, WANDERING))
     after = probe.motion(np.concatenate([np.zeros(rest, np.int64), motion]))[rest:]
     if not _near(np.convolve(motion, h)[: len(motion)], after, SAME):
         return "the response to a motion is not the sum of the responses to its parts"
     return ""
 
 
-def _wandering(samples: int) -> NDArray[np.int64]:
+def _random_walk(samples: int) -> NDArray[np.int64]:
     """Return a random walk with leaps: the same one always."""
     random = np.random.default_rng(1)
     leaps = random.integers(-300, 301, samples) * (random.random(samples) < 0.1)
@@ -207,7 +207,7 @@ def _places(length: int) -> NDArray[np.int64]:
     return places[places < length]
 
 
-def _realised(name: str, h: Vector, period_s: float) -> Realisation:
+def _realise(name: str, h: Vector, period_s: float) -> Realisation:
     peak = np.abs(h).max()
     over = int(np.flatnonzero(np.abs(h) > FADED * peak)[-1]) + 1  # first sample at which h is over
     tail = np.concatenate([h[1:over], np.zeros(max(2 * LARGEST_ORDER, over) + 2)])

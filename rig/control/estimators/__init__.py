@@ -27,7 +27,7 @@ if TYPE_CHECKING:
         COUNTS,
         age_of_last_change,
         real_numbers,
-        unwrapped,
+        unwrap,
         whole_numbers,
     )
     from rig.control.estimators.arrays import (
@@ -61,7 +61,7 @@ __all__ = [
     "quantise",
     "real_numbers",
     "run",
-    "unwrapped",
+    "unwrap",
     "whole_numbers",
 ]
 
@@ -71,7 +71,7 @@ _LATER = {
         "estimate", "estimate_with_window", "inputs", "own_inputs", "quantise", "run",
     ),
     "rig.control.estimators._own_counts": (
-        "COUNTS", "age_of_last_change", "real_numbers", "unwrapped", "whole_numbers",
+        "COUNTS", "age_of_last_change", "real_numbers", "unwrap", "whole_numbers",
     ),
 }  # fmt: skip
 

@@ -74,7 +74,7 @@ _SIX = types.UniTuple(types.float64, 6)
 
 
 @kernel(_SIX(*[types.float64] * 6), inline=True)
-def _propagated(
+def _propagate(
     p11: float, p12: float, p13: float, p22: float, p23: float, p33: float
 ) -> tuple[float, float, float, float, float, float]:
     """Return A·P·Aᵀ over one period, A = [[1, 1, ½], [0, 1, 1], [0, 0, 1]]."""
@@ -86,7 +86,7 @@ def _propagated(
 
 
 @kernel(_SIX(*[types.float64] * 7), inline=True)
-def _corrected(
+def _correct(
     p11: float, p12: float, p13: float, p22: float, p23: float, p33: float, r: float
 ) -> tuple[float, float, float, float, float, float]:
     """Return gain k1, k2, k3 and the lower block p22, p23, p33 of the covariance after the update, in Joseph's form.
@@ -146,7 +146,7 @@ def _gain(
     p11, p12, p13 = state_f[P11], state_f[P12], state_f[P13]
     p22, p23, p33 = state_f[P22], state_f[P23], state_f[P33]
     for i in range(elapsed_ticks):
-        p11, p12, p13, p22, p23, p33 = _propagated(p11, p12, p13, p22, p23, p33)
+        p11, p12, p13, p22, p23, p33 = _propagate(p11, p12, p13, p22, p23, p33)
         if i == elapsed_ticks - 1 and variance - r - q11 > p11 > 0.0:
             fade = (variance - r - q11) / p11
             p11, p12, p13 = fade * p11, fade * p12, fade * p13
@@ -156,7 +156,7 @@ def _gain(
     # The printed noise, which is no covariance, can come to this after fading or a gap: begin again from the prior.
     if not p11 > 0.0:
         p11, p12, p13, p22, p23, p33 = r, 0.0, 0.0, PRIOR, 0.0, parameters[PRIOR33]
-    k1, k2, k3, p22, p23, p33 = _corrected(p11, p12, p13, p22, p23, p33, r)
+    k1, k2, k3, p22, p23, p33 = _correct(p11, p12, p13, p22, p23, p33, r)
     state_f[P11], state_f[P12], state_f[P13] = r * k1, r * k2, r * k3
     state_f[P22], state_f[P23], state_f[P33] = p22, p23, p33
     return k1, k2, k3

@@ -83,7 +83,7 @@ def whole_numbers(values: ArrayLike, what: str, also: tuple[str, ...] = ()) -> N
         raise _wrong_type(what, array.dtype.kind, str(array.dtype))
     missing = np.flatnonzero(np.isnan(array))
     if len(missing):
-        remedy = FROM_SECONDS if what == ELAPSED else _without_missing(values, also)
+        remedy = FROM_SECONDS if what == ELAPSED else _remove_missing(values, also)
         raise ConfigError(f"{what} is not a number at {_indices(missing, len(array))}", remedy=remedy)
     parts = np.flatnonzero((array != np.trunc(array)) | np.isinf(array))
     if len(parts):
@@ -103,7 +103,7 @@ def whole_numbers(values: ArrayLike, what: str, also: tuple[str, ...] = ()) -> N
 
 def real_numbers(values: ArrayLike, what: str, unit: str) -> Floats:
     """Return an array of float64, NaN where a value is masked; refuse what numpy would convert without a unit."""
-    array = _unmasked(values)
+    array = _unmask(values)
     if array.dtype.kind in _KINDS:
         raise ConfigError(
             f"{what} holds {_KINDS[array.dtype.kind]} ({array.dtype}), not numbers",
@@ -112,7 +112,7 @@ def real_numbers(values: ArrayLike, what: str, unit: str) -> Floats:
     return array.astype(np.float64)
 
 
-def unwrapped(values: NDArray[Any], width: Any, elapsed: Ints) -> Ints:
+def unwrap(values: NDArray[Any], width: Any, elapsed: Ints) -> Ints:
     """Return counts (int64) that do not wrap at less than 32 bits.
 
     Parameters
@@ -205,7 +205,7 @@ def _check_jumps(values: NDArray[Any], counts: Ints, steps: Ints) -> None:
 
 def _floats_if_missing(values: ArrayLike, what: str) -> NDArray[Any]:
     """Return an array of plain numbers, of floats with NaN where something is missing; refuse other objects."""
-    array = _unmasked(values)
+    array = _unmask(values)
     if array.dtype.kind != "O" or array.ndim != 1:
         return array
     present = [value for value in array if not _is_missing(value)]
@@ -227,7 +227,7 @@ def _floats_if_missing(values: ArrayLike, what: str) -> NDArray[Any]:
     return np.array([np.nan if _is_missing(value) else float(value) for value in array])
 
 
-def _unmasked(values: ArrayLike) -> NDArray[Any]:
+def _unmask(values: ArrayLike) -> NDArray[Any]:
     mask = np.ma.getmask(values)
     return np.where(mask, np.nan, np.asarray(values)) if np.any(mask) else np.asarray(values)
 
@@ -249,7 +249,7 @@ def _wrong_type(what: str, kind: str, name: str) -> ConfigError:
     )
 
 
-def _without_missing(values: ArrayLike, also: tuple[str, ...]) -> str:
+def _remove_missing(values: ArrayLike, also: tuple[str, ...]) -> str:
     """Return the statements that leave lost samples out and state the gaps."""
     number = "numpy.asarray(counts, dtype=float)"
     if _has_pandas_na(values):  # numpy makes no number of it

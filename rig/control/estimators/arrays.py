@@ -26,7 +26,7 @@ from rig.control.estimators._own_counts import (
     OLDEST_EDGE_S,
     age_of_last_change,
     real_numbers,
-    unwrapped,
+    unwrap,
     whole_numbers,
 )
 from rig.control.estimators.estimator import WINDOW, Floats, Ints, Prepared
@@ -171,7 +171,7 @@ def own_inputs(
         )
     _check_resolution(resolution)
     held, steps = _counts_and_steps(counts, elapsed, edge_time)
-    return inputs(unwrapped(held, width, steps), dt, edge_time, steps)
+    return inputs(unwrap(held, width, steps), dt, edge_time, steps)
 
 
 def inputs(

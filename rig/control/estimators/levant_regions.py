@@ -45,7 +45,7 @@ def in_lfba(mu1: float, mu2: float) -> bool:
     return mu2 > 0.0 and mu1 > lfba_mu1(mu2)
 
 
-def crossing() -> tuple[float, float]:
+def find_crossing() -> tuple[float, float]:
     """(μ1, μ2) where the two boundaries cross: μ2⁴ − 7·μ2² − 4 = 0, (3.2656, 2.7443)."""
     mu2 = math.sqrt((7.0 + math.sqrt(65.0)) / 2.0)
     return lfba_mu1(mu2), mu2

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from rig.control.estimators._fdm import count_difference
 from rig.control.estimators.estimator import OWN_INTS, PERIOD, RESOLUTION, WINDOW, Estimator, Setting
-from rig.control.plain_functions import NO_NUMBERS, Form, Parameter, compiled
+from rig.control.plain_functions import NO_NUMBERS, Form, Parameter, compile_function
 from rig.realtime.kernel import kernel, prepare
 from rig.realtime.plugs import ESTIMATOR_SIGNATURE
 
@@ -78,7 +78,7 @@ def estimator(
     """
 
     def decorate(function: Callable[..., float]) -> Estimator:
-        made = compiled(_FORM, function, name, parameters, memory)
+        made = compile_function(_FORM, function, name, parameters, memory)
         update = kernel(ESTIMATOR_SIGNATURE, cache=False, no_refcount=True)(made.kernel)
         prepare(update)
         return Estimator(

@@ -73,7 +73,7 @@ class LawPlace:
         """Return True if device and link can run an experiment; a law on the device must exist and fit its tick."""
         try:
             if self.loop == "device":
-                controller.prepared(applied)
+                controller.prepare_controller(applied)
                 if not paths.fits_a_tick(applied.controller, self.board):
                     return False
             return not refused(link_checks(applied, self.rate_maximum, self.bytes_per_second))

@@ -35,7 +35,7 @@ from rig.analysis.impedance import (
     fit,
     judge,
     periodic,
-    rendered,
+    rendered_impedance,
 )
 from rig.config import Excitation, Experiment
 from rig.config.schemes import Scheme
@@ -510,7 +510,7 @@ def expected(experiment: Experiment, lines_hz: Floats, signal: Signal = "count")
     """Return the closed form of rig and wall without friction and quantum, at the measured position, if it exists."""
     wall, seen = experiment.wall, SEEN[signal]
     try:
-        return rendered(experiment, wall.stiffness, wall.damping, lines_hz, seen=seen)
+        return rendered_impedance(experiment, wall.stiffness, wall.damping, lines_hz, seen=seen)
     except ConfigError:
         return None
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from rig.experiments.sweep._executors import Done, Executor, Failure, Work, as_json, perform
 from rig.experiments.sweep._journal import Journal, Memory
-from rig.realtime.handlers import handled
+from rig.realtime.handlers import handle_signals
 from rig.realtime.source_files import code_version
 from rig.realtime.stop_requests import RunSeries, listening
 
@@ -175,7 +175,7 @@ class Coordinator:
             if len(signals) > 1:  # the first is not acted on: the watcher waits for a stopped terminal
                 raise KeyboardInterrupt
 
-        with handled(numbers, note), listening() as series:
+        with handle_signals(numbers, note), listening() as series:
             try:
                 self._work(signals, series)
             except KeyboardInterrupt as error:

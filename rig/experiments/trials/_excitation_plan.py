@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from rig import config
-from rig.analysis.impedance import bare, rendered
+from rig.analysis.impedance import bare, rendered_impedance
 from rig.analysis.theory import Lifted, LinearLoop, linear_loop
 from rig.config import Experiment
 from rig.control.excitation import Peak
@@ -39,7 +39,7 @@ def excitation_checks(experiment: Experiment) -> list[Check]:
     loop = _linear_loop(x)
     multisines = [multisine_of(x, number) for number in range(x.excitation.realisations)]
     lines = multisines[0].lines_hz
-    whole, alone = rendered(loop, wall.stiffness, wall.damping, lines), bare(loop, lines)
+    whole, alone = rendered_impedance(loop, wall.stiffness, wall.damping, lines), bare(loop, lines)
     motor = x.excitation.channel == "motor"
     bounds = {
         "effort_limit": min(limits.effort, x.rig.amplifier.effort_limit) if motor else None,

@@ -21,7 +21,7 @@ from rig.config.velocity_reading import COUNT_PEAK
 from rig.control import bilateral
 from rig.control.excitation import Multisine
 from rig.control.laws import Law
-from rig.control.motions import nudging, tracing
+from rig.control.motions import make_nudging_law, make_tracing_law
 from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError
 from rig.core.sample import Phase, unit_of
@@ -258,7 +258,7 @@ def pushes_motion(x: Experiment, at: float, pushes: int = PUSHES) -> Identificat
         "homing.tolerance_counts": 1e6,
         "homing.settle_s": REST_S,
     }
-    law = nudging(
+    law = make_nudging_law(
         effort_per_s=push_growth(x),
         most_effort=most_push(x),
         moved=way,
@@ -300,7 +300,7 @@ def strokes_motion(x: Experiment) -> IdentificationMotion:
     limit = min(x.rig.limits.effort, x.rig.limits.nominal_effort)
     rate = slow_rate(x)
     stiffness, damping = servo_of(x, rate)
-    law = tracing(path, stiffness=stiffness, damping=damping, limit=limit, rate_hz=rate)
+    law = make_tracing_law(path, stiffness=stiffness, damping=damping, limit=limit, rate_hz=rate)
     return IdentificationMotion(_moved(x, path[0][1], path[-1][0], rate, _homing(x, rate)), law)
 
 
@@ -334,7 +334,9 @@ def way_motion(x: Experiment, at: float, to: float, margin: float) -> Identifica
         }
         moved = _moved(x, to, WAY_END_S, rate, changes)
         return IdentificationMotion(moved, None, (Phase.HOMING, Phase.SETTLE, Phase.TRIAL))
-    law = tracing([(0.0, at), (way_s, to)], stiffness=stiffness, damping=damping, limit=effort, rate_hz=rate)
+    law = make_tracing_law(
+        [(0.0, at), (way_s, to)], stiffness=stiffness, damping=damping, limit=effort, rate_hz=rate
+    )
     return IdentificationMotion(_moved(x, at, way_s + WAY_REST_S, rate, changes), law)
 
 
@@ -343,7 +345,7 @@ def weighing_motion(x: Experiment) -> IdentificationMotion:
     rate, limit = slow_rate(x), min(x.rig.limits.effort, x.rig.limits.nominal_effort)
     stiffness, damping = servo_of(x, rate)
     path, _ = weighing_strokes(x)
-    law = tracing(path, stiffness=stiffness, damping=damping, limit=limit, rate_hz=rate)
+    law = make_tracing_law(path, stiffness=stiffness, damping=damping, limit=limit, rate_hz=rate)
     return IdentificationMotion(_moved(x, path[0][1], path[-1][0], rate, _bearing(x, rate, limit)), law)
 
 
@@ -375,7 +377,7 @@ def cogging_motion(x: Experiment, most_order: int, *, loaded: bool = False) -> I
     path, _ = cogging_sweeps(x, most_order, loaded=loaded)
     rate, limit = slow_rate(x), min(x.rig.limits.effort, x.rig.limits.nominal_effort)
     stiffness, damping = servo_of(x, rate)
-    law = tracing(path, stiffness=stiffness, damping=damping, limit=limit, rate_hz=rate)
+    law = make_tracing_law(path, stiffness=stiffness, damping=damping, limit=limit, rate_hz=rate)
     changes = _bearing(x, rate, limit) if loaded else _homing(x, rate)
     return IdentificationMotion(_moved(x, path[0][1], path[-1][0], rate, changes), law)
 

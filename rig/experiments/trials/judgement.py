@@ -206,10 +206,10 @@ def judge(recording: Recording, experiment: Experiment) -> Judgement:
         experiment.rig.encoder.resolution,
         effort="effort_applied" if elsewhere else "effort_sent",
     )
-    measured, true = judging.measured(signals, limits, thrown_out=thrown_out), None
+    measured, true = judging.measure_signals(signals, limits, thrown_out=thrown_out), None
     if recording.has_truth:
         signals = judging.true_signals(recording.rows, signals, wall.position, wall.side)
-        true = judging.measured(signals, limits, thrown_out=thrown_out)
+        true = judging.measure_signals(signals, limits, thrown_out=thrown_out)
     motion = None if early is not None else _motion(recording, experiment, elsewhere=elsewhere)
     if motion is not None and motion.changed:
         early = (
@@ -297,10 +297,10 @@ def _began(recording: Recording) -> float | None:
 
 def _overruled(measured: Measured, overruling: tuple[Kind, str] | None) -> Verdict:
     if overruling == FALSE_START:  # a trial that never began has no other reasons
-        return verdict.overruled(replace(measured.verdict, reasons=()), *overruling)
+        return verdict.overrule(replace(measured.verdict, reasons=()), *overruling)
     if measured.found & Objection.CURRENT:  # whatever the handle did then, it says nothing of the wall
         return measured.verdict
-    return measured.verdict if overruling is None else verdict.overruled(measured.verdict, *overruling)
+    return measured.verdict if overruling is None else verdict.overrule(measured.verdict, *overruling)
 
 
 FALSE_START = (Kind.INVALID, f"{Opening.FALSE_START}the handle moved before the cue")

@@ -100,7 +100,7 @@ def change_wall(
     if not meant:
         raise ConfigError("no parameter to change is given", remedy=f"give one of {_allowed()}, as KEY=VALUE")
     loop = running.the_loop(pid)
-    with running.opened(loop) as ring:
+    with running.open_loop(loop) as ring:
         number, experiment = _post(ring, meant)
         if posted is not None:
             posted(number)
@@ -119,7 +119,7 @@ def parameter_set(experiment: Experiment, *, current_quantum_a: float, reference
     PlanError
         A plan of this experiment would be refused.
     """
-    run = controller.prepared(
+    run = controller.prepare_controller(
         experiment, current_quantum_a=current_quantum_a, reference_count=reference_count
     )
     refuse(plan_of(run).checks)

@@ -77,8 +77,8 @@ LAW_NAMES = frozenset(parameter.name for parameter in LAW_PARAMETERS)
 
 
 def make_plan(experiment: Experiment) -> Plan:
-    """List and check an experiment; errors as `rig.config.controller.prepared`."""
-    return plan_of(controller.prepared(experiment))
+    """List and check an experiment; errors as `rig.config.controller.prepare_controller`."""
+    return plan_of(controller.prepare_controller(experiment))
 
 
 def is_linked(url: str | None, *, realtime: bool, round_trip_s: float | None) -> bool:

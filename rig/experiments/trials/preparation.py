@@ -24,7 +24,7 @@ def prepared_on(
     reference_count: int = 0,
     law: Law | None = None,
 ) -> PreparedRun:
-    """Prepare a run; see `rig.config.controller.prepared`.
+    """Prepare a run; see `rig.config.controller.prepare_controller`.
 
     A reference count that is the device's own (`rig.experiments.motion.reference`) is marked as referenced. Raises
     `PlanError` for a law that this computer would have to run in real time, and cannot.
@@ -34,7 +34,7 @@ def prepared_on(
             refuse_real_time('controller.loop = "host"')
         else:
             refuse_real_time("a motion or law that boards do not have", "do this on a Linux computer")
-    return controller.prepared(
+    return controller.prepare_controller(
         experiment,
         current_quantum_a=device.dictionary.current_quantum_a,
         verified=verified,

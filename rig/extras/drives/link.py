@@ -16,7 +16,7 @@ from typing import Any
 from rig.config import presets, rig_model
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
-from rig.core.process import announced
+from rig.core.process import start_announced
 from rig.core.this_system import processors
 from rig.devices.device import DeviceUrl
 from rig.extras.drives.library import BridgeFacts, library
@@ -71,7 +71,7 @@ class BridgeLink(DescriptorLink):
             ends = theirs.fileno(), shared.fileno()
             try:
                 found: Found = self._running.enter_context(
-                    announced(
+                    start_announced(
                         _serve, url, model, *ends, self.cpu,
                         name="rig-bridge", by_hand=f"rig serve {url.scheme}", descriptors=ends,
                     )

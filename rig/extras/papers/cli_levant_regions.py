@@ -8,7 +8,7 @@ import click
 
 from rig.cli import options, output
 from rig.cli.command import command
-from rig.control.estimators.levant_regions import crossing
+from rig.control.estimators.levant_regions import find_crossing
 from rig.extras.papers.chawda.levant_plot import draw_levant_regions
 from rig.extras.papers.chawda.levant_plot import levant_regions as compute
 
@@ -23,6 +23,6 @@ def levant_regions(picture: options.PictureOption, as_json: bool) -> None:
     if as_json:
         output.print_json({**picture.facts(), **computed.as_mapping()})
         return
-    mu1, mu2 = crossing()
+    mu1, mu2 = find_crossing()
     place = f"{picture.drawn}: " if picture.drawn else ""
     click.echo(f"{place}HBA and LFBA cross at mu1 = {mu1:.4f}, mu2 = {mu2:.4f}")

@@ -73,7 +73,7 @@ class Realtime:
                 "cpu_latency_us": self._latency_us,
             },
             "refusals": [refusal.text for refusal in self.refusals],
-            "machine": facts.described(host.cpu),
+            "machine": facts.describe_scheduling(host.cpu),
         }
 
     def ask(self, undo: ExitStack) -> None:

@@ -125,7 +125,7 @@ def status_kilobytes(name: str, root: Path = ROOT) -> int:
     return int(match[1]) if match else 0
 
 
-def described(cpu: int | None, root: Path = ROOT) -> dict[str, Any]:
+def describe_scheduling(cpu: int | None, root: Path = ROOT) -> dict[str, Any]:
     """Return all of it for a recording; `cpu` is where the loop runs, None anywhere."""
     chosen = governors(root)
     of_cpu = [chosen[cpu]] if cpu in chosen else sorted(set(chosen.values()))

@@ -76,7 +76,7 @@ def test_a_file_to_start_from_stays_within_the_limits_of_the_drive(tmp_path: Pat
     facts = odrive.find(odrive.OdriveConversation(MemoryBus(drive), 0, endpoints()))
     (tmp_path / "mine.toml").write_text(describe.text(facts, "odrive://can0"))
     x = config.load_experiment(tmp_path / "mine.toml")
-    run = controller.prepared(x)
+    run = controller.prepare_controller(x)
     for name, (low, high) in odrive.fit(facts, config.rig_model(x)).ranges.items():
         assert low <= run.parameters[name] <= high, name
 

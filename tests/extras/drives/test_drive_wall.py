@@ -301,12 +301,14 @@ def test_an_experiment_that_a_drive_cannot_render(key: str, value: object, says:
     if key == "controller.slow_velocity_rate":
         changes["controller__slow_below"] = 0.5
     with pytest.raises(PlanError, match=says) as caught:
-        controller.prepared(walled(**changes))
+        controller.prepare_controller(walled(**changes))
     assert caught.value.remedy
 
 
 def test_a_plan_says_what_is_lost() -> None:
-    (check,) = (one for one in plan_of(controller.prepared(walled())).checks if one.name == own_wall.NAME)
+    (check,) = (
+        one for one in plan_of(controller.prepare_controller(walled())).checks if one.name == own_wall.NAME
+    )
     for word in ("velocity rate", "estimator", "slew limit", "1000 Hz"):
         assert word in check.text
 
@@ -323,7 +325,7 @@ def test_a_plan_says_what_is_lost() -> None:
     ],
 )
 def test_a_drive_that_would_render_another_wall_is_offered_none(setting: str, value: str, says: str) -> None:
-    run = controller.prepared(walled())
+    run = controller.prepare_controller(walled())
     host = Host(Bridged(rig_model(run.experiment), {**GAINS, setting: value}))
     dictionary = host.identify()
     reasons = " ".join(check.text for check in refused(device_checks(run, dictionary)))
@@ -337,7 +339,7 @@ def test_a_drive_that_would_render_another_wall_is_offered_none(setting: str, va
 def test_gains_that_are_too_small_are_named_with_those_that_are_enough(
     stiffness: float, damping: float
 ) -> None:
-    run = controller.prepared(walled(wall__stiffness=stiffness, wall__damping=damping))
+    run = controller.prepare_controller(walled(wall__stiffness=stiffness, wall__damping=damping))
     host = Host(Bridged(rig_model(run.experiment), GAINS))
     (check,) = refused(device_checks(run, host.identify()))
     assert "at most 1" in check.text
@@ -351,7 +353,7 @@ def test_gains_that_are_too_small_are_named_with_those_that_are_enough(
 
 
 def test_a_device_that_is_no_bridge_refuses() -> None:
-    run = controller.prepared(walled())
+    run = controller.prepare_controller(walled())
     simulated = describe(rig_model(run.experiment), "a board", 1000, 8000, 2)
     reasons = " ".join(check.text for check in refused(device_checks(run, simulated)))
     assert "not a drive behind a bridge" in reasons
@@ -398,7 +400,9 @@ def test_another_wall_comes_in_free_space_alone_and_within_the_gains() -> None:
     run = Walled(walled(**keys, trial__start=-0.1), inside=True)
     run.run(0.02)
     scale = run.world.drive._words[_word("kp_scale")]
-    live = controller.prepared(walled(**{**keys, "wall__stiffness": 2.0}, trial__start=-0.1)).parameters
+    live = controller.prepare_controller(
+        walled(**{**keys, "wall__stiffness": 2.0}, trial__start=-0.1)
+    ).parameters
     names = ("float_surface", "float_surface_fraction", "float_stiffness", "float_damping")
     wall = {name: live[name] for name in names}
     assert run.host.configure(**wall).status == Status.OK

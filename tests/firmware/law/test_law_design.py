@@ -82,7 +82,7 @@ def experiments(draw: st.DrawFn) -> config.Experiment:
 
 
 def values_of(x: config.Experiment, law: Law | None = None, reference: int = 12_345) -> dict:
-    return controller.prepared(
+    return controller.prepare_controller(
         x, current_quantum_a=QUANTUM, reference_count=reference, verified=True, law=law
     ).parameters
 

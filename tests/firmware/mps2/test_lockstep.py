@@ -59,7 +59,7 @@ def hit(partner: Partner, experiment: Experiment, ticks: int) -> Rig:
     device = FramedDevice(rig)
     quantum = device.dictionary.current_quantum_a
     told = {"current_quantum_a": quantum, "reference_count": 0}
-    device.configure(controller.prepared(experiment, verified=True, **told).parameters)
+    device.configure(controller.prepare_controller(experiment, verified=True, **told).parameters)
     device.arm()
     first = len(rig.trace)
     for tick in range(ticks):

@@ -12,7 +12,7 @@ from firmware_protocol import messages as m
 from firmware_protocol.packing import unpack_batch_samples
 from firmware_protocol.parameter import Value
 from rig.config._load import override
-from rig.config.controller import prepared
+from rig.config.controller import prepare_controller
 from rig.config.presets import load
 from rig.firmware._build import BuildResult
 from tests.conformance.host import RUN_PARAMETERS, Host
@@ -71,7 +71,9 @@ class Session:
             },
         )
         quantum = experiment.rig.amplifier.current_quantum_a
-        values = prepared(experiment, current_quantum_a=quantum, reference_count=0, verified=True).parameters
+        values = prepare_controller(
+            experiment, current_quantum_a=quantum, reference_count=0, verified=True
+        ).parameters
         values |= changes
         self.configure(**values)
         return values

@@ -11,7 +11,7 @@ import pytest
 
 from rig.config._derive import rig_model
 from rig.config.presets import load
-from rig.firmware._elf import flat, read_segments, sealed
+from rig.firmware._elf import flat, read_segments, seal
 from tests.firmware.rp2040 import emulator
 from tests.firmware.rp2040.conftest import PRESET
 from tests.firmware.rp2040.test_rp2040_image import BOOT2_BYTES
@@ -63,7 +63,7 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
     command = [*compiler, "-o", str(elf), *map(str, sources)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    content = sealed(elf.read_bytes(), BOOT2_BYTES)
+    content = seal(elf.read_bytes(), BOOT2_BYTES)
     bin_.write_bytes(flat(tuple(s.load for s in read_segments(content, "stream") if s.load.data)))
     return bin_
 

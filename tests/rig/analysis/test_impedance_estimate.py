@@ -12,7 +12,7 @@ from scipy.signal import csd, get_window
 from rig.analysis.impedance._estimate import Impedance, periodic, residual_share
 from rig.analysis.impedance._fitting import fit
 from rig.analysis.impedance._signals import ExcitedRun, hold
-from rig.analysis.impedance._welch import TFESTIMATE, WelchSettings, aligned, estimate_welch
+from rig.analysis.impedance._welch import TFESTIMATE, WelchSettings, align_signals, estimate_welch
 from rig.control.excitation import Multisine
 from rig.core.errors import ConfigError
 from rig.core.present import plain
@@ -151,7 +151,7 @@ def test_channels_are_aligned_by_the_delays_that_they_declare(late: float) -> No
     wrong = periodic([replace(skewed, position_delay_s=0.0)])
     turned = np.degrees(np.angle(wrong.z / mass_damper(wrong.lines_hz)))
     assert turned[99] == pytest.approx(360.0 * 100.0 * 3 * late, abs=1e-6)
-    f, v = aligned(skewed)[1:]
+    f, v = align_signals(skewed)[1:]
     assert f == pytest.approx(plain.effort, abs=1e-9)
     assert v == pytest.approx(multisine.velocity(mass_damper).period(RATE), abs=1e-9)
 
@@ -179,7 +179,7 @@ def test_the_drift_of_a_free_rig_is_taken_out_and_nothing_else() -> None:
 
 def test_residual_is_the_share_of_velocity_power_off_the_lines() -> None:
     run = excited(Multisine.schroeder((5.0, 100.0), rms=1.0), periods=4)
-    speed = aligned(run)[2]
+    speed = align_signals(run)[2]
     t = np.arange(16_000) / RATE
     w = 2 * np.pi * 60.25  # between two lines
     chatter = np.sqrt(2.0 * np.mean(speed**2))  # velocity amplitude with as much power again

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from rig.analysis.impedance._ideal import bare, ideal_wall, rendered
+from rig.analysis.impedance._ideal import bare, ideal_wall, rendered_impedance
 from rig.analysis.impedance._signals import hold
 from rig.analysis.theory._lifted import Lifted
 from rig.analysis.theory._loop import linear_loop
@@ -122,7 +122,7 @@ SCHEMES = (
 )
 def test_the_closed_form_is_the_impedance_of_the_stepped_loop(scheme: Any, channel: str, seen: str) -> None:
     loop = rigid(scheme)
-    found = rendered(loop, 2e4, 60.0, LINES, channel=channel, seen=seen)
+    found = rendered_impedance(loop, 2e4, 60.0, LINES, channel=channel, seen=seen)
     for line, z in zip(LINES, found, strict=True):
         assert measured(loop, 2e4, 60.0, line, channel=channel, seen=seen) == pytest.approx(z, rel=1e-5)
 
@@ -132,7 +132,9 @@ def test_the_closed_form_is_the_impedance_of_the_stepped_loop(scheme: Any, chann
 def test_closed_form_includes_lag_and_delay(scheme: Any, lag_s: float, delay_ticks: int) -> None:
     loop = rigid(scheme, lag_s=lag_s, delay_ticks=delay_ticks)
     for channel in ("external", "motor"):
-        for line, z in zip(LINES[1::2], rendered(loop, 5e3, 60.0, LINES[1::2], channel=channel), strict=True):
+        for line, z in zip(
+            LINES[1::2], rendered_impedance(loop, 5e3, 60.0, LINES[1::2], channel=channel), strict=True
+        ):
             assert measured(loop, 5e3, 60.0, line, channel=channel) == pytest.approx(z, rel=1e-4)
 
 
@@ -141,7 +143,7 @@ def test_two_masses_at_the_handle_and_at_the_encoder(seen: str) -> None:
     loop = linear_loop("koul-compliant", "dual:20k/2k,estimator=fdm-butterworth,cutoff_hz=200")
     assert float(Lifted.of(loop).radius(300.0, 0.5)) < 0.9999
     for line in (60.0, 400.0):
-        z = rendered(loop, 300.0, 0.5, [line], seen=seen)[0]
+        z = rendered_impedance(loop, 300.0, 0.5, [line], seen=seen)[0]
         assert measured(loop, 300.0, 0.5, line, seen=seen, settle=0.3) == pytest.approx(z, rel=1e-4)
 
 
@@ -154,8 +156,10 @@ def test_the_usual_expression_is_within_the_promise_for_walls_that_can_be_stable
     loop = rigid()
     for stiffness, damping in ((1e4, 0.0), (26.3e3, 0.0), (2e4, 60.0), (4e4, 100.0)):
         usual = 0.52 * s + 13.2 + zoh * (stiffness + damping * backward) / s
-        assert rendered(loop, stiffness, damping, lines, images=False) == pytest.approx(usual, rel=1e-9)
-        ratio = rendered(loop, stiffness, damping, lines) / usual
+        assert rendered_impedance(loop, stiffness, damping, lines, images=False) == pytest.approx(
+            usual, rel=1e-9
+        )
+        ratio = rendered_impedance(loop, stiffness, damping, lines) / usual
         assert np.abs(ratio) == pytest.approx(1.0, abs=2e-3)
         assert np.degrees(np.angle(ratio)) == pytest.approx(0.0, abs=0.1)
 
@@ -169,8 +173,8 @@ def test_images_matter_for_walls_near_their_limit_alone(scheme: Any) -> None:
         found = 0.0
         for damping in (0.0, 25.0, 50.0, 75.0, 100.0):
             if lifted.radius(stiffness, damping) < 0.9999:
-                z = rendered(lifted.loop, stiffness, damping, lines)
-                usual = rendered(lifted.loop, stiffness, damping, lines, images=False)
+                z = rendered_impedance(lifted.loop, stiffness, damping, lines)
+                usual = rendered_impedance(lifted.loop, stiffness, damping, lines, images=False)
                 found = max(found, float(np.abs(usual / z - 1.0).max()))
         return found
 
@@ -182,8 +186,8 @@ def test_images_matter_for_walls_near_their_limit_alone(scheme: Any) -> None:
 def test_without_a_wall_it_is_the_rig() -> None:
     s = 2j * np.pi * LINES
     assert bare(rigid(), LINES) == pytest.approx(0.52 * s + 13.2)
-    assert rendered(rigid(), 0.0, 0.0, LINES) == pytest.approx(bare(rigid(), LINES))
-    assert rendered("chawda-linear", 0.0, 0.0, LINES, scheme="dual:4k/1k") == pytest.approx(
+    assert rendered_impedance(rigid(), 0.0, 0.0, LINES) == pytest.approx(bare(rigid(), LINES))
+    assert rendered_impedance("chawda-linear", 0.0, 0.0, LINES, scheme="dual:4k/1k") == pytest.approx(
         bare(rigid(), LINES)
     )
     assert ideal_wall(100.0, 3.0, LINES) == pytest.approx(100.0 / s + 3.0)

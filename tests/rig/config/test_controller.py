@@ -35,7 +35,7 @@ def device_parameters(
     experiment: Any, *, reference_count: int = 0, verified: bool = True, **options: Any
 ) -> Any:
     quantum = options.pop("quantum", experiment.rig.amplifier.current_quantum_a)
-    return controller.prepared(
+    return controller.prepare_controller(
         experiment, current_quantum_a=quantum, reference_count=reference_count, verified=verified
     ).parameters
 
@@ -282,7 +282,7 @@ def test_each_controller_has_a_memory_of_its_own() -> None:
 def test_smaller_limits_of_a_device_are_found_before_it_refuses(name: str, key: str) -> None:
     """By key and in SI units."""
     quantum = COMPLIANT.rig.amplifier.current_quantum_a
-    run = controller.prepared(COMPLIANT, current_quantum_a=quantum)
+    run = controller.prepare_controller(COMPLIANT, current_quantum_a=quantum)
     own = describe(config.rig_model(COMPLIANT), "a drive", 20_000, 20_000)
     assert check_limits(run, own).outcome is Outcome.OK
     half = int(run.parameters[name]) // 2

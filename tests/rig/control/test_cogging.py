@@ -13,7 +13,7 @@ from rig import config
 from rig.analysis import theory
 from rig.config import controller, presets
 from rig.control import laws
-from rig.control.cogging import FADE, around, bounded_at, compensated
+from rig.control.cogging import FADE, around, bounded_at, compensate_cogging
 from rig.core.model import Cogging
 from rig.core.sample import Phase
 from rig.testing import Hits
@@ -64,7 +64,7 @@ def test_the_wall_stays_the_wall_and_the_motor_pushes_against_its_cogging(side: 
     """A reaction is an effort against the side; so side · F(x) of it is the effort −F(x)."""
     plain = laws.get("spring-damper")
     wall = {**WALL, "side": side}
-    law, alone = compensated(plain, MAP, 0.1).prepare(wall), plain.prepare(wall)
+    law, alone = compensate_cogging(plain, MAP, 0.1).prepare(wall), plain.prepare(wall)
     for penetration in (-0.02, 0.0, 0.003):
         reaction = law.law.function(penetration, 0.1, 1, law.state, law.parameters)
         expected = plain.function(penetration, 0.1, 1, alone.state, alone.parameters)
@@ -77,7 +77,7 @@ def test_a_replay_needs_only_the_wrapper_and_friction_may_be_inside_of_it() -> N
     name = "spring-damper+friction+cogging"
     assert laws.get(name).name == name
     plain = laws.get("spring-damper")
-    law, again = compensated(plain, MAP, 0.1).prepare(WALL), around(plain)
+    law, again = compensate_cogging(plain, MAP, 0.1).prepare(WALL), around(plain)
     state = np.zeros_like(law.state)
     expected = law.law.function(1e-3, 0.05, 1, law.state, law.parameters)
     assert again.function(1e-3, 0.05, 1, state, law.parameters) == expected

@@ -84,7 +84,7 @@ def test_fixed_wall_is_the_float_wall_within_a_quantum(given: Any, offset: int, 
     rate = side * velocity * given["velocity"].lsb * delta / PERIOD
     reaction = wall.spring_damper(penetration, rate, 1, np.zeros(1), parameters)
     effort = given["constant_effort"] - side * reaction
-    expected = guard.current_quanta(guard.limited(effort, w.limit * QUANTUM), QUANTUM)
+    expected = guard.current_quanta(guard.clip_effort(effort, w.limit * QUANTUM), QUANTUM)
     surface = (
         given["stiffness"] * abs(delta) * 2**-9 / QUANTUM
     )  # the surface lies within half an LSB of depth

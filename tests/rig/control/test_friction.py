@@ -11,7 +11,14 @@ from numba import types
 from rig import config
 from rig.config import controller, presets
 from rig.control import laws
-from rig.control.friction import DEFAULT_SHARE, Compensation, around, compensated, compensation, dead_band_of
+from rig.control.friction import (
+    DEFAULT_SHARE,
+    Compensation,
+    around,
+    compensate_friction,
+    compensation,
+    dead_band_of,
+)
 from rig.control.step import CONTROLLER_TYPE, ControllerArguments, step
 from rig.core.errors import ConfigError
 from rig.core.sample import Phase
@@ -133,7 +140,7 @@ def free() -> Any:
 
 @pytest.fixture(scope="module")
 def helped(free: Any) -> Any:
-    return compensated(free, Compensation(up=LEVEL, down=LEVEL, dead_band=DEAD_BAND))
+    return compensate_friction(free, Compensation(up=LEVEL, down=LEVEL, dead_band=DEAD_BAND))
 
 
 def hand(speed: Any) -> Any:
@@ -189,7 +196,7 @@ def test_compensation_injects_no_net_energy(helped: Any, rate: int) -> None:
 
 def test_the_wall_stays_the_wall_and_each_direction_has_its_level(free: Any) -> None:
     wall = {"stiffness": 300.0, "damping": 0.5, "pull": "clamp", "damping_on": "both", "side": 1}
-    law = compensated(free, Compensation(up=0.03, down=0.01, dead_band=0.1, share=0.5))
+    law = compensate_friction(free, Compensation(up=0.03, down=0.01, dead_band=0.1, share=0.5))
     run = law.function
     for side, inwards in ((1, 0.03), (-1, 0.01)):
         prepared = law.prepare({**wall, "side": side})
@@ -208,7 +215,7 @@ def test_compensation_is_off_by_default_and_recorded_when_on(rig_hit: Hits, free
         config.with_realtime(presets.load("koul-rigid")), {"trial.duration_s": 0.3, "verdict.tail_s": 0.1}
     )
     wanted = Compensation(up=0.02, down=0.018, dead_band=0.3)
-    recordings = [rig_hit(experiment, law=law).recording for law in (None, compensated(free, wanted))]
+    recordings = [rig_hit(experiment, law=law).recording for law in (None, compensate_friction(free, wanted))]
     assert experiment.wall.law == "spring-damper"
     named = [recording.header["initial_state"]["law"] for recording in recordings]
     assert [law["name"] for law in named] == ["spring-damper", "spring-damper+friction"]
@@ -220,7 +227,7 @@ def test_compensation_is_off_by_default_and_recorded_when_on(rig_hit: Hits, free
 
 def test_a_replay_needs_only_the_wrapper(free: Any) -> None:
     wall = {"stiffness": 300.0, "damping": 0.5, "pull": "clamp", "damping_on": "both", "side": 1}
-    law = compensated(free, Compensation(up=0.03, down=0.01, dead_band=0.1)).prepare(wall)
+    law = compensate_friction(free, Compensation(up=0.03, down=0.01, dead_band=0.1)).prepare(wall)
     again = around(free)
     assert again.name == law.law.name
     state = np.zeros_like(law.state)

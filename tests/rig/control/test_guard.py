@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.control._guard import current_quanta, limited, slewed
+from rig.control._guard import clip_effort, current_quanta, limit_slew
 
 EFFORT = st.floats(-1e6, 1e6)
 POSITIVE = st.floats(1e-6, 1e3)
@@ -15,7 +15,7 @@ POSITIVE = st.floats(1e-6, 1e3)
 
 @given(effort=EFFORT, limit=POSITIVE)
 def test_an_effort_is_clipped_to_its_limit_and_otherwise_untouched(effort: Any, limit: Any) -> None:
-    result = limited(effort, limit)
+    result = clip_effort(effort, limit)
     assert abs(result) <= limit
     if abs(effort) <= limit:
         assert result == effort
@@ -25,12 +25,12 @@ def test_an_effort_is_clipped_to_its_limit_and_otherwise_untouched(effort: Any, 
 
 @pytest.mark.parametrize("effort", [math.nan, math.inf, -math.inf])
 def test_an_effort_that_is_not_finite_becomes_zero_not_the_limit(effort: Any) -> None:
-    assert limited(effort, 1.0) == 0.0
+    assert clip_effort(effort, 1.0) == 0.0
 
 
 @given(effort=EFFORT, previous=EFFORT, step=POSITIVE)
 def test_slew_limit_stops_between_previous_and_wanted_effort(effort: Any, previous: Any, step: Any) -> None:
-    result = slewed(effort, previous, step)
+    result = limit_slew(effort, previous, step)
     assert min(effort, previous) <= result <= max(effort, previous)
     if abs(effort - previous) <= step * (1 - 1e-9):
         assert result == effort
@@ -39,7 +39,7 @@ def test_slew_limit_stops_between_previous_and_wanted_effort(effort: Any, previo
 
 
 def test_an_infinite_step_never_binds() -> None:
-    assert slewed(1.3, -1.3, math.inf) == 1.3
+    assert limit_slew(1.3, -1.3, math.inf) == 1.3
 
 
 @given(effort=st.floats(-10.0, 10.0), quantum=st.floats(1e-3, 1.0))

@@ -23,7 +23,7 @@ def test_the_boundaries_are_those_of_the_table() -> None:
 
 
 def test_boundaries_cross_at_3_2656_2_7443() -> None:
-    mu1, mu2 = regions.crossing()
+    mu1, mu2 = regions.find_crossing()
     assert (mu1, mu2) == pytest.approx((3.2656, 2.7443), abs=5e-5)
     assert regions.hba_mu1(mu2) == pytest.approx(regions.lfba_mu1(mu2), rel=1e-12)
     assert mu2 == pytest.approx(brentq(lambda m: regions.hba_mu1(m) - regions.lfba_mu1(m), 2.1, 5.0))

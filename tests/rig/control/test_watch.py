@@ -160,4 +160,4 @@ def test_an_oscillation_is_what_the_constants_say() -> None:
     for reaction, meaning in ((-50.0, -1), (10.0, -1), (10.1, 0), (89.9, 0), (90.0, 1), (100.0, 1)):
         assert watch.extreme(reaction, 100.0, -1.0, 1.0, 1.9) == meaning
     assert watch.extreme(100.0, 100.0, -1.0, 1.0, 2.0) == 0
-    assert np.isclose(watch.energy_given(-3.0, 2.0, 1.0, False), -1.0)
+    assert np.isclose(watch.add_energy(-3.0, 2.0, 1.0, False), -1.0)

@@ -122,7 +122,7 @@ def test_with_a_person_the_motor_pushes_nothing_and_the_end_mass_is_off() -> Non
 
 def test_the_device_knows_that_a_person_may_hold_the_handle_still() -> None:
     for experiment, expected in ((KOUL, 0), (held(), 1)):
-        values = controller.prepared(
+        values = controller.prepare_controller(
             experiment, current_quantum_a=0.001, reference_count=0, verified=True
         ).parameters
         assert values["hold_to_run"] == expected

@@ -61,8 +61,8 @@ def test_the_lists_show_a_broken_plug_in_with_the_reason(
 def test_a_part_stays_registered_while_another_of_that_name_comes_and_goes() -> None:
     """Two programs of one process may run their laws at the same time, and end in any order."""
     one, two = laws.get("bilateral"), laws.get("excited")
-    first = plugins.registered("rig.laws", laws.BUILT_IN, "ours", one)
-    second = plugins.registered("rig.laws", laws.BUILT_IN, "ours", two)
+    first = plugins.register_temporarily("rig.laws", laws.BUILT_IN, "ours", one)
+    second = plugins.register_temporarily("rig.laws", laws.BUILT_IN, "ours", two)
     first.__enter__()
     second.__enter__()
     assert laws.get("ours") is two
@@ -74,6 +74,6 @@ def test_a_part_stays_registered_while_another_of_that_name_comes_and_goes() -> 
         laws.get("ours")
     with (
         pytest.raises(ConfigError, match="'bilateral' is already the name"),
-        plugins.registered("rig.laws", laws.BUILT_IN, "bilateral", one),
+        plugins.register_temporarily("rig.laws", laws.BUILT_IN, "bilateral", one),
     ):
         pass

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from rig.core.errors import DeviceNotFoundError, RigError
-from rig.core.process import announced
+from rig.core.process import start_announced
 from tests.conformance.started import started
 
 WAIT_S = 50.0
@@ -48,7 +48,7 @@ def until_dead(pid: int) -> None:
 
 
 def serving(name: str = "waits") -> Any:
-    return announced(announce_and_wait, name=name, by_hand="no command")
+    return start_announced(announce_and_wait, name=name, by_hand="no command")
 
 
 def test_a_process_outlives_the_thread_that_started_it_and_ends_with_its_context() -> None:
@@ -119,10 +119,10 @@ def test_several_threads_start_some_at_a_time_and_nothing_of_the_program_changes
 
 
 def test_an_error_in_the_process_is_raised_here_and_an_early_end_is_named() -> None:
-    with pytest.raises(RigError, match="not today"), announced(refuse, name="refuses", by_hand="none"):
+    with pytest.raises(RigError, match="not today"), start_announced(refuse, name="refuses", by_hand="none"):
         pass
     with (
         pytest.raises(DeviceNotFoundError, match="the process ends did not start"),
-        announced(os._exit, name="ends", by_hand="rig ends"),
+        start_announced(os._exit, name="ends", by_hand="rig ends"),
     ):
         pass

@@ -24,7 +24,7 @@ from rig.config import presets
 from rig.core import plugins as core_plugins
 from rig.core import program
 from rig.core.errors import ConfigError, DeviceNotFoundError
-from rig.core.process import announced
+from rig.core.process import start_announced
 from rig.devices import local
 from rig.devices.device import DeviceUrl
 from rig.experiments.hits._on_device import OnDevice, examined
@@ -254,7 +254,11 @@ class AsLoaded:
 
 def test_a_device_process_has_its_group_before_it_loads_its_arguments() -> None:
     asked = (AsLoaded(os.getpid), AsLoaded(os.getpgid, 0), AsLoaded(gc.get_threshold))
-    with announced(operator.call, asked, name="asked", by_hand="no command") as (pid, group, thresholds):
+    with start_announced(operator.call, asked, name="asked", by_hand="no command") as (
+        pid,
+        group,
+        thresholds,
+    ):
         assert group == pid  # receives no Ctrl-C
         assert thresholds[0] == program.SELDOM
 
@@ -277,15 +281,15 @@ def served(monkeypatch: pytest.MonkeyPatch) -> Any:
 def test_a_simulated_device_in_real_time_asks_for_the_scheduling_of_the_experiment(
     served: Any, wanted: str, asked: str
 ) -> None:
-    with local.opened("sim://", rotary_rig(), in_real_time=True, seed=3, realtime=wanted) as device:
+    with local.open_device("sim://", rotary_rig(), in_real_time=True, seed=3, realtime=wanted) as device:
         assert device.dictionary.device == "koul-compliant"
     assert served == [{"url": "sim://", "seed": 3, "realtime": asked}]
 
 
 def test_no_process_serves_virtual_time_or_a_real_device(served: Any) -> None:
-    with local.opened("sim://chawda-linear", rotary_rig(), in_real_time=False) as device:
+    with local.open_device("sim://chawda-linear", rotary_rig(), in_real_time=False) as device:
         assert device.dictionary.device == "chawda-linear"
-    with pytest.raises(DeviceNotFoundError), local.opened("serial:///dev/none", None, in_real_time=True):
+    with pytest.raises(DeviceNotFoundError), local.open_device("serial:///dev/none", None, in_real_time=True):
         pass
     assert served == []
 

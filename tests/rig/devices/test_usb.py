@@ -111,7 +111,7 @@ def bus(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
     monkeypatch.setattr(links.usb.util, "claim_interface", claim)
     monkeypatch.setattr(links.usb.util, "release_interface", lambda device, interface: device._do("release"))
     monkeypatch.setattr(
-        links, "_opened", lambda url, device, pipes, wanted: SimpleNamespace(note="", close=list)
+        links, "_open", lambda url, device, pipes, wanted: SimpleNamespace(note="", close=list)
     )
     return Bus
 

@@ -13,7 +13,7 @@ import pytest
 from firmware_protocol import dictionary
 from rig import config, devices
 from rig.config import device_law, presets
-from rig.config.controller import prepared
+from rig.config.controller import prepare_controller
 from rig.control import bilateral
 from rig.control.excitation_table import PHASES, ExcitationTable
 from rig.core.check import Outcome
@@ -78,7 +78,7 @@ def test_the_filter_steps_of_one_tick_are_bounded() -> None:
     def parameters_for(slow_velocity_rate: Any) -> Any:
         slow = {"controller.slow_velocity_rate": slow_velocity_rate, "controller.slow_below": 0.1}
         x = config.override(ON_DEVICE, slow)
-        return prepared(x, current_quantum_a=0.001, reference_count=0, verified=True).parameters
+        return prepare_controller(x, current_quantum_a=0.001, reference_count=0, verified=True).parameters
 
     assert parameters_for(400)["slow_multiple"] == 5
     with pytest.raises(PlanError, match=r"slow_velocity_rate = 200 .* 10 velocity periods") as refused:
@@ -112,24 +112,25 @@ def test_a_rate_of_the_device_is_the_hosts_only() -> None:
 
 
 def test_a_device_without_a_law_is_refused_with_what_to_do() -> None:
-    _, check = device_checks(prepared(ON_DEVICE), device(law=(0, 0)))
+    _, check = device_checks(prepare_controller(ON_DEVICE), device(law=(0, 0)))
     assert check.outcome is Outcome.REFUSED
     assert "board (1) cannot run the law itself" in check.text
     assert "rig firmware" in check.remedy
-    _, simulated = device_checks(prepared(ON_DEVICE), replace(device(law=(0, 0)), simulated=True))
+    _, simulated = device_checks(prepare_controller(ON_DEVICE), replace(device(law=(0, 0)), simulated=True))
     assert "firmware=1" in simulated.remedy
-    (limits,) = device_checks(prepared(RIGID), device(law=(0, 0)))
+    (limits,) = device_checks(prepare_controller(RIGID), device(law=(0, 0)))
     assert limits.outcome is Outcome.OK
 
 
 def test_a_device_that_has_less_of_the_law_is_refused_by_the_name_of_what_it_lacks() -> None:
-    _, good = device_checks(prepared(ON_DEVICE), device())
+    _, good = device_checks(prepare_controller(ON_DEVICE), device())
     assert (good.outcome, good.text) == (Outcome.OK, "board runs it in float32")
-    _, integers = device_checks(prepared(ON_DEVICE), device(law=(0, 1)))
+    _, integers = device_checks(prepare_controller(ON_DEVICE), device(law=(0, 1)))
     assert integers.outcome is Outcome.REFUSED
     assert "law = 2 (allowed: 0 to 1)" in integers.text
     _, short = device_checks(
-        prepared(EXCITED, law=excitation_run.excited_law(EXCITED)), device(excitation_period=(2, 1000))
+        prepare_controller(EXCITED, law=excitation_run.excited_law(EXCITED)),
+        device(excitation_period=(2, 1000)),
     )
     assert "excitation_period = 2000 (allowed: 2 to 1000)" in short.text
 
@@ -223,7 +224,9 @@ def test_the_host_plays_the_table_that_the_device_makes(kind: str) -> None:
     played = bilateral.played(rendered.parameters, x.wall.side, 1.0, 3 * table.period)[2 * table.period :]
     np.testing.assert_array_equal(played, table.table * 2.0**-table.bits * quantum)
     assert table.ramp == round(excitation_run.ramp_s(x) * 20_000)
-    values = prepared(x, current_quantum_a=0.002, reference_count=0, verified=True, law=law).parameters
+    values = prepare_controller(
+        x, current_quantum_a=0.002, reference_count=0, verified=True, law=law
+    ).parameters
     assert law.device.items() <= values.items()
     assert values["bilateral"] == 1
 

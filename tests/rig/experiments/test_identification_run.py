@@ -17,7 +17,7 @@ from rig.analysis.identification._quality import IdentificationError
 from rig.analysis.identification._signs import check_signs
 from rig.cli.identify import _ripple_pairs
 from rig.config import controller, presets
-from rig.control.motions import nudging, tracing
+from rig.control.motions import make_nudging_law, make_tracing_law
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, PlanError
 from rig.core.model import Cogging
@@ -557,7 +557,7 @@ def test_a_bounded_share_of_lost_samples_spoils_no_parameter(
 
 
 def test_a_traced_path_is_followed_and_its_last_point_held() -> None:
-    law = tracing(
+    law = make_tracing_law(
         [(0.0, 0.1), (1.0, 0.2), (1.5, 0.0)], stiffness=10.0, damping=2.0, limit=100.0, rate_hz=1000.0
     )
     for side in (1, -1):
@@ -574,7 +574,7 @@ def test_a_traced_path_is_followed_and_its_last_point_held() -> None:
 
 
 def test_a_push_ends_when_the_handle_moves_and_brakes_by_where_it_went() -> None:
-    law = nudging(
+    law = make_nudging_law(
         effort_per_s=1.0, most_effort=0.5, moved=1.0, rest_s=0.1, brake=0.01, pulses=3, rate_hz=1000.0
     )
     p = law.prepare({"side": 1})

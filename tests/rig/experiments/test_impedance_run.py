@@ -14,7 +14,7 @@ import pytest
 import rig
 from rig import config, devices
 from rig.analysis.impedance._estimate import periodic
-from rig.analysis.impedance._ideal import bare, rendered
+from rig.analysis.impedance._ideal import bare, rendered_impedance
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.control import bilateral
@@ -86,7 +86,7 @@ def test_the_measured_impedance_is_the_closed_form(scheme: str, walls: list[tupl
         run = bench.excite(*wall)
         measured = periodic([run.record])
         assert len(measured.lines_hz) == 400
-        magnitude, phase = off(measured.z, rendered(x, *wall, measured.lines_hz))
+        magnitude, phase = off(measured.z, rendered_impedance(x, *wall, measured.lines_hz))
         assert magnitude < 0.1, wall
         assert phase < 0.05, wall
 
@@ -109,7 +109,7 @@ def test_the_closed_form_holds_with_lag_delay_and_two_masses_at_the_encoder_and_
     for wall in ((0.0, 0.0), (150.0, 0.05)):
         for signal, seen in (("count", "sensed"), ("truth", "handle")):
             measured = periodic([ExcitedRig(x, signal=signal).excite(*wall).record])
-            magnitude, phase = off(measured.z, rendered(x, *wall, measured.lines_hz, seen=seen))
+            magnitude, phase = off(measured.z, rendered_impedance(x, *wall, measured.lines_hz, seen=seen))
             assert magnitude < 0.3
             assert phase < 0.1
 
@@ -146,7 +146,7 @@ def test_on_a_rigid_rig_the_own_motor_measures_what_a_second_actuator_measures(
     scheme = "fdm" if any(wall) else "fdm-butterworth,cutoff_hz=100"
     x = linear(f"uniform:1k,estimator={scheme}", **{"excitation.channel": "motor"})
     own = periodic([ExcitedRig(x, acquisition_hz=1e6).excite(*wall).record])
-    magnitude, phase = off(own.z, rendered(x, *wall, own.lines_hz, channel="motor"))
+    magnitude, phase = off(own.z, rendered_impedance(x, *wall, own.lines_hz, channel="motor"))
     assert magnitude < 0.1
     assert phase < 0.05
     second = config.override(x, {"excitation.channel": "external"})

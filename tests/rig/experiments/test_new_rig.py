@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import rig
 from rig.config._load import as_mapping
-from rig.config.controller import prepared
+from rig.config.controller import prepare_controller
 from rig.control.verdict import Kind
 from rig.core.errors import ConfigError, PlanError, RecordingError
 from rig.core.sample import Phase
@@ -217,7 +217,7 @@ def test_the_first_hit_of_any_rig_is_planned_and_reaches_its_wall(answers: dict[
     with TemporaryDirectory() as directory:
         made = rig.new_rig(Path(directory) / "own.toml", **answers)
         x = rig.load(Path(directory) / "own.toml")
-        behind_a_port = plan_of(prepared(rig.config.with_realtime(x)), linked=True)
+        behind_a_port = plan_of(prepare_controller(rig.config.with_realtime(x)), linked=True)
         assert make_plan(x).ok, made.text
         assert behind_a_port.ok, made.text
         result = rig.hit(x, output=directory)

@@ -108,7 +108,11 @@ def test_a_tick_that_a_board_has_no_time_for_is_named_with_rates_that_fit() -> N
     x = override(KOUL, {"controller.loop": "device"})
 
     def tick(x: Experiment, board: str) -> Check:
-        return next(c for c in plan_of(controller.prepared(x), board=board).checks if c.name == "tick budget")
+        return next(
+            c
+            for c in plan_of(controller.prepare_controller(x), board=board).checks
+            if c.name == "tick budget"
+        )
 
     slow, fast = (tick(x, board) for board in ("rp2040", "mps2"))
     assert (slow.outcome, fast.outcome) == (Outcome.WARNING, Outcome.OK)

@@ -33,7 +33,7 @@ def drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     path = tmp_path / "RPI-RP2"
     path.mkdir()
     (path / "INFO_UF2.TXT").write_text(PICO)
-    monkeypatch.setattr(flashing, "_mounted", lambda: [tmp_path / "nothing", path])
+    monkeypatch.setattr(flashing, "_mount_points", lambda: [tmp_path / "nothing", path])
     return path
 
 
@@ -88,7 +88,7 @@ def test_a_drive_is_identified_by_its_info_file(drive: Any) -> None:
 def test_without_a_drive_the_error_names_the_button_to_hold(
     image: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(flashing, "_mounted", list)
+    monkeypatch.setattr(flashing, "_mount_points", list)
     with pytest.raises(DeviceNotFoundError, match="BOOTSEL"):
         flash(image)
     with pytest.raises(DeviceNotFoundError, match=r"INFO_UF2\.TXT"):
@@ -96,7 +96,7 @@ def test_without_a_drive_the_error_names_the_button_to_hold(
 
 
 def test_of_two_boards_one_must_be_named(image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(flashing, "_mounted", lambda: [drive, drive])
+    monkeypatch.setattr(flashing, "_mount_points", lambda: [drive, drive])
     with pytest.raises(DeviceNotFoundError, match="`drive`"):
         flash(image)
     assert flash(image, drive, starting(drive)).drive == drive

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, Input
-from rig.loop._contradictions import WRAP, Contradiction, ahead, clock_error, of_clock
+from rig.loop._contradictions import WRAP, Contradiction, ahead, clock_error, find_clock_contradiction
 from rig.loop.layout import EndReason
 from tests.conformance.batch_device import BatchDevice
 from tests.rig.loop import test_loop, test_supervise
@@ -128,7 +128,7 @@ def test_a_late_tick_and_an_inexact_timer_are_no_contradiction(steps: Any, drift
         time = round((index * (1.0 + drift) + off) * UNITS)
         error = int(clock_error(values, error, samples, time - before))
         before = time
-        assert of_clock(values, samples, error) == Contradiction.NONE
+        assert find_clock_contradiction(values, samples, error) == Contradiction.NONE
 
 
 @given(st.integers(0, 1 << 40), st.integers(-(WRAP // 2), WRAP // 2 - 1))

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from rig.realtime.handlers import handled, interrupts_later, interrupts_now
+from rig.realtime.handlers import handle_signals, interrupts_later, interrupts_now
 from rig.realtime.kernel import kernel
 
 pytestmark = pytest.mark.signals
@@ -129,14 +129,14 @@ def test_kernel_compiles_again_after_ctrl_c(monkeypatch: pytest.MonkeyPatch) -> 
 def test_ignored_signal_stays_ignored_and_other_threads_change_nothing() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     calls: list[int] = []
-    with handled((signal.SIGINT, signal.SIGTERM), lambda number, frame: calls.append(number)) as here:
+    with handle_signals((signal.SIGINT, signal.SIGTERM), lambda number, frame: calls.append(number)) as here:
         signal.raise_signal(signal.SIGINT)
         assert here
     assert not calls
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
     def elsewhere() -> None:
-        with handled((signal.SIGTERM,), lambda number, frame: None) as here:
+        with handle_signals((signal.SIGTERM,), lambda number, frame: None) as here:
             calls.append(here)
 
     before = signal.getsignal(signal.SIGTERM)

@@ -307,7 +307,7 @@ def test_the_key_covers_kernels_and_what_they_import() -> None:
     files, covered = source_files(), compiled_sources()
     assert {name for name, path in files.items() if is_compiled(path)} <= set(covered)
     for name, text in covered.items():
-        assert set(imported(text.decode(), files)) <= set(sources._imported(text, files)), name
+        assert set(imported(text.decode(), files)) <= set(sources._find_imports(text, files)), name
     assert {"rig.control.step", "rig.core.sample", "firmware_protocol.messages"} <= set(covered)
     assert source_files(["no_such_package"]) == {}
 

@@ -144,7 +144,7 @@ def write_step(w: World) -> World:
     if w.state != w.seen:
         assert w.tries == 0, "the writer failed twice in one post"
         return w._replace(place=2 + WIDTH, tries=1)
-    return w._replace(state=mailbox.published.py_func(w.state), place=0, posts=w.posts + 1)
+    return w._replace(state=mailbox.state_after_publishing.py_func(w.state), place=0, posts=w.posts + 1)
 
 
 def kill_step(w: World) -> World:
@@ -164,7 +164,7 @@ def read_step(w: World) -> World:  # noqa: PLR0911  (one for each step of the pr
     if w.read_place == 1:
         if w.state != w.read_seen:
             return w._replace(read_place=0)
-        return w._replace(state=mailbox.claimed.py_func(w.state), read_place=2, taken=())
+        return w._replace(state=mailbox.state_after_claiming.py_func(w.state), read_place=2, taken=())
     slot = w.read_seen >> 2 & 3
     taken = (*w.taken, w.slots[slot][len(w.taken)])
     if len(taken) <= WIDTH:

@@ -54,7 +54,7 @@ def test_other_process_finds_changes_and_stops_a_loop(elsewhere: Path) -> None:
         assert process.stdout.readline() == "there\n"
         loop = running.the_loop()
         assert (loop.pid, loop.info["url"], loop.stopping) == (process.pid, "serial://COM3", False)
-        with running.opened(loop) as block:
+        with running.open_loop(loop) as block:
             assert [block.post([1.0]), block.post([2.0])] == [1, 2]
         assert [one.ended for one in running.stop(process.pid, patience_s=WAIT_S)] == [True]
         assert running.running() == []

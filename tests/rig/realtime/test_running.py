@@ -53,7 +53,7 @@ def test_a_dead_process_leaves_nothing_to_find() -> None:
         assert mine(process.pid) == []
         with pytest.raises(ConfigError, match="there is no process"):
             running.stop(process.pid)
-        with pytest.raises(RigError, match="has ended"), running.opened(loop):
+        with pytest.raises(RigError, match="has ended"), running.open_loop(loop):
             pass
 
 
@@ -61,7 +61,7 @@ def test_reader_of_a_loop_is_not_listed_as_a_loop() -> None:
     """This process has the same memory open, and one started by `fork` inherits it: neither runs that loop."""
     with loop_process(INFO) as process:
         (loop,) = mine(process.pid)
-        with running.opened(loop) as ring:
+        with running.open_loop(loop) as ring:
             assert ring.get(control_words.VERSION) == control_words.LAYOUT_VERSION
             assert mine(os.getpid()) == []
             (again,) = mine(process.pid)
@@ -83,7 +83,7 @@ def test_a_loop_of_another_version_is_listed_and_can_be_stopped_but_not_opened()
         ring.put(control_words.VERSION, 99)
         (loop,) = mine(os.getpid())
         assert (loop.version, loop.info, loop.phase) == (99, {}, "unknown")
-        with pytest.raises(RigError, match="another version"), running.opened(loop):
+        with pytest.raises(RigError, match="another version"), running.open_loop(loop):
             pass
         ring.put(control_words.LOOP_DONE, 0)
         (stopped,) = running.stop(os.getpid(), patience_s=0)

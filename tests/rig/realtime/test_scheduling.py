@@ -595,10 +595,10 @@ def test_facts_of_a_machine(tmp_path: Path) -> None:
         sys__devices__system__cpu__cpu0__cpufreq__scaling_governor="powersave",
         sys__devices__system__cpu__cpu1__cpufreq__scaling_governor="performance",
     )
-    assert facts.described(1, tmp_path)["governor"] == "performance"
-    assert facts.described(None, tmp_path)["governor"] == "performance, powersave"
-    assert facts.described(None, tmp_path)["rt_runtime_us"] == 950000
-    empty = facts.described(None, tmp_path / "nowhere")
+    assert facts.describe_scheduling(1, tmp_path)["governor"] == "performance"
+    assert facts.describe_scheduling(None, tmp_path)["governor"] == "performance, powersave"
+    assert facts.describe_scheduling(None, tmp_path)["rt_runtime_us"] == 950000
+    empty = facts.describe_scheduling(None, tmp_path / "nowhere")
     assert empty["rt_runtime_us"] is None
     assert empty["clock_source"] == ""
 

@@ -17,7 +17,7 @@ from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
 from rig.recording import _parquet as parquet
 from rig.recording._capture import END_MAGIC, ROWS_MAGIC, pack_block, pack_header
-from rig.recording._shape import DEPTH, misfit, parsed
+from rig.recording._shape import DEPTH, misfit, parse_json
 from rig.recording.canonical import canonical_json
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording
@@ -146,10 +146,10 @@ def test_capture_cut_in_its_header_is_named(
 
 
 def test_a_json_of_any_depth_is_read_or_refused() -> None:
-    assert parsed(b"[" * (DEPTH - 1) + b"]" * (DEPTH - 1)) is not None
+    assert parse_json(b"[" * (DEPTH - 1) + b"]" * (DEPTH - 1)) is not None
     for depth in (DEPTH + 1, 900, 100_000):
         with pytest.raises(ValueError, match="nested"):
-            parsed(b"[" * depth + b"]" * depth)
+            parse_json(b"[" * depth + b"]" * depth)
 
 
 @pytest.mark.parametrize("value", [1, 20_000.0, True])

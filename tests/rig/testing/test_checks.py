@@ -41,7 +41,7 @@ def test_our_own_laws_keep_the_promises(name: str, given: dict[str, Any]) -> Non
 def test_a_wall_with_friction_compensation_keeps_them_where_it_acts() -> None:
     """Outside of the wall it acts too, and on the way in it pulls: less than the friction of the rig."""
     wanted = friction.Compensation(up=0.1, down=0.1, dead_band=0.1)
-    check_law(friction.compensated(laws.get("spring-damper"), wanted), everywhere=True, passive=False)
+    check_law(friction.compensate_friction(laws.get("spring-damper"), wanted), everywhere=True, passive=False)
 
 
 @cache

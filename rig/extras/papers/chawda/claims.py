@@ -103,7 +103,7 @@ def _regions() -> Ruling:
     misses = levant_regions.in_hba(*missed) and not levant_regions.in_lfba(*missed)
     return judge(
         {"": not inside and extends and misses},
-        crossing=levant_regions.crossing(),
+        crossing=levant_regions.find_crossing(),
         gains=gains,
         inside=inside,
         points=[[*extra], [*missed]],

@@ -32,7 +32,7 @@ class LevantRegions:
         """Plain values, for JSON; infinite ones become null there."""
         return {
             "parameters": "alpha = mu1 * C, lambda = mu2 * sqrt(C)",
-            "crossing": dict(zip(("mu1", "mu2"), regions.crossing(), strict=True)),
+            "crossing": dict(zip(("mu1", "mu2"), regions.find_crossing(), strict=True)),
             "named": {
                 name: {
                     "mu1": mu1,
@@ -84,7 +84,7 @@ def draw_levant_regions(computed: LevantRegions, picture: str | Path) -> Path:
         linestyle="--",
         label="numeric: converges to the right and above",
     )
-    _mark(axes, *regions.crossing(), "crossing", "o", (6, 6))
+    _mark(axes, *regions.find_crossing(), "crossing", "o", (6, 6))
     for i, (name, (mu1, mu2)) in enumerate(regions.NAMED_GAINS.items()):
         _mark(axes, mu1, mu2, name, "s", (6, -14 if i % 2 == 0 else 6))
     axes.set_xlim(0.0, LARGEST_MU2)
