@@ -73,7 +73,6 @@ async def ask(service: Service, page: Any, do: str, **content: Any) -> Any:
 
 
 def run(body: Callable[[], Awaitable[Any]]) -> Any:
-    """Run a test's coroutine."""
 
     async def whole() -> Any:
         return await body()

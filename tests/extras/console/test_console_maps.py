@@ -19,6 +19,7 @@ from rig.extras.console.maps import MapService, Watched
 from rig.extras.console.requests import request_of
 from rig.recording.reader import open_recording
 from tests.conformance.maps import SHORT, short_map
+from tests.conformance.tiers import first_by_default
 from tests.extras.console.console_fakes import Page, ask, run, shared
 
 PLAN = short_map(0.1, 0.6)
@@ -193,7 +194,7 @@ def test_a_damaged_plan_is_listed_with_its_reason(root: Path) -> None:
 
 @pytest.mark.parametrize(
     ("options", "fields"),
-    [
+    first_by_default([
         (["zwidth", "-B", "0"], {"damping": "0"}),
         (["zwidth", "-B", "0,0.3", "--scheme", "uniform:20k"], {"damping": "0,0.3", "schemes": ["uniform:20k"]}),
         (
@@ -207,7 +208,7 @@ def test_a_damaged_plan_is_listed_with_its_reason(root: Path) -> None:
             {"domain": "frequency", "rig": "chawda-linear", "stiffness": "500:5000:4", "damping": "0:4:3",
              "changes": {"excitation.realisations": 1}},
         ),
-    ],
+    ], 3),
 )  # fmt: skip
 def test_the_page_starts_the_map_that_the_command_starts(
     options: list[str], fields: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

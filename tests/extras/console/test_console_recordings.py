@@ -48,7 +48,6 @@ HOSTILE = [
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A hit in virtual time."""
     experiment = config.override(presets.load("koul-compliant"), SHORT)
     (done,) = hit(HitRequest(experiment=experiment, output=tmp_path_factory.mktemp("hit"), name="one"), admit)
     return done.path

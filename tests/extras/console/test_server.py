@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.frames import Frame
 from websockets.server import ServerProtocol
@@ -31,6 +32,7 @@ from rig.extras.console.follow import Followed
 from rig.extras.console.lease import Lease
 from rig.extras.console.live import Live
 from rig.realtime import control_words
+from rig.realtime.ring import Ring
 from tests.conformance.console import Served, served
 from tests.conformance.lsl_loop import INFO, HandTurnedLoop
 from tests.conformance.tiers import first_by_default
@@ -246,6 +248,12 @@ def test_a_console_that_cannot_watch_its_runs_ends_with_an_error(
         play(tmp_path, scenario)
 
 
+async def stop_by(hold: ClientConnection, ring: Ring) -> None:
+    await hold.send('{"stop":true}')
+    while ring.get(control_words.STOP) == 0:
+        await asyncio.sleep(0.001)
+
+
 def test_stop_reaches_the_loop_by_either_socket(tmp_path: Path) -> None:
     async def scenario(console: Served) -> None:
         for by in ("hold", "live"):
@@ -253,12 +261,11 @@ def test_stop_reaches_the_loop_by_either_socket(tmp_path: Path) -> None:
                 async with console.page() as page, console.hold("the-second-page") as hold:
                     await page.ask("look", pid=os.getpid())
                     await page.until(lambda page: page.newest("loop"))
-                    if by == "hold":  # of a page that only looks on
-                        await hold.send('{"stop":true}')
-                    else:
+                    if by == "live":
                         await page.ask("stop")
-                    while ring.get(control_words.STOP) == 0:
-                        await asyncio.sleep(0.001)
+                        assert ring.get(control_words.STOP) != 0
+                    else:  # of a page that does not operate
+                        await stop_by(hold, ring)
                 ring.put(control_words.LOOP_DONE, 1)
 
     play(tmp_path, scenario)
@@ -266,11 +273,9 @@ def test_stop_reaches_the_loop_by_either_socket(tmp_path: Path) -> None:
 
 def test_stop_reaches_loops_that_no_page_shows(tmp_path: Path) -> None:
     async def scenario(console: Served) -> None:
-        async with console.hold() as hold:
-            with HandTurnedLoop(64, shared=True).ring as ring:
-                await hold.send('{"stop":true}')
-                while ring.get(control_words.STOP) == 0:
-                    await asyncio.sleep(0.001)
+        with HandTurnedLoop(64, shared=True).ring as ring:
+            async with console.hold() as hold:
+                await stop_by(hold, ring)
 
     play(tmp_path, scenario, own=True)
 
@@ -428,9 +433,7 @@ def test_a_flood_of_beats_is_cut_off_and_stops_all_the_same(
                 with pytest.raises(ConnectionClosed):
                     await hold.recv()
             async with console.hold() as hold:
-                await hold.send('{"stop":true}')
-                while ring.get(control_words.STOP) == 0:
-                    await asyncio.sleep(0.001)
+                await stop_by(hold, ring)
 
     play(tmp_path, scenario)
 

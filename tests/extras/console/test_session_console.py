@@ -135,7 +135,6 @@ class Operator:
 
     @property
     def over(self) -> bool:
-        """Whether the session has ended."""
         return self._result.done()
 
     def result(self) -> SessionResult:
@@ -238,7 +237,6 @@ def currents(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 
 def child_of(pid: int) -> int:
-    """The console of a session's program."""
     for line in Path("/proc").iterdir():
         if line.name.isdecimal():
             try:
@@ -252,7 +250,6 @@ def child_of(pid: int) -> int:
 
 
 def eventually(condition: Callable[[], Any], what: str) -> Any:
-    """What the condition gives, once it gives something."""
     pause, deadline = threading.Event(), time.monotonic() + PATIENCE_S
     while time.monotonic() < deadline:
         if found := condition():
@@ -359,7 +356,6 @@ def test_space_stops_a_hit_and_so_does_a_console_that_says_nothing(
 
 
 def leave(operator: Operator) -> None:
-    """Leave the session at the next question."""
     assert operator.sees("hit ended early:", "[1] stable")
     operator.terminal.type("a")
     operator.terminal.wait("leave the session")

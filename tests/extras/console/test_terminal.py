@@ -15,6 +15,7 @@ import pytest
 
 from rig.core.errors import ConfigError
 from rig.extras.console import consent, hits, session_desk
+from rig.extras.console.errands import Errands
 from rig.extras.console.jobs import Jobs
 from rig.extras.console.lease import Lease
 from rig.extras.console.live import Live
@@ -25,7 +26,7 @@ from rig.extras.console.talk import Talk
 from rig.extras.console.terminal import LONGEST, Terminal
 from rig.realtime.hand import SharedHand
 from rig.session.planning._template_files import write_template
-from tests.conformance.console import served, stop_of_this_test
+from tests.conformance.console import PATIENCE_S, served, stop_of_this_test
 from tests.extras.console.console_fakes import CONTENT, Here, Page, ask
 from tests.rig.session.session_fakes import FakeRunner
 
@@ -40,7 +41,7 @@ def at_a_terminal(monkeypatch: pytest.MonkeyPatch, body: Callable[[Terminal, int
             patched.setattr(sys, "stdin", stdin)
 
             async def whole() -> None:
-                async with asyncio.timeout(30):
+                async with asyncio.timeout(PATIENCE_S):
                     await body(Terminal(), person)
 
             asyncio.run(whole())
@@ -208,6 +209,9 @@ def test_the_operator_agrees_to_each_exception_of_a_session() -> None:
 
 
 def test_a_console_ends_though_it_waits_for_a_word(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Errands, "run", Here.run)
+    monkeypatch.setattr("rig.extras.console.lease.LOST_S", 1e9)  # this page sends no beats
+
     async def body(terminal: Terminal, person: int) -> None:
         async with served(tmp_path, terminal, own=True) as console, console.page() as page:
             await page.say("run", job="hit", url=REAL)

@@ -30,6 +30,7 @@ from tests.conformance.bridged import (
 from tests.conformance.device import check_device
 from tests.conformance.faults import FarEnd, check_faults
 from tests.conformance.host import RUN_PARAMETERS, Host
+from tests.conformance.tiers import first_by_default
 
 WATCHDOG_S = 0.005  # five periods: the drive's own
 LIFETIME_S, RAMP_S = 0.020, 0.010  # of a command; in which the effort falls behind it
@@ -156,8 +157,6 @@ def test_a_drive_that_is_not_armed_is_switched_off_again(kind: str) -> None:
 
 
 class Behind(FarEnd):
-    """A drive behind a bridge."""
-
     rate, current, most = 1_000, CURRENT, float(CURRENT)
     grain, late = 1e-3, 2
 
@@ -233,8 +232,18 @@ ENDINGS: dict[str, tuple[Way, Strike, int]] = {
 
 @pytest.mark.parametrize(
     ("kind", "ending"),
-    [(kind, ending) for kind in KINDS for ending in ENDINGS if kind == "moteus" or "garbled" not in ending],
-)  # a CAN controller passes on no frame that was garbled
+    first_by_default(
+        [
+            *(("moteus", ending) for ending in ENDINGS),
+            ("odrive", "a line that stays dead"),
+            ("odrive", "a lost question"),
+            ("odrive", "lost questions"),
+            ("odrive", "a lost answer"),
+            ("odrive", "lost answers"),
+        ],
+        9,
+    ),
+)  # a CAN controller passes on no garbled frame
 def test_a_fault_at_any_line_of_a_run(kind: str, ending: str) -> None:
     """Zero torque in bounds, whatever is lost where; it is counted, and no old count is reported as a new one."""
     way, strike, length = ENDINGS[ending]
@@ -378,7 +387,7 @@ def test_a_sample_that_was_lost_is_missing_in_the_index_however_soon_the_next_on
 def test_a_computer_that_stands_still_loses_samples_and_has_no_old_ones(kind: str, awaits: bool) -> None:
     """Fewer than the life of a command are counted, more end the run; index and clock stay together."""
     faults = {}
-    for stood_us in range(1_300, 7_000, 500):
+    for stood_us in range(1_300, 7_000, 1_000):
         world, host = armed(Bridged(kind=kind))
         push(host, 5)
         before = host.next_state()

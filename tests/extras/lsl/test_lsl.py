@@ -66,8 +66,6 @@ def pylsl(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 
 
 class Inlets:
-    """Both streams of a name, opened."""
-
     def __init__(self, pylsl: Any, name: str) -> None:
         self.streams = {}
         for kind in ("samples", "markers"):

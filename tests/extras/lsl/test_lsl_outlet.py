@@ -27,7 +27,6 @@ def contents(chunk: Chunk) -> list[dict[str, Any]]:
 
 
 def marks_of(chunk: Chunk, *names: str) -> list[tuple[int, int]]:
-    """Tick and time of markers of these names."""
     return [(one.content["tick"], one.time_ns) for one in chunk.markers if one.content["mark"] in names]
 
 

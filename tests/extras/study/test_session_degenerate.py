@@ -95,7 +95,7 @@ def test_a_degenerate_study_has_its_tables_and_its_report(name: str, tmp_path: P
         assert inferred(found) == []
 
 
-@settings(max_examples=6, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@settings(max_examples=4, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(data=st.data())
 def test_any_small_study_has_its_tables_and_its_page(
     data: Any, tmp_path_factory: pytest.TempPathFactory

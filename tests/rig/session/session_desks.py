@@ -77,8 +77,6 @@ def is_alive(pid: int) -> bool:
 
 
 class Place(ABC):
-    """A desk and its operator."""
-
     desk: AskingDesk
 
     def sees(self, *texts: str) -> None:
@@ -332,8 +330,6 @@ class AtPage(Place):
 
 
 class FakeJobs:
-    """Starts the one job."""
-
     def __init__(self, job: FakeJob) -> None:
         self.job, self.running = job, None
         self.started: dict[str, Any] = {}

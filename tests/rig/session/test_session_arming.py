@@ -73,7 +73,6 @@ def _levels(protocol: Protocol) -> list[float]:
 
 
 def written(directory: Path, blind: str = "both") -> Path:
-    """The quick study of the system tests, as a file."""
     path = directory / "quick.toml"
     path.write_text(PROTOCOL.replace("seed = 11", f'seed = 11\nblind = "{blind}"', 1))
     return path

@@ -57,8 +57,6 @@ def test_a_hit_that_breaks_is_logged_with_its_heat_before_the_session_ends(
 
 
 class Breaks(Desk):
-    """A desk that breaks while a hit runs."""
-
     def __init__(self, error: Exception) -> None:
         self.error = error
 
@@ -77,7 +75,6 @@ class Breaks(Desk):
 
 
 def quick() -> Protocol:
-    """A study whose hits are quick to simulate."""
     changes = {
         "operator.press": 1.6,
         "operator.begin_s": 0.02,

@@ -600,7 +600,6 @@ def test_a_finished_block_does_not_start_over(tmp_path: Path) -> None:
 
 
 def spoiled(*trials: int) -> FakeRunner:
-    """A rig that loses samples in these trials."""
     return FakeRunner(dict.fromkeys(trials, (SPOILED, None)))
 
 

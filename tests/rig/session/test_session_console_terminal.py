@@ -77,7 +77,7 @@ def test_space_before_the_next_console_is_there_is_stop(terminal: Terminal) -> N
 
 def test_an_escape_does_not_wait_for_the_session_to_be_silent(terminal: Terminal) -> None:
     """Each message wakes the console; the escape is as old as it is all the same."""
-    pause, deadline = threading.Event(), time.monotonic() + 5.0
+    pause, deadline = threading.Event(), time.monotonic() + PATIENCE_S
     with console(terminal) as (desk, _):
         desk.show(DeskView(state="hold"))
         terminal.wait("hold")
@@ -190,7 +190,6 @@ with ConsoleDesk() as desk:
 
 @contextmanager
 def program(terminal: Terminal) -> Iterator[tuple[Program, int]]:
-    """It, and the pid of its console."""
     started = terminal.run(sys.executable, "-c", PROGRAM, cwd=ROOT)
     try:
         assert started.shell.stderr is not None

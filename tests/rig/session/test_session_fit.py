@@ -30,7 +30,6 @@ DAMPED = {"rig.mechanics.link_damping": 0.02}
 
 
 def factorial(**order: Any) -> Protocol:
-    """Two rates, with and without a damper."""
     rates = [
         {"name": f"{bare} {rate}", "scheme": f"uniform:{rate}"}
         for bare in ("bare", "damped")

@@ -88,8 +88,6 @@ def test_where_every_quarter_would_spoil_a_trial_it_is_hopeless() -> None:
 
 
 class SlowRunner(FakeRunner):
-    """A rig in real time, measured."""
-
     virtual = False
 
     def __init__(self, pace: Pace, *, lossy_anyway: bool = False) -> None:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from rig.config import Experiment
+from rig.config import Experiment, override
 from rig.config.presets import load as preset
 from rig.core.errors import ConfigError, StoppedError
 from rig.experiments.motion.pulse import NO_HANDS
 from rig.extras.study import read_study
+from rig.session.engine import _hits as hits
 from rig.session.engine import _run as sessions
 from rig.session.engine._conduct import conduct
 from rig.session.engine._directory import LOG
@@ -32,8 +35,6 @@ SIMULATED = {"place": {"url": None, "realtime": True}, "device": "koul-rigid", "
 
 
 class Runner(FakeRunner):
-    """A rig with given facts."""
-
     def __init__(self, **facts: Any) -> None:
         super().__init__()
         self.given = facts
@@ -44,8 +45,6 @@ class Runner(FakeRunner):
 
 
 class Tired(ScriptedDesk):
-    """Leaves after some hits."""
-
     def __init__(self, hits: int) -> None:
         super().__init__()
         self.left = hits
@@ -59,7 +58,6 @@ class Tired(ScriptedDesk):
 
 
 def left(directory: Path, **facts: Any) -> Path:
-    """A session that was left after two hits."""
     with started(directory / "P01") as session, pytest.raises(StoppedError):
         conduct(session, Runner(**facts), Tired(2))
     return directory / "P01"
@@ -141,3 +139,25 @@ def test_the_runner_says_where_it_is_and_what_runs() -> None:
     facts = DeviceRunner().facts(preset("koul-rigid"), {})
     assert facts["place"] == {"url": None, "realtime": False}
     assert {"haptic-rig", "sources", "numpy", "platform"} <= facts["versions"].keys()
+
+
+def test_a_hand_taken_over_by_the_operator_needs_another_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    held = override(preset("koul-compliant"), {"trial.kind": "human"})
+    closed = []
+
+    @contextmanager
+    def opened(url: Any, model: Any, **options: Any) -> Iterator[Any]:
+        yield SimpleNamespace(url=url)
+        closed.append(url)
+
+    monkeypatch.setattr(hits, "opened", opened)
+    runner = DeviceRunner(realtime=True)
+    scripted = runner._device(held, {})
+    assert runner._device(held, {}) is scripted
+    runner.hand = Path("/somewhere/hand")
+    driven = runner._device(held, {})
+    assert (scripted.url, driven.url) == ("sim://", "sim://?hand=/somewhere/hand")
+    assert closed == [scripted.url]
+    assert runner._device(held, {}) is driven
+    runner.close()
+    assert closed == [scripted.url, driven.url]

@@ -134,7 +134,6 @@ def cut_anywhere(root: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[t
 
 
 def finished(directory: Path) -> None:
-    """A session of two trials, from its beginning to its end."""
     conduct_session(started(directory, protocol_of(search=SHORT_SEARCH)))
 
 

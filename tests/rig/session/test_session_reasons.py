@@ -47,7 +47,6 @@ TELLING = {  # numbers that differ between walls or conditions
 
 
 def reason(objection: Objection, **changes: Any) -> str:
-    """What the log keeps of it."""
     numbers = np.zeros((), NUMBERS)
     for name, value in {**TELLING, **changes}.items():
         numbers[name] = value

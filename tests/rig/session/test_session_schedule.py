@@ -28,7 +28,6 @@ SEARCH = Search(lowest=100.0, highest=500.0, step=100.0)
 
 
 def protocol(dampings: list[int], **order: Any) -> Protocol:
-    """Conditions with so many dampings each."""
     return Protocol(
         study=Study(title="a study", preset="koul-rigid", seed=4),
         condition=tuple(
