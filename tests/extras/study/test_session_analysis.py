@@ -603,6 +603,7 @@ def test_tables_say_their_units_and_are_alike_in_both_forms(found: Any, tmp_path
         assert len(rows) == table.num_rows == described["rows"]
         for place, field in enumerate(table.schema):
             assert field.metadata[b"unit"].decode() == described["columns"][field.name]["unit"]
+            assert described["columns"][field.name]["meaning"]
             for cell, value in zip(
                 [row[place] for row in rows], table.column(place).to_pylist(), strict=True
             ):

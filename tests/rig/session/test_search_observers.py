@@ -30,7 +30,9 @@ def test_the_table_holds_every_case() -> None:
     assert list(ROWS) == observers.cases(), f"run {observers.REGENERATE}"
 
 
-def test_the_guide_shows_the_committed_table() -> None:
+def test_the_guide_shows_the_committed_table_in_sections_that_exist_once() -> None:
+    text = observers.GUIDE.read_text(encoding="utf-8")
+    assert all(text.count(f"<!-- generated: {section} -->") == 1 for section in observers.SECTIONS)
     assert observers.main(["--check"]) == 0, f"run {observers.REGENERATE} --guide"
 
 
