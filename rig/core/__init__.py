@@ -1,1 +1,1 @@
-"""The words everyone speaks: errors, quantities, the columns of a sample, the model of a rig."""
+"""Definitions shared by all rooms: errors, quantities, the columns of a sample, the model of a rig."""

@@ -1,1 +1,1 @@
-"""Compiled code's ground: decorator, plug types, atomics, codec, ring, mailbox, clocks, scheduling, system calls."""
+"""Base of compiled code: decorator, plug types, atomics, codec, ring, mailbox, clocks, scheduling, system calls."""

@@ -1,9 +1,9 @@
 """
-Two clocks
-==========
+Offset and drift of two clocks
+==============================
 
-A device whose clock is 80 millionths fast. Its time against that of the computer, over one hit, and the drift that the
-recording states.
+The clock of the device runs 80 ppm fast. Its difference to the computer's clock over one hit, and the drift in the
+recording.
 """
 
 import matplotlib.pyplot as plt

@@ -1,6 +1,6 @@
 """
-What a tick of delay costs
-==========================
+Effect of the computation delay
+===============================
 
 The stiffest wall over the computation delay between a sample and its effort, in ticks of 20 kHz: with the law on the
 computer a link adds some, on the board it does not.

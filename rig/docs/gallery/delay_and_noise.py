@@ -1,6 +1,6 @@
 """
-Delay against noise
-===================
+Delay and noise of velocity estimators
+======================================
 
 A motion of 5 Hz to 25 Hz on a coarse encoder: each point is one setting of an estimator. Its delay is that of the best
 match with the truth, its noise the remaining error.

@@ -1,9 +1,9 @@
 """
-Driven by current or by voltage
+Current drive and voltage drive
 ===============================
 
-Without a current loop the motor's back-EMF works as damping behind the lag of the winding. Here the same rig and
-scheme, both ways.
+Without a current loop the motor's back-EMF acts as damping behind the lag of the winding. The same rig and scheme
+with both drives.
 """
 
 import matplotlib.pyplot as plt

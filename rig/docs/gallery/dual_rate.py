@@ -1,8 +1,8 @@
 """
-One motion, two velocity rates
-==============================
+Velocity of one motion at two rates
+===================================
 
-A slow stroke, seen by an encoder of 0.157 mrad a count: its difference at 20 kHz and at 2 kHz.
+A slow motion measured by an encoder of 0.157 mrad a count: its difference at 20 kHz and at 2 kHz.
 """
 
 import matplotlib.pyplot as plt

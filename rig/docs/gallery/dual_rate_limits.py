@@ -1,6 +1,6 @@
 """
-Uniform and dual rate, by theory
-================================
+Uniform and dual-rate sampling, by theory
+=========================================
 
 The stiffest stable wall over its damping, for both uniform rates and for their combination. An elastic rig in a hand.
 """

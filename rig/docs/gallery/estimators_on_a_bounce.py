@@ -1,6 +1,6 @@
 """
-A bounce, as estimators see it
-==============================
+Velocity estimators on a bounce
+===============================
 
 The handle arrives, is thrown back within some milliseconds, and leaves. A coarse encoder, a velocity rate of 2 kHz.
 """

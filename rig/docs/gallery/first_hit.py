@@ -1,8 +1,9 @@
 """
-A hit
-=====
+A hit on a virtual wall
+=======================
 
-A constant effort pushes the handle into a wall. A result draws itself: position against the wall, velocity, effort.
+A constant effort pushes the handle into a wall. `plot()` of the result draws position against the wall, velocity,
+effort.
 """
 
 import rig

@@ -1,8 +1,8 @@
 """
-Force over depth
-================
+Force over penetration
+======================
 
-A wall is a line in this plane, and a loop where it damps. In a simulated hand, which comes in, presses and leaves.
+A wall is a line in this plane; damping makes it a loop. A simulated hand enters, presses and leaves.
 """
 
 import matplotlib.pyplot as plt

@@ -1,8 +1,8 @@
 """
-The hand has a say
-=====================
+Effect of the grip
+==================
 
-The same rig and scheme, let alone and held in three ways: a hand adds mass, damping and stiffness.
+The same rig and scheme, free and held in three ways: a hand adds mass, damping and stiffness.
 """
 
 import matplotlib.pyplot as plt

@@ -1,9 +1,9 @@
 """
-Your own laws
-=============
+Custom wall laws
+================
 
-Three surfaces as functions: a linear wall, one that hardens, and one that breaks through. Each is compiled, and
-could be hit as it is.
+Three surfaces as functions: a linear wall, a hardening one, and one that breaks through. Each is compiled and can be
+used in a hit.
 """
 
 import matplotlib.pyplot as plt

@@ -1,6 +1,6 @@
 """
-Passive and stable
-==================
+Passive and stable walls
+========================
 
 Passive walls are stable in any hand; many more are stable in one. The same rig without a hand, in a hand, and under the
 condition for all hands; both axes are logarithmic.

@@ -1,9 +1,9 @@
 """
-Faster sampling, stiffer wall
-=============================
+Stiffness over the sampling rate
+================================
 
 The stiffest undamped wall over the sampling rate, for a drive and for one with ten times the lag. Beyond some rate the
-lag is the limit, and sampling faster buys nothing.
+lag is the limit, and faster sampling has no benefit.
 """
 
 import matplotlib.pyplot as plt

@@ -1,8 +1,8 @@
 """
-Resolution times rate
-=====================
+Velocity noise of an encoder count
+==================================
 
-The error of a plain difference while the handle moves: Δ·f/√6, whatever the motion, as long as it crosses counts.
+The error of a plain difference while the handle moves: Δ·f/√6 for any motion that crosses counts.
 """
 
 import matplotlib.pyplot as plt

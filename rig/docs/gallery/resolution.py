@@ -1,9 +1,9 @@
 """
-A finer encoder
-===============
+Effort ripple over encoder resolution
+=====================================
 
-The same wall hit with more and more lines: audible ripple of the effort in the last part of the hit, and the threshold
-above which a hit is a limit cycle. Beyond some resolution friction absorbs the effort of one count.
+The same wall hit with encoders of more and more lines: audible ripple of the effort in the last part of the hit, and
+the threshold above which a hit is a limit cycle. Beyond some resolution friction absorbs the effort of one count.
 """
 
 import matplotlib.pyplot as plt

@@ -1,9 +1,9 @@
 """
-Commands that no longer arrive
-==============================
+Reaction to lost commands
+=========================
 
-In the middle of a push every command is lost, as where the computer hangs. The device follows the last one for its
-lifetime, takes the effort to zero by a ramp, and latches LINK_LOST, by which the host ends the run.
+In the middle of a push every command is lost, as when the computer hangs. The device uses the last one for its
+lifetime, ramps the effort to zero, and latches LINK_LOST, by which the host ends the run.
 """
 
 from pathlib import Path

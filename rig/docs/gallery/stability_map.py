@@ -1,9 +1,9 @@
 """
-How stable, everywhere
-======================
+Spectral radius of dual-rate walls
+==================================
 
-The spectral radius over one velocity period: below 1 a wall is linearly stable, and the colour says how fast a
-disturbance dies.
+The spectral radius over one velocity period: below 1 a wall is linearly stable, and the colour shows how fast a
+disturbance decays.
 """
 
 import matplotlib.pyplot as plt

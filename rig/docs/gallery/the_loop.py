@@ -1,8 +1,8 @@
 """
-The loop in one picture
-=======================
+Block diagram of the loop
+=========================
 
-From the encoder to the motor, and back through the hand. Between the two dashed lines lies what is compiled: on the
+From the encoder to the motor, and back through the hand. The part between the two dashed lines is compiled: on the
 computer, or as the same law on the board.
 """
 

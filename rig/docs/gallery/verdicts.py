@@ -2,7 +2,7 @@
 Stable, limit cycle, unstable
 =============================
 
-Three walls of one rig, from contact to release, each with the verdict that its recording got.
+Three walls of one rig, from contact to release, each with the verdict of its recording.
 """
 
 import matplotlib.pyplot as plt

@@ -1,6 +1,6 @@
 """
-A Z-width, measured and computed
-================================
+A Z-width by hits and by theory
+===============================
 
 An ascending series of hits at each damping finds the stiffest wall that a simulated rig renders. Steps of
 15 % and one place of the encoder make it quick; 6 % and two places are the default.
@@ -19,6 +19,6 @@ found = rig.zwidth(
 print(found)
 
 # %%
-# Fast velocity fails where it is noisy, and linear theory, dashed, does not know that.
+# Fast velocity fails where it is noisy, and linear theory, dashed, does not contain the noise.
 
 picture = found.plot()

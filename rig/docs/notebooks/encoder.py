@@ -1,16 +1,16 @@
 """
-Which estimator for my encoder?
-===============================
+Choose a velocity estimator for an encoder
+==========================================
 
-You know the resolution of your encoder at the handle, and the motions that matter. Which estimator of velocity should a
-wall have, and with which settings? Three looks: at a number, at errors on a known motion, and at hits.
+After this example you can choose a velocity estimator and its settings for the resolution of your encoder, in three
+steps: the velocity of one count, errors on a known motion, and hits.
 """
 
 # %%
-# 1. The number that decides whether there is a question
-# ------------------------------------------------------
-# One count in one period is a velocity of Δ·f. Where that is far below the speeds that matter, a plain difference will
-# do. Here: 1000 lines, four counts each, a capstan of 10, and a velocity rate of 2 kHz.
+# 1. Velocity of one count
+# ------------------------
+# One count in one period is a velocity of Δ·f. If that is far below the speeds of interest, a plain difference is
+# sufficient. Here: 1000 lines, four counts each, a capstan of 10, and a velocity rate of 2 kHz.
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -23,12 +23,12 @@ resolution = abs(experiment.rig.encoder.resolution)
 print(f"Δ = {1e3 * resolution:.3f} mrad, Δ·f = {resolution * RATE:.2f} rad/s")
 
 # %%
-# A hit arrives at some rad/s and rings at tenths of one: Δ·f is as large as what the damper should act on. There is a
-# question.
+# A hit arrives at some rad/s and rings at tenths of one: Δ·f is as large as the velocities on which the damper acts. An
+# estimator is needed.
 #
 # 2. Errors on a motion of this rig
 # ---------------------------------
-# A simulated hit has the truth beside the counts. Any estimator runs over its recording.
+# The recording of a simulated hit contains the true velocity and the counts. Any estimator can be applied to it.
 
 hit = rig.hit(experiment, stiffness=200.0, damping=0.5, duration_s=0.6)
 recording = hit.recording
@@ -66,7 +66,8 @@ figure.tight_layout()
 # %%
 # 3. Hits
 # -------
-# Least error is not the widest wall. So each candidate has to hold the same walls, with more and more damping.
+# The estimator with the least error does not give the widest range of walls. So each candidate renders the same walls,
+# with more and more damping.
 
 DAMPINGS = (0.5, 1.0, 2.0)
 print(f"{'B =':16}" + "".join(f"{damping:>14g}" for damping in DAMPINGS))
@@ -80,6 +81,6 @@ for name, settings in CANDIDATES.items():
     print(f"{name:16}" + "".join(f"{kind:>14}" for kind in kinds))
 
 # %%
-# One hit each: a map repeats them at several places of the encoder. The estimator to take is the one that still holds
-# where you need damping. For the settings: ``rig estimators tune NAME RECORDING`` finds them for a recording of yours,
-# and ``rig zwidth --scheme dual:20k/2k,estimator=NAME`` draws the whole curve.
+# One hit each: a map repeats them at several places of the encoder. Choose the estimator whose walls are still stable
+# at the damping that you need. ``rig estimators tune NAME RECORDING`` finds the settings for a recording of yours, and
+# ``rig zwidth --scheme dual:20k/2k,estimator=NAME`` draws the whole curve.

@@ -2,15 +2,15 @@
 From an identification to a Z-width
 ===================================
 
-The data sheets of a rig are not exact. Here a rig is identified, the measured numbers are written to its file, and
-theory and hits show the effect on its walls.
+After this example you can replace the data sheet values of a rig by identified ones. A rig is identified, the measured
+numbers are written to its file, and theory and hits show the effect on its walls.
 """
 
 # %%
 # 1. The description and the real rig
 # -----------------------------------
 # The description is ``koul-rigid``; the "real" rig has half as much inertia again and twice the friction. On a bench it
-# would be another machine behind ``--url``.
+# would be a real rig at ``--url``.
 
 import json
 import subprocess
@@ -32,7 +32,7 @@ Path("real.toml").write_text(
 # 2. Identify it
 # --------------
 # The command moves the free handle: small pushes for the signs, slow strokes for friction, multisines for the rest. It
-# writes a file with what was measured.
+# writes a file with the measured numbers.
 
 command = [
     "rig",
@@ -59,8 +59,8 @@ for key in ("motor_inertia", "link_inertia", "motor_coulomb", "motor_damping", "
     print(f"{key:16}" + "".join(f"{value:>12.3g}" for value in values))
 
 # %%
-# 4. What that changes
-# --------------------
+# 4. Effect on the stable walls
+# -----------------------------
 # The stiffest stable wall over its damping, in a hand, for the three descriptions.
 
 dampings = np.linspace(0.0, 1.5, 31)

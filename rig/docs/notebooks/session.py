@@ -31,8 +31,9 @@ print(*run("session", "check", "study.toml").splitlines()[:20], sep="\n")
 # %%
 # 2. Two sessions, in virtual time
 # --------------------------------
-# Of itself a simulated person judges as the program does, and all are the same. ``--threshold`` says where half of the
-# verdicts are stable (here at the limits in the template's first lines), and ``--people-sd`` spreads people around it.
+# By default a simulated person answers like the automatic verdict, and all are equal. ``--threshold`` sets the wall at
+# which half of the verdicts are stable (here the limits in the template's first lines), and ``--people-sd`` spreads
+# people around it.
 # The title of the study names the directory.
 
 limits = ("--threshold", "uniform 500 Hz=84", "--threshold", "dual-rate 1 kHz/500 Hz=119")
@@ -47,8 +48,8 @@ print(run("session", "show", "rehearsals/first-steps/P01"))
 print(run("session", "analyse", "rehearsals/first-steps", "-o", "analysis", "--format", "png"))
 
 # %%
-# The limits, with their intervals, are one of its tables: in the rows whose ``measure`` is ``rule``, as the search
-# found them. Names end in their units.
+# The limits, with their intervals, are one of its tables: in the rows whose ``measure`` is ``rule``, the limits of
+# the search. Names end in their units.
 
 with Path("analysis/kmax.csv").open(encoding="utf-8") as table:
     rows = [row for row in csv.DictReader(table) if row["measure"] == "rule"]
@@ -64,5 +65,5 @@ axes.set(xlim=(-0.5, len(conditions) - 0.3), ylabel="limit (N·m/rad)", ylim=(0,
 figure.tight_layout()
 
 # %%
-# Ten hits leave wide intervals. ``rig session analyse`` compares the conditions with paired intervals and says where
+# Ten hits leave wide intervals. ``rig session analyse`` compares the conditions with paired intervals and reports where
 # the data are too few; ``report.html`` in the same directory has all of it, with the methods paragraph.
