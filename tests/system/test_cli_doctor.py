@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -49,7 +50,6 @@ def port() -> Iterator[Any]:
 
 @pytest.fixture
 def real(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Simulated devices that claim to be real ones."""
     claim_to_be_real(monkeypatch)
 
 
@@ -170,17 +170,7 @@ def test_a_missing_device_does_not_hide_the_checks_of_the_machine(run: Any) -> N
 
 # ---------------------------------------------------------------------- rig hit
 
-HIT = (
-    "hit",
-    "--no-plot",
-    "--verified",
-    "--duration",
-    "0.1",
-    "--set",
-    "verdict.tail_s=0.05",
-    "--set",
-    "host.realtime=off",
-)
+HIT = shlex.split("hit --no-plot --verified --duration 0.1 --set verdict.tail_s=0.05 --set host.realtime=off")
 
 
 def test_a_hit_of_a_wall_that_must_not_be_armed_is_refused_and_leaves_nothing(

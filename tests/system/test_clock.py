@@ -171,7 +171,6 @@ def changed(sealed: Any, path: Any, **changes: Any) -> Any:
 
 
 def test_a_run_cut_off_has_the_hosts_share_alone(run: Any, sealed: Any, tmp_path: Path) -> None:
-    """Its process was killed: no trailer, no clock."""
     path = changed(sealed, tmp_path / "cut.rigcap", trailer=None, complete=False)
     code, out, _ = run("recording", "timing", path)
     assert code == 0

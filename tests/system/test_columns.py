@@ -36,7 +36,6 @@ Rows = np.ndarray[Any, np.dtype[np.void]]
 
 
 def _raise_edge(device: SimulatedDevice | FirmwareDevice) -> None:
-    """Give an edge of the sync input, missed ticks and an execution time."""
     device.sync_input(True)
     if isinstance(device, SimulatedDevice):
         for _ in range(3):

@@ -80,7 +80,7 @@ BROKEN = {
 }
 
 
-DRIVES = pytest.mark.parametrize("drive", ["current", "voltage"])
+DRIVES = pytest.mark.parametrize("drive", first_by_default(["voltage", "current"]))
 
 
 @SIDES
@@ -171,7 +171,6 @@ def test_a_current_that_is_not_the_one_that_was_set_ends_the_trial(
 
 
 def silent(device: Any) -> None:
-    """A device that does not compare."""
     device._safety.currents[CURRENT.noise] = 2**32 - 1
 
 
@@ -241,8 +240,6 @@ def test_the_zero_of_the_sensor_is_taken_off_while_the_amplifier_is_off(
 
 
 def test_a_device_that_applies_another_current_than_the_commanded_one_is_detected(tmp_path: Path) -> None:
-    """Its limits say nothing; both currents agree with each other."""
-
     class Liar(SimulatedDevice):
         lies = False
 

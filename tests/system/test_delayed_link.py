@@ -48,7 +48,6 @@ Delays = Callable[[int], int]  # frame behind the first that is late → ticks
 
 
 def steady(delay: int) -> Delays:
-    """A buffer that was filled in a pause."""
     return lambda frame: delay
 
 
@@ -77,7 +76,6 @@ class Run:
     recording: Any = None
 
     def listen(self) -> None:
-        """Record the frames of both ends."""
         assert self.link.line is not None
         line, send = self.link.line, self.link.line.send
 
@@ -105,7 +103,6 @@ class Run:
 
     @property
     def onset(self) -> int:
-        """Tick of the first command that is late."""
         return self.commands[self.first][0]
 
     def flagged(self) -> int:

@@ -60,10 +60,6 @@ def test_a_hit_on_the_device_is_the_hit_of_the_host(experiment: Any, quanta: int
     assert agreement["greatest_quanta"] <= quanta
 
 
-def test_a_hit_on_the_device_replays_to_the_last_bit(rig_hit: Hits) -> None:
-    assert replay(rig_hit(BOARD).recording).exact
-
-
 def test_a_wall_that_changes_while_the_device_runs_it_replays_at_its_tick(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

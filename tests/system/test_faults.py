@@ -200,7 +200,6 @@ def struck(kind: Any, direction: Any, frames: list[int], directory: Any) -> bool
 
 
 def sample_frame(frames: Any) -> int:
-    """A frame in the middle of the push."""
     return frames[Direction.TO_HOST] - 20
 
 

@@ -30,7 +30,6 @@ def delays(end: int, begin: int, length: int, scattered: Any = ()) -> Any:
 
 
 def highest(hits: Any) -> int:
-    """Rungs that pass below the first failure."""
     passes = [recorded.passes("any") for recorded, _ in hits]
     return passes.index(False) if False in passes else len(passes)
 

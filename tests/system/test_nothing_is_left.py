@@ -93,7 +93,6 @@ EXITS = {
 
 
 def test_the_census_detects_each_kind_of_remainder(tmp_path: Path) -> None:
-    """Otherwise none of the other tests could fail."""
     import threading  # noqa: PLC0415
 
     before = Census.of_self()
@@ -228,16 +227,7 @@ def test_nothing_is_left_of_a_port_that_does_not_open(warm: Any, far_end: Any) -
         open_device(device_end.url)
 
 
-QUICK = [
-    "hit",
-    "--no-plot",
-    "--duration",
-    "0.2",
-    "--set",
-    "verdict.tail_s=0.1",
-    "--set",
-    "trial.release_s=0.02",
-]
+QUICK = "hit --no-plot --duration 0.2 --set verdict.tail_s=0.1 --set trial.release_s=0.02 --realtime"
 
 
 @pytest.mark.quiet
@@ -247,7 +237,7 @@ def test_nothing_is_left_of_a_command_and_the_process_that_was_its_device(
     monkeypatch.chdir(tmp_path)
     resource_tracker.ensure_running()  # what multiprocessing starts once, stays
     with nothing_left():
-        code = rig.cli.run([*QUICK, "--realtime"])
+        code = rig.cli.run(QUICK.split())
     err = capfd.readouterr().err
     assert code == 0, err
 

@@ -27,7 +27,6 @@ def begin(protocol: Path, study: Path) -> None:
 
 
 def resume(protocol: Path, study: Path) -> None:
-    """Resume the session, or begin it where its log is empty."""
     try:
         resume_session(study / "P01", rehearsal_desk(PERSON), runner=DeviceRunner())
     except ConfigError as error:

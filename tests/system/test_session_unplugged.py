@@ -30,8 +30,6 @@ FRAMES = 300  # of the armed device that reach the host before
 
 
 class Loose(DeviceRunner):
-    """A rig whose plug comes out in a trial."""
-
     def hit(self, experiment: Experiment, changes: Any, directory: Path, name: str, *rest: Any) -> TrialDone:
         if name != UNPLUGGED:
             return super().hit(experiment, changes, directory, name, *rest)
@@ -55,8 +53,6 @@ class Loose(DeviceRunner):
 
 
 class Leaving(RehearsalDesk):
-    """An operator who leaves when a hit ended early."""
-
     def ask(self, question: Question) -> Reply:
         if question.kind == "trouble":
             return Reply(action="abort")
@@ -94,5 +90,4 @@ def test_a_session_resumes_after_a_pulled_plug_to_the_same_results(tmp_path: Pat
 
 
 def about(trial: RecordedTrial) -> tuple[Any, ...]:
-    """Return wall and verdict of a trial."""
     return trial.condition, trial.repeat, trial.stiffness, trial.verdict

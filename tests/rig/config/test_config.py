@@ -316,10 +316,7 @@ ROTARY_RULES = [
         {"controller.slow_velocity_rate": 1500},
         "controller.slow_velocity_rate = 1500 Hz: must divide controller.velocity_rate = 2000 Hz",
     ),
-    (
-        {"host.heartbeat_s": 0.001},
-        "host.heartbeat_s = 0.001 s: must be 0 or at least 0.1 s",
-    ),
+    ({"host.heartbeat_s": 0.001}, "host.heartbeat_s = 0.001 s: must be 0 or at least 0.1 s"),
     (
         {"rig.encoder.counts_per_revolution": None, "rig.encoder.quantum": 1e-6},
         'rig.encoder.quantum = 1e-06 m: belongs to a rig with motion = "linear"; rig.motion = "rotary" needs '
@@ -337,14 +334,8 @@ ROTARY_RULES = [
         {"rig.limits.nominal_effort": 2.0},
         "rig.limits.nominal_effort = 2.0 N·m: must be at most rig.amplifier",
     ),
-    (
-        {"homing.effort": 1.4},
-        "homing.effort = 1.4 N·m: must be at most rig.limits.effort, 1.3 N·m; lower homing",
-    ),
-    (
-        {"trial.effort": 1.5},
-        "trial.effort = 1.5 N·m: must be at most rig.limits.effort, 1.3 N·m; lower trial",
-    ),
+    ({"homing.effort": 1.4}, "homing.effort = 1.4 N·m: must be at most rig.limits.effort, 1.3 N·m"),
+    ({"trial.effort": 1.5}, "trial.effort = 1.5 N·m: must be at most rig.limits.effort, 1.3 N·m"),
     (
         {"rig.limits.human": True},
         "rig.limits.effort = 1.3 N·m: must be at most rig.limits.nominal_effort, 0.286 N·m, while a person holds "
@@ -354,14 +345,8 @@ ROTARY_RULES = [
         {"rig.limits.position_minimum": 0.6},
         "rig.limits.position_minimum = 0.6 rad: must be below position_maximum, 0.5 rad; swap",
     ),
-    (
-        {"wall.position": 0.6},
-        "wall.position = 0.6 rad: must lie inside the position window, -0.5 to 0.5 rad; move it, or widen",
-    ),
-    (
-        {"trial.start": -0.5},
-        "trial.start = -0.5 rad: must lie inside the position window, -0.5 to 0.5 rad; move",
-    ),
+    ({"wall.position": 0.6}, "wall.position = 0.6 rad: must lie inside the position window, -0.5 to 0.5 rad"),
+    ({"trial.start": -0.5}, "trial.start = -0.5 rad: must lie inside the position window, -0.5 to 0.5 rad"),
     (
         {"rig.simulation.initial_position": 1.0},
         "rig.simulation.initial_position = 1.0 rad: must lie inside the position window",
@@ -374,10 +359,7 @@ ROTARY_RULES = [
         {"wall.side": -1},
         "trial.start = -0.015 rad: must be above wall.position, 0 rad: the free side for wall.si",
     ),
-    (
-        {"wall.side": -1},
-        "trial.effort = 0.15 N·m: must be < 0 N·m to push into a wall with wall.side = -1; change",
-    ),
+    ({"wall.side": -1}, "trial.effort = 0.15 N·m: must be < 0 N·m to push into a wall with wall.side = -1"),
     ({"trial.effort": 0.0}, "trial.effort = 0.0 N·m: must be > 0 N·m to push into a wall"),
     (
         {"wall.stiffness": 3000.0},
@@ -385,10 +367,7 @@ ROTARY_RULES = [
         "counts deep, less than trial.minimum_rest_counts = 2; push harder, or choose a wall.stiffness of at most "
         "477 N·m/rad",
     ),
-    (
-        {"homing.speed": 11.0},
-        "homing.speed = 11.0 rad/s: must be below rig.limits.speed, 10 rad/s; choose a lower homing speed",
-    ),
+    ({"homing.speed": 11.0}, "homing.speed = 11.0 rad/s: must be below rig.limits.speed, 10 rad/s"),
     ({"verdict.tail_s": 1.0}, "verdict.tail_s = 1.0 s: must be shorter than trial.duration_s, 1 s; shorten"),
     (
         {"verdict.highpass_hz": 600.0},

@@ -101,7 +101,6 @@ def test_an_effort_limit_of_a_whole_number_of_quanta_is_that_number(
 
 @pytest.mark.parametrize("name", ALL)
 def test_at_the_limit_of_the_amplifier_rig_and_simulated_device_agree(name: Any) -> None:
-    """The highest limit that a configuration allows is one that its simulated device takes."""
     experiment = presets.load(name)
     top = experiment.rig.amplifier.effort_limit
     experiment = config.override(experiment, {"rig.limits.effort": top, "rig.limits.override_stall": True})
@@ -186,6 +185,7 @@ def test_the_edges_of_both_windows_are_the_same_place(sign: int) -> None:
         (2_000, None, 0.003),
         (1_000, None, 0.005),
         (250, None, 0.020),
+        (100, None, 0.020),  # two ticks: a device holds no command for longer
         (1_000, 0.012, 0.012),
     ],
 )
@@ -197,8 +197,8 @@ def test_a_command_lives_for_five_ticks_and_3_ms_at_least(
         "controller.velocity_rate": rate,
         "verdict.lowpass_hz": rate / 4,
     }
-    if rate == 250:
-        changes |= {"controller.parameters.cutoff_hz": 25.0, "verdict.highpass_hz": 10.0}
+    if rate <= 250:
+        changes |= {"controller.parameters.cutoff_hz": rate / 10, "verdict.highpass_hz": 5.0}
     if configured is not None:
         changes["controller.command_lifetime_s"] = configured
     experiment = config.override(COMPLIANT, changes)
@@ -213,14 +213,6 @@ SLOW = {
     "verdict.highpass_hz": 5.0,
     "controller.parameters.cutoff_hz": 20.0,
 }
-
-
-def test_a_slow_loop_has_the_longest_lifetime_that_a_device_takes() -> None:
-    """Five ticks of 10 ms would be 50 ms; two of them fit into the 20 ms that a device holds a command at most."""
-    slow = config.override(
-        COMPLIANT, {**SLOW, "controller.position_rate": 100, "controller.velocity_rate": 100}
-    )
-    assert device_parameters(slow)["command_lifetime_us"] == 20_000
 
 
 @pytest.mark.parametrize(
@@ -280,7 +272,6 @@ def test_each_controller_has_a_memory_of_its_own() -> None:
     ],
 )
 def test_smaller_limits_of_a_device_are_found_before_it_refuses(name: str, key: str) -> None:
-    """By key and in SI units."""
     quantum = COMPLIANT.rig.amplifier.current_quantum_a
     run = controller.prepare_controller(COMPLIANT, current_quantum_a=quantum)
     own = describe(config.rig_model(COMPLIANT), "a drive", 20_000, 20_000)

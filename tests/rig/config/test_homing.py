@@ -69,7 +69,6 @@ def test_a_rig_with_its_own_name_has_its_own_servo() -> None:
 @pytest.mark.parametrize("name", presets.names())
 @pytest.mark.parametrize("ticks", [0, 2])
 def test_a_designed_servo_is_stable_by_linear_theory(name: str, ticks: int) -> None:
-    """Of an automated trial without a hand, of a person's in every hand."""
     x = presets.load(name)
     servo = homing.stable_servo(x)
     assert LateLoops.of(x, ticks).radius(servo.stiffness, servo.damping)[NO_OPERATOR] < 1.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import tomllib
 from importlib.resources import files
@@ -193,14 +192,6 @@ def test_values_that_are_fitted_or_not_in_the_paper_are_marked() -> None:
     assert "[fitted]" not in presets.text("koul-rigid")
     assert "NOT in the paper" in presets.text("chawda-linear")
     assert "499" in presets.text("chawda-linear")
-
-
-def test_encoder_resolutions() -> None:
-    for name in ("koul-compliant", "koul-rigid"):
-        resolution = presets.load(name).rig.encoder.resolution
-        assert resolution == pytest.approx(2 * math.pi / 40000, rel=1e-15)
-        assert resolution == pytest.approx(1.5708e-4, rel=1e-4)
-    assert presets.load("chawda-linear").rig.encoder.resolution == 1e-6
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -97,7 +97,6 @@ def ends_of(exchanges: Any) -> Any:
 def test_the_truth_lies_within_three_sigma_and_the_bound(
     ppm: float, count: int, span_s: float, ways: Any, jitter: Any, burst: Any, seed: int
 ) -> None:
-    """Any drift of crystals, any delay: exponential jitter, bursts, and ways that differ."""
     world = World(ppm, seed=seed)
     exchanges = world.exchanges(count, span_s, ways_ns=ways, jitter_ns=jitter, burst=burst)
     fit = fit_clock(exchanges)
@@ -291,7 +290,6 @@ def test_any_stamps_give_a_fit_of_finite_numbers_or_an_error(stamps: Any) -> Non
 
 
 def test_a_wrong_unit_of_time_is_refused() -> None:
-    """Sixteen units a microsecond, declared as ten."""
     exchanges = World().exchanges(20, 2.0)
     for name in EXCHANGE.names[1:3]:
         exchanges[name] = exchanges[name] // 16 * 10

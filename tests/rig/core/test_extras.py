@@ -166,7 +166,6 @@ def test_help_works_beside_broken_extras_and_names_them(install: Install, tmp_pa
 
 
 def test_stop_waits_for_no_extra(install: Install, tmp_path: Path) -> None:
-    """Neither for its table nor for its modules."""
     hang = "import time; extras.tables = lambda: time.sleep(1e9)"
     ring = Ring.allocate(10, info={"url": "sim://"}, shared=True)
     try:
@@ -194,8 +193,6 @@ def test_every_table_of_this_tree_is_whole() -> None:
 
 
 def test_every_result_that_can_be_drawn_has_a_picture() -> None:
-    """A result is imported by what draws it, or by the functions that people call."""
-
     def kinds(kind: type) -> set[str]:
         return {kind.__name__}.union(*map(kinds, kind.__subclasses__()))
 

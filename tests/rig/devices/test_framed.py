@@ -439,7 +439,6 @@ def test_a_device_that_calls_every_session_stale_is_not_asked_for_ever() -> None
 
 
 def test_parameters_that_a_loop_has_changed_are_ours() -> None:
-    """The next session arms with the fingerprint behind the walls that a law on the device took."""
     _, wire, device = make()
     device.configure(RUN_PARAMETERS)
     device.arm()
@@ -732,7 +731,6 @@ def test_streams_continue_behind_the_loop() -> None:
 
 
 def test_the_host_can_stop_a_device_in_an_unknown_state() -> None:
-    """A loop hands over the state byte of the newest STATE as it is."""
     simulated, wire, device = make()
     device.configure(RUN_PARAMETERS)
     device.arm()
@@ -762,7 +760,6 @@ def test_exchanges_lie_at_odd_distances() -> None:
 
 
 def test_a_request_that_had_to_be_repeated_took_from_its_first_frame_on() -> None:
-    """Its round trip is counted long, and so has no weight."""
     _, wire, device = make(faults=Faults())
     assert device.dictionary.simulated
     asked = wire.link.line.frames[Direction.TO_DEVICE]
@@ -810,8 +807,6 @@ def test_reading_the_ticks_of_a_slow_device_is_bounded() -> None:
 
 
 class Slow(Wire):
-    """A link with slow writes."""
-
     def __init__(self, link: Any, takes_s: Any) -> None:
         super().__init__(link)
         self._takes_ns = round(takes_s * 1e9)

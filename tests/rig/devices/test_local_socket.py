@@ -35,7 +35,6 @@ def opened(path: Any, query: str = "") -> SocketLink:
 
 @pytest.fixture(params=first_by_default([None, False]), ids=["default", "readable"])
 def path(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Path]:
-    """Of a simulated rig that is served."""
     with served_rig(firmware=request.param, socket=tmp_path / "port") as served:
         yield Path(served)
     assert not (tmp_path / "port").exists()

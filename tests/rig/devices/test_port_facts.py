@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import pty
 from collections.abc import Iterator
@@ -11,7 +10,6 @@ from typing import Any
 
 import pytest
 
-from rig.core.present import plain
 from rig.devices import _tty as tty
 from rig.devices import port_facts as module
 from rig.devices.port_facts import PortFacts, port_facts
@@ -150,13 +148,6 @@ def test_a_pseudo_terminal_is_not_taken_for_the_console_of_the_same_number(tree:
     assert tree.facts("/dev/pts/0").driver is None
 
 
-def test_facts_become_json(tree: Tree) -> None:
-    facts = tree.facts(tree.plug("ttyUSB0", driver="ftdi_sio", vendor="0403", latency=16, by_id="usb-x"))
-    found = json.loads(json.dumps(plain(facts)))
-    assert found["latency_timer_ms"] == 16
-    assert len(found["by_id"]) == 1
-
-
 @pytest.mark.parametrize(
     ("changed", "command"),
     [
@@ -199,13 +190,6 @@ def test_settings_are_read_back_as_they_were_set(slave: Any) -> None:
     for wanted in (True, False):
         assert tty.set_exclusive(slave, wanted) is wanted
         assert tty.is_exclusive(slave) is wanted
-
-
-def test_a_file_has_no_settings_of_a_terminal(tmp_path: Path) -> None:
-    with open(tmp_path / "file", "w") as file:
-        assert tty.is_exclusive(file.fileno()) is None
-        assert tty.low_latency(file.fileno()) is None
-        assert tty.dtr(file.fileno()) is None
 
 
 def test_reading_the_facts_of_a_port_does_not_open_it(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -160,7 +160,6 @@ def test_a_serial_number_selects_one_of_two_devices(bus: Any) -> None:
 
 
 def test_a_serial_number_is_read_from_sysfs(bus: Any, tmp_path: Path) -> None:
-    """That needs no permission and opens no device."""
     (tmp_path / "1-4").mkdir()
     (tmp_path / "1-4" / "serial").write_text("KERNEL\n")
     bus.devices = [Device(serial="ASKED", port=4)]

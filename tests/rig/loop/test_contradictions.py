@@ -108,7 +108,6 @@ def test_with_the_law_on_the_device_a_contradiction_ends_the_run(name: str) -> N
 
 
 def test_a_jump_back_of_the_clock_in_a_fault_is_no_wrap() -> None:
-    """A fault is accepted with any clock."""
     receiver = Receiver()
     receiver.feed(state_frame(1_000))
     before = int(receiver.buffers.progress[0]["device_time"])

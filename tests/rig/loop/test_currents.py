@@ -18,7 +18,6 @@ from rig.realtime.codec import STATE
 
 
 def is_marked(buffers: Any, sequence: int, current: int, age: int = 2, limits: int = 0) -> bool:
-    """Return True if a STATE is marked."""
     memory = new_memory()
     buffers.state[STATE.state] = State.RUNNING
     buffers.state[STATE.command_sequence], buffers.state[STATE.command_age] = sequence % 65536, age

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from itertools import cycle
 from typing import Any
 
 import hypothesis
@@ -191,17 +192,15 @@ PIECES = st.lists(
 @hypothesis.settings(max_examples=40)
 @given(pieces=PIECES, cuts=st.lists(st.integers(1, 60), min_size=1, max_size=50))
 def test_frames_may_be_cut_anywhere(pieces: Any, cuts: list[int]) -> None:
-    """Whole, byte by byte or in any pieces: the same samples, the same counters."""
     stream = b"".join(pieces)
     whole, chunked, single = Receiver(), Receiver(), Receiver()
     passed = whole.feed(stream)
-    seen = 0
-    at = turn = 0
-    while at < len(stream):
-        size = cuts[turn % len(cuts)]
+    seen = at = 0
+    for size in cycle(cuts):
+        if at >= len(stream):
+            break
         seen += chunked.feed(stream[at : at + size])
         at += size
-        turn += 1
     assert seen == passed == sum(single.feed(bytes([byte])) for byte in stream)
     for other in (chunked, single):
         assert other.counters == whole.counters
@@ -214,20 +213,13 @@ def test_frames_may_be_cut_anywhere(pieces: Any, cuts: list[int]) -> None:
 # ---------------------------------------------------------------------- lateness
 
 
-def lateness(
-    receipts_ns: list[int], indices: list[int] | None = None, period_ns: int = PERIOD_NS
-) -> list[int]:
-    settings = LoopSettings(
-        period_ns=period_ns, session=1, lifetime_us=1, lost_after_ns=1, device_tick_ps=62_500,
-        current_quantum_a=1.0, wait_for_room=False,
-    ).as_array()  # fmt: skip
-    progress = np.zeros(1, PROGRESS)
+def lateness(receipts_ns: list[int]) -> list[int]:
+    values, progress = settings().as_array(), np.zeros(1, PROGRESS)
+    progress[0]["earliest"] = receipts_ns[0]
     late = []
     for number, receipt in enumerate(receipts_ns):
-        progress[0]["sample_index"] = number if indices is None else indices[number]
-        if number == 0:
-            progress[0]["earliest"] = receipt - progress[0]["sample_index"] * period_ns
-        late.append(int(row_lateness(settings, progress, receipt)))
+        progress[0]["sample_index"] = number
+        late.append(int(row_lateness(values, progress, receipt)))
     return late
 
 
@@ -243,7 +235,6 @@ def test_on_the_grid_nothing_is_late_and_one_late_receipt_does_not_move_the_grid
 
 @pytest.mark.parametrize(("ppm", "late"), [(90, False), (-90, False), (1000, True)])
 def test_two_ordinary_crystals_may_differ_and_a_slow_host_may_not(ppm: int, late: bool) -> None:
-    """20 s at 1 kHz."""
     assert DRIFT_PPM == 100
     result = lateness([round(PERIOD_NS * k * (1 + ppm * 1e-6)) for k in range(20_000)])
     assert (max(result) > PERIOD_NS) is late
@@ -314,7 +305,6 @@ class Script:
         return None
 
     def commands(self) -> Any:
-        """Return headers and messages of the host."""
         return [unpack(decode_frame(frame[:-1])) for _, frame in self.sent]
 
 
@@ -341,7 +331,6 @@ def settings(**changes: Any) -> Any:
 
 
 def ran(link: Any, bundle: Any = None, *, memory: Any = None, **changes: Any) -> Any:
-    """Run the loop to its end."""
     memory = memory or Ring.allocate(4096)
     run.prepare()
     thread = LoopThread(link, bundle or at_rest(), settings(**changes), memory)
@@ -653,7 +642,6 @@ def test_a_tick_without_a_fresh_sample_steps_no_law_and_sends_nothing() -> None:
 
 
 def busy(link: Any, duration_ns: Any) -> Any:
-    """The host does something else meanwhile."""
     return lambda: link.clock.sleep_until(link.clock.now_ns() + duration_ns)
 
 
@@ -705,10 +693,7 @@ def test_a_device_paced_host_that_was_away_is_late_though_the_newest_sample_is_n
 
 @pytest.mark.quiet
 def test_a_host_paced_loop_in_real_time_keeps_its_grid_and_may_spin_at_the_end_of_a_wait(wire: Any) -> None:
-    memory = Ring.allocate(4096)
-    changes = {"host_paced": True, "spin_ns": 100_000, "lost_after_ns": 5_000_000_000}
-    thread = LoopThread(wire, at_rest(), settings(**changes), memory)
-    thread.start()
+    thread, memory = start(wire, host_paced=True, spin_ns=100_000)
     for k in range(1, 40):
         os.write(wire.theirs.fileno(), state_frame(k))
         time.sleep(0.001)
@@ -726,12 +711,8 @@ def test_a_host_paced_loop_in_real_time_keeps_its_grid_and_may_spin_at_the_end_o
 
 
 def test_a_signal_stops_the_loop_while_python_does_not_run(wire: Any) -> None:
-    """The handler in machine code counts it in a word that the loop reads in each tick."""
     requests = np.array([7], np.int64)
-    memory = Ring.allocate(4096)
-    changes = {"stop_requests": requests.ctypes.data, "stop_requests_before": 7}
-    thread = LoopThread(wire, at_rest(), settings(lost_after_ns=60_000_000_000, **changes), memory)
-    thread.start()
+    thread, memory = start(wire, stop_requests=requests.ctypes.data, stop_requests_before=7)
     try:
         wire.theirs.send(state_frame(1))
         until(lambda: memory.get(control_words.TICKS) == 1)
@@ -844,8 +825,6 @@ def test_a_wall_never_appears_around_the_handle() -> None:
 
 
 class Socket:
-    """A link over a descriptor in real time."""
-
     def __init__(self) -> None:
         ours, theirs = socket.socketpair()
         ours.setblocking(False)
@@ -874,6 +853,14 @@ def wire() -> Iterator[Any]:
     made = Socket()
     yield made
     made.close()
+
+
+def start(wire: Any, law: Any = None, **changes: Any) -> Any:
+    """Start the loop in real time, by default for a device that may be silent for a minute."""
+    values = {"lost_after_ns": 60_000_000_000, **changes}
+    thread = LoopThread(wire, at_rest(law), settings(**values), Ring.allocate(4096))
+    thread.start()
+    return thread, thread.ring
 
 
 def until(condition: Any) -> None:
@@ -914,10 +901,8 @@ def test_virtual_and_real_time_run_the_same_machine_code(wire: Any) -> None:
 
 def test_the_loop_needs_no_python_while_it_runs(wire: Any) -> None:
     """One thread holds the GIL (a C call through PyDLL); the loop answers every sample."""
-    memory = Ring.allocate(4096)
-    thread = LoopThread(wire, at_rest(), settings(lost_after_ns=10_000_000_000), memory)
     interval = sys.getswitchinterval()
-    thread.start()
+    thread, memory = start(wire)
     try:
         wire.theirs.send(state_frame(1))
         until(lambda: memory.get(control_words.TICKS) == 1)
@@ -934,10 +919,8 @@ def test_the_loop_needs_no_python_while_it_runs(wire: Any) -> None:
 
 
 def test_stopping_a_loop_in_real_time_ends_with_stops_on_the_wire(wire: Any) -> None:
-    memory = Ring.allocate(4096)
-    thread = LoopThread(wire, at_rest(), settings(lost_after_ns=60_000_000_000), memory)
+    thread, _ = start(wire)
     seen = []
-    thread.start()
     wire.theirs.send(state_frame(1))
     threading.Timer(0.1, thread.stop).start()
     thread.wait(lambda done, phase: seen.append((done, phase)))
@@ -950,8 +933,7 @@ def test_stopping_a_loop_in_real_time_ends_with_stops_on_the_wire(wire: Any) -> 
 
 
 def test_a_hang_up_in_real_time_is_a_closed_link(wire: Any) -> None:
-    thread = LoopThread(wire, at_rest(), settings(lost_after_ns=60_000_000_000), Ring.allocate(4096))
-    thread.start()
+    thread, _ = start(wire)
     wire.theirs.send(state_frame(1))
     until(lambda: thread.ring.get(control_words.TICKS) == 1)
     wire.theirs.close()
@@ -970,8 +952,7 @@ def test_a_loop_that_was_never_started_is_not_waited_for(monkeypatch: pytest.Mon
 
 
 def test_an_exception_of_the_progress_does_not_stop_the_caller_from_finishing(wire: Any) -> None:
-    thread = LoopThread(wire, at_rest(), settings(lost_after_ns=60_000_000_000), Ring.allocate(4096))
-    thread.start()
+    thread, _ = start(wire)
     with pytest.raises(ZeroDivisionError):
         thread.wait(lambda done, phase: 1 // 0)
     thread.finish()
@@ -995,9 +976,7 @@ def test_a_run_ends_though_its_law_never_returns(wire: Any, monkeypatch: pytest.
     words = np.zeros(2, np.int64)
     entered, freed = (int(words.ctypes.data) + 8 * place for place in range(2))
     law = Law("waits", "for this test", waits_for_a_word, 2, lambda wall: [float(entered), float(freed)])
-    memory = Ring.allocate(64)
-    thread = LoopThread(wire, at_rest(law), settings(lost_after_ns=60_000_000_000), memory)
-    thread.start()
+    thread, memory = start(wire, law)
     try:
         for k in range(1, 9):
             os.write(wire.theirs.fileno(), state_frame(k))

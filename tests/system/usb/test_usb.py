@@ -149,7 +149,6 @@ def rig(request: pytest.FixtureRequest, program: Path, child: Child) -> Iterator
 
 @pytest.mark.quiet
 def test_a_hit_from_the_command_line(rig: Rig, tmp_path: Path) -> None:
-    """It is judged and recorded, and every tick is accounted for."""
     url = checks.URL if rig.transfers == "queued" else f"{checks.URL}/0001?transfers=plain"
     code, result = rig.check("hits_from_the_command_line", url, str(tmp_path))
     assert (code, result["error"], len(result["hits"])) == (0, None, 1)
