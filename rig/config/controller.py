@@ -30,7 +30,7 @@ from rig.core.board import moved_mechanics
 from rig.core.errors import PlanError
 
 LIFETIME_PERIODS = 5
-# beyond the duration of a trial: for so long a person may hold the handle without an encoder edge
+# Beyond the duration of a trial, a person may hold the handle so long without an encoder edge.
 CONFIRM_S = 1.0
 SHORTEST_LIFETIME_S, LONGEST_LIFETIME_S = 0.003, 0.02
 SUPERVISE_LIFETIME_S = 0.02  # of a command to a law on the device; the host repeats it every 5 ms
@@ -51,6 +51,7 @@ def effort_quantum(experiment: Experiment, current_quantum_a: float) -> float:
 
 def current_limit(experiment: Experiment, current_quantum_a: float) -> int:
     """Return the largest whole number of quanta within the effort limit: what guard and device both clip to."""
+    # The factor makes 10.999… quanta 11: the quotient of two decimals is rounded.
     return math.floor(
         experiment.rig.limits.effort / effort_quantum(experiment, current_quantum_a) * (1.0 + 1e-12)
     )
@@ -58,7 +59,8 @@ def current_limit(experiment: Experiment, current_quantum_a: float) -> int:
 
 def oscillation_limit(experiment: Experiment) -> int:
     """Return the oscillations of the effort in a row that end a trial (`rig.control._watch`); 0: any number."""
-    if experiment.trial.kind == "excitation":  # which drives the effort itself
+    # An excitation makes the effort oscillate itself.
+    if experiment.trial.kind == "excitation":
         return 0
     limits = experiment.rig.limits
     if limits.oscillations is not None:
@@ -174,11 +176,9 @@ def _law(experiment: Experiment, law: Law) -> Law:
 
 
 def _without_friction(experiment: Experiment, law: Law) -> Law:
-    """Return the law with the Coulomb friction of the experiment compensated.
-
-    On two masses only the motor side's friction is compensated: the link's lies behind the capstan, and compensating it
-    from the motor would add more energy than it removes.
-    """
+    """Return the law with the Coulomb friction of the experiment compensated."""
+    # On two masses that of the motor side alone: the link's lies behind the capstan, and compensating it from the motor
+    # would add more energy than it removes.
     rates, mechanics = experiment.controller, experiment.rig.mechanics
     behind = mechanics.link_coulomb if mechanics.structure == "rigid" else 0.0
     level, cutoff = mechanics.motor_coulomb + behind, rates.parameters.get("cutoff_hz", math.inf)
@@ -310,6 +310,7 @@ def device_parameters(
         "verified": 1 if verified else 0,
         "command_lifetime_us": round(command_lifetime_s(experiment) * 1e6),
         "current_limit": current_limit(experiment, current_quantum_a),
+        # Rounded up and one more: the device repeats the guard's limit, and must not cut what the guard lets through.
         "slew_limit": min(65_535, math.ceil(limits.slew / rates.position_rate / quantum) + 1),
         "speed_limit": math.ceil(limits.speed / delta),
         "window_minimum": edges[0],

@@ -131,6 +131,7 @@ def phase_margin(x: Experiment, stiffness: float, damping: float, ticks: int) ->
     s = 1j * GRID / (delay_s + velocity_s)
     plant = 1.0 / ((mass * s + viscous) * s * (1.0 + s * lag_s))
     loop = (stiffness + damping * s * np.exp(-s * velocity_s)) * np.exp(-s * delay_s) * plant
+    # The phase where the gain is above 1, not only at its last crossing: a lag or a hand can make it cross twice.
     strong = np.abs(loop) >= 1.0
     if not strong.any():
         return math.pi
@@ -145,6 +146,7 @@ def stable_servo(x: Experiment, ticks: int = SPARE_TICKS) -> Servo:
     limits = x.rig.limits
     effort = max(FRICTIONS * holding_effort(x), NOMINAL_SHARE * limits.nominal_effort)
     effort = min(effort, limits.nominal_effort, limits.effort)
+    # K = (B/I)²·I/(4ζ²) gives the damping ratio ζ for a damping of B = I·corner.
     mass, softness = inertia(x), 4.0 * DAMPING_RATIO**2
     corner = min(corner, math.sqrt(stiffest_for_counts(x, effort, USUAL_COUNT_SHARE) * softness / mass))
     return Servo(

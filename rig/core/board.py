@@ -21,7 +21,8 @@ from rig.core.model import RigModel
 from rig.core.sample import unit_of
 
 CURRENT_QUANTA_LIMIT = 2**15 - 1  # of an i16 on the wire
-STALL_COUNTS = 2  # travel that must show an edge wherever the handle stood in its encoder cell
+# Travel that must show an edge: one count could be just missed, wherever the handle stood in its encoder cell.
+STALL_COUNTS = 2
 # Above the amplifier's own peak: noise and ripple of the sensor are no fault, a shorted winding is.
 OVER_CURRENT_MARGIN = 1.1
 ROUNDED = math.sqrt(2.0 / 12.0)  # rms of the difference of two rounded values, in quanta
@@ -77,6 +78,7 @@ def current_sensor(model: RigModel) -> CurrentSensor:
     sensor = amplifier.current_noise_a / amplifier.current_quantum_a
     comparable = amplifier.current_monitor and model.simulation.computation_delay_ticks == 0
     return CurrentSensor(
+        # Independent sources add in squares: the sensor's, the rounding of the current, that of the count's speed.
         noise=math.hypot(sensor, ROUNDED, ROUNDED * back_emf / SPEED_LAG_S) if comparable else -1.0,
         lag_s=amplifier.lag_s,
         delay_s=amplifier.set_point_delay_s,

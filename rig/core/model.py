@@ -11,9 +11,8 @@ State of the continuous model, in this order:
 * coupled to a person's hand: hand position and hand velocity after these
 
 Inputs, in this order: commanded effort, external effort on the link, then one Coulomb friction effort for
-each mass; with a person then the intended position, the intended velocity and the press on the hand. Friction
-enters as an input because its value follows from the velocity in each step, not from a matrix; saturation,
-gravity and computation delay are no part of the matrices either.
+each mass; with a person then the intended position, the intended velocity and the press on the hand. Saturation,
+gravity and computation delay are no part of the matrices.
 
 Theory, identification, experiment files, devices, firmware, drives and the simulation read it. Nothing here may change
 the order of states or inputs alone: all of them index the matrices by it.
@@ -85,10 +84,8 @@ class Mechanics:
 
     @property
     def transmission_damping(self) -> float:
-        """Return the damping across the capstan (N·m·s/rad or N·s/m) that gives the free-free mode its damping ratio.
-
-        Taken without the end mass, so that hanging a mass on the handle changes no property of the cable.
-        """
+        """Return the damping across the capstan (N·m·s/rad or N·s/m), from the free-free mode's damping ratio."""
+        # Without the end mass: a mass on the handle changes no property of the cable.
         reduced = self.motor_inertia * self.link_inertia / (self.motor_inertia + self.link_inertia)
         return 2.0 * self.transmission_damping_ratio * math.sqrt(self.transmission_stiffness * reduced)
 
@@ -151,7 +148,8 @@ class Amplifier:
 
     def set_point_ticks(self, tick_s: float) -> int:
         """Return whole ticks that a set-point is late, rounded up."""
-        return math.ceil(self.set_point_delay_s / tick_s - 1e-9)  # 250 µs of 50 µs each are 5
+        # Without the margin 250 µs in ticks of 50 µs would be 6: the quotient of two decimals is 5.000…1.
+        return math.ceil(self.set_point_delay_s / tick_s - 1e-9)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -220,6 +218,7 @@ class Cogging:
     @property
     def crest(self) -> float:
         """Return an upper bound of the cogging effort (N·m or N): the crests of all harmonics added."""
+        # Not the largest value of the sum, which would need a search: the crests need not lie at one place.
         return math.fsum(math.hypot(c, s) for c, s in zip(self.cosine, self.sine, strict=True))
 
     def effort(self, position: ArrayLike) -> NDArray[np.float64]:
@@ -425,7 +424,7 @@ class RigModel:
 
     @property
     def damping(self) -> float:
-        """Return damping of a slow rigid motion (N·m·s/rad or N·s/m): motor, link, and back-EMF under voltage drive.
+        """Return the damping of slow rigid motion (N·m·s/rad or N·s/m): motor, link, back-EMF under voltage drive.
 
         Above 1/(2π·lag) the back-EMF brakes less and less: its current has no time to build up.
         """

@@ -1,6 +1,6 @@
-"""Bulk transfers of an open USB device, made ready for the compiled functions of `rig.devices._usb_transfers`.
+"""Bulk transfers of an open USB device, prepared for the compiled functions of `rig.devices._usb_transfers`.
 
-Python's reads and writes go the same way as the loop's, so that there is one owner of the pipes.
+`rig.devices.usb` opens it. Python must read and write by the same functions as the loop: the pipes have one owner.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from rig.devices._usb_handle import Handle, Transfer
 from rig.devices._usb_transfers import SLOT_WORDS, SLOTS_AT, Slot, Word
 from rig.realtime.native import address_of
 
-IN_TRANSFERS = 16  # packets that may come while the host is away
-OUT_TRANSFERS = 8  # COMMANDs under way; more than the STOP frames at the end of a run
+IN_TRANSFERS = 16  # packets that may arrive while the host is busy elsewhere
+OUT_TRANSFERS = 8  # COMMANDs in transit; more than the STOP frames at the end of a run
 OUT_BYTES = 512
 OUT_LIMIT_S = 0.5
 LAST_WORDS_S = 0.1  # for the last writes to leave when the link is closed
@@ -123,7 +123,8 @@ class QueuedTransfers:
             return
         compiled.flush(self._address, time.monotonic_ns() + round(LAST_WORDS_S * 1e9), 0)
         left = compiled.flush(self._address, time.monotonic_ns() + round(CANCEL_S * 1e9), 1)
-        if left:  # the kernel may still write there: memory is lost rather than damaged
+        # A transfer that the kernel does not return may still be written to: leak the memory rather than free it.
+        if left:
             ctypes.pythonapi.Py_IncRef(ctypes.py_object(self))
             return
         for address in transfers:

@@ -186,6 +186,7 @@ def _path(device: Any) -> str:
 
 def _text(device: Any, which: str, *, ask: bool = True) -> str:
     """Return a serial number or product name, read by the kernel or from the device; empty if it has none."""
+    # From sysfs first: a request to the device would disturb another program that has it open.
     with suppress(OSError):
         return (SYSFS / _path(device) / which).read_text("utf-8", "replace").strip()
     if ask:
@@ -238,7 +239,8 @@ def _claim(device: Any, pipes: _Pipes, url: DeviceUrl) -> bool:
     except (usb.core.USBError, NotImplementedError) as error:
         raise _not_opened(error, device, url) from None
     for endpoint in (pipes.endpoint_in, pipes.endpoint_out):
-        with suppress(usb.core.USBError, NotImplementedError):  # both halves start with the same data toggle
+        # Resets the data toggle of both sides: after a killed host they may differ, and the first packet would be lost.
+        with suppress(usb.core.USBError, NotImplementedError):
             device.clear_halt(endpoint)
     return detached
 

@@ -19,6 +19,7 @@ assert sys.platform == "linux"
 PREEMPT_FILE = "/sys/kernel/debug/sched/preempt"
 CLOCK_FILE = "/sys/devices/system/clocksource/clocksource0/current_clocksource"
 SLOW_CLOCKS = ("hpet", "acpi_pm", "jiffies", "refined-jiffies", "pit")
+# High-resolution timers report 1 ns; the kernel's tick is 1 to 10 ms.
 COARSE_NS = 1000
 _HYPERVISORS = re.compile(
     r"QEMU|KVM|VMware|VirtualBox|Virtual Machine|Xen|Bochs|Parallels|Google|EC2", re.IGNORECASE
@@ -71,6 +72,7 @@ def clock(machine: Machine) -> Check:
 def governor(machine: Machine) -> Check:
     """Check whether processors stay at their full frequency."""
     chosen = facts.governors(machine.root)
+    # Any other governor lowers the clock of a processor that sleeps most of a tick.
     others = sorted(by for by in chosen.values() if by != "performance")
     if not chosen:
         return ok("fixed, or not visible on this machine")

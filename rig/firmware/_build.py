@@ -52,7 +52,7 @@ LINK = (
 )
 SHARED = ("core", "law")  # directories whose C files belong to every image
 DEVICE = "device"  # the program that is the firmware
-# the one that tries the device's port out, in place of the core: every board has it
+# The program that tests the device's port, in place of the core: every board has it.
 PORT_CHECK = "port_check"
 COARSE_STEP = 2.0  # quanta of the rig's commands in one step of the output, from which on a build warns
 PORT_CHECK_SOURCES = ("port_check/port_check.c", "core/frame.c", "core/protocol.c")
@@ -201,7 +201,8 @@ def build(request: BuildRequest, on_progress: Progress = lambda _what, _share: N
         The files cannot be written.
     """
     board = load(request.board)
-    ports = DEVICE if request.application == PORT_CHECK else request.application  # whose files of the port
+    # The port check runs on the files of the device's port, which it tests.
+    ports = DEVICE if request.application == PORT_CHECK else request.application
     if ports not in board.applications:
         raise ConfigError(
             f"board {board.name} has no program {request.application!r}",
@@ -271,7 +272,8 @@ def _compile(
     (scratch / "board_config.c").write_text(config.source, encoding="utf-8")
     names = [_path_in_tree(path, board).as_posix() for path in sources] + ["board_config.c"]
     include = ["-I.", *(f"-Ifirmware/{part}" for part in SHARED), "-Iboard"]
-    nowhere = f"-ffile-prefix-map={os.path.realpath(scratch)}=."  # the debugger's own notes have paths, too
+    # The debugger's notes contain paths too, which would make the bytes differ from machine to machine.
+    nowhere = f"-ffile-prefix-map={os.path.realpath(scratch)}=."
     common = [*WARNINGS, *CODE, nowhere, *board.processor, *board.compile, *include]
     objects = [f"{number}.o" for number in range(len(names))]
 

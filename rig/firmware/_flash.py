@@ -222,7 +222,8 @@ def _check_board(image: Path, record: Record, drive: BootDrive) -> None:
 
 
 def _copy(content: bytes, drive: BootDrive, name: str, on_progress: Progress) -> None:
-    """Write the file; the board may vanish once it has every byte, before the system is done: that is success."""
+    """Write the file to the drive."""
+    # The board restarts once it has every byte, before the system has finished the write: that error is a success.
     at = 0
     try:
         with (drive.path / name).open("wb", buffering=0) as file:
@@ -247,7 +248,8 @@ def _copy(content: bytes, drive: BootDrive, name: str, on_progress: Progress) ->
 
 
 def _is_there(drive: BootDrive) -> bool:
-    """Return True if the drive still shows its file; a stale mount, which gives an error, is one that is gone."""
+    """Return True if the drive still shows its file."""
+    # A stale mount gives an error: the drive is gone.
     try:
         return (drive.path / INFO_FILE).exists()
     except OSError:
@@ -255,7 +257,7 @@ def _is_there(drive: BootDrive) -> bool:
 
 
 def _wait_for_drive(drive: Path | None, on_progress: Progress) -> None:
-    """Wait for the drive to appear, which the system mounts; what then is there or not says `flash`."""
+    """Wait until the system has mounted the drive, `APPEAR_S` at most; `flash` reports if it is missing then."""
     deadline = time.monotonic() + APPEAR_S
     while not (find_drives() if drive is None else _drive(drive)) and time.monotonic() < deadline:
         on_progress("waiting for the board's drive", 1.0 - (deadline - time.monotonic()) / APPEAR_S)

@@ -36,14 +36,17 @@ UNDOABLE_RATE = 0xFFFF_FFFF
 # Tolerance of counted ticks: at least so many, those of TICKS_S, or this share of the time watched.
 TICKS_LEAST, TICKS_S, TICKS_SHARE = 20, 0.1, 0.1
 ODD_RATE = 7_001  # a prime: no timer has it by chance
-RATE_SHARE, CLOCKS_PPM = 0.01, 300.0  # of two rates that are the same; of two clocks of one crystal
+# Largest difference of two equal rates (share); of two clocks from one crystal (ppm).
+RATE_SHARE, CLOCKS_PPM = 0.01, 300.0
 GRID_SHARE = 0.05  # of a period, as in the self test
 WAITS_S = 1e-4
 EDGE_OFF_S = 1e-5
 SYNC_EDGES = 128
-GONE_LAGS, GONE_S = 3.0, 1e-4  # a quarter of a current is left after ln 4 = 1.4 lags
+# A current must be below a quarter after so many lags: it is after ln 4 = 1.4.
+GONE_LAGS, GONE_S = 3.0, 1e-4
 MEASURED_SHARE, MEASURED_NOISES, MEASURED_QUANTA = 0.1, 4.0, 3.0
-BATCH_S, BATCH_BYTES = 0.1, 5  # what there must be room for: so long, so many bytes a tick
+# The transmit buffer must have room for this time at so many bytes a tick: the link may pause for so long.
+BATCH_S, BATCH_BYTES = 0.1, 5
 FILL_FRAMES, FILL_S = 2_000, 10.0
 BITES_US = (40_000, 5_000)
 ANSWER_S, RETURNS_S, TRIES = 2.0, 0.5, 5
@@ -565,6 +568,7 @@ def _why_no_current(trial: PortTrial) -> str:
         return "the board measures no current"
     if not trial.request.current:
         return "free the handle or replace the motor by a resistor, and give a `current`"
+    # A current that is switched off late, because time or watchdog are wrong, can burn the winding.
     if any(isinstance(trial.verdicts[name], Mapping) for name in (*TIME, "tick_rate", "watchdog_bites")):
         return "not tested: time, tick and watchdog must pass first"
     return ""

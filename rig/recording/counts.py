@@ -97,6 +97,7 @@ def read_counts(
     path = Path(path)
     file = _read(path, [count] if time is None else [count, time], delimiter)
     counts = _numbers(path, count, file[0])
+    # A row without a count is a lost sample, not one with a count of zero.
     known = ~np.isnan(counts)
     seconds = None
     if time is not None:
@@ -285,7 +286,8 @@ def _seconds(path: Path, name: str | int, column: Any, unit_s: float) -> tuple[F
         unit_s = 1e-9
         wide = pyarrow.timestamp("ns") if types.is_timestamp(column.type) else pyarrow.time64("ns")
         column = column.cast(wide).cast(pyarrow.int64())
-    if types.is_integer(column.type):  # a double does not hold every ns of a date
+    # Whole numbers less the first one, then floats: a double does not hold every ns of a date.
+    if types.is_integer(column.type):
         whole = column.fill_null(0).to_numpy(zero_copy_only=False).astype(np.int64)
         first = whole[known][:1].sum()
         return np.asarray((whole - first) * unit_s, dtype=np.float64), known
@@ -304,6 +306,8 @@ def _grid(path: Path, time_s: Floats, rows: Ints) -> SampleGrid:
             f"{time_s[at + 1]:.9g} s after {time_s[at]:.9g} s (from the first sample)",
             remedy="sort the rows; if the time stamps are too coarse for the rate, omit time and give period_s",
         )
+    # The median first: a mean over all intervals would contain the gaps. Then twice, since a period from a mean of
+    # intervals is not yet good enough to count the periods of a long gap.
     middle = float(np.median(intervals))
     period_s = float(np.mean(intervals[np.abs(intervals - middle) <= 0.5 * middle]))
     periods = np.maximum(np.rint(intervals / period_s), 1.0)

@@ -2,7 +2,7 @@
 
     line = CRC of the JSON (8 hex digits)  blank  JSON object in ASCII  newline
 
-The CRC is that of zlib. What follows the last newline was being written when the process died, and is no line. One
+The CRC is that of zlib. Bytes after the last newline were being written when the process died and are ignored. One
 process writes at a time: the file is locked while it is open.
 
 The journal of sweeps and the log of sessions are such files. It must not change a line once it is written.
@@ -28,7 +28,7 @@ from rig.recording.files import disk_error, plain_errors, sync_directory
 
 SYNC_S = 0.5
 _CRC_DIGITS = 8
-_NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)  # what some network file systems say
+_NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)
 
 
 class LineFile:
@@ -52,7 +52,8 @@ class LineFile:
         self._dirty = False
         self._synced_s = time.monotonic()
         with plain_errors("open", path):
-            self._file = FileIO(path, "a+")  # not buffered: what was written survives this process
+            # Not buffered: a line that was written survives the death of this process.
+            self._file = FileIO(path, "a+")
         try:
             self._lock(remedy)
         except BaseException:
@@ -105,6 +106,7 @@ class LineFile:
         try:
             ours = locks.lock(self._file.fileno())
         except OSError as error:
+            # Some network file systems have no locks: without one two writers are not detected, but logs still work.
             if error.errno not in _NO_LOCKS:
                 raise disk_error("lock", self.path, error.errno or errno.EIO) from error
             return

@@ -3,15 +3,9 @@
     impedance = periodic(runs)  # of rig.analysis.impedance._signals.ExcitedRun, one for each realisation
     impedance.z, impedance.deviation, impedance.residual
 
-The excitation r is the instrument: Ẑ = S_rF/S_rV with V = jω·X. Noise of effort and position that has nothing to do
-with r averages out of both, whereas the plain ratio S_VF/S_VV ("H1", what tfestimate does) is biased low by noise of
-the velocity: |H|·S_vv/(S_vv + S_nn). Whole periods, so no window, no leakage, no detrending but of a free rig's
-steady drift.
-
-Uncertainty comes from realisations, that is from other phases of the same lines: Coulomb friction's distortion
-repeats in every period, so that periods agree with each other while all are wrong alike. From the periods of a single
-realisation it is offered too, and says so in `variance_from`: it then holds only what does not repeat (sensor noise,
-a limit cycle out of step), and is too small wherever friction is.
+The excitation r is the instrument: Ẑ = S_rF/S_rV with V = jω·X. Whole periods, so no window, no leakage, no detrending
+but of a free rig's steady drift. Uncertainty comes from realisations, that is from other phases of the same lines; from
+the periods of a single realisation (see `variance_from`) it is too small wherever friction is.
 
 Source of the estimator and its variance: the standard theory of instruments and of ratios (Pintelon and Schoukens,
 "System Identification: A Frequency Domain Approach", chapters 2 and 4, from memory); the delta method is written out
@@ -103,9 +97,10 @@ class Impedance:
     def spread(self, z_score: float) -> Floats:
         """Return the one-sided uncertainty of the real part (or |Z|) at each line, for the confidence of `z_score`.
 
-        2 means 97.7 %. With few realisations the variance is itself uncertain, so Student's distribution stands in
-        for the normal one: four realisations ask for 2.5 deviations instead of 2.
+        2 means 97.7 %.
         """
+        # With few realisations the variance is uncertain itself: Student's distribution in place of the normal one asks
+        # for 2.5 deviations with four realisations instead of 2.
         if math.isinf(self.degrees_of_freedom):
             return z_score * self.deviation
         return -float(special.stdtrit(self.degrees_of_freedom, special.ndtr(-z_score))) * self.deviation
@@ -155,6 +150,8 @@ def periodic(runs: Sequence[ExcitedRun], *, residual_band_hz: tuple[float, float
     source: VarianceFrom = "realisations" if len(runs) > 1 else "periods"
     effort = _with_instrument(lines, "effort", source)
     motion = _with_instrument(lines, "velocity", source)
+    # Both with the instrument: noise that is not correlated with r averages out. The plain ratio S_VF/S_VV ("H1", as
+    # tfestimate) is biased low by noise of the velocity: |H|·S_vv/(S_vv + S_nn).
     n = len(effort)
     with np.errstate(divide="ignore", invalid="ignore"):
         z = effort.mean(axis=0) / motion.mean(axis=0)
@@ -224,6 +221,7 @@ def _with_instrument(
     lines: Sequence[_Lines], channel: Literal["effort", "velocity"], of: VarianceFrom
 ) -> Complexes:
     """Return products with the conjugate reference: a row for each realisation, or each period of the only one."""
+    # Coulomb friction's distortion repeats in every period: periods agree with each other while all are wrong alike.
     products = [np.asarray(getattr(one, channel) * one.reference.conj()) for one in lines]
     return np.stack([p.mean(axis=0) for p in products]) if of == "realisations" else products[0]
 

@@ -1,13 +1,8 @@
 """Where a wall stops being stable: K_max over B with the islands beyond, B_max, and maps of the whole plane.
 
-Stability is not monotone in K. Near the end of the range of damping, low stiffnesses fail first and an island of
-stable ones remains; a scan upwards and a full grid then answer differently. So a limit is the end of the *connected*
-range, from the lowest stiffness up, and islands beyond it are listed. A scan sees islands wider than its step (8 % of
-K); their ends are then found by bisection, all of a curve at once.
-
-The lowest stiffness is that on which the rig's mass would oscillate at 1 Hz, the highest one that on which its motor
-alone would oscillate at half the position rate, or what damping could allow, if more: a limit there is a cap of the
-scan and flagged so, never a result.
+Stability is not monotone in K. A limit is the end of the *connected* range, from the lowest stiffness up, and islands
+beyond it are listed. A scan sees islands wider than its step (8 % of K); their ends are found by bisection. A limit at
+the end of the scan is flagged as a cap, never a result.
 """
 
 from __future__ import annotations
@@ -28,7 +23,7 @@ Vector = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 POINTS = 200  # stiffnesses, or dampings, of a scan
-LOWEST_HZ = 1.0  # see the module's text
+LOWEST_HZ = 1.0
 BISECTIONS = 30  # of a step of the scan: far below rounding
 ISLAND_DAMPINGS, ISLAND_STIFFNESSES, ISLAND_BISECTIONS = 24, 120, 12  # of the search for islands beyond B_max
 ISLAND_REACH = 4.0  # times B_max
@@ -132,6 +127,8 @@ def k_max_curve(
     b = _dampings(dampings)
     k = stiffnesses(lifted, float(b.max(initial=0.0)))
     stable = lifted.stable(k, b[:, None])
+    # Every change of stability and not only the first: near the end of the range of damping low stiffnesses fail first
+    # and an island of stable ones remains.
     row, column = np.nonzero(stable[:, :-1] != stable[:, 1:])
     edges = _between(lifted, k[column], k[column + 1], b[row], stable[row, column])
     return tuple(
@@ -190,6 +187,8 @@ def as_lifted(
 def stiffnesses(lifted: Lifted, damping: float) -> Vector:
     """Return the stiffnesses of a scan for dampings up to this one, from the lowest up in equal ratios."""
     loop = lifted.loop
+    # Up to where the motor alone would oscillate at half the position rate, or what damping could allow if that is
+    # more.
     motor = loop.subject.model.mechanics.motor_inertia * (math.pi / loop.tick_s) ** 2
     damped = 4.0 * (loop.subject.damping + abs(damping)) / loop.tick_s
     lowest = _lowest_stiffness(lifted)
@@ -197,6 +196,7 @@ def stiffnesses(lifted: Lifted, damping: float) -> Vector:
 
 
 def _lowest_stiffness(lifted: Lifted) -> float:
+    # The rig's mass would oscillate on it at LOWEST_HZ.
     return lifted.loop.subject.inertia * (2.0 * math.pi * LOWEST_HZ) ** 2
 
 

@@ -1,4 +1,4 @@
-"""Locked memory of the process: no page fault reads from a disk while it lasts. Counted, because it is shared."""
+"""Locked memory of the process: no page fault reads from a disk while it lasts. Runs share one lock, by a count."""
 
 from __future__ import annotations
 
@@ -33,9 +33,8 @@ class _Lock:
     def __init__(self) -> None:
         self._guard = threading.Lock()
         self._users = 0
-        self._before: (
-            list[LockedRange] | None
-        ) = []  # None: the program had locked all of it, so nothing is ours
+        # None: the program had locked all of its memory itself, so nothing is to be unlocked.
+        self._before: list[LockedRange] | None = []
 
     def take(self) -> Check | None:
         with self._guard:
@@ -51,7 +50,9 @@ class _Lock:
             self._users -= 1
             if self._users == 0 and self._before is not None:
                 calls.unlock_all()
-                for pages in self._before:  # what is gone meanwhile is refused, which is right
+                # munlockall takes back the program's own locks too. Ranges that are unmapped by now are refused:
+                # correct.
+                for pages in self._before:
                     calls.lock_range(pages.start, pages.end - pages.start, on_fault=pages.on_fault)
 
     def _lock(self) -> Check | None:
