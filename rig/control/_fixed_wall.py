@@ -164,13 +164,13 @@ def design_wall(
     limit = math.floor(effort_limit / effort_quantum * (1.0 + 1e-12))
     if not 0 <= limit <= CURRENT_GREATEST:
         raise ConfigError(
-            f"effort limit {effort_limit:g} is {limit} current quanta, beyond 0 to {CURRENT_GREATEST}",
+            f"effort limit {effort_limit:g} is {limit} current quanta; allowed are 0 to {CURRENT_GREATEST}",
             remedy="lower the limit or take a larger current quantum",
         )
     for name, value in (*gains.items(), ("constant effort", abs(constant))):
         if not 0.0 <= value <= GAIN_GREATEST:
             raise ConfigError(
-                f"{name} is {value:g} quanta, beyond 0 to {GAIN_GREATEST}", remedy="choose a softer wall"
+                f"{name} is {value:g} quanta; allowed are 0 to {GAIN_GREATEST}", remedy="choose a softer wall"
             )
     shift = _greatest_shift(tuple(gains.values()), abs(constant) + added_effort / effort_quantum, velocity)
     whole = {name: _nearest(value, shift) for name, value in gains.items()}

@@ -151,7 +151,7 @@ def open_watched(url: str, model: RigModel | None = None, faults: Faults | None 
     parsed = DeviceUrl.parse(url)
     if parsed.scheme != "sim":
         raise ConfigError(
-            f"{url} does not fail on command", remedy="only sim:// does, like sim://koul-compliant"
+            f"{url} cannot simulate faults of a link", remedy="use a simulated rig, like sim://koul-compliant"
         )
     opener = cast("OpenWatchedLink", loaded(BUILT_IN["sim"]))
     return opener(parsed, simulated_model(parsed, model), faults)

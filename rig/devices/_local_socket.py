@@ -34,7 +34,9 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> SocketLink:
     if cpu is not None and not cpu.isdecimal():
         raise ConfigError(f"{url.text}: cpu = {cpu!r} is not a processor", remedy="give its number, from 0")
     if not url.place:
-        raise ConfigError(f"{url.text}: no path", remedy="name a socket, like unix:///run/rig")
+        raise ConfigError(
+            f"{url.text}: the path of the socket is missing", remedy="write it like unix:///run/rig"
+        )
     lock = _locked(url.place)
     end = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     end.setblocking(False)

@@ -203,7 +203,7 @@ class FramedDevice:
 
     def _zero_lost(self, how: str) -> DeviceRefusedError:
         return DeviceRefusedError(
-            f"the device at {self.link.url.text} {how} in mid-session: position zero is not where it was",
+            f"the device at {self.link.url.text} {how} during the session: its position zero is no longer valid",
             remedy="check its power and cables, put the handle at position zero, and start the command again",
             status=Status.NOT_HOMED,
         )
@@ -233,7 +233,9 @@ class FramedDevice:
         for event in self._events(COUNT_TIMEOUT_S):
             if isinstance(event.message, m.State):
                 return event.message.count
-        raise DeviceRefusedError("the device does not show its encoder count", remedy="update its firmware")
+        raise DeviceRefusedError(
+            f"the device sent no encoder count within {COUNT_TIMEOUT_S:g} s", remedy="update its firmware"
+        )
 
     def active_parameters(self) -> dict[str, Value]:
         """Return the active parameters, read from the device; nothing changes."""
@@ -253,7 +255,9 @@ class FramedDevice:
         """Add the requested page; raises for another one, because the request would otherwise repeat forever."""
         with self._understood():
             if reply.offset != reader.offset:
-                raise RemoteProtocolError(f"the page at {reply.offset}, wanted the one at {reader.offset}")
+                raise RemoteProtocolError(
+                    f"the page at byte {reply.offset} came in reply to a request for byte {reader.offset}"
+                )
             reader.add(total=reply.total, fingerprint=fingerprint, offset=reply.offset, data=reply.data)
 
     # ------------------------------------------------------------------ running
@@ -519,8 +523,8 @@ class FramedDevice:
                     break
         self._answers = False
         raise LinkLostError(
-            f"the device at {self.link.url.text} does not answer {type(request).__name__}",
-            remedy="check that the right firmware runs there, that the port is the right one, and the baud rate",
+            f"no reply to {type(request).__name__} from the device at {self.link.url.text}",
+            remedy="check cable and power, the port in the URL, the baud rate, and that the device runs this firmware",
             statistics=connection.statistics,
         )
 
@@ -542,7 +546,7 @@ class FramedDevice:
     def _refusal(self, message: m.Message) -> DeviceRefusedError:
         if not isinstance(message, m.Ack):
             return DeviceRefusedError(
-                f"the device answered {type(message).__name__} instead",
+                f"the device replied {type(message).__name__}, which does not belong to the request",
                 remedy="check that it runs the firmware of this project",
             )
         known = () if self._dictionary is None else self._dictionary.statuses
@@ -584,12 +588,12 @@ class _Translated:
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if isinstance(error, IncompatibleMajorError):
             raise IncompatibleDeviceError(
-                f"the device at {self._url} speaks protocol {error.theirs}, this package speaks {error.ours}",
+                f"the device at {self._url} uses protocol {error.theirs}, this package uses {error.ours}",
                 remedy="flash the firmware that belongs to this version, or install the version of that firmware",
             ) from error
         if isinstance(error, LocalProtocolError):  # nothing was sent: the device's state forbids it
             raise DeviceRefusedError(
-                f"the device at {self._url} does not take this now: {error}",
+                f"the device at {self._url} cannot do this in its present state: {error}",
                 remedy="configure it again, which also clears a fault",
                 status=Status.BAD_STATE,
             ) from error

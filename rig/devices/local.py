@@ -113,7 +113,7 @@ def serve_locally(
 
 
 @contextmanager
-def open_device(
+def open_for_run(
     url: str, model: RigModel | None, *, in_real_time: bool, seed: int = 0, realtime: str = "try"
 ) -> Iterator[FramedDevice]:
     """Open a device; in real time a simulated one becomes a process of its own, which ends with the context.

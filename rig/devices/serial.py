@@ -40,7 +40,9 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> SerialLink:
         return SerialLink(url, port, dtr=options.dtr)
     except (termios.error, OSError) as error:
         port.close()
-        raise DeviceNotFoundError(f"{url.place} vanished: {error}", remedy=ports_in_words()) from None
+        raise DeviceNotFoundError(
+            f"{url.place} was unplugged while it was opened: {error}", remedy=ports_in_words()
+        ) from None
     except DeviceNotFoundError:
         port.close()
         raise

@@ -131,7 +131,7 @@ def _place(url: DeviceUrl) -> tuple[int, int, str]:
         numbers = []
     if len(numbers) != 2:
         raise ConfigError(
-            f"{url.text} names no USB device",
+            f"{url.text} is not the URL of a USB device",
             remedy="write vendor and product in hexadecimal, like usb://1209:0001 or usb://1209:0001/SERIAL",
         )
     return numbers[0], numbers[1], serial
@@ -155,7 +155,7 @@ def _chosen(bus: UsbBus, url: DeviceUrl, vendor: int, product: int, serial: str)
     if len(found) > 1:
         urls = ", ".join(_description(device).url for device in found)
         raise DeviceNotFoundError(
-            f"{url.text} means {len(found)} devices", remedy=f"add the serial number: {urls}"
+            f"{url.text} matches {len(found)} devices", remedy=f"add the serial number: {urls}"
         )
     return found[0]
 
@@ -265,7 +265,8 @@ def _not_opened(error: Exception, device: Any, url: DeviceUrl) -> RigError:
         )
     if number == errno.ENODEV:
         return DeviceNotFoundError(
-            f"{url.text} vanished", remedy="check cable and power, and plug it in again"
+            f"{url.text} was unplugged while it was opened",
+            remedy="check cable and power, and plug it in again",
         )
     return DeviceNotFoundError(
         f"{url.text} does not open: {error}", remedy="plug it in again, into another port"

@@ -173,7 +173,7 @@ def _only(drives: list[BootDrive]) -> BootDrive:
         raise DeviceNotFoundError(
             f"several boards show their boot drives: {listed}", remedy="choose one with `drive`"
         )
-    unmounted = _wait_for_unmount()
+    unmounted = _find_unmounted()
     if unmounted:
         raise DeviceNotFoundError(
             f"a board's boot drive is not mounted: {unmounted}",
@@ -182,7 +182,7 @@ def _only(drives: list[BootDrive]) -> BootDrive:
     raise DeviceNotFoundError("no boot drive of a board found", remedy=HOLD)
 
 
-def _wait_for_unmount() -> Path | None:
+def _find_unmounted() -> Path | None:
     """Return a boot ROM's drive that the system sees and has not mounted."""
     labels = Path("/dev/disk/by-label")
     return next((labels / name for name in FAMILY_OF_DRIVE if (labels / name).exists()), None)

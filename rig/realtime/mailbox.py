@@ -178,7 +178,10 @@ def set_bytes(values: ArrayLike) -> bytes:
             remedy="use a law with fewer parameters",
         )
     if np.isnan(numbers).any():
-        raise ConfigError("a parameter for a running loop is not a number", remedy="give finite values")
+        place = int(np.isnan(numbers).argmax())
+        raise ConfigError(
+            f"parameter {place} for a running loop is not a number", remedy="give finite values"
+        )
     return numbers.tobytes()
 
 

@@ -128,7 +128,9 @@ class Ring:
         descriptor = os.open(path, os.O_RDWR if writable else os.O_RDONLY)
         try:
             if not place.is_memory(path) or not place.is_sound(descriptor):
-                raise RigError(f"{path} is not the memory of a running loop", remedy="nothing is to be done")
+                raise RigError(
+                    f"{path} is not the memory of a running loop", remedy="rig stop --list shows what runs"
+                )
             size = os.fstat(descriptor).st_size
             if size < _INFO_AT:
                 raise RigError(f"{path} is shorter than the memory of a running loop", remedy="try again")
@@ -158,7 +160,7 @@ class Ring:
         Raises `RigError` afterwards: the memory may be unmapped.
         """
         if self._closed:
-            raise RigError("the memory of this loop is closed", remedy="the run is over")
+            raise RigError("the memory of this loop is closed: its run has ended", remedy="start another run")
         return int(self.buffer.ctypes.data) + _MAILBOX_AT
 
     @property
@@ -294,7 +296,7 @@ def _json_of(info: Mapping[str, Any]) -> bytes:
     text = json.dumps(dict(info)).encode()
     if len(text) > INFO_BYTES:
         raise RigError(
-            f"{len(text)} bytes of information about a run, where {INFO_BYTES} fit",
+            f"the description of the run has {len(text)} bytes; at most {INFO_BYTES} fit into its memory",
             remedy="shorten the tables of the experiment",
         )
     return text

@@ -96,7 +96,7 @@ def realise(
     NotLinearError
         An estimator that is not linear.
     """
-    found = _excite(estimators.get(name), tuple(settings.items()), period_s, resolution)
+    found = _find_realisation(estimators.get(name), tuple(settings.items()), period_s, resolution)
     if isinstance(found, str):
         settings_text = ", ".join(f"{key} = {value}" for key, value in settings.items())
         raise NotLinearError(
@@ -109,7 +109,7 @@ def realise(
 
 
 @lru_cache(maxsize=256)  # a session's conditions, hands and delays ask for the same few again and again
-def _excite(
+def _find_realisation(
     estimator: Estimator, settings: tuple[tuple[str, float | str], ...], period_s: float, resolution: float
 ) -> Realisation | str:
     """Return the realisation of an estimator, or the reason why it has no linear one."""

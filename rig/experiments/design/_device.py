@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from rig import devices
 from rig.config import Experiment, rig_model
-from rig.devices.local import open_device
+from rig.devices.local import open_for_run
 from rig.doctor.gate import measured_once
 from rig.experiments.design._listing import LawPlace
 from rig.firmware.tick_budget import BOARD, named_budget
@@ -19,7 +19,7 @@ def places_of(url: str, experiment: Experiment, board: str = BOARD) -> tuple[Law
     """
     named_budget(board)
     where = devices.url_for(url, experiment.controller.loop)
-    with open_device(
+    with open_for_run(
         where,
         rig_model(experiment),
         in_real_time=False,

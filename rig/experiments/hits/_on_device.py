@@ -17,7 +17,7 @@ from rig.config import Experiment
 from rig.control.laws import Law
 from rig.core.errors import DeviceFaultError, GuardError
 from rig.devices.framed import FramedDevice
-from rig.devices.local import open_device
+from rig.devices.local import open_for_run
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, Recorded, hit, left_by
 from rig.experiments.trials.preparation import position_zero
@@ -131,7 +131,7 @@ def examined(where: OnDevice, experiment: Experiment) -> Iterator[tuple[FramedDe
         return
     with (
         stop_requests.listening() as series,
-        open_device(
+        open_for_run(
             devices.url_for(where.url, experiment.controller.loop),
             config.rig_model(experiment),
             in_real_time=where.realtime,

@@ -24,7 +24,7 @@ from rig.core.present import Item, Row, reported
 from rig.core.sample import unit_of
 from rig.devices.device_facts import DeviceFacts
 from rig.devices.framed import FramedDevice
-from rig.devices.local import host_beside, open_device
+from rig.devices.local import host_beside, open_for_run
 from rig.doctor.gate import gate
 from rig.doctor.gate_result import Gate
 from rig.doctor.interface import (
@@ -183,7 +183,7 @@ def _opened(question: ExaminationRequest) -> Iterator[FramedDevice]:
     experiment = changed(question.experiment, question.changes)
     model = config.rig_model(experiment) if simulated or bridged else None
     seed, realtime = experiment.trial.seed, experiment.host.realtime
-    with open_device(url, model, in_real_time=question.realtime, seed=seed, realtime=realtime) as device:
+    with open_for_run(url, model, in_real_time=question.realtime, seed=seed, realtime=realtime) as device:
         yield device
 
 

@@ -26,7 +26,7 @@ from rig.core.model import RigModel
 from rig.core.present import Item, Row, plain
 from rig.core.shown import Drawn, Shown
 from rig.devices.framed import FramedDevice
-from rig.devices.local import open_device
+from rig.devices.local import open_for_run
 from rig.doctor.gate_result import Gate
 from rig.experiments.trials._trial import TrialEnd, TrialRequest, end_of, run_trial
 from rig.experiments.trials.judgement import Judgement, judge
@@ -311,7 +311,7 @@ def _opened(request: HitRequest) -> Iterator[tuple[FramedDevice, Experiment]]:
         experiment = (config.with_realtime if request.realtime else config.override)(
             experiment, request.changes
         )
-    with open_device(
+    with open_for_run(
         url,
         config.rig_model(experiment) if simulated else _rig_behind(url, request),
         in_real_time=request.realtime,

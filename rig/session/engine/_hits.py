@@ -22,7 +22,7 @@ from rig.core.present import plain
 from rig.core.same_rig import check_rig
 from rig.devices.device import Link
 from rig.devices.framed import FramedDevice
-from rig.devices.local import open_device
+from rig.devices.local import open_for_run
 from rig.doctor.pace import Pace, measured_pace
 from rig.experiments.hits.admission import admit, vetted
 from rig.experiments.hits.hit import HitRequest, Recorded, hit, in_effect, left_by
@@ -298,7 +298,7 @@ class DeviceRunner:
                 url += ("&" if "?" in url else "?") + f"hand={self.hand}"
             seed, realtime = experiment.trial.seed, x.host.realtime
             self._open = self._stack.enter_context(
-                open_device(url, model, in_real_time=True, seed=seed, realtime=realtime)
+                open_for_run(url, model, in_real_time=True, seed=seed, realtime=realtime)
             )
             self._served = model, self.hand
         return self._open

@@ -274,15 +274,18 @@ def served(monkeypatch: pytest.MonkeyPatch) -> Any:
 def test_a_simulated_device_in_real_time_asks_for_the_scheduling_of_the_experiment(
     served: Any, wanted: str, asked: str
 ) -> None:
-    with local.open_device("sim://", rotary_rig(), in_real_time=True, seed=3, realtime=wanted) as device:
+    with local.open_for_run("sim://", rotary_rig(), in_real_time=True, seed=3, realtime=wanted) as device:
         assert device.dictionary.device == "koul-compliant"
     assert served == [{"url": "sim://", "seed": 3, "realtime": asked}]
 
 
 def test_no_process_serves_virtual_time_or_a_real_device(served: Any) -> None:
-    with local.open_device("sim://chawda-linear", rotary_rig(), in_real_time=False) as device:
+    with local.open_for_run("sim://chawda-linear", rotary_rig(), in_real_time=False) as device:
         assert device.dictionary.device == "chawda-linear"
-    with pytest.raises(DeviceNotFoundError), local.open_device("serial:///dev/none", None, in_real_time=True):
+    with (
+        pytest.raises(DeviceNotFoundError),
+        local.open_for_run("serial:///dev/none", None, in_real_time=True),
+    ):
         pass
     assert served == []
 

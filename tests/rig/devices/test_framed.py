@@ -110,7 +110,7 @@ def silent(*directions: Any) -> Any:
 
 def test_a_request_without_reply_is_sent_four_times_and_the_link_is_lost() -> None:
     _, wire, device = make(faults=silent())
-    with pytest.raises(LinkLostError, match="does not answer Identify") as caught:
+    with pytest.raises(LinkLostError, match="no reply to Identify") as caught:
         device.identify()
     times_ms = [time_ns / 1e6 for time_ns, _ in wire.sent]
     assert times_ms == pytest.approx([0.0, 20.0, 60.0, 140.0])
@@ -208,7 +208,7 @@ def test_a_device_of_another_major_version_is_named_with_both_versions() -> None
     device = FramedDevice(Answering(another_major))
     with pytest.raises(IncompatibleDeviceError) as caught:
         device.identify()
-    assert f"speaks protocol {m.MAJOR + 1}, this package speaks {m.MAJOR}" in str(caught.value)
+    assert f"uses protocol {m.MAJOR + 1}, this package uses {m.MAJOR}" in str(caught.value)
     assert "firmware" in caught.value.remedy
     assert caught.value.exit_code == 4
 
@@ -234,7 +234,7 @@ def test_a_hit_of_an_incompatible_device_is_refused_in_one_line(
 
 def test_an_answer_of_the_wrong_kind_is_a_refusal_that_names_it() -> None:
     device = FramedDevice(Answering(lambda request: frame_of(m.Time(request.nonce, 0, 0, 0))))
-    with pytest.raises(DeviceRefusedError, match="answered Time instead") as refused:
+    with pytest.raises(DeviceRefusedError, match="replied Time, which does not belong") as refused:
         device.identify()
     assert refused.value.remedy
 
