@@ -57,7 +57,7 @@ def fitted(cogging: Cogging, most: int = 14, **options: Any) -> Any:
         max_size=3,
     )
 )
-@settings(max_examples=3)
+@settings(max_examples=2)
 def test_true_harmonics_and_no_others_come_out_within_the_interval(harmonics: Any) -> None:
     """Three times the interval of three pairs bounds their scatter for certain; what was not seen is stated."""
     true = Cogging(

@@ -33,7 +33,7 @@ def passive_k(model: Any, scheme: Any, damping: Any) -> Any:
     return theory.passivity_bound(model, scheme, damping).stiffness
 
 
-FINE = 24  # steps of a tick
+FINE = 16  # steps of a tick
 
 
 def work_matrices(
@@ -128,7 +128,7 @@ def worst_work(k: Any, b: Any, **case: Any) -> Any:
 def test_worst_motion_at_the_limit_gets_the_work_that_the_rig_dissipates(
     scheme: str, n: int, lag_s: float, ticks: int, cutoff_hz: float, share: float
 ) -> None:
-    """Brute force on the definition: every motion in steps of 1/24 tick, nothing known about where the worst one is.
+    """Brute force on the definition: every motion in steps of 1/16 tick, nothing known about where the worst one is.
 
     Necessary and sufficient: a little less damping, and that motion gets work out.
     """
@@ -228,7 +228,7 @@ def test_passive_wall_is_stable_with_any_passive_hand_despite_lag(
 def test_the_passive_walls_form_a_convex_set_that_ends_at_the_largest_damping() -> None:
     model = late_rig(lag_s=1.09e-4, ticks=1)
     found = theory.passivity_bound(model, "dual:20k/2k")
-    b = np.linspace(0.0, found.largest_damping, 9)
+    b = np.linspace(0.0, found.largest_damping, 6)
     k = np.array([passive_k(model, "dual:20k/2k", damping) for damping in b[:-1]] + [0.0])
     assert (np.diff(k, 2) <= 1e-3 * k[0]).all()
     assert passive_k(model, "dual:20k/2k", 1.001 * found.largest_damping) == 0.0

@@ -8,15 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.signal import butter, cont2discrete, ss2tf
 
 from rig import config
 from rig.analysis import theory
 from rig.config import presets
 from rig.core.errors import ConfigError
-from rig.core.model import Amplifier, Encoder, Mechanics, RigModel, Simulation
 from rig.core.operators import GRIPS
 from tests.conformance.tiers import first_by_default
 
@@ -180,45 +177,6 @@ def test_dual_rate_with_one_rate_is_uniform() -> None:
     dual = theory.spectral_radius("koul-compliant", "dual:5k/5k", k, b)
     assert dual == pytest.approx(theory.spectral_radius("koul-compliant", "uniform:5k", k, b), rel=1e-12)
     assert dual.shape == (30, 7)
-
-
-def toy(scale: float = 1.0, **kinds: Any) -> Any:
-    two_mass = kinds.get("two_mass", False)
-    return RigModel(
-        name="toy",
-        motion="rotary",
-        mechanics=Mechanics(
-            structure="two-mass" if two_mass else "rigid",
-            motor_inertia=2e-4 * scale,
-            link_inertia=1e-3 * scale,
-            motor_damping=4e-3 * scale,
-            link_damping=2e-3 * scale,
-            transmission_stiffness=2000.0 * scale,
-            transmission_damping_ratio=0.05,
-        ),
-        amplifier=Amplifier(effort_per_ampere=0.2, effort_limit=1.0, lag_s=kinds.get("lag", 0.0)),
-        encoder=Encoder(counts_per_revolution=1000, ratio=10.0),
-        simulation=Simulation(computation_delay_ticks=kinds.get("delay", 0)),
-    )
-
-
-@settings(max_examples=25)
-@given(
-    scale=st.floats(1e-3, 1e6),
-    k=st.floats(1.0, 3e3),
-    b=st.floats(0.0, 3.0),
-    two_mass=st.booleans(),
-    lag=st.sampled_from([0.0, 1e-4]),
-    delay=st.integers(0, 2),
-    scheme=st.sampled_from(["dual:10k/2k,cutoff_hz=200", "uniform:4k", "dual:8k/2k,prediction=extrapolate"]),
-)
-def test_common_scale_of_inertia_and_wall_changes_no_motion(
-    scale: float, k: float, b: float, scheme: Any, **kinds: Any
-) -> None:
-    """So the paper's K and B could be overstated ten times and nothing in its text would show it."""
-    one = theory.spectral_radius(toy(**kinds), scheme, k, b)
-    other = theory.spectral_radius(toy(scale, **kinds), scheme, scale * k, scale * b)
-    assert other == pytest.approx(one, rel=1e-6)
 
 
 @pytest.mark.parametrize(

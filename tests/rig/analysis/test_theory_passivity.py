@@ -26,7 +26,7 @@ def beta(scheme: Any, **options: Any) -> Any:
 
 
 @pytest.mark.parametrize(("share", "table"), [(20, 0.354), (10, 0.479), (5, 0.675)])
-@pytest.mark.parametrize("rates", ["dual:20k/2k", "uniform:20k", "uniform:1k"])
+@pytest.mark.parametrize("rates", ["dual:20k/2k", "uniform:1k"])
 def test_beta_of_butterworth_depends_on_the_share_of_the_rate_only(
     share: int, table: float, rates: str
 ) -> None:
