@@ -3,6 +3,7 @@
 import fcntl
 import itertools
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -267,17 +268,13 @@ def test_two_threads_hammer_the_mailbox_without_the_gil() -> None:
 
 def test_many_writers_in_threads_get_numbers_of_their_own() -> None:
     box, into = Box(), np.zeros(2)
-    numbers: list[list[int]] = [[] for _ in range(4)]
 
-    def write(mine: list[int], who: int) -> None:
+    def write(who: int) -> list[int]:
         writer = Mailbox(box.address)
-        mine.extend(writer.post(set_bytes([float(who), float(n)])) for n in range(500))
+        return [writer.post(set_bytes([float(who), float(n)])) for n in range(500)]
 
-    threads = [threading.Thread(target=write, args=(mine, who)) for who, mine in enumerate(numbers)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(JOIN_S)
+    with ThreadPoolExecutor(4) as threads:
+        numbers = list(threads.map(write, range(4)))
     assert sorted(itertools.chain(*numbers)) == list(range(1, 2001))
     assert all(mine == sorted(mine) for mine in numbers)
     assert take_numbers(box.address, into) == 2000

@@ -14,6 +14,7 @@ import textwrap
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -78,14 +79,11 @@ def is_as(before: object, now: Any) -> bool:
 
 
 def in_thread(function: Any) -> Any:
-    results = []
-    thread = threading.Thread(target=lambda: results.append(function()), daemon=True)
-    thread.start()
-    thread.join(CHILD_S)
-    return results[0]
+    with ThreadPoolExecutor(1) as fresh:
+        return fresh.submit(function).result(CHILD_S)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def granted() -> None:
     """A machine that grants everything to this process."""
     with obtained(Asked()) as realtime:
@@ -99,15 +97,6 @@ def as_before() -> Iterator[Any]:
     before = state()
     yield
     assert state() == before
-
-
-@pytest.mark.usefixtures("granted")
-def test_the_process_holds_its_memory_and_its_processors_awake_as_long_as_the_context_lasts() -> None:
-    with obtained(Asked("enforce")) as realtime:
-        assert realtime.messages == []
-        assert locked() > 0
-        assert latency_requests() == (1 if Path("/dev/cpu_dma_latency").exists() else 0)
-        assert ThreadState.here().name == "SCHED_OTHER"  # of the caller, which is not the loop
 
 
 @pytest.mark.usefixtures("granted")
@@ -168,14 +157,12 @@ def test_leaving_twice_or_elsewhere_changes_nothing() -> None:
             left.wait(CHILD_S)
             return ThreadState.here()
 
-        kept = []
-        thread = threading.Thread(target=lambda: kept.append(body()), daemon=True)
-        thread.start()
-        assert entered.wait(CHILD_S)
-        realtime.leave_thread()  # this thread never entered
-        left.set()
-        thread.join(CHILD_S)
-        assert kept[0].is_fifo
+        with ThreadPoolExecutor(1) as fresh:
+            other = fresh.submit(body)
+            assert entered.wait(CHILD_S)
+            realtime.leave_thread()  # this thread never entered
+            left.set()
+            assert other.result(CHILD_S).is_fifo
 
 
 @pytest.mark.usefixtures("granted")
@@ -203,6 +190,7 @@ def test_contexts_in_any_order_hold_until_the_last_one_ends() -> None:
                 held.pop(0).close()  # not the latest: contexts of several threads do not nest
             assert (locked() > 0) == bool(held)
             assert latency_requests() == per_context * len(held)
+            assert ThreadState.here().name == "SCHED_OTHER"  # only a loop's thread changes
     assert locked() == 0
 
 
@@ -210,7 +198,7 @@ def test_contexts_in_any_order_hold_until_the_last_one_ends() -> None:
 def test_contexts_of_several_threads_do_not_undo_each_other() -> None:
     together = threading.Barrier(4)
 
-    def body() -> bool:
+    def body(_: int) -> bool:
         for _ in range(5):
             with obtained(Asked()):
                 if locked() == 0:
@@ -218,13 +206,8 @@ def test_contexts_of_several_threads_do_not_undo_each_other() -> None:
         together.wait(CHILD_S)
         return True
 
-    results: list[bool] = []
-    threads = [threading.Thread(target=lambda: results.append(body()), daemon=True) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(CHILD_S)
-    assert results == [True] * 4
+    with ThreadPoolExecutor(4) as threads:
+        assert list(threads.map(body, range(4))) == [True] * 4
     assert locked() == 0
 
 
