@@ -68,7 +68,7 @@ def test_a_window_of_many_periods_reads_that_much_finer(speed: float, start: flo
     assert np.abs(v[40:] / speed - 1.0).max() <= CLOCK / (31 * PERIOD)
 
 
-def edges_of(motion: Any, until_s: float, step_s: float = 1e-6) -> Any:
+def edges_of(motion: Any, until_s: float, step_s: float = 5e-6) -> Any:
     """Independent oracle: every boundary crossing (time, boundary) of a motion in counts, by bisection."""
     times = np.arange(0.0, until_s, step_s)
     cells = np.floor(motion(times))

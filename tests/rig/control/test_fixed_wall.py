@@ -43,7 +43,7 @@ def designed(**given: Any) -> Any:
     )
 
 
-@settings(max_examples=100)
+@settings(max_examples=60)
 @given(given=WALLS, offset=st.integers(-2000, 2000) | COUNT, data=st.data())
 def test_fixed_wall_is_exact_arithmetic_to_the_bit(given: Any, offset: int, data: st.DataObject) -> None:
     least, greatest = given["velocity"].limits
@@ -53,7 +53,7 @@ def test_fixed_wall_is_exact_arithmetic_to_the_bit(given: Any, offset: int, data
     assert current_quanta(count, velocity, w) == exact_quanta(count, velocity, w)
 
 
-@settings(max_examples=100)
+@settings(max_examples=60)
 @given(given=WALLS)
 def test_no_sum_of_any_design_can_leave_64_bits(given: Any) -> None:
     """The greatest depth against the fastest velocity, the constant effort and the half quantum of rounding."""
@@ -66,7 +66,7 @@ def test_no_sum_of_any_design_can_leave_64_bits(given: Any) -> None:
     )  # no bit wasted
 
 
-@settings(max_examples=100)
+@settings(max_examples=60)
 @given(given=WALLS, offset=st.integers(-2000, 2000), speed=st.floats(-3, 3))
 def test_fixed_wall_is_the_float_wall_within_a_quantum(given: Any, offset: int, speed: float) -> None:
     """Away from the surface by more than its rounding; gains are held to 1e-3, so the limit of 1.3 N·m bounds all."""

@@ -14,25 +14,12 @@ from rig.control import _measure as measure
 from rig.control._measure import FEWEST_TICKS, LOST_BITS, NUMBERS, OVERRULED, filters, toggling_floor
 from rig.control._median import median
 from rig.control.judging import meter
-from rig.control.verdict import Thresholds, Verdict
+from rig.control.verdict import Verdict
 from rig.core.sample import RowFlag
+from tests.rig.control.test_verdict import DELTA, RATE, TIME
+from tests.rig.control.test_verdict import LIMITS as VERDICT_LIMITS
 
-RATE = 20_000
-DELTA = 1.5708e-4  # Koul et al.: 1000 lines, x4, 10:1
-LIMITS = Thresholds(
-    tail_s=0.4,
-    highpass_hz=30.0,
-    lowpass_hz=500.0,
-    felt_velocity=1e9,  # no floor hides it
-    heard_effort=0.10,
-    moved=1.25e-3,
-    growth=1.2,
-    late_fraction=0.01,
-    longest_gap=2,
-    lost_fraction=0.003,
-    saturated_fraction=0.01,
-)
-TIME = np.arange(RATE) / RATE
+LIMITS = replace(VERDICT_LIMITS, felt_velocity=1e9)  # no floor hides it
 QUIET = np.zeros(RATE)
 
 

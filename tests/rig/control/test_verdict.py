@@ -409,19 +409,6 @@ def test_settling_is_never_finer_than_two_counts() -> None:
     assert judge(signals(short_pulses), LIMITS).settling_s is None
 
 
-def test_truth_and_record_agree_where_the_encoder_is_fine() -> None:
-    position, velocity, _ = hit()
-    fine = 1e-9
-    effort = np.clip(PUSH - STIFFNESS * np.maximum(position, 0), -1.3, 1.3)
-    truth = judge(signals(position, velocity=velocity, effort=effort), LIMITS)
-    seen = judge(signals(np.floor(position / fine + 0.5) * fine, effort=effort, resolution=fine), LIMITS)
-    assert seen.kind is truth.kind
-    for name in ("heard", "moved", "peak_penetration", "resting_penetration", "impact_velocity", "felt"):
-        assert getattr(seen, name) == pytest.approx(getattr(truth, name), rel=5e-3, abs=1e-6), name
-    assert (seen.contact_s, seen.exits, seen.peak_effort) == (truth.contact_s, truth.exits, truth.peak_effort)
-    assert seen.settling_s == pytest.approx(truth.settling_s, abs=2 * T)
-
-
 def rows(truth: bool = False) -> np.ndarray:
     extra = [(column.name, column.dtype) for column in TRUTH_COLUMNS] if truth else []
     made = np.zeros(5, dtype=[*ROW.descr, *extra] if truth else ROW)

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from rig.control import laws
 from rig.control.law import PreparedLaw
-from rig.core import plugins
 from rig.core.errors import ConfigError
 from rig.realtime.plugs import LAW_CLAMPED
 
@@ -81,15 +80,3 @@ def test_an_unknown_law_lists_the_known_ones() -> None:
     assert laws.names()[0] == "spring-damper"
     with pytest.raises(ConfigError, match=r"unknown law 'spring'.*spring-damper"):
         laws.get("spring")
-
-
-def test_a_broken_plug_in_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Broken:
-        name, value, dist = "theirs", "theirs:LAW", None
-
-        def load(self) -> None:
-            raise AttributeError("LAW")
-
-    monkeypatch.setattr(plugins, "entry_points", lambda **_: [Broken()])
-    with pytest.raises(ConfigError, match=r"theirs:LAW.*does not load.*fix or remove"):
-        laws.get("theirs")

@@ -118,11 +118,9 @@ def test_crafted_recording_is_exit_code_9_or_is_read(
     path = tmp_path / ("made.rigcap" if write is capture else "made.parquet")
     write(path, good, changed(good, place, CRAFTED[place]))
     codes = set()
-    for group, command, *options in COMMANDS:
-        if command != "recover" or write is capture:
-            codes.add(rig.cli.run([group, command, str(path), *options]))
-            shown = capsys.readouterr()
-            assert "internal error" not in shown.err
+    for group, command, *options in COMMANDS if write is capture else COMMANDS[1:4]:
+        codes.add(rig.cli.run([group, command, str(path), *options]))
+        assert "internal error" not in capsys.readouterr().err
     assert codes <= {0, 9}
     assert 9 in codes or (place == "trailer" and write is capture), "a torn end is no error"
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.core.sample import COLUMNS, ROW, TRUTH_COLUMNS
@@ -29,6 +29,7 @@ json_values = st.recursive(
 )
 
 
+@settings(max_examples=50)
 @given(json_values)
 def test_json_values_come_back_from_one_spelling(value: Any) -> None:
     """Also names of files that are not UTF-8, which Python holds as lone surrogates."""
