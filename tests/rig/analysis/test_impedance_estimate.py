@@ -28,7 +28,7 @@ def mass_damper(f: Any) -> Any:
 def excited(
     multisine: Multisine, model: Any = mass_damper, *, periods: int = 1, rate: Any = RATE, **noise: Any
 ) -> ExcitedRun:
-    """What a linear rig answers in the steady state, with white noise of the given rms on effort and position."""
+    """Return the steady state of a linear rig, with white noise of the given rms on effort and position."""
     random = np.random.default_rng(noise.get("seed", 1))
     effort, position = multisine.period(rate), multisine.position(model).period(rate)
     n = len(effort)

@@ -109,7 +109,7 @@ def test_nonlinear_estimator_is_refused_by_name(name: str, settings: Any) -> Non
 
 
 def test_an_adaptive_window_that_may_not_adapt_is_a_difference() -> None:
-    """What counts is what an estimator does, not what it is called."""
+    """The behaviour of an estimator decides, not its name."""
     one = linear.realise("foaw-end", {"window_limit": 1}, 5e-4, RESOLUTION)
     assert one.impulse(9) == pytest.approx(linear.realise("fdm", {}, 5e-4, RESOLUTION).impulse(9), abs=1e-9)
 

@@ -58,7 +58,7 @@ def lagged(active: Any, rate: int, lag_s: float) -> Any:
 
 
 def outside(active: Any, measured: Any, rate: int, lag_s: float) -> Any:
-    """How far a current lies outside of those behind the lag, half of it and twice of it (quanta)."""
+    """Return the distance of a current from those behind the lag, half of it and twice of it (quanta)."""
     flowing = [lagged(active, rate, share * lag_s) for share in (1.0, 0.5, 2.0)]
     return np.abs(measured - np.clip(measured, np.min(flowing, axis=0), np.max(flowing, axis=0)))
 

@@ -19,7 +19,7 @@ ROWS = {name: [r for r in TABLE["rows"] if r["estimator"] == name] for name in e
 
 
 def differences(row: accuracy.Row) -> tuple[list[str], list[str]]:
-    """What became worse, and what became better, in one row."""
+    """Return the numbers of a row that became worse, and those that became better."""
     case = accuracy.case_of(row["case"], row["rate_hz"], row["resolution"])
     now = score(case, Variant(row["estimator"], row["settings"]))
     case_text = f"{row['case']} at {row['rate_hz']:g} Hz, {row['resolution']:g} a count"

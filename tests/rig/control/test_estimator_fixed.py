@@ -50,7 +50,7 @@ def response(f: Biquad) -> tuple[np.ndarray, np.ndarray]:
 
 
 def largest_error(f: Biquad) -> float:
-    """What rounding can add to the output at most (counts per period): e·Σ|g| LSB."""
+    """Return the most that rounding can add to the output (counts per period): e·Σ|g| LSB."""
     return (0.5 if f.rounding == 2 else 1.0) * np.abs(response(f)[1]).sum() * f.state.lsb
 
 
@@ -91,7 +91,7 @@ def test_wide_words_give_the_float_filter(motion: Any, rounding: Any, cutoff_hz:
 
 
 def steady(per_period: int, out_of: int = 1, **given: Any) -> float:
-    """What a motion of that many counts in so many periods settles at (counts per period), mean of the last ones."""
+    """Return the settled velocity of so many counts in so many periods (counts per period)."""
     counts = [per_period * k // out_of for k in range(4000)]
     return float(velocities(fixed(**given), counts)[-200:].mean() / ONE_COUNT)
 
@@ -120,7 +120,7 @@ def test_a_fast_motion_is_scaled_by_the_gain_at_rest(numerator: str) -> None:
 @settings(max_examples=40)
 @given(motion=MOTION, rounding=st.sampled_from(ROUNDINGS), bits=st.integers(0, 8))
 def test_limit_cycle_at_rest_stays_within_its_bound(motion: Any, rounding: Any, bits: int) -> None:
-    """Whatever came before, rest reads at most e·Σ|g| LSB; rounding to zero reads zero."""
+    """After any motion rest reads at most e·Σ|g| LSB; rounding to zero reads zero."""
     given = {"cutoff_hz": 100.0, "state_bits": bits, "rounding": rounding}
     counts = [*np.cumsum(motion).tolist()]
     rest = velocities(fixed(**given), counts + counts[-1:] * 600)[-100:] / ONE_COUNT

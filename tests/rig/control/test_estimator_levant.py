@@ -128,7 +128,7 @@ CHATTER = [  # gains, scheme, rms and peak of u in α·T: PHYSICS 2c
 def test_explicit_scheme_chatters_by_a_fixed_number_of_alpha_t(
     gains: Any, scheme: Any, expected_rms: Any, peak: Any, period_s: float, bound: float, offset: int
 ) -> None:
-    """Whatever T, C and the offset from which it comes: 0.77 N of force at B = 100, C = 6, 1 kHz."""
+    """For any T, C and offset at the start: 0.77 N of force at B = 100, C = 6, 1 kHz."""
     counts = np.full(15_000, offset)
     counts[0] = 0
     v = run(counts, RESOLUTION, period_s, lipschitz=bound, gains=gains, discretisation=scheme)[-10_000:]

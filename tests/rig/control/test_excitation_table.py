@@ -1,4 +1,4 @@
-"""What a device plays out of its table: how far it is from the multisine, its peak and its room in 16 bits."""
+"""The table that a device plays: its distance from the multisine, its peak and its room in 16 bits."""
 
 from typing import Any
 

@@ -297,7 +297,7 @@ def test_filters_are_designed_once_for_a_rate() -> None:
 
 @pytest.mark.parametrize("hz", [800.0, 1300.0, 2000.0])
 def test_a_ripple_above_the_band_is_felt_as_little_as_the_filter_lets_through(hz: float) -> None:
-    """Whatever its phase where the trial ends: an extension must not make a step of it."""
+    """At any phase where the trial ends: an extension must not make a step of it."""
     rate, amplitude = 20_000, 0.05 * math.sqrt(2.0)
     time = np.arange(rate) / rate
     w = butter(2, [30.0, 500.0], "bandpass", fs=rate, output="sos")

@@ -79,7 +79,7 @@ def in_thread(function: Any, *arguments: Any) -> Any:
 
 
 def descriptors_of_rings() -> Any:
-    """How many of this process's descriptors are the memory of a ring."""
+    """Count this process's descriptors that are the memory of a ring."""
     found = 0
     for name in os.listdir("/proc/self/fd"):
         with suppress(OSError):

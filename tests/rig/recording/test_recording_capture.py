@@ -100,7 +100,7 @@ def test_a_reader_needs_only_the_description() -> None:
 def test_bytes_after_a_header_are_rows_or_counted_losses(
     tmp_path_factory: pytest.TempPathFactory, tail: bytes, cut: int
 ) -> None:
-    """Whatever follows a good header: whole blocks are kept, and every other byte is accounted for."""
+    """Behind a good header whole blocks are read, and every other byte is a counted loss."""
     path = tmp_path_factory.getbasetemp() / "tail.rigcap"
     blocks = capture_bytes(example_rows(2 * BLOCK_ROWS), complete=False)[len(pack_header(HEADER)) :][:cut]
     data = pack_header(HEADER) + blocks + tail

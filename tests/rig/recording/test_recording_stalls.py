@@ -10,7 +10,7 @@ MEMORY = 32_000_000  # far less than the rows of a run; garbage and stacks of th
 
 
 def check(run: DiskRun, made: int) -> None:
-    """What must hold whatever the machine did: every row arrived, whole and in order, or was counted."""
+    """Assert that every row arrived, whole and in order, or was counted, on a machine of any speed."""
     assert (run.made, run.error, run.bad) == (made, 0, 0)
     assert run.arrived == run.recorded == made - run.dropped
     assert run.missing == run.dropped

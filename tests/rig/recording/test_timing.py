@@ -275,7 +275,7 @@ def test_each_count_is_reported_separately() -> None:
 
 
 def rows_of_batches(fit: Any, ticks: int = 200, samples: int = 20) -> Any:
-    """What a loop leaves that listens to batches: no command answers a sample."""
+    """Return the rows of a loop that receives batches: no command answers a sample."""
     rows = np.zeros(ticks, ROW)
     number = np.arange(ticks)
     rows["tick"] = number
