@@ -14,8 +14,8 @@ from tests.conformance.started import started
 
 ROOT = Path(__file__).parents[2]
 
-# Arguments: info (JSON), what it does: "obey", or "deaf" to ignore the stop word. It takes parameters, and commits
-# them unless its info says "inside". It ends when standard input does.
+# Arguments: info (JSON), what it does: "obey", or "deaf" to ignore the stop word. It takes and commits parameters.
+# It ends when standard input does.
 PROGRAM = """
 from rig.core import program; program.begin()
 import json, sys, threading, time
@@ -36,7 +36,7 @@ while not ended.is_set() and (kind == "deaf" or ring.get(control_words.STOP) == 
     ticks += 1
     ring.put(control_words.TICKS, ticks)
     number = take(ring.mailbox, into.view(np.uint8))
-    if number and not info.get("inside"):
+    if number:
         print(json.dumps({"set": number, "values": into[:8].tolist()}), flush=True)
         ring.put(control_words.PARAMETER_SET, number)
     time.sleep(0.001)

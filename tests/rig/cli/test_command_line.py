@@ -10,6 +10,7 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -147,6 +148,9 @@ def test_a_change_for_a_run_that_ends_before_it_is_active_has_its_own_exit_code(
     assert "the loop ended before" in capsys.readouterr().err
     assert rig.cli.run(["set", "stiffness=1", "--json"]) == 16
     assert json.loads(capsys.readouterr().out)["ended"]
+    monkeypatch.setattr(live, "change_wall", lambda *_, **__: replace(done, ended=False))
+    assert rig.cli.run(["set", "stiffness=1"]) == 0
+    assert "not active yet" in capsys.readouterr().out
 
 
 def test_the_package_uses_no_builtin_that_one_of_its_modules_takes_the_name_of() -> None:

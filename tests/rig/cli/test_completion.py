@@ -117,7 +117,9 @@ def test_verdicts_and_grips_are_those_of_the_rig() -> None:
 
 
 @pytest.mark.parametrize("shell", complete.SHELLS)
-def test_the_script_of_a_shell_asks_for_our_answers(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_script_of_a_shell_requests_our_completions(
+    shell: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert complete.answer(f"{shell}_source") == 0
     text = capsys.readouterr().out
     assert f"{complete.ASKED}={shell}_complete" in text

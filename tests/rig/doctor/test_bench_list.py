@@ -18,7 +18,7 @@ MINE = re.findall(r"```toml\n(preset.*?)```", TEXT, re.DOTALL)[0]  # the file th
 COMMANDS = [line for block in BLOCKS for line in block.splitlines() if line.startswith("rig ")]
 
 
-def test_there_are_commands() -> None:
+def test_the_list_has_commands() -> None:
     assert len(COMMANDS) >= 12
 
 

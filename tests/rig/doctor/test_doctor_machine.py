@@ -398,5 +398,5 @@ def test_late_wake_ups_are_a_warning_with_what_was_refused() -> None:
     )
 
 
-def test_the_checks_take_what_the_experiment_asks() -> None:
+def test_the_checks_depend_on_the_settings_of_the_experiment() -> None:
     assert machine_checks(Host(cpu=4095), seconds=0) != machine_checks(Host(), seconds=0)

@@ -157,7 +157,7 @@ def test_the_host_asks_at_the_given_rate_for_the_given_time(rate: int) -> None:
     assert found.capacity_bytes_per_s == 1e6
 
 
-def test_without_a_rate_it_asks_again_as_soon_as_the_answer_is_there() -> None:
+def test_without_a_rate_the_host_asks_again_as_soon_as_the_reply_is_there() -> None:
     found = measured(EchoLink([100_000] * 20_000), 1.0, None)
     assert found.sent == pytest.approx(10_000, abs=20)
 
@@ -202,7 +202,7 @@ def test_a_line_that_is_full_now_and_then_is_counted_apart_from_losses() -> None
     assert found.lost == 0
 
 
-def test_a_link_that_breaks_says_so() -> None:
+def test_a_broken_link_is_an_error_with_a_remedy() -> None:
     with pytest.raises(LinkLostError, match="the link to echo://here was lost") as caught:
         measured(EchoLink([0] * 1000, broken_after=100))
     assert "cable" in caught.value.remedy
@@ -229,7 +229,7 @@ def test_progress_rises_to_one_and_what_it_raises_ends_the_measurement() -> None
     assert not [thread for thread in threading.enumerate() if thread.name == "rig-ping"]
 
 
-def test_its_mapping_is_plain_json() -> None:
+def test_a_measurement_is_plain_json() -> None:
     mapping = plain(measured(EchoLink([100_000] * 10), 0.01))
     assert json.loads(json.dumps(mapping))["round_trip_s"]["p50"]["value"] == pytest.approx(1e-4)
     assert "exchanges" not in mapping

@@ -38,7 +38,7 @@ from tests.conformance.gated import REFUSED, SLOW_S, Started, open_as_real
 from tests.conformance.made_links import link as made_link
 from tests.conformance.tiers import first_by_default
 
-RATES = (1000, 5000, 20_000)
+RATES = (1000, 20_000)
 LOOPS = ("host", "device")
 MOTOR = {"host.realtime": "off", "trial.minimum_rest_counts": 0.0}
 WALLS = {"calm": (20.0, 0.02), "unstable": (5000.0, 0.1), "deeper than the window": (0.05, 0.0)}
@@ -204,7 +204,7 @@ entries = pytest.mark.parametrize("entry", [by_command, by_name, by_session, by_
 
 
 @entries
-def test_every_entry_asks_the_gate(
+def test_every_entry_passes_the_gate(
     entry: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     open_as_real(monkeypatch, SLOW_S)

@@ -105,12 +105,6 @@ def test_a_slow_person_holds_as_long_and_an_absent_one_makes_the_trial_invalid(t
     assert (absent.rows["phase"] == Phase.TRIAL).sum() == round(HELD.trial.duration_s * RATE)
 
 
-def test_progress_receives_phases_and_the_hold(tmp_path: Path) -> None:
-    seen: list[int] = []
-    trial(tmp_path, progress=lambda ticks, phase: seen.append(phase))
-    assert set(seen) <= {*Phase, HOLD}
-
-
 def test_the_sync_output_gives_the_cue_to_the_tick(tmp_path: Path) -> None:
     """It rises with the tick after the first of the trial: the first that the command of that one acts in."""
     recording = trial(tmp_path)

@@ -18,7 +18,6 @@ from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, NoStableWallError
 from rig.devices.device import LINK_SHARE, STATE_BYTES
-from rig.experiments import sweep
 from rig.experiments.design import (
     Candidate,
     DesignRequest,
@@ -42,7 +41,6 @@ from rig.experiments.mapping import _maps as maps
 from rig.experiments.mapping._ranges import search_for
 from rig.experiments.mapping._rendering import RENDERED, rendered_damping, rendered_share
 from rig.experiments.mapping.zwidth import MapPlan
-from rig.experiments.sweep import _coordinator as coordinator
 from rig.firmware.tick_budget import CALLS
 from tests.conformance.made_links import link
 from tests.conformance.maps import SHORT, short_map
@@ -60,8 +58,8 @@ SCHEMES = tuple(
     )
 )
 ROUNDS = (
-    Round(name="first", enter=5, ratio=2.0, columns=4, offsets=(0.1,)),
-    Round(name="second", enter=3, way="ladder", ratio=1.3, columns=4, offsets=(0.1, 0.6)),
+    Round(name="first", enter=5, ratio=2.0, columns=3, offsets=(0.1,)),
+    Round(name="second", enter=3, way="ladder", ratio=1.3, columns=3, offsets=(0.1, 0.6)),
 )
 QUICK = (replace(ROUNDS[0], columns=2, enter=2),)
 REQUEST = DesignRequest(experiment=X, schemes=SCHEMES, rounds=ROUNDS, places=places_for(X))
@@ -275,36 +273,6 @@ def test_the_section_to_paste_is_the_recommended_scheme(kept: Any, tmp_path: Pat
         same = Candidate.own(pasted)
         assert same.law(pasted)[2:] == one.candidate.law(X)[2:]
         assert pasted.controller.loop == applied.controller.loop
-
-
-@pytest.mark.exhaustive("tests/system/test_cli_design.py::test_json_of_a_design_is_read_again")
-def test_a_design_that_was_stopped_resumes_and_is_the_same(
-    kept: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    _, whole = kept
-    stages: list[str] = []
-
-    def stop_in_the_second_round(stage: str, progress: sweep.Progress) -> None:
-        stages.append(stage)
-        if stage == "second" and progress.done > 2:
-            raise KeyboardInterrupt
-
-    with pytest.raises(rig.errors.StoppedError, match="resumes"):
-        design(REQUEST, tmp_path, watch=stop_in_the_second_round)
-    assert stages[0] == "linear theory"
-    ran: list[str] = []
-    monkeypatch.setattr(coordinator, "perform", _counted(coordinator.perform, ran))
-    again = design(REQUEST, tmp_path)
-    assert again.as_mapping() == whole.as_mapping()
-    assert not any("linear" in one for one in ran), "what was done is not done again"
-
-
-def _counted(function: Any, ran: list[str]) -> Any:
-    def counting(work: Any, *others: Any) -> Any:
-        ran.append(work.__module__)
-        return function(work, *others)
-
-    return counting
 
 
 # --- wishes -----------------------------------------------------------------------------------------------------------

@@ -100,7 +100,7 @@ def test_wishes_about_a_path_are_fulfilled_from_one_on() -> None:
     assert wishes.of_path(0.0, 50.0, None) == {"fidelity_hz": 1.0, "noise": math.inf, "cost": 0.0}
 
 
-def test_as_good_asks_for_each_measure_of_the_paper_to_a_rung() -> None:
+def test_as_good_means_each_measure_of_the_paper_to_a_rung() -> None:
     own = plain(undamped=100.0, stiffness=200.0, damping=3.0)
     assert rules.as_good(plain(undamped=99.0, stiffness=198.5, damping=3.0), own, 1.02)
     assert not rules.as_good(plain(undamped=99.0, stiffness=400.0, damping=2.9), own, 1.02)
@@ -124,7 +124,7 @@ def test_each_row_of_the_second_papers_table_has_its_own_tolerance(
     assert rules.reaches(name, math.nan, math.nan, 1.15)
 
 
-def test_the_interval_of_a_comparison_is_students_and_covers_what_it_says() -> None:
+def test_the_interval_of_a_comparison_is_students_and_has_its_coverage() -> None:
     random = np.random.default_rng(1)
     covered = 0
     for _ in range(400):

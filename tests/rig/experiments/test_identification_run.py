@@ -112,13 +112,13 @@ def test_under_voltage_drive_back_emf_is_separated_from_friction_inertia_and_lag
 
 
 def test_koul_rigid_with_a_tick_of_delay(tmp_path: Path) -> None:
-    changes = {"rig.simulation.computation_delay_ticks": 1, "controller.position_rate": 4000}
+    changes = {"rig.simulation.computation_delay_ticks": 1, "controller.position_rate": 2000}
     found = identified(RIGID, tmp_path, period_s=0.25, changes=changes)
     assert found.dynamics.inertia.value == pytest.approx(3.2e-4, rel=0.01)
     assert found.sliding.up.value == pytest.approx(0.02, rel=0.02)
     assert found.sliding.down.value == pytest.approx(0.02, rel=0.02)
     assert found.sliding.damping.value == pytest.approx(0.003, rel=0.15)
-    assert found.dynamics.delay_s.value == pytest.approx(1.0 / 4000 + 1.09e-4, rel=0.05)
+    assert found.dynamics.delay_s.value == pytest.approx(1.0 / 2000 + 1.09e-4, rel=0.05)
     assert found.dynamics.delay_ticks == 1
     assert found.dynamics.mode is None
 
@@ -374,7 +374,7 @@ def test_shares_that_one_sensor_cannot_separate_keep_the_described_proportion(co
     assert after.end_mass == before.end_mass
 
 
-def test_every_motion_is_a_recording_that_says_what_it_is(chawda: Any) -> None:
+def test_every_motion_is_a_recording_with_its_kind_and_law(chawda: Any) -> None:
     assert {name: len(paths) for name, paths in chawda.recordings.items()} == {
         "signs": 1, "sliding": 1, "dynamics": 3,
     }  # fmt: skip
@@ -468,7 +468,7 @@ def test_pushes_of_a_wrong_sign_move_as_little(tmp_path: Path, monkeypatch: pyte
 def test_a_rig_of_another_scale_is_refused_before_it_is_excited(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    mechanics = replace(CHAWDA.rig.mechanics, motor_inertia=5.2)
+    mechanics = replace(CHAWDA.rig.mechanics, motor_inertia=2.6)
     heavy = replace(config.rig_model(CHAWDA), mechanics=mechanics)
     untold = replace(SimulatedDevice(heavy)._dictionary, constants=())
     monkeypatch.setattr(simulated, "describe", lambda *_: untold)

@@ -111,7 +111,7 @@ def test_a_handle_that_friction_held_away_from_its_start_has_a_row(coulomb: floa
 @pytest.mark.parametrize(("fault", "expected"), [
     ("TICK_OVERRUN", True), ("LINK_LOST", True), ("DRIVE_SILENT", True), ("OVER_SPEED", False), (None, False),
 ])  # fmt: skip
-def test_a_fault_for_want_of_time_is_known_by_its_name(
+def test_a_fault_of_missed_time_is_recognised_by_its_name(
     fault: str | None, expected: bool, result: HitResult
 ) -> None:
     """Also that of a drive behind a bridge, in a tree that has no bridge."""

@@ -246,6 +246,3 @@ def test_the_command_changes_the_wall_of_another_process(capsys: pytest.CaptureF
         out, err = capsys.readouterr()
         assert out == f"process {process.pid}, parameter set 2: wall.damping = 1: active\n"
         assert "when the handle is outside the wall" in err
-    with loop_process(info_of(inside=True)) as process:
-        assert rig.cli.run(["set", "damping=1", "--wait", "0", "--pid", str(process.pid)]) == 0
-        assert "not active yet" in capsys.readouterr().out

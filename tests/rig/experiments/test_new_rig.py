@@ -210,7 +210,7 @@ SHEETS = st.one_of(
 )  # fmt: skip
 
 
-@settings(max_examples=2)
+@settings(max_examples=1)
 @example(COARSE_AND_LIGHT)
 @given(SHEETS)
 def test_the_first_hit_of_any_rig_is_planned_and_reaches_its_wall(answers: dict[str, Any]) -> None:

@@ -29,7 +29,7 @@ def test_the_push_rests_the_least_number_of_counts_deep_in_the_stiffest_wall(exp
     assert counts == pytest.approx(experiment.trial.minimum_rest_counts, rel=1e-6)
 
 
-def test_without_a_least_depth_one_count_is_asked_for() -> None:
+def test_without_a_least_depth_the_push_must_show_one_count() -> None:
     free = config.override(PUSHED, {"trial.minimum_rest_counts": 0.0})
     in_preset = ranges.highest_stiffness(PUSHED)  # 2 counts
     assert ranges.highest_stiffness(free) == pytest.approx(2.0 * in_preset, rel=1e-6)

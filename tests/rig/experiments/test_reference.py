@@ -279,7 +279,7 @@ class Hand:
 HEAVY = config.override(MARKED, {"rig.mechanics.motor_damping": 0.5})
 
 
-def test_by_hand_it_finds_the_same_zero_with_the_motor_off(tmp_path: Path) -> None:
+def test_a_search_by_hand_finds_the_same_zero_with_the_motor_off(tmp_path: Path) -> None:
     with powered_up(HEAVY) as device:
         Hand(device, -0.5)
         found = find(device, HEAVY, tmp_path, by_hand=True)

@@ -248,7 +248,7 @@ def test_the_law_of_the_recording_must_be_installed(tmp_path: Path) -> None:
 # ---------------------------------------------------------------------- another law
 
 
-def test_another_estimator_sees_the_same_motion(finished: Any) -> None:
+def test_another_estimator_receives_the_same_motion(finished: Any) -> None:
     result = replay(finished, {"controller.estimator": "fdm"})
     assert result.estimator == "fdm"
     assert not result.exact

@@ -266,7 +266,7 @@ def test_the_error_of_the_run_is_not_lost_when_sealing_fails_too(
         bench.run(name="fine")
 
 
-def test_an_early_end_says_what_the_run_was_not_granted(tmp_path: Path) -> None:
+def test_the_error_of_an_early_end_has_the_messages_of_the_link(tmp_path: Path) -> None:
     """That is often why it ended."""
     bench = Bench(tmp_path)
     bench.link.messages = ["the port waits 16 ms. To fix it: ..."]
@@ -479,7 +479,7 @@ def test_every_ending_is_an_error_with_words_and_a_remedy(reason: Any) -> None:
         assert words in text
 
 
-def test_a_device_that_ends_a_run_and_says_no_fault_is_an_error_with_a_remedy() -> None:
+def test_a_run_that_the_device_ends_without_a_fault_is_an_error_with_a_remedy() -> None:
     end = LoopEnd(EndReason.DEVICE_FAULT, None, dict.fromkeys(COUNTERS, 0))
     error = error_of(end, "sim://", FaultReport(0, "NONE", "no fault", "", 0, 0, []), np.zeros(0, ROW))
     assert error is not None

@@ -157,7 +157,7 @@ def test_table_one_stands_beside_the_papers(rough: Any) -> None:
     json.dumps(plain(table), allow_nan=False)
 
 
-def test_a_wall_that_throws_the_handle_out_says_so() -> None:
+def test_a_wall_that_throws_the_handle_out_has_time_and_reason() -> None:
     tight = config.override(SHORT, {"rig.limits.speed": 0.3, "excitation.realisations": 1})
     found = zwidth(plan(tight, [FDM], [5e3, 2e6], [100.0]))
     soft, _, hard, _ = found.columns[0]

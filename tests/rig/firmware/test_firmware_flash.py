@@ -54,7 +54,7 @@ def test_the_image_is_copied_and_the_board_starts(image: Any, drive: Any) -> Non
     assert done.bytes == image.stat().st_size
 
 
-def test_a_device_that_runs_is_asked_for_its_drive(
+def test_a_running_device_is_requested_to_show_its_drive(
     image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (drive / "INFO_UF2.TXT").unlink()

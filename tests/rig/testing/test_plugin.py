@@ -26,7 +26,7 @@ def test_its_entry_point_and_dash_p_are_one_plugin(suite: pytest.Pytester) -> No
     assert config.pluginmanager.has_plugin("rig.testing.plugin")
 
 
-def test_its_import_brings_nothing_heavy() -> None:
+def test_the_plugin_imports_nothing_heavy() -> None:
     program = (
         "import pytest, sys; before = set(sys.modules); import rig.testing.plugin; "
         "print(*(one for one in set(sys.modules) - before))"
@@ -211,7 +211,7 @@ def test_without_scripted_faults_an_early_end_is_an_error(rig_hit: Hits, rig_exp
         rig_hit(rig_experiment.short(None, far))
 
 
-def test_with_them_it_is_the_hits_error_and_a_plan_is_refused_all_the_same(
+def test_with_scripted_faults_an_early_end_is_the_error_of_the_hit_and_an_invalid_wall_is_still_refused(
     rig_hit: Hits, rig_faults: FaultWords, rig_experiment: Experiments
 ) -> None:
     rig_faults.link("unplug", tick=20)

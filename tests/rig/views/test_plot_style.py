@@ -53,9 +53,15 @@ def test_style_latex_and_backend_of_others_change_no_byte_and_stay_as_they_were(
     plain = style.save(a_figure(), tmp_path / "plain.svg").read_bytes()
     (tmp_path / "matplotlibrc").write_text(OUTSIDE)
     drawing = "from tests.rig.views.conftest import *; style.save(a_figure(), Path('theirs.svg'))"
+    no_window = "import sys; assert not {'matplotlib.pyplot', 'tkinter'} & set(sys.modules)"
     backend = "module://matplotlib_inline.backend_inline"
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3]), "MPLBACKEND": backend}
-    begun = f"from rig.core import program; program.begin(); {drawing}"
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(Path(__file__).parents[3]),
+        "MPLBACKEND": backend,
+        "DISPLAY": "",
+    }
+    begun = f"from rig.core import program; program.begin(); {drawing}; {no_window}"
     options: Any = {"cwd": tmp_path, "env": environment, "capture_output": True, "text": True}
     done = subprocess.run([sys.executable, "-c", begun], check=False, **options)
     assert (done.returncode, done.stderr) == (0, "")
