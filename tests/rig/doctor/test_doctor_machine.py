@@ -11,9 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rig.cli.doctor import doctor
 from rig.config._sections import Host
 from rig.core.check import Check, Outcome
 from rig.core.present import plain
@@ -400,3 +402,8 @@ def test_late_wake_ups_are_a_warning_with_what_was_refused() -> None:
 
 def test_the_checks_depend_on_the_settings_of_the_experiment() -> None:
     assert machine_checks(Host(cpu=4095), seconds=0) != machine_checks(Host(), seconds=0)
+
+
+def test_the_command_prints_the_rules_and_nothing_else() -> None:
+    result = CliRunner().invoke(doctor, ["--print-udev"])
+    assert (result.exit_code, result.stdout) == (0, udev_rules())

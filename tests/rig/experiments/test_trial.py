@@ -22,6 +22,7 @@ from rig.core.errors import (
     ConfigError,
     DeviceFaultError,
     DeviceRefusedError,
+    GuardError,
     LawError,
     LinkLostError,
     PlanError,
@@ -493,6 +494,22 @@ def test_a_device_that_restarts_in_mid_run_is_not_only_silent(tmp_path: Path) ->
         Bench(tmp_path, faults).run(LONG)
     assert caught.value.end.reason == EndReason.DEVICE_RESTARTED
     assert open_recording(caught.value.recording).trailer["reason"] == "device_restarted"
+
+
+def test_a_run_that_leaves_the_window_ends_with_zero_effort_and_an_error(tmp_path: Path) -> None:
+    narrow = {
+        "rig.limits.position_maximum": 0.0001,
+        "rig.limits.position_minimum": -0.2,
+        "trial.duration_s": 0.3,
+    }
+    bench = Bench(tmp_path)
+    with pytest.raises((GuardError, DeviceFaultError)) as caught:
+        bench.run(config.override(SHORT, narrow))
+    rows = open_recording(caught.value.recording).rows
+    assert np.abs(rows["effort_sent"]).max() > 0.0
+    assert rows["effort_sent"][-1] == 0.0
+    bench.link.elapse(0.03)
+    assert bench.at_rest()
 
 
 # ---------------------------------------------------------------------- hit
