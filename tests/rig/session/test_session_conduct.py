@@ -235,18 +235,21 @@ def test_an_operator_who_leaves_can_come_back(tmp_path: Path) -> None:
     assert decisions(read(tmp_path / "P01" / LOG)) == decisions(read(tmp_path / "calm" / LOG))
 
 
-def test_a_block_may_start_over(tmp_path: Path) -> None:
+def test_a_block_may_start_over_without_what_was_skipped_in_it(tmp_path: Path) -> None:
     asked = 0
 
-    def leave_at_the_third(question: Question) -> Reply | None:
+    def skip_and_leave(question: Question) -> Reply | None:
         nonlocal asked
-        asked += question.kind == "verdict"
-        return Reply(action="abort") if asked == 3 else None
+        asked += question.kind == "ready"
+        if question.kind == "ready" and asked in (4, 5):
+            return Reply(action="skip" if asked == 4 else "abort")
+        return None
 
-    run_with(started(tmp_path / "P01"), FakeRunner(), ScriptedDesk(leave_at_the_third))
-    runner = FakeRunner()
+    left = run_with(started(tmp_path / "P01"), FakeRunner(), ScriptedDesk(skip_and_leave))
+    assert left.skipped == {1}
     with resume(tmp_path / "P01", at="block", clock=Day()) as session:
-        state = conduct(session, runner, ScriptedDesk())
+        assert session.state.skipped == set()
+        state = conduct(session, FakeRunner(), ScriptedDesk())
     assert [trial.void for trial in state.trials[:4]] == [*["restarted"] * 3, ""]
     assert state.trials[3].trial == 4
     assert state.ended == "complete"
@@ -573,22 +576,6 @@ def test_a_correction_of_an_answer_is_checked_like_an_answer(tmp_path: Path) -> 
         amend(tmp_path / "P01", number, "banana", "a slip")
     assert amend(tmp_path / "P01", number, "5", "a slip").content["value"] == 5
     assert SessionState.of(read(tmp_path / "P01" / LOG)).answered["tired", 0] == 5
-
-
-def test_a_block_that_starts_over_forgets_what_was_skipped_in_it(tmp_path: Path) -> None:
-    asked = 0
-
-    def answer(question: Question) -> Reply | None:
-        nonlocal asked
-        asked += question.kind == "ready"
-        if question.kind == "ready" and asked in (2, 4):
-            return Reply(action="skip" if asked == 2 else "abort")
-        return None
-
-    state = run_with(started(tmp_path / "P01"), FakeRunner(), ScriptedDesk(answer))
-    assert state.skipped == {1}
-    with resume(tmp_path / "P01", at="block", clock=Day()) as session:
-        assert session.state.skipped == set()
 
 
 def test_a_finished_block_does_not_start_over(tmp_path: Path) -> None:

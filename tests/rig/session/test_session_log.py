@@ -183,40 +183,6 @@ def test_two_processes_never_write_the_same_session(tmp_path: Path) -> None:
     SessionLog(tmp_path / "log").close()
 
 
-@pytest.mark.parametrize("room", range(0, 240, 21))
-def test_a_full_disk_is_an_error_and_the_events_before_are_good(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: int
-) -> None:
-    class Full(io.FileIO):
-        left = room
-
-        def write(self, data: Any) -> Any:
-            if self.left <= 0:
-                raise OSError(errno.ENOSPC, "")
-            written = super().write(data[: min(len(data), self.left, 50)])
-            self.left -= written
-            return written
-
-    path, done = tmp_path / "log", 0
-    monkeypatch.setattr(lines, "FileIO", Full)
-    with SessionLog(path, clock=lambda: 12.5) as log:
-        for kind, content in EVENTS * 4:
-            try:
-                log.append(kind, **content)
-            except RecordingError as error:
-                assert "No space left" in str(error)  # noqa: PT017
-                break
-            done += 1
-        assert done < 16
-        log._file._file.left = 1000  # there is some space again
-        for kind, content in (EVENTS * 4)[done : done + 1]:
-            log.append(kind, **content)
-            done += 1
-    monkeypatch.undo()
-    assert read_events(path) == (EVENTS * 4)[:done]
-    assert read_events(written(path, (EVENTS * 4)[done:])) == EVENTS * 4
-
-
 class Failing(io.FileIO):
     """A file of which `fails` says what is refused."""
 
