@@ -182,7 +182,7 @@ FAR_ENDS: dict[str, Callable[[], Simulated]] = {
 def cases() -> list[Any]:
     """Return each fault of each device; of faults of one kind the firmware alone has every one by default."""
     found = [(end, name) for end, make in FAR_ENDS.items() for name in faults_of(make())]
-    repeated = [*list(INEFFECTIVE)[2:], *(f"the port finds {fault.name}" for fault in list(Fault)[3:])]
+    repeated = [*list(INEFFECTIVE)[3:], *(f"the port finds {fault.name}" for fault in list(Fault)[3:])]
     default = [(end, name) for end, name in found if end == "the firmware" or name not in repeated]
     return first_by_default(sorted(found, key=lambda case: case not in default), len(default))
 

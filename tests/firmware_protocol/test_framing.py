@@ -76,8 +76,10 @@ def test_a_short_frame_fits_one_full_speed_usb_packet() -> None:
 
 
 def test_the_longest_frame_has_no_block_that_cobs_would_split() -> None:
-    frame = encode_frame(b"\x55" * (RAW_LIMIT - CRC_BYTES))
+    raw, splitter = b"\x55" * (RAW_LIMIT - CRC_BYTES), FrameSplitter()
+    frame = encode_frame(raw)
     assert len(frame) == RAW_LIMIT + 2
+    assert [found for byte in frame for found in splitter.feed(bytes([byte]))] == [raw]
     assert frame[0] < 0xFF
 
 

@@ -1,5 +1,5 @@
-"""What keeps a guest from being there at all: a package, the network, the machine."""
+"""The reason why this machine cannot run a guest."""
 
 
 class GuestAbsentError(Exception):
-    """There can be no guest here, and why; the stage says so and is skipped."""
+    """No guest on this machine: a package, the network or the architecture is missing; the stage is skipped."""

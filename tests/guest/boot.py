@@ -1,9 +1,7 @@
-"""Boot a Linux guest whose root is this machine's own, run one script in it, and say how it ended.
+"""Boot a Linux guest on this machine's root, run one script in it, and return how it ended.
 
-The guest sees the host's files read-only over 9p, under a layer in memory: the same interpreter, the same virtual
-environment, the same checkout, and it can spoil none of them. One directory is shared for writing. What it will read
-for sure may be given to it on a disk as well: a file over 9p costs a dozen questions. It has no network. Emulated by
-TCG: needs no rights and no nested virtualisation, and is ten to twenty times slower than the machine.
+The guest reads this machine's files over 9p, under a layer in memory, and writes into one shared directory. It has no
+network. Emulation by TCG needs no rights, and is ten to twenty times slower than the machine.
 """
 
 from __future__ import annotations
@@ -29,9 +27,7 @@ BUSYBOX = "/bin/busybox"
 UDEV = "/lib/systemd/systemd-udevd"
 TOOLS = {EMULATOR: "qemu-system-x86", BUSYBOX: "busybox-static", UDEV: "udev", image.TOOL: "e2fsprogs"}
 MEMORY_MB = 3072
-PROCESSOR = (
-    "Nehalem"  # x86-64-v2, the least that numpy and pyarrow run on: wider vectors take longer to emulate
-)
+PROCESSOR = "Nehalem"  # x86-64-v2, the least for numpy and pyarrow: wider vectors take longer to emulate
 PROCESSORS = 2
 WATCHDOG_S = 480.0
 INIT = Path(__file__).with_name("init.sh")
@@ -42,56 +38,21 @@ KERNEL_LINE = (
 
 @dataclass(frozen=True, slots=True)
 class GuestEnd:
-    """How a guest ended.
+    """How a guest ended."""
 
-    Attributes
-    ----------
-    status
-        Exit status of the script, None when the guest died before it was done.
-    timed_out
-        Whether the watchdog killed it.
-    wall_s
-        From the start of the emulator to its end (s).
-    """
-
-    status: int | None
-    timed_out: bool
+    status: int | None  # of the script; None if the guest ended before it
+    timed_out: bool  # killed by the watchdog
     wall_s: float
 
 
 def run_in_guest(
-    script: str,
-    cache: Path,
-    *,
-    modules: Iterable[str] = (),
-    share: Path | None = None,
-    channel: tuple[str, Path] | None = None,
-    disk: Path | None = None,
-    watchdog_s: float = WATCHDOG_S,
-) -> GuestEnd:
-    """Boot a guest, run a bash script in it as root, and pass its console on to standard output.
+    script: str, cache: Path, *, modules: Iterable[str], share: Path, channel: tuple[str, Path] | None, disk: Path,
+    watchdog_s: float,
+) -> GuestEnd:  # fmt: skip
+    """Boot a guest, run a bash script in it as root, and copy its console to standard output.
 
-    Parameters
-    ----------
-    script
-        Text of the script. Its standard output is the console.
-    cache
-        Directory that keeps the kernel between calls.
-    modules
-        Kernel modules to load before the script, besides those that the root needs.
-    share
-        Directory that the guest sees as ``/run/guest`` and may write into; a temporary one unless given.
-    channel
-        Name of a virtio serial port of the guest, and the socket of this machine that it is connected to.
-    disk
-        Image of an ext4 file system whose files the guest reads there instead of over 9p.
-    watchdog_s
-        Time after which the emulator is killed (s).
-
-    Raises
-    ------
-    GuestAbsentError
-        This machine cannot have a guest: a package, the kernel or the architecture is missing.
+    `cache` stores the kernel between calls. The guest has `share` as ``/run/guest``, reads the files of `disk` (ext4)
+    there instead of over 9p, and has a virtio serial port for `channel`: its name and a socket of this machine.
     """
     check_tools()
     kernel = kernel_files.unpacked_kernel(cache)
@@ -99,16 +60,11 @@ def run_in_guest(
     with tempfile.TemporaryDirectory(prefix="guest-") as temporary:
         first = Path(temporary, "initramfs")
         first.write_bytes(initramfs.archive(INIT.read_text(), Path(BUSYBOX), files))
-        place = share or Path(temporary, "share")
-        place.mkdir(parents=True, exist_ok=True)
-        (place / "start").write_text(script)
-        (place / "status").unlink(missing_ok=True)
-        started = time.monotonic()
-        timed_out = _emulate(
-            [*_command(kernel.image, first, place), *_port(channel), *_drive(disk)], watchdog_s
-        )
-        wall_s = time.monotonic() - started
-        return GuestEnd(_status(place / "status"), timed_out, wall_s)
+        (share / "start").write_text(script)
+        began = time.monotonic()
+        drive = ["-drive", f"file={disk},format=raw,if=virtio,readonly=on"]
+        timed_out = _emulate([*_command(kernel.image, first, share), *_port(channel), *drive], watchdog_s)
+        return GuestEnd(_status(share / "status"), timed_out, time.monotonic() - began)
 
 
 def check_tools() -> None:
@@ -130,7 +86,6 @@ def _command(image: Path, first: Path, share: Path) -> list[str]:
 
 
 def _port(channel: tuple[str, Path] | None) -> list[str]:
-    """What the emulator must be told for a virtio serial port."""
     if channel is None:
         return []
     name, socket = channel
@@ -138,11 +93,6 @@ def _port(channel: tuple[str, Path] | None) -> list[str]:
         "-device", "virtio-serial-pci", "-chardev", f"socket,id=port,path={socket}",
         "-device", f"virtserialport,chardev=port,name={name}",
     ]  # fmt: skip
-
-
-def _drive(disk: Path | None) -> list[str]:
-    """What the emulator must be told for a disk."""
-    return [] if disk is None else ["-drive", f"file={disk},format=raw,if=virtio,readonly=on"]
 
 
 def _emulate(command: list[str], watchdog_s: float) -> bool:

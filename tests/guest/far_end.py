@@ -1,7 +1,7 @@
-"""The simulated rig as a process behind any port, which tells at the end in which state it was left.
+"""The simulated rig as a process behind any port, which reports its state at the end.
 
-The process is forked, because in an emulated machine a new interpreter takes half a minute; it must be made before this
-process has threads.
+The process is forked, since in an emulated machine a new interpreter takes half a minute; it must be started before
+this process has threads.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ WAIT_S = 20.0
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """State in which the device ended: its current, the strongest since it was made (quanta), its protocol state."""
+    """State of the device at its end: its current and the strongest one (quanta), its protocol state."""
 
     current: int
     strongest: int
@@ -36,7 +36,7 @@ class Left:
 
 
 class FarEnd:
-    """A running device process; `left` stops it and says how it was left."""
+    """A running device process."""
 
     def __init__(self, process: Any, pipe: Any) -> None:
         self._process = process
@@ -44,7 +44,7 @@ class FarEnd:
         self._left: Left | None = None
 
     def left(self) -> Left:
-        """Stop the device and return how it was left."""
+        """Stop the device and return its last state."""
         if self._left is None:
             self._pipe.send(None)
             if not self._pipe.poll(WAIT_S):
@@ -54,8 +54,6 @@ class FarEnd:
 
 
 class _Watched(SimulatedDevice):
-    """Remembers its strongest current."""
-
     strongest = 0
 
     def tick(self) -> bytes:
@@ -68,10 +66,9 @@ class _Watched(SimulatedDevice):
 def far_end(
     model: RigModel, make_port: Callable[[], DevicePort], *, rate: int = RATE, seed: int = 0
 ) -> Iterator[FarEnd]:
-    """Run a simulated rig in a process of its own behind the port that `make_port` makes there.
+    """Run a simulated rig in another process behind the port that `make_port` opens there; it outlives its host.
 
-    It outlives its host: what it does when nobody speaks to it any more is part of what is tested. It is made here, so
-    that what it imports and loads is there for the next one and for the host too.
+    The device is built here, so that its imports and kernels are loaded for the next one and for the host too.
     """
     device = _Watched(
         model, position_rate_default=rate, position_rate_maximum=RATE_MAXIMUM, seed=seed, keep_truth=False

@@ -1,7 +1,7 @@
-"""A USB serial port (CDC ACM) made by the kernel on both ends: dummy_hcd as the bus, a configfs gadget as the device.
+"""A USB serial port (CDC ACM) of the kernel on both ends: dummy_hcd as the bus, a configfs gadget as the device.
 
-The host's end is ``/dev/ttyACM*`` with the cdc-acm driver, as of any board; the device's is ``/dev/ttyGS0``.
-See Documentation/usb/gadget_configfs.rst and gadget_serial.rst.
+The host has ``/dev/ttyACM*``, as of any board, the device ``/dev/ttyGS0``: see the kernel's
+Documentation/usb/gadget_configfs.rst and gadget_serial.rst.
 """
 
 from __future__ import annotations
@@ -27,23 +27,22 @@ PENDING_BYTES = 8192
 
 
 def is_here() -> bool:
-    """Whether this kernel has a bus without wires and gadgets for it."""
+    """Return True if this kernel has a virtual bus and gadgets."""
     return (CONFIGFS / "usb_gadget").exists() and any(CONTROLLERS.iterdir())
 
 
 class AcmGadget:
-    """The device: `plug` and `pull` are what a hand does with the cable."""
+    """The device and its cable."""
 
     def __init__(self, directory: Path) -> None:
         self._directory = directory
         self._controller = next(iter(CONTROLLERS.iterdir())).name
 
     def plug(self) -> None:
-        """Plug it in."""
         (self._directory / "UDC").write_text(self._controller)
 
     def pull(self) -> None:
-        """Pull it out; may be called twice."""
+        """Unplug it; may be called twice."""
         with contextlib.suppress(OSError):  # ENODEV: it is out
             (self._directory / "UDC").write_text("\n")
 
@@ -86,7 +85,7 @@ class GadgetPort:
         self._pending = b""
 
     def read(self, deadline_ns: int) -> bytes:
-        """Return what the host sent, waiting for it until the deadline; nothing at the deadline."""
+        """Wait until the deadline for bytes of the host; return them or nothing."""
         if self._descriptor < 0 and not self._open():
             sleep_until(deadline_ns)
             return b""
@@ -105,7 +104,7 @@ class GadgetPort:
         return data
 
     def write(self, frames: bytes) -> None:
-        """Send answers, now or as the host fetches them; a host that leaves kilobytes there loses them."""
+        """Send replies, now or as the host fetches them; beyond some kilobytes they are dropped."""
         if self._descriptor < 0 or len(self._pending) + len(frames) > PENDING_BYTES:
             return
         self._pending += frames
@@ -119,7 +118,7 @@ class GadgetPort:
                 self._close()
 
     def write_if_free(self, frame: bytes) -> None:
-        """Send a frame that is worth nothing later, unless older ones still wait."""
+        """Send a frame, or drop it while older ones wait."""
         if self._pending:
             self.write(b"")
         if not self._pending:

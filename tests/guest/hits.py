@@ -1,7 +1,7 @@
-"""A short hit on a device in the guest, struck by something in the middle, and what must hold whatever happens.
+"""A short hit on a device in the guest with a fault in the middle, and what must hold at its end.
 
-An emulated machine keeps no time: a hit may end by itself, by the loss of the link or a fault of the device that its
-slowness causes, or by the guard, when answers come so late that they throw the handle out. The same is asserted.
+An emulated machine keeps no time: a hit may also end by a lost link, a fault of the device or the guard, since replies
+are late. The same is asserted then.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ ITS_TURN_S = 0.5
 ATTEMPTS = 3
 BOUND_S = 120.0  # "it comes back", not how soon
 COUNTED = ("frames", "bad_frames", "lost", "commands", "unsent", "late", "rows_dropped")
-TOO_SLOW = (LinkLostError, DeviceFaultError, GuardError)  # how a run may end that nobody struck
+TOO_SLOW = (LinkLostError, DeviceFaultError, GuardError)  # errors of a run without a fault
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,17 +61,11 @@ def whole_hit(
     *,
     verified: bool = False,
 ) -> Ended:
-    """All of ``rig hit --url …``: the gate, the hit, its verdict, its sealed recording."""
+    """Run ``rig hit --url …``: the gate, the hit, its verdict, its sealed recording."""
 
     def run() -> Path:
-        request = HitRequest(
-            experiment=experiment,
-            url=url,
-            changes=changes,
-            output=output,
-            verified=verified,
-            arm_anyway=True,
-        )
+        more = {"output": output, "verified": verified, "arm_anyway": True}
+        request = HitRequest(experiment=experiment, url=url, changes=changes, **more)
         (result,) = hit(request, admit)
         return result.path
 
@@ -79,7 +73,7 @@ def whole_hit(
 
 
 def struck_trial(url: str, output: Path, strike: Callable[[], None], at_tick: int = 20) -> Ended:
-    """One trial, without what comes before and after; `strike` is called when `at_tick` ticks have run."""
+    """Run one trial; call `strike` when `at_tick` ticks have run."""
     struck = False
 
     def progress(ticks: int, phase: int) -> None:
@@ -99,7 +93,7 @@ def struck_trial(url: str, output: Path, strike: Callable[[], None], at_tick: in
 
 
 def _ended(run: Callable[[], Path]) -> Ended:
-    """Run, once more when nothing began: requests are given up after 0.1 s, which a busy emulator needs for itself."""
+    """Run, and again while nothing began: a request times out after 0.1 s, which a busy emulator may need."""
     for _ in range(ATTEMPTS):
         started = time.monotonic()
         try:
@@ -113,14 +107,12 @@ def _ended(run: Callable[[], Path]) -> Ended:
 
 
 def check_ended_safely(ended: Ended, far_end: FarEnd, *kinds: type[RigError]) -> None:
-    """Completion or a typed error in bounded time; zero effort at the device; losses counted; a recording that reads.
+    """Check completion or a typed error in bounded time, zero effort at the device, and a readable recording.
 
-    `kinds` are the errors of what struck the run; those of a machine that is too slow may come first.
+    `kinds` are the errors of the fault; those of a machine that is too slow may come first.
     """
     if isinstance(ended.error, LinkLostError):
-        time.sleep(
-            ITS_TURN_S
-        )  # `left` stops the device at once, which may have had no time for its own watchdog
+        time.sleep(ITS_TURN_S)  # `left` stops the device at once, and its own watchdog needs time
     print(f"{ended.wall_s:.1f} s: {type(ended.error).__name__}: {ended.error}; {far_end.left()}")
     assert far_end.left().current == 0
     assert far_end.left().state not in (State.ARMED, State.RUNNING)

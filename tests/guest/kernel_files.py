@@ -1,4 +1,4 @@
-"""A Debian kernel in a directory: fetched as a package, unpacked, its modules put in the order in which they load."""
+"""A Debian kernel: fetched as a package, unpacked, its modules in the order in which they load."""
 
 from __future__ import annotations
 
@@ -24,13 +24,7 @@ class Kernel:
 
 
 def unpacked_kernel(cache: Path) -> Kernel:
-    """Return the kernel of this Debian, unpacked in `cache`; the first call fetches 70 MB.
-
-    Raises
-    ------
-    GuestAbsentError
-        No such package, no network, or no room.
-    """
+    """Return the kernel of this Debian, unpacked in `cache`; the first call fetches 70 MB."""
     package = _newest_image()
     root = cache / package
     if not (root / "whole").exists():
@@ -62,17 +56,14 @@ def _run(*command: str, directory: Path | None = None) -> str:
             command, cwd=directory, check=True, capture_output=True, text=True, timeout=FETCH_TIMEOUT_S
         ).stdout
     except subprocess.CalledProcessError as error:
-        said = error.stderr.strip().splitlines()
-        raise GuestAbsentError(f"{' '.join(command)}: {said[-1] if said else error}") from error
+        lines = error.stderr.strip().splitlines()
+        raise GuestAbsentError(f"{' '.join(command)}: {lines[-1] if lines else error}") from error
     except (OSError, subprocess.TimeoutExpired) as error:
         raise GuestAbsentError(f"{' '.join(command)}: {error}") from error
 
 
 def with_dependencies(kernel: Kernel, names: Iterable[str]) -> list[Path]:
-    """Files of the modules and of all that they need, in an order in which each can be inserted.
-
-    Raises `GuestAbsentError` when the kernel has no such module. What is built in needs no file and is left out.
-    """
+    """Return the files of modules and of their dependencies in the order of insertion, without built-in ones."""
     files = {_plain(path.name.partition(".ko")[0]): path for path in kernel.modules.rglob("*.ko")}
     built_in = _built_in(kernel)
     ordered: list[Path] = []

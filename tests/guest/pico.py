@@ -1,7 +1,6 @@
-"""The emulated Raspberry Pi Pico that a guest can plug in: a process beside the guest, behind a port of the guest's.
+"""The emulated Raspberry Pi Pico that a guest can plug in: a process outside of the guest, which is emulated too.
 
-The guest is emulated too, so the board's emulator runs outside of it: the bytes of USB/IP pass through a virtio serial
-port, and what cannot be seen over USB through a file in the shared directory.
+The bytes of USB/IP pass through a virtio serial port, the state of its pins through a file in the shared directory.
 """
 
 from __future__ import annotations
@@ -56,13 +55,7 @@ def model() -> RigModel:
 
 @contextlib.contextmanager
 def emulated_pico(share: Path) -> Iterator[Path]:
-    """Build the firmware, start the board, and give the socket of its USB/IP server.
-
-    Raises
-    ------
-    GuestAbsentError
-        There is no cross compiler or no emulator here.
-    """
+    """Build the firmware, start the board, and give the socket of its USB/IP server."""
     with tempfile.TemporaryDirectory(prefix="pico-") as scratch:
         place = Path(scratch)
         try:

@@ -23,26 +23,22 @@ BYTES = 65536
 
 @dataclass(frozen=True, slots=True)
 class PluggedPico:
-    """The board on the bus."""
-
     serial: str
     firmware: str
 
     @property
     def url(self) -> str:
-        """How `rig` names it."""
         return f"usb://{USB_VENDOR:04x}:{USB_PRODUCT:04x}/{self.serial}"
 
     @property
     def tty(self) -> Path | None:
-        """Its serial port, when Linux has made one."""
         for device in vhci.devices_with(self.serial):
             for found in device.glob("*:*/tty/*"):
                 return Path("/dev") / found.name
         return None
 
     def status(self) -> dict[str, Any]:
-        """How the board is, as seen from outside: at its pins."""
+        """Return the state of the board at its pins."""
         return dict(json.loads((SHARE / STATUS).read_text()))
 
 

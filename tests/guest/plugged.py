@@ -1,4 +1,4 @@
-"""Devices on the virtual bus, for the length of a ``with``: a bare one that a test speaks for, and a simulated rig."""
+"""Devices on the virtual bus as context managers: a bare one that a test controls, and a simulated rig."""
 
 from __future__ import annotations
 
@@ -27,7 +27,6 @@ class Plugged:
 
     @property
     def url(self) -> str:
-        """How `rig` names it."""
         return f"usb://{USB_VENDOR:04x}:{USB_PRODUCT:04x}/{self.serial}"
 
     def unplug(self) -> None:
@@ -38,13 +37,13 @@ class Plugged:
 
 
 def pipes() -> tuple[socket.socket, socket.socket]:
-    """Make the two ends, the bus's and the device's, of what carries packets between them."""
+    """Return connected ends for packets: of the bus and of the device."""
     return socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
 
 
 @contextlib.contextmanager
 def plugged(serial: str, ends: tuple[socket.socket, socket.socket] | None = None) -> Iterator[Plugged]:
-    """Plug a device in that does nothing by itself; a test holds its end of the pipes."""
+    """Plug in a device that sends nothing; the test has its end of the pipes."""
     near, device = ends or pipes()
     shape = UsbShape(serial=serial)
     kernel, host = socket.socketpair()
@@ -64,7 +63,7 @@ def plugged(serial: str, ends: tuple[socket.socket, socket.socket] | None = None
 
 @contextlib.contextmanager
 def plugged_rig(serial: str, model: RigModel, *, rate: int = RATE) -> Iterator[Plugged]:
-    """Plug a simulated rig in, which is a process of its own."""
+    """Plug in a simulated rig, which runs in another process."""
     near, device = pipes()
     with far_end(model, lambda: UsbPort(device), rate=rate) as end, plugged(serial, (near, device)) as made:
         made.far_end = end

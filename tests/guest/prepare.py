@@ -1,7 +1,6 @@
-"""Before a guest, on this machine: ``python -m tests.guest.prepare`` compiles what the tests there enter.
+"""``python -m tests.guest.prepare`` compiles the kernels, Python files and tests that a guest will use.
 
-Kernels of the loop for the CPU that the environment names, Python files, tests as pytest rewrites them. It prints the
-files that it read meanwhile, one a line: those that the guest will read.
+It prints the files that it read, one a line: the guest will read them.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ HIT_STATUSES = (0, 6, 7, 10)
 
 
 def main() -> None:
-    """Compile, then name the files; exits with another status than 0 when the tests or a hit do not load here."""
+    """Compile and print the files; exit with another status than 0 when the tests or a hit do not load here."""
     with tempfile.TemporaryDirectory() as place, redirect_stdout(sys.stderr):
         for room in ("firmware_protocol", "rig", "sim_backend"):
             compileall.compile_dir(room, quiet=1)
@@ -58,7 +57,7 @@ def main() -> None:
 
 
 def _read() -> Iterator[Path]:
-    """What this process has imported, source and compiled, libraries that it has mapped, names of plug-ins."""
+    """Yield imported files, source and compiled, mapped libraries and names of plug-ins."""
     for module in list(sys.modules.values()):
         if source := getattr(module, "__file__", None):
             path = Path(source)

@@ -1,7 +1,7 @@
-"""The stage of CI that needs a kernel of its own: boot a guest and run the tests of this directory in it.
+"""``python -m tests.guest.stage [pytest arguments]`` boots a guest and runs the tests of this directory in it.
 
-``python -m tests.guest.stage [pytest arguments]``. The kernels of the loop are compiled here, for the plainest CPU,
-and so are all Python files: an emulated one takes minutes. What was read for that goes on a disk for the guest.
+Kernels (for the plainest CPU) and Python files are compiled here, since an emulated machine takes minutes; the files
+read meanwhile are put on a disk for the guest.
 """
 
 from __future__ import annotations
@@ -31,7 +31,6 @@ TEST_TIMEOUT_S = 150
 
 
 def main() -> int:
-    """Prepare, boot, run; returns the exit status of the stage."""
     cache = Path(os.environ.get("HAPTIC_RIG_GUEST_CACHE") or Path(tempfile.gettempdir()) / "haptic-rig-guest")
     kernels = cache / "kernels"
     started = time.monotonic()
@@ -53,7 +52,7 @@ def main() -> int:
 
 
 def _run(cache: Path, kernels: Path, files: list[Path], arguments: list[str]) -> GuestEnd:
-    """Boot the guest with the emulated board beside it, or, aloud, without one."""
+    """Boot the guest with the emulated board, or without it and print why."""
     watchdog_s = float(os.environ.get("HAPTIC_RIG_GUEST_WATCHDOG_S", WATCHDOG_S))
     with tempfile.TemporaryDirectory(prefix="guest-") as scratch, ExitStack() as board:
         share = Path(scratch, "share")
@@ -72,7 +71,7 @@ def _run(cache: Path, kernels: Path, files: list[Path], arguments: list[str]) ->
 
 
 def _prepare(kernels: Path) -> list[Path]:
-    """Compile here what the tests there enter; returns the files that they read."""
+    """Compile the code of the tests; return the files that they read."""
     environment = {**os.environ, **ONE_CPU_FOR_ALL, "HAPTIC_RIG_CACHE": str(kernels)}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, (str(HERE), os.environ.get("PYTHONPATH"))))
@@ -87,7 +86,6 @@ def _prepare(kernels: Path) -> list[Path]:
 
 
 def _script(kernels: Path, arguments: list[str], no_pico: str) -> str:
-    """What the guest does: udev, then pytest."""
     environment = {
         **ONE_CPU_FOR_ALL,
         "HAPTIC_RIG_CACHE": str(kernels),  # what is written there stays in the guest's memory

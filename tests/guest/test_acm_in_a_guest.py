@@ -1,4 +1,4 @@
-"""The kernel's cdc-acm driver and pyserial as they are: a USB serial port that comes, goes, and comes again."""
+"""The kernel's cdc-acm driver and pyserial with a USB serial port that is unplugged and plugged in again."""
 
 from __future__ import annotations
 
@@ -32,7 +32,6 @@ URL = f"serial://{PORT}"
 
 @pytest.fixture(scope="module")
 def made() -> Iterator[Any]:
-    """One gadget for all tests; each plugs it in for itself."""
     with acm_gadget("acm-1") as made:
         yield made
 
@@ -71,7 +70,7 @@ def test_the_port_is_listed_with_its_maker_and_number(plugged: Any) -> None:
     assert PORT in dict(available_ports())
 
 
-def test_rig_devices_names_it(plugged: Any) -> None:
+def test_device_list_contains_the_port(plugged: Any) -> None:
     done = CliRunner().invoke(device.list_, ["--json"])
     assert done.exit_code == 0, done.output
     assert URL in {port["url"] for port in json.loads(done.stdout)["ports"]}
@@ -100,7 +99,7 @@ def test_one_program_at_a_time(plugged: Any) -> None:
     link.close()
 
 
-def test_who_is_there(rig_on_it: Any) -> None:
+def test_device_behind_the_port_is_identified(rig_on_it: Any) -> None:
     with open_device(URL) as device:
         assert device.dictionary.device == MODEL.name
         assert device.dictionary.simulated

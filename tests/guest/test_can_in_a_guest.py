@@ -39,7 +39,6 @@ FREE = {
 
 
 def ip_link(*words: str) -> None:
-    """What ``ip link`` does with these words."""
     subprocess.run([BUSYBOX, "ip", "link", *words], check=True)
 
 
@@ -47,14 +46,10 @@ def ip_link(*words: str) -> None:
 def on_the_bus(
     kind: str, interface: str, *, model: RigModel | None = None, **options: object
 ) -> Iterator[socket.socket]:
-    """An interface with a drive on it, and a host's socket."""
-    words = (
-        ("add", interface, "type", "vcan"),
-        ("set", interface, "mtu", str(FD_MTU)),
-        ("set", interface, "up"),
-    )
-    for command in words:
-        ip_link(*command)
+    """Serve a drive on a new interface; give the socket of a host."""
+    ip_link("add", interface, "type", "vcan")
+    ip_link("set", interface, "mtu", str(FD_MTU))
+    ip_link("set", interface, "up")
     there, stop = threading.Event(), threading.Event()
     options |= {"place": interface, "stop": stop, "announce": lambda _: there.set()}
     drive = threading.Thread(target=serve, args=(kind, model or drive_rig()), kwargs=options)
@@ -79,8 +74,7 @@ def send(host: socket.socket, command: CanSimpleCommand, form: str, *values: flo
     host.send(struct.pack("=IB3x8s", command, len(data), data))
 
 
-def heard(host: socket.socket, command: CanSimpleCommand, form: str) -> tuple[float, ...]:
-    """The next message of a kind."""
+def receive(host: socket.socket, command: CanSimpleCommand, form: str) -> tuple[float, ...]:
     while True:
         identifier, _, data = struct.unpack("=IB3x8s", host.recv(16))
         if identifier == command:
@@ -89,19 +83,19 @@ def heard(host: socket.socket, command: CanSimpleCommand, form: str) -> tuple[fl
 
 def test_an_odrive_is_driven_over_the_kernels_own_can() -> None:
     with on_the_bus("odrive", "vcan0", settings=FREE) as host:
-        assert heard(host, CanSimpleCommand.HEARTBEAT, "IBBBx")[:2] == (0, 1)
+        assert receive(host, CanSimpleCommand.HEARTBEAT, "IBBBx")[:2] == (0, 1)
         host.send(struct.pack("=IB3x8s", socket.CAN_RTR_FLAG | CanSimpleCommand.GET_VERSION, 0, b""))
-        assert heard(host, CanSimpleCommand.GET_VERSION, "8B")[4:7] == (0, 6, 11)
+        assert receive(host, CanSimpleCommand.GET_VERSION, "8B")[4:7] == (0, 6, 11)
         send(host, CanSimpleCommand.SET_CONTROLLER_MODE, "II", 1, 1)
         send(host, CanSimpleCommand.SET_AXIS_STATE, "I", 8)
         send(host, CanSimpleCommand.SET_INPUT_TORQUE, "f", 0.02)
         until = time.monotonic() + WAIT_S
         velocity = 0.0
         while velocity <= 0.1 and time.monotonic() < until:
-            _, velocity = heard(host, CanSimpleCommand.GET_ENCODER_ESTIMATES, "ff")
+            _, velocity = receive(host, CanSimpleCommand.GET_ENCODER_ESTIMATES, "ff")
         assert velocity > 0.1
         send(host, CanSimpleCommand.ESTOP, "")
-        while (beat := heard(host, CanSimpleCommand.HEARTBEAT, "IBBBx"))[1] != 1:
+        while (beat := receive(host, CanSimpleCommand.HEARTBEAT, "IBBBx"))[1] != 1:
             assert time.monotonic() < until
         assert beat[0] == 0x02000000
 
@@ -118,11 +112,11 @@ def test_a_moteus_answers_in_frames_of_can_fd() -> None:
 
 
 def found(kind: str, bus: CanBus, model: RigModel) -> FittedDrive:
-    """What a bridge finds of a drive; how quickly it answers says here how slow an emulated processor is."""
+    """Find a drive; its response time is that of the emulated processor and is not used."""
     if kind == "moteus":
         return moteus.fit(moteus.find(moteus.MoteusConversation(bus, 1), 1), model)
-    told = odrive.find(odrive.OdriveConversation(bus, 0, endpoints()))
-    return odrive.fit(replace(told, quickest_s=0.0), model)
+    facts = odrive.find(odrive.OdriveConversation(bus, 0, endpoints()))
+    return odrive.fit(replace(facts, quickest_s=0.0), model)
 
 
 @pytest.mark.parametrize(
@@ -133,28 +127,28 @@ def found(kind: str, bus: CanBus, model: RigModel) -> FittedDrive:
     ],
 )
 def test_a_bridge_on_the_kernels_own_can(kind: str, settings: dict[str, str], end: tuple[int, bytes]) -> None:
-    """It finds the drive, hears its samples, tells it to rest when the interface still is, and that it went."""
+    """The bridge receives the samples, sends the stop at its end, and reports a lost interface."""
     model, interface = bridged_rig(), f"bridge-{kind}"
     with on_the_bus(kind, interface, model=model, settings=settings) as other:
         bus = open_bus(DeviceUrl(kind, interface, {}, f"{kind}://{interface}"))
         with closing(bus):
             assert isinstance(bus, CanBus)
             drive = found(kind, bus, model)
-            for goes in (False, True):  # before it goes, the drive is told to rest
+            for goes in (False, True):  # without a lost interface the bridge sends the stop
                 bridge = Bridge(model, drive, socket=True, rate=RATE)
                 with running(bridge, bus):
                     wait_until(lambda bridge=bridge: bridge.facts.replies > 10)
-                    told(other, 0)  # else the last words may find no room behind all that was said until then
+                    waiting_frames(other, 0)  # make room for the stop
                     if goes:
                         ip_link("set", interface, "down")
                         wait_until(lambda bridge=bridge: bridge.fault != 0)
-                assert goes or end in told(other, len(end[1]))
+                assert goes or end in waiting_frames(other, len(end[1]))
             slow = DriveFault.DRIVE_SILENT  # an emulated processor may be, before it went
             assert bridge.fault in {DriveFault.BUS_LOST, slow}
 
 
-def told(host: socket.socket, size: int) -> set[tuple[int, bytes]]:
-    """Lower byte of the identifier and first bytes of all frames that wait."""
+def waiting_frames(host: socket.socket, size: int) -> set[tuple[int, bytes]]:
+    """Return the lower byte of the identifier and the first bytes of all waiting frames."""
     frames = []
     host.setblocking(False)
     with suppress(BlockingIOError):
@@ -165,7 +159,7 @@ def told(host: socket.socket, size: int) -> set[tuple[int, bytes]]:
 
 @contextmanager
 def running(bridge: Bridge, bus: CanBus) -> Iterator[None]:
-    """A bridge in a thread, with nobody at its other end, until the block ends."""
+    """Run a bridge in a thread, without a host, until the block ends."""
     ours, host = socket.socketpair()
     ear, mouth = os.pipe()
     ours.setblocking(False)
@@ -184,7 +178,6 @@ def running(bridge: Bridge, bus: CanBus) -> Iterator[None]:
 
 
 def wait_until(true: Callable[[], bool]) -> None:
-    """Wait until it is."""
     until = time.monotonic() + WAIT_S
     while not true():
         assert time.monotonic() < until

@@ -1,8 +1,4 @@
-"""pyusb, libusb, Linux, USB/IP and the firmware's own USB registers: the whole way to a board that is not there.
-
-The board's emulator is slower than the world, and this kernel slower still: what is asserted is what must happen, not
-when.
-"""
+"""pyusb, libusb, Linux, USB/IP and the firmware's own USB registers with an emulated board; no time is asserted."""
 
 from __future__ import annotations
 
@@ -64,7 +60,7 @@ def opened(board: Any) -> Iterator[Any]:
 
 
 def test_linux_makes_a_serial_port_of_it_and_rig_speaks_there(board: Any) -> None:
-    """First of all: later the vendor interface has spoken, and keeps the link for a second of the board."""
+    # First, since the vendor interface keeps the link for a second of the board.
     vhci.wait_until(lambda: board.tty is not None)
     vhci.settle()
     with open_device(f"serial://{board.tty}") as device:
@@ -113,16 +109,13 @@ def check_at_rest(board: Any) -> None:
 
 
 def test_a_law_on_the_board_sends_its_ticks_and_leaves_no_current(board: Any) -> None:
-    """Enumerated, identified, configured, armed, supervised, stopped: without the loop, a request at a time."""
     experiment = config.override(presets.load(pico.RIG), pico.CHANGES)
     quantum = experiment.rig.amplifier.current_quantum_a
-    told = prepare_controller(
-        experiment, current_quantum_a=quantum, reference_count=0, verified=True
-    ).parameters
+    law = prepare_controller(experiment, current_quantum_a=quantum, reference_count=0, verified=True).parameters
     link = open_link(board.url)
     try:
         host = Host(link)
-        host.begin(**{**told, "batch_samples": 10})
+        host.begin(**{**law, "batch_samples": 10})
         batches = supervised(host, BATCHES)
         host.command(mode=m.Mode.STOP)
         assert host.disarm().status == 0

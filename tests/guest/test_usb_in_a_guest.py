@@ -1,4 +1,4 @@
-"""pyusb, libusb, Linux and udev as they are, and a device that breaks on command: what arrives, what `rig` makes."""
+"""pyusb, libusb, Linux and udev with a device that fails on command, and the errors of `rig`."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ STRIKE_AFTER_S = 0.3
 
 
 def find(serial: Any) -> Any:
-    """A fresh look at the bus: pyusb keeps what it has once seen, a backend made anew does not."""
+    """Find a device with a new backend, since pyusb caches those of an old one."""
     backend = libusb1.get_backend()
     return usb.core.find(
         idVendor=USB_VENDOR,
@@ -111,8 +111,8 @@ def test_a_link_carries_bytes_and_waits_no_longer_than_it_says(link: Any, bare: 
     assert link.read(20.0) == b"and back"
 
 
-# A fault that strikes in the instant in which libusb withdraws the transfer, because its time is over, is told as a
-# time-out; the plain link's writes have 5 ms. What is broken stays broken, as a bad cable does, until it has been told.
+# A fault in the instant in which libusb withdraws the transfer is reported as a timeout (the plain link's writes have
+# 5 ms). So a fault stays, as of a bad cable, until it is reported.
 OFTEN = 100
 READS = {
     "stall": (lambda bus: bus.halt(ENDPOINT_IN), StalledError),
@@ -128,14 +128,14 @@ WRITES = {
 
 
 @pytest.mark.parametrize("strike", READS)
-def test_what_breaks_a_read_has_a_name(strike: Any, link: Any, bare: Any) -> None:
+def test_fault_of_a_read_has_its_own_error(strike: Any, link: Any, bare: Any) -> None:
     act, kind = READS[strike]
     act(bare.bus)
     check_is(kind, lambda: read_for(link))
 
 
 @pytest.mark.parametrize("strike", WRITES)
-def test_what_breaks_a_write_has_a_name(strike: Any, link: Any, bare: Any) -> None:
+def test_fault_of_a_write_has_its_own_error(strike: Any, link: Any, bare: Any) -> None:
     act, kind = WRITES[strike]
     act(bare.bus)
     check_is(kind, lambda: write_for(link))
@@ -148,7 +148,7 @@ def read_for(link: Any) -> None:
 
 
 def write_for(link: Any) -> None:
-    """What fails is told by a later write, since none of them waits for its end."""
+    """Write repeatedly: a failure is reported by a later write, since none waits for its end."""
     for _ in range(20):
         link.write(bytes(20))
         time.sleep(0.05)
@@ -169,9 +169,9 @@ def test_opening_anew_clears_a_halt(bare: Any) -> None:
     made.close()
 
 
-def test_nobody_there_is_said_with_who_is(bare: Any) -> None:
+def test_absent_device_is_an_error_that_lists_the_present_ones(bare: Any) -> None:
     with pytest.raises(DeviceNotFoundError, match="bare"):
-        open_link(f"usb://{USB_VENDOR:04x}:{USB_PRODUCT:04x}/nobody")
+        open_link(f"usb://{USB_VENDOR:04x}:{USB_PRODUCT:04x}/absent")
     assert "bare" in {device.serial for device in available_devices() if device.is_rig}
 
 

@@ -1,14 +1,11 @@
-"""A USB bus in this process, to which Linux attaches a device by USB/IP: enumeration, packets, and all that breaks.
+"""A USB bus in this process, to which Linux attaches a device by USB/IP: enumeration, packets, and faults.
 
-The kernel's vhci_hcd is the host controller; at the other end of its socket stands this file, with one device that has
-a bulk endpoint each way. It answers control requests from a `Shape` and moves packets through a socket that keeps their
-boundaries (SOCK_SEQPACKET, one message is one packet), whose other end the device has. Format of the messages:
-Documentation/usb/usbip_protocol.rst of the kernel, the part after OP_REP_IMPORT.
+The kernel's vhci_hcd is the host controller. The device has a bulk endpoint each way; a `Shape` answers its control
+requests, and its packets pass a SOCK_SEQPACKET, one message each. Format of the messages: the kernel's
+Documentation/usb/usbip_protocol.rst, after OP_REP_IMPORT.
 
-It mirrors the wire where that can be felt: a transfer in ends with a short packet, with its buffer full, or when the
-device has nothing more (the packet without bytes that firmware sends then); a packet that does not fit is an overflow;
-an endpoint that is halted stays so until CLEAR_FEATURE; a device that does not answer leaves transfers pending until
-the host withdraws them.
+As on the wire, a transfer in ends with a short packet, a full buffer or an idle device; a packet that does not fit is
+an overflow; a halted endpoint stays so until CLEAR_FEATURE; without a reply a transfer waits until it is withdrawn.
 """
 
 from __future__ import annotations
@@ -37,8 +34,6 @@ _STANDARD_TO_ENDPOINT, _CLEAR_FEATURE, _ENDPOINT_HALT = 0x02, 1, 0
 
 
 class Shape(Protocol):
-    """What a device says of itself."""
-
     packet: int
 
     def control(self, setup: bytes) -> bytes | None:
@@ -48,8 +43,6 @@ class Shape(Protocol):
 
 @dataclass(slots=True)
 class _Transfer:
-    """One URB: how much the host takes and has got so far, or what it sends and how much of that the device has."""
-
     sequence: int
     length: int
     data: bytes = b""
@@ -71,50 +64,28 @@ class _Endpoint:
 
 
 class Bus:
-    """One device on a bus of its own; a thread serves it from `start` to `unplug`.
+    """A bus with one device; a thread serves it from `start` to `unplug`.
 
-    Parameters
-    ----------
-    host
-        Connected stream socket whose other end goes to vhci_hcd. This object closes it.
-    device
-        Connected SOCK_SEQPACKET whose other end the device has. It is not closed here.
-    shape
-        Descriptors.
-    endpoints
-        Addresses of the bulk endpoints.
-
-    Attributes
-    ----------
-    transfers
-        URBs answered so far on the bulk endpoints.
+    The other end of `host`, a stream socket that is closed here, goes to vhci_hcd, that of `device` to the device.
     """
 
-    def __init__(
-        self,
-        host: socket.socket,
-        device: socket.socket,
-        shape: Shape,
-        endpoints: tuple[int, ...] = (0x81, 0x01),
-    ) -> None:
+    def __init__(self, host: socket.socket, device: socket.socket, shape: Shape) -> None:
         self._host = host
         self._device = device
         self._device.setblocking(False)
         self._shape = shape
-        self._endpoints = {address: _Endpoint(address) for address in endpoints}
+        self._endpoints = {address: _Endpoint(address) for address in (0x81, 0x01)}
         self._received = b""
         self._lock = threading.Lock()
         self._wake, self._woken = socket.socketpair()
         self._ending = False
         self._thread = threading.Thread(target=self._serve, name="usb-bus", daemon=True)
-        self.transfers = 0
 
     def start(self) -> None:
-        """Serve the bus from now on."""
         self._thread.start()
 
     def unplug(self) -> None:
-        """Pull the plug; may be called twice."""
+        """Unplug the device; may be called twice."""
         with self._lock:
             self._ending = True
         self._nudge()
@@ -132,10 +103,10 @@ class Bus:
         with self._changed(address) as endpoint:
             endpoint.halted = True
 
-    def silence(self, address: int, silent: bool = True) -> None:
+    def silence(self, address: int) -> None:
         """Let transfers of an endpoint wait, as a device does that answers NAK."""
         with self._changed(address) as endpoint:
-            endpoint.silent = silent
+            endpoint.silent = True
 
     def fail_next(self, address: int, status: int, length: int = 0, *, times: int = 1) -> None:
         """Answer the next transfers with a status (0 or a negative errno of the kernel) after `length` bytes."""
@@ -164,7 +135,7 @@ class Bus:
         poll = select.poll()
         poll.register(self._woken, select.POLLIN)
         poll.register(self._host, select.POLLIN)
-        # Of the device's socket only what can be used is asked for, or the thread would spin.
+        # Poll the device's socket only for events that a transfer waits for, or the thread would spin.
         while True:
             with self._lock:
                 events = self._device_events()
@@ -187,7 +158,7 @@ class Bus:
         return events
 
     def _step(self, host_ready: bool) -> bool:
-        """Take what the host sent and move what can be moved; False when the host is gone."""
+        """Receive from the host and move packets; return False when the host has closed."""
         try:
             if host_ready:
                 data = self._host.recv(MESSAGE_BYTES)
@@ -203,7 +174,7 @@ class Bus:
         return True
 
     def _take_message(self) -> bool:
-        """Take one whole message out of the buffer; False when there is none."""
+        """Take one whole message out of the buffer; return False without one."""
         if len(self._received) < HEAD_BYTES:
             return False
         command, sequence, _, direction_in, number = _BASIC.unpack_from(self._received)
@@ -270,7 +241,6 @@ class Bus:
                     return
                 status, data, length = 0, b"", transfer.moved
             endpoint.waiting.popleft()
-            self.transfers += 1
             self._answer(transfer.sequence, status, length, data)
 
     def _fetch(self, transfer: _Transfer) -> int | None:
@@ -283,7 +253,7 @@ class Bus:
             room = transfer.length - len(transfer.data)
             transfer.data += packet[:room]
             if len(packet) > room:
-                return -errno.EOVERFLOW  # "babble": the device sends whole packets, whatever was asked for
+                return -errno.EOVERFLOW  # "babble": the device sends whole packets, whatever was requested
             if len(packet) < self._shape.packet:
                 break
         return 0

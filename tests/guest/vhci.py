@@ -1,4 +1,4 @@
-"""The kernel's virtual host controller: plug in what stands at the other end of a socket, see it come and go."""
+"""The kernel's virtual host controller: attach the device at the other end of a socket, wait for it to come and go."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from pathlib import Path
 
 CONTROLLER = Path("/sys/devices/platform/vhci_hcd.0")
 DEVICES = Path("/sys/bus/usb/devices")
-FULL_SPEED, HIGH_SPEED = 2, 3  # enum usb_device_speed
+FULL_SPEED = 2  # enum usb_device_speed
 FREE = 4  # VDEV_ST_NULL
 WAIT_S = 30.0
 DEVICE_ID = 0x10001  # bus and number at the far end; any will do
 
 
 def is_here() -> bool:
-    """Whether this kernel has the controller and we may use it."""
+    """Return True if this kernel has the controller and it may be used."""
     return (CONTROLLER / "attach").exists()
 
 
-def attach(end: socket.socket, speed: int = FULL_SPEED) -> int:
-    """Plug the device behind a stream socket in; returns the port. The kernel keeps the socket, `end` may be closed."""
+def attach(end: socket.socket) -> int:
+    """Attach the device behind a stream socket and return its port; afterwards `end` may be closed."""
     port = free_port()
-    (CONTROLLER / "attach").write_text(f"{port} {end.fileno()} {DEVICE_ID} {speed}")
+    (CONTROLLER / "attach").write_text(f"{port} {end.fileno()} {DEVICE_ID} {FULL_SPEED}")
     return port
 
 
@@ -39,7 +39,7 @@ def free_port() -> int:
 
 
 def wait_for_free(port: int) -> None:
-    """Wait until the controller has let go of what was on a port."""
+    """Wait until a port of the controller is free."""
     wait_until(lambda: re.search(rf"^hs\s+0*{port}\s+0*{FREE}\s", (CONTROLLER / "status").read_text(), re.M))
 
 
@@ -68,12 +68,12 @@ def wait_for_no_device(serial: str) -> None:
 
 
 def settle() -> None:
-    """Let udev finish what it has begun: libusb and symbolic links follow it, not the kernel."""
+    """Wait for udev, which libusb and symbolic links follow."""
     subprocess.run(["udevadm", "settle", f"--timeout={WAIT_S:.0f}"], check=True)
 
 
 def wait_until(condition: Callable[[], object]) -> None:
-    """Wait until something holds, 30 s at most: sysfs has no events for this."""
+    """Poll a condition for 30 s at most: sysfs has no events."""
     deadline = time.monotonic() + WAIT_S
     while not condition():
         if time.monotonic() > deadline:

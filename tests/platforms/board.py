@@ -1,6 +1,6 @@
-"""A simulated board that says it is a real one: ``python -m tests.platforms.board`` prints the URL of its port.
+"""A simulated board that reports to be a real one: ``python -m tests.platforms.board`` prints the URL of its port.
 
-It runs the firmware with its laws. Nobody has the handle, and somebody holds the hold-to-run switch.
+It runs the firmware with its laws. The handle is free, and the hold-to-run switch is held.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from sim_backend.ends import pty
 
 
 def main() -> None:
-    """Serve it until stopped."""
     described = firmware.describe
 
     def held(*given: Any, **options: Any) -> Any:

@@ -1,10 +1,7 @@
-"""Another system as far as a Linux one can play it: ``python -m tests.platforms.emulated win32 SCRIPT.py …``.
+"""Windows or macOS as far as Linux can emulate it, for our packages alone.
 
-Our packages, and they alone, see `sys.platform` of that system; modules that it lacks cannot be imported, and `os`,
-`signal`, `select`, `socket`, `time`, `errno`, `mmap` and `ctypes` lack what it lacks. Third parties are those of Linux.
-It shows that nothing of ours needs what is not there. It cannot show that what is there behaves as here.
-
-What is missing was taken from typeshed's conditions on `sys.platform`, which are CPython's documentation.
+They see `sys.platform` of that system, without the modules and names that it lacks (typeshed's conditions on
+`sys.platform`). This shows that they need nothing else; not that the rest behaves as on Linux.
 """
 
 from __future__ import annotations
@@ -50,7 +47,7 @@ def _refuse(*_: object, **__: object) -> Any:
 
 
 def _locking(descriptor: int, mode: int, count: int) -> None:
-    """`msvcrt.locking`: of bytes from where the file stands, a 32-bit place, which nobody else may read then."""
+    """`msvcrt.locking`: lock bytes from the position of the file, of 32 bits, against reading by others."""
     at = os.lseek(descriptor, 0, os.SEEK_CUR)
     assert FAR_BEHIND_ALL_DATA <= at <= LONG_MAX - count
     if mode == MSVCRT["LK_UNLCK"]:
@@ -66,12 +63,12 @@ MSVCRT: dict[str, Any] = {"LK_UNLCK": 0, "LK_LOCK": 1, "LK_NBLCK": 2, "locking":
 
 
 class Seen(ModuleType):
-    """A module as it is on another system: what is `added`, and of the true one what is not `missing`."""
+    """A module of another system: the true one with `added` and without `missing` names."""
 
     def __init__(self, true: ModuleType, missing: frozenset[str], added: dict[str, Any]) -> None:
         super().__init__(true.__name__)
         self.__dict__.update(added)
-        self._true, self._missing, self._added = true, missing, added
+        self._true, self._missing = true, missing
 
     def __getattr__(self, name: str) -> Any:
         if name in self._missing:
@@ -84,11 +81,9 @@ class _Ctypes(Seen):
 
     def __getattr__(self, name: str) -> Any:
         found = super().__getattr__(name)
-        return (
-            (lambda path, *a, **k: _refuse() if path is None else found(path, *a, **k))
-            if name == "CDLL"
-            else found
-        )
+        if name != "CDLL":
+            return found
+        return lambda path, *a, **k: _refuse() if path is None else found(path, *a, **k)
 
 
 def emulate(platform: str) -> None:
@@ -100,14 +95,12 @@ def emulate(platform: str) -> None:
 
 
 def keep_open_files() -> None:
-    """As Windows does: a file that this process has open or mapped is neither removed nor renamed, by anybody."""
+    """Refuse, as Windows does, to remove or rename a file that is open or mapped."""
     for name in ("unlink", "remove", "rename", "replace"):
         setattr(os, name, unless_open(getattr(os, name)))
 
 
 def unless_open(call: Callable[..., None]) -> Callable[..., None]:
-    """A call that removes or renames a file, or refuses to."""
-
     def checked(path: Any, *more: Any, **options: Any) -> None:
         links = [os.path.realpath(f"/proc/self/fd/{name}") for name in os.listdir("/proc/self/fd")]
         with open("/proc/self/maps") as maps:

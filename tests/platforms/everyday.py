@@ -1,9 +1,7 @@
-"""What people do, in one process: ``python -m tests.platforms.everyday win32 [URL]`` in an empty directory.
+"""The usual commands in one process: ``python -m tests.platforms.everyday win32 [URL]`` in an empty directory.
 
-On an emulated system (`emulated`), or with ``here`` on this one; with the URL of a real board that runs the law
-(`board`), such hits in real time instead, one of them with a person. Prints one line of JSON for each command (its
-words, its exit code, what it printed and complained of) and ends with 1 where one did not do what it does on that
-system.
+On an emulated system, or with ``here`` on this one; with the URL of a board that runs the law, hits in real time
+instead, one with a person. Prints a line of JSON for each command and ends with 1 after an unexpected result.
 """
 
 from __future__ import annotations
@@ -25,8 +23,7 @@ MAP = (
     "bisection",
     "--ratio",
     "2",
-    "-B",
-    "0.3",
+    "-B0.3",
     "--offsets",
     "0.1",
     "--no-plot",
@@ -36,13 +33,13 @@ IN_TIME = ("--set", "controller.supervise_lifetime_s=0.1", "--verified")
 A_PERSON = (
     *("--operator", "normal", "--set", "operator.press=2", "--set", "rig.limits.human=true"),
     *("--set", "rig.limits.effort=0.28", "--set", "verdict.tail_s=0.1"),
-    "--arm-anyway",  # what the load of this machine makes of its link is not asked here
+    "--arm-anyway",  # the link depends on the load of this machine
 )
 LINUX_ALONE = "needs Linux to run in real time"
 
 
 def main(platform: str, url: str = "") -> int:
-    """Do it all there. The emulated Windows has no C compiler, and does the rest too; macOS is for what differs."""
+    """Run the commands. The emulated Windows has no C compiler and runs all others; macOS runs those that differ."""
     preload()
     if platform == "here":
         platform = sys.platform
@@ -56,13 +53,13 @@ def main(platform: str, url: str = "") -> int:
 
     def run(*words: str, refused: str = "") -> None:
         nonlocal wrong
-        said, complained = StringIO(), StringIO()
-        with redirect_stdout(said), redirect_stderr(complained):
+        out, err = StringIO(), StringIO()
+        with redirect_stdout(out), redirect_stderr(err):
             code = cli.run(list(words))
-        told = {"words": words, "code": code, "said": said.getvalue(), "complained": complained.getvalue()}
-        print(json.dumps(told), flush=True)
-        right = code == (2 if refused else 0) and refused in complained.getvalue()
-        wrong += not right or "Traceback" in complained.getvalue()
+        result = {"words": words, "code": code, "out": out.getvalue(), "err": err.getvalue()}
+        print(json.dumps(result), flush=True)
+        right = code == (2 if refused else 0) and refused in err.getvalue()
+        wrong += not right or "Traceback" in err.getvalue()
 
     if url:
         run("hit", *ON_THE_BOARD, *IN_TIME, "--arm-anyway", "--url", url)
@@ -107,7 +104,7 @@ def _has_compiler() -> bool:
 
 
 def preload() -> None:
-    """Third parties look at the system when they are imported, and theirs is the true one."""
+    """Import third parties that check the system, which must be the true one."""
     import ctypes.util  # noqa: F401, PLC0415
     import multiprocessing.spawn  # noqa: F401, PLC0415
 

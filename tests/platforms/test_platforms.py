@@ -1,7 +1,4 @@
-"""Windows and macOS as `emulated` plays them: what works off Linux works there to the end, and what does not says so.
-
-What this cannot show stands in rig/docs/how-to/other-systems.md.
-"""
+"""Windows and macOS as emulated here; rig/docs/how-to/other-systems.md has the limits of this."""
 
 from __future__ import annotations
 
@@ -32,7 +29,6 @@ WAIT_S = 300.0  # a busy machine with an empty cache took 110
 
 @contextmanager
 def programs(place: Path) -> Iterator[Callable[..., Any]]:
-    """Start modules of this directory as processes, and end them."""
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
     environment = ENVIRONMENT | {"LOCALAPPDATA": str(place / "local")}
     with ExitStack() as stack:
@@ -45,18 +41,21 @@ def programs(place: Path) -> Iterator[Callable[..., Any]]:
 
 
 @pytest.mark.timeout(2 * WAIT_S)
-@pytest.mark.exhaustive("::test_the_commands_load_where_nothing_of_linux_is")
-def test_what_people_do_off_linux_runs_to_the_end_and_alike(tmp_path: Path) -> None:
-    """Rows to the last bit, of the readable device where there is no C compiler, and of the firmware."""
+@pytest.mark.exhaustive("::test_commands_load_without_the_modules_of_linux")
+def test_usual_commands_off_linux_run_to_the_end_with_equal_rows(tmp_path: Path) -> None:
+    # Rows are equal to the last bit: of the readable device without a C compiler, and of the firmware.
     with programs(tmp_path) as start:
         processes = {}
         for platform in ("darwin", "win32"):
             (tmp_path / platform).mkdir()
             processes[platform] = start("everyday", platform, cwd=tmp_path / platform)
-        told = {platform: process.communicate(timeout=WAIT_S)[0] for platform, process in processes.items()}
-    assert {process.returncode for process in processes.values()} == {0}, told
+        printed = {
+            platform: process.communicate(timeout=WAIT_S)[0] for platform, process in processes.items()
+        }
+    assert {process.returncode for process in processes.values()} == {0}, printed
     rows = [
-        pq.read_table(*(tmp_path / platform).glob("recordings/koul-compliant*.parquet")) for platform in told
+        pq.read_table(*(tmp_path / platform).glob("recordings/koul-compliant*.parquet"))
+        for platform in printed
     ]
     assert rows[0].equals(rows[1])
 
@@ -64,15 +63,16 @@ def test_what_people_do_off_linux_runs_to_the_end_and_alike(tmp_path: Path) -> N
 @pytest.mark.timeout(2 * WAIT_S)
 @pytest.mark.quiet
 def test_a_board_that_runs_the_law_is_hit_off_linux(tmp_path: Path) -> None:
-    """In real time, once with a person."""
     with programs(tmp_path) as start:
         board = start("board", cwd=ROOT)
         url = next(line.strip() for line in board.stdout if line.startswith("serial://"))
         host = start("everyday", "win32", url, cwd=tmp_path)
-        told = host.communicate(timeout=WAIT_S)[0]
-    assert host.returncode == 0, told
-    _, with_a_person = map(json.loads, (line for line in told.splitlines() if "supervise_lifetime_s" in line))
-    assert "hands off the handle" in with_a_person["complained"]  # the board had pushed before
+        printed = host.communicate(timeout=WAIT_S)[0]
+    assert host.returncode == 0, printed
+    _, with_a_person = map(
+        json.loads, (line for line in printed.splitlines() if "supervise_lifetime_s" in line)
+    )
+    assert "hands off the handle" in with_a_person["err"]  # the board had pushed before
     assert len(list(tmp_path.glob("recordings/*-pulse*.parquet"))) == PUSHES
 
 
@@ -90,7 +90,7 @@ sys.exit(cli.run(["serve", "rig"]))
 
 
 @pytest.mark.parametrize("platform", first_by_default(["win32", "darwin"]))
-def test_the_commands_load_where_nothing_of_linux_is(platform: str, tmp_path: Path) -> None:
+def test_commands_load_without_the_modules_of_linux(platform: str, tmp_path: Path) -> None:
     environment = ENVIRONMENT | {"LOCALAPPDATA": str(tmp_path)}
     command = [sys.executable, "-c", A_GLANCE, platform]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
@@ -113,7 +113,7 @@ def test_a_file_that_is_open_or_mapped_stays_on_windows(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_the_emulation_hides_what_it_says_from_our_packages_and_from_nobody_else(
+def test_emulation_hides_names_from_our_packages_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(builtins, "__import__", emulated.import_of("win32", builtins.__import__))
@@ -130,7 +130,7 @@ def test_the_emulation_hides_what_it_says_from_our_packages_and_from_nobody_else
         exec("import ctypes; ctypes.CDLL(None)", ours)
 
 
-def test_locks_of_windows_lie_behind_all_data_and_keep_a_second_writer_out(
+def test_locks_of_windows_lie_after_all_data_and_refuse_a_second_writer(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(builtins, "__import__", emulated.import_of("win32", builtins.__import__))

@@ -1,7 +1,6 @@
-"""A rig in lock-step with the firmware: the plant here, the device in the emulator or in this computer's own build.
+"""A rig in lock-step with the firmware: the plant here, the device in the emulator or in this computer's build.
 
-Both are asked by the same request (`boards/mps2/lockstep.c` has its bytes), a tick of the board each, so that what they
-answer can be compared bit for bit.
+Both reply to the same requests (`boards/mps2/lockstep.c` has their bytes), one for each tick of the board.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ UNITS_PER_SECOND = 16_000_000
 REQUEST = struct.Struct("<BBhiQQ?7x64s")
 REPLY = struct.Struct("<HhBBHI")
 HOST_BYTES = 64
-LOOK_S = 0.5  # between two looks whether it still lives
+LOOK_S = 0.5  # between two checks that the process runs
 HERE = Path(__file__).parent
 TRACE = np.dtype([("index", "u4"), ("count", "i4"), ("current", "i2"), ("state", "u1"), ("enabled", "u1")])
 MACHINES = {"m0plus": "mps2-an385", "an385": "mps2-an385", "an386": "mps2-an386", "an500": "mps2-an500"}
@@ -42,8 +41,6 @@ MACHINES = {"m0plus": "mps2-an385", "an385": "mps2-an385", "an386": "mps2-an386"
 
 @dataclass(frozen=True)
 class World:
-    """What the device measures at a sample."""
-
     time: int = 0  # 1/16 µs
     count: int = 0
     edge_time: int = 0
@@ -53,8 +50,6 @@ class World:
 
 @dataclass(frozen=True)
 class Reply:
-    """What the device does, and says."""
-
     current: int
     state: State
     enabled: bool
@@ -81,9 +76,8 @@ class Partner:
     def __init__(self, command: list[str], directory: Path) -> None:
         for name in ("requests", "replies"):
             os.mkfifo(directory / name)
-        self._requests = os.open(
-            directory / "requests", os.O_RDWR
-        )  # both ways, so that nobody waits to open it
+        # Both ways, so that opening does not wait for the other end.
+        self._requests = os.open(directory / "requests", os.O_RDWR)
         self._replies = os.open(directory / "replies", os.O_RDWR)
         self._process = subprocess.Popen([*LEASH, *command], cwd=directory, stdin=subprocess.DEVNULL)
 
@@ -155,12 +149,12 @@ class Rig:
         self._rate = self._reply.rate
         self.hardware = Hardware(model, self._rate, seed=0, initial_position=None)
         self._trace: list[tuple[int, int, int, int, int]] = []
-        self.said: list[bytes] = [self._reply.bytes]
+        self.sent: list[bytes] = [self._reply.bytes]
         self.inputs = 0
 
     @property
     def trace(self) -> np.ndarray:
-        """What happened in each tick, dtype `TRACE`."""
+        """One row of dtype `TRACE` for each tick."""
         return np.array(self._trace, TRACE)
 
     @property
@@ -191,7 +185,7 @@ class Rig:
     def _keep(self, reply: Reply) -> None:
         if reply.bytes:
             self._to_host.append(reply.bytes)
-            self.said.append(reply.bytes)
+            self.sent.append(reply.bytes)
 
     def _move(self) -> None:
         if self._reply.rate != self._rate:
@@ -212,8 +206,8 @@ class Rig:
         end_ns = self.clock.now_ns() + round(timeout_s * 1e9)
         while not self._to_host and self.clock.now_ns() < end_ns:
             self.tick()
-        said, self._to_host = b"".join(self._to_host), []
-        return said
+        sent, self._to_host = b"".join(self._to_host), []
+        return sent
 
     def close(self) -> None:
         pass

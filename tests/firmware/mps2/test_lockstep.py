@@ -1,7 +1,4 @@
-"""The image in QEMU and this computer's build run the same hit: counts, currents and every byte said, bit for bit.
-
-Both are closed around the simulated plant, a tick of the board at a time; the host only supervises.
-"""
+"""The image in QEMU and this computer's build run the same hit: counts, currents and every byte sent are equal."""
 
 from __future__ import annotations
 
@@ -28,10 +25,7 @@ from tests.firmware.mps2.lockstep import Partner, Rig, in_emulator, on_this_comp
 RATE = 20_000
 SUPERVISE_EVERY = RATE // 200
 LIVE_AT = RATE // 20  # in free space: the handle is being taken to its start
-FIXED = {
-    "controller.estimator": "fdm-butterworth-fixed",
-    "controller.parameters.cutoff_hz": 200.0,
-}
+FIXED = {"controller.estimator": "fdm-butterworth-fixed", "controller.parameters.cutoff_hz": 200.0}
 UNIFORM = {"controller.velocity_rate": RATE}
 CASES = {
     "M0+ code, integers, dual-rate": ("mps2-m0plus", FIXED, 36_000),
@@ -55,11 +49,11 @@ def experiment_of(changes: dict[str, object]) -> Experiment:
 def hit(partner: Partner, experiment: Experiment, ticks: int) -> Rig:
     """Identify, configure, arm, supervise, change the wall once, stop and disarm; all in virtual time."""
     rig = Rig(partner, config.rig_model(experiment))
-    framed._dictionaries.clear()  # a host that has met neither: the same bytes for both
+    framed._dictionaries.clear()  # else the host would not read the dictionary of the second device
     device = FramedDevice(rig)
     quantum = device.dictionary.current_quantum_a
-    told = {"current_quantum_a": quantum, "reference_count": 0}
-    device.configure(controller.prepare_controller(experiment, verified=True, **told).parameters)
+    known = {"current_quantum_a": quantum, "reference_count": 0}
+    device.configure(controller.prepare_controller(experiment, verified=True, **known).parameters)
     device.arm()
     first = len(rig.trace)
     for tick in range(ticks):
@@ -67,14 +61,11 @@ def hit(partner: Partner, experiment: Experiment, ticks: int) -> Rig:
             device.connection.receive_data(rig.read(0.0))  # a command answers the newest STATE
             while device.connection.next_event() is not None:
                 continue
-            rig.write(
-                device.connection.send(
-                    m.Command(device.connection.answered, 20_000, int(m.Mode.SUPERVISE), 0, 0)
-                )
-            )
+            supervise = m.Command(device.connection.answered, 20_000, int(m.Mode.SUPERVISE), 0, 0)
+            rig.write(device.connection.send(supervise))
         if tick == LIVE_AT:
             wall = config.override(experiment, {"wall.stiffness": 200.0})
-            prepared = controller.for_experiment(wall, **told)
+            prepared = controller.for_experiment(wall, **known)
             numbers = [wall.wall.position, *prepared.law.parameters]
             live = device_law.live_parameters(prepared, device_law.arithmetic_of(wall.controller), numbers)
             device._command(*set_parameters(encode_block(live), device._next_nonce()))
@@ -88,14 +79,14 @@ def hit(partner: Partner, experiment: Experiment, ticks: int) -> Rig:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_the_image_does_and_says_what_this_computer_does(case: str, tmp_path: Path) -> None:
+def test_image_moves_and_sends_as_the_build_of_this_computer(case: str, tmp_path: Path) -> None:
     board, changes, ticks = CASES[case]
     cross.need_qemu()
     experiment = experiment_of(changes)
     for name in ("there", "here"):
         (tmp_path / name).mkdir()
     built = cross.image(board, "tests")
-    traces, said = [], []
+    traces, sent = [], []
     partners = (
         lambda: in_emulator(built, tmp_path / "there"),
         lambda: on_this_computer(config.rig_model(experiment), board, tmp_path / "here"),
@@ -107,11 +98,11 @@ def test_the_image_does_and_says_what_this_computer_does(case: str, tmp_path: Pa
         finally:
             partner.close()
         traces.append(rig.trace)
-        said.append(b"".join(rig.said))
+        sent.append(b"".join(rig.sent))
     # Not compared in the assertion: its picture of where they differ would take minutes.
-    same_trace, same_bytes = traces[0].tobytes() == traces[1].tobytes(), said[0] == said[1]
+    same_trace, same_bytes = traces[0].tobytes() == traces[1].tobytes(), sent[0] == sent[1]
     assert (same_trace, same_bytes) == (True, True)
-    assert len(said[0]) > ticks * 4  # every tick is in a BATCH
+    assert len(sent[0]) > ticks * 4  # every tick is in a BATCH
     trace = traces[0]
     assert trace["count"].max() > 5, "it never met the wall"
     assert np.ptp(trace["current"]) > 500
@@ -119,8 +110,6 @@ def test_the_image_does_and_says_what_this_computer_does(case: str, tmp_path: Pa
 
 
 class InLockStep(FarEnd):
-    """A device in lock-step with a rig."""
-
     late = 1  # what the world shows at a sample is from the tick before
 
     def __init__(self, partner: Partner) -> None:
@@ -131,7 +120,7 @@ class InLockStep(FarEnd):
             pressed: lambda: self.show(Input.EMERGENCY_STOP, True),
             "a short circuit": lambda: setattr(hardware, "leak", 32_767),
         }
-        self.mends = {
+        self.repairs = {
             pressed: lambda: self.show(Input.EMERGENCY_STOP, False),
             "a short circuit": lambda: setattr(hardware, "leak", 0),
         }

@@ -1,7 +1,4 @@
-"""Ports on emulated processors, tried duty by duty: what they lack is what they say that they lack, and no more.
-
-The emulator counts its time in instructions, so that a busy machine does not make a tick late.
-"""
+"""Duties of ports on emulated processors, which count their time in instructions: only declared ones are missing."""
 
 from __future__ import annotations
 
@@ -31,15 +28,15 @@ SLICE_US = 2_000  # each is an exchange with another process
 
 
 @pytest.mark.quiet  # on a busy machine the emulator stands still, which looks like a reset by a watchdog (2026-11-29)
-def test_the_port_to_a_uart_lacks_what_it_says_and_no_more() -> None:
+def test_port_to_a_uart_lacks_only_its_declared_duties() -> None:
     built = cross.image(BOARD, PORT_CHECK)
     command = [*emulator(BOARD, serial="pty"), "-kernel", str(built.elf)]
     pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
     with started(*command, text=True, **pipes) as process:
         assert process.stdout is not None
-        said = process.stdout.readline()
-        place = re.search(r"/dev/pts/\d+", said)
-        assert place is not None, said
+        printed = process.stdout.readline()
+        place = re.search(r"/dev/pts/\d+", printed)
+        assert place is not None, printed
         request = PortCheckRequest(current=400, wired=True, seconds=0.3, real_time=False)
         found = check_port(lambda: open_link(f"serial://{place[0]}"), request)
     broken = {one.name: one.text for one in found.checks if one.outcome is Outcome.REFUSED}

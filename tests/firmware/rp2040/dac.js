@@ -1,7 +1,7 @@
 'use strict';
 /* The converter of ±10 V behind the pins, as the AD5761R's data sheets have it (AD5761R-EP, Rev. 0, Tables 1 and 4; AD5761R,
  * Rev. C, Table 15): SDI counts where SCLK falls while SYNC is low, a frame where SYNC rises. RESET is the enable wire: while
- * it is low nothing is heard, and the output is clamped to ground until the control register has been written. */
+ * it is low nothing is accepted, and the output is clamped to ground until the control register has been written. */
 const BITS = 24;
 const WRITE_AND_UPDATE = 3;
 const CONTROL = 4;
@@ -21,7 +21,7 @@ class Converter {
     this.bits = 0;
     this.word = 0;
     this.fell = -Infinity; // SCLK, ns
-    this.frames = []; // { began, ended, word, heard }: ns
+    this.frames = []; // { began, ended, word, accepted }: ns
     this.reset();
   }
 
@@ -57,7 +57,7 @@ class Converter {
 
   take(at, awake) {
     const { word } = this;
-    this.frames.push({ began: this.began, ended: at, word, heard: awake });
+    this.frames.push({ began: this.began, ended: at, word, accepted: awake });
     if (!awake) return;
     const command = word >>> 16;
     const data = word & 0xffff;

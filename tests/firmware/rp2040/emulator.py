@@ -1,7 +1,7 @@
 """The whole binary of the Raspberry Pi Pico in an emulator: its pins, its serial line, and a rig on them.
 
-`Pico` has the emulator (Node, rp2040js) as a process and speaks to it by lines of JSON. `PicoLink` is the serial
-line in virtual time, so that whoever speaks to a link can speak to the emulated board.
+`Pico` runs the emulator (Node, rp2040js) as a process with lines of JSON. `PicoLink` is the serial line as a link in
+virtual time.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def image(model: RigModel, application: str = DEVICE, **settings: Any) -> BuildR
 
 
 def modules() -> Path:
-    """Where the emulator is installed, once for all trees that want the same version; skips the test without npm."""
+    """Install the emulator once for each version and return the directory; skip the test without npm."""
     if shutil.which("node") is None or shutil.which("npm") is None:
         pytest.skip("node and npm are not installed (package nodejs)")
     wanted = sha256((HERE / "package-lock.json").read_bytes()).hexdigest()[:12]
@@ -88,7 +88,7 @@ def modules() -> Path:
 
 @dataclass(frozen=True, slots=True)
 class Ticks:
-    """What ticks did, one number each: cycles of the processor since its reset; counts that the encoder had.
+    """Ticks, one number each: cycles of the processor since its reset; counts of the encoder.
 
     It came at `came` (ns since power-up). The tick is `at` … `ends` by the pin that shows it, `entered` … `left` by the
     interrupt's entry and return. While the count was read the encoder went from `before`, as the state machines
@@ -117,7 +117,7 @@ _idle: list[subprocess.Popen[str]] = []
 
 
 def _taken() -> subprocess.Popen[str]:
-    """A process for a board of one's own; afterwards it is idle, or ended where something failed."""
+    """Return an idle process, or a new one."""
     if _idle:
         return _idle.pop()
     return subprocess.Popen(
@@ -148,13 +148,12 @@ def _ended(process: subprocess.Popen[str]) -> None:
 
 
 def end() -> None:
-    """End the processes."""
     while _idle:
         _ended(_idle.pop())
 
 
 class Pico:
-    """The emulated board; leave its context when you are done."""
+    """The emulated board, a context manager."""
 
     def __init__(
         self,
@@ -188,11 +187,11 @@ class Pico:
             _ended(self._process)
 
     def ask(self, op: str, **arguments: Any) -> dict[str, Any]:
-        """Have a command of serve.js carried out."""
+        """Send a command of serve.js."""
         return _asked(self._process, op, arguments)
 
     def run(self, us: float) -> bytes:
-        """Let time pass; returns what the host's end of the line has got."""
+        """Let time pass; return the bytes that reached the host."""
         return bytes.fromhex(self.ask("run", us=us)["sent"])
 
     def send(self, data: bytes) -> None:
@@ -229,7 +228,6 @@ def motor_of(model: RigModel, position: float | None) -> dict[str, Any]:
 
 
 def plant_of(model: RigModel) -> dict[str, Any]:
-    """The rig's plant as plant.js wants it."""
     plant = DiscretePlant.build(model, PLANT_STEP_S)
     return {
         "phi": plant.phi.tolist(),
@@ -239,7 +237,7 @@ def plant_of(model: RigModel) -> dict[str, Any]:
 
 
 def plant_states(model: RigModel, position: float, efforts: list[float]) -> list[list[float]]:
-    """Position, velocity and effort of plant.js behind each step, an effort (N·m) for each."""
+    """Return position, velocity and effort of plant.js after each step with one of the efforts (N·m)."""
     process = _taken()
     try:
         plant = {**plant_of(model), "position": position}
@@ -263,7 +261,6 @@ class PicoLink:
         self.clock = VirtualClock()
 
     def read(self, timeout_s: float) -> bytes:
-        """Let time pass until bytes are there, or the time is out."""
         left_us = timeout_s * 1e6
         data = b""
         while not data and left_us > 0.0:

@@ -23,7 +23,7 @@ ESTIMATOR = "fdm-butterworth-fixed"
 
 
 class Session:
-    """The board, its line, and a host that has read who it is."""
+    """The board, its line, and a host that has identified it."""
 
     def __init__(self, pico: Pico, built: BuildResult) -> None:
         self.pico = pico
@@ -34,12 +34,11 @@ class Session:
         assert self.host.hash == int(built.dictionary_hash, 16)
 
     def connect(self) -> None:
-        """Be a new host: it knows nothing of earlier frames."""
+        """Start a new host, without the frames before."""
         self.host = Host(self.link)  # type: ignore[arg-type]
         self.host.hash = self.host.ask(m.Identify(self.host.nonce(), 0)).dictionary_hash
 
     def configure(self, **values: Value) -> m.Ack:
-        """Parameters for a run without a law, and those given."""
         ack = self.host.configure(**{**RUN_PARAMETERS, **values})
         assert ack.status == 0, ack
         self.crc = ack.crc
@@ -50,7 +49,7 @@ class Session:
         assert ack.status == 0, ack
 
     def push(self, current: int = 300, position_rate: int = 5_000) -> None:
-        """Have an armed device give a current (quanta), with nothing that would stop at a place."""
+        """Arm and command a current (quanta), without limits of position."""
         self.configure(position_rate=position_rate, window_minimum=-(2**31), window_maximum=2**31 - 1)
         self.arm()
         self.host.command(current)
@@ -60,7 +59,7 @@ class Session:
         assert look["current"] == pytest.approx(current * 1e-3, abs=0.002)
 
     def configure_law(self, position_rate: int, velocity_rate: int, **changes: Any) -> dict[str, Value]:
-        """Parameters of a trial with the law on the device, in integers."""
+        """Configure a trial with the law on the device, in integers."""
         experiment = override(
             load("koul-rigid"),
             {
@@ -79,7 +78,7 @@ class Session:
         return values
 
     def listen(self, seconds: float) -> None:
-        """Take what comes: STATE into `host.states`, BATCH into `batches`."""
+        """Store STATE in `host.states` and BATCH in `batches`."""
         ends = self.link.clock.now_ns() + round(seconds * 1e9)
         while self.link.clock.now_ns() < ends:
             left_s = (ends - self.link.clock.now_ns()) * 1e-9
@@ -88,7 +87,7 @@ class Session:
                     self.batches.append(event.message)
 
     def supervise(self, seconds: float) -> int:
-        """Have the device's own law run for a time; return how many requests that took."""
+        """Supervise the law on the device for a time; return the number of requests."""
         ends = self.link.clock.now_ns() + round(seconds * 1e9)
         requests = 0
         while self.link.clock.now_ns() < ends:
@@ -98,13 +97,12 @@ class Session:
         return requests
 
     def ticks(self) -> Ticks:
-        """Those since the last question."""
+        """Return the ticks since the last call."""
         log = self.pico.ticks()
         since, self._seen = self._seen, len(log.at)
         return log[since:]
 
     def ticks_of(self, indices: NDArray[np.int64]) -> Ticks:
-        """The ticks that took these samples."""
         return self.pico.ticks()[indices - 1]
 
     def counts(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

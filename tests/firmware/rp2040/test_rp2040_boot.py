@@ -1,4 +1,4 @@
-"""From power-up to a device that listens: what the image waits for, how long it takes, and what it refuses to start."""
+"""From power-up to a device that replies: its waits, its time, and the images that it refuses to start."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_it_listens_within_a_fifth_of_a_second(built: BuildResult) -> None:
     assert first < BOOT_S
 
 
-def test_the_crystal_and_the_regulator_get_their_time_whoever_has_reset_the_chip(
+def test_crystal_and_regulator_get_their_time_after_every_reset(
     powered: Callable[..., Session],
 ) -> None:
     pico = powered().pico

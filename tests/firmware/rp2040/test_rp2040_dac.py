@@ -1,6 +1,6 @@
 """The set-point of the Raspberry Pi Pico as a voltage: every frame on the pins, decoded by a model of the converter.
 
-The converter's RESET is the enable pin, as in wiring.toml: whoever holds it low has 0 V.
+The converter's RESET is the enable pin, as in wiring.toml: at its low level the output is 0 V.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Frame:
     began: float
     ended: float
     word: int
-    heard: bool
+    accepted: bool
 
     @property
     def code(self) -> int:
@@ -44,26 +44,26 @@ class Frame:
 
 
 def frames(session: Session) -> list[Frame]:
-    """Those since the last question; the converter has found nothing wrong with any."""
+    """Return the frames since the last call; the converter accepts the format of each."""
     assert session.pico.look()["complaints"] == {}
     return [Frame(**one) for one in session.pico.ask("frames")["frames"]]
 
 
 def steps_off(code: int, quanta: int) -> float:
-    """How far a code is from its current: straight binary about the middle, full scale at the last step."""
+    """Return the steps between a code and its current: straight binary about the middle, full scale at the last."""
     return abs(code - MIDDLE - quanta * QUANTUM_A / FULL_SCALE_A * (MIDDLE - 1))
 
 
-def test_nothing_is_heard_before_the_device_is_armed_and_the_range_before_any_current(
+def test_converter_accepts_nothing_before_arming_and_the_range_before_any_current(
     powered_dac: Powered,
 ) -> None:
     session = powered_dac()
     assert session.pico.look()["volts"] == 0.0
-    assert {(frame.word, frame.heard) for frame in frames(session)} == {(RANGE, False)}
+    assert {(frame.word, frame.accepted) for frame in frames(session)} == {(RANGE, False)}
     session.push()
-    heard = [frame for frame in frames(session) if frame.heard]
-    assert heard[0].word == RANGE
-    assert steps_off(heard[-1].code, 300) <= NEAREST
+    accepted = [frame for frame in frames(session) if frame.accepted]
+    assert accepted[0].word == RANGE
+    assert steps_off(accepted[-1].code, 300) <= NEAREST
 
 
 def test_the_pins_carry_every_current_to_the_step_within_a_microsecond_of_transfer(
@@ -91,7 +91,7 @@ def test_the_pins_carry_every_current_to_the_step_within_a_microsecond_of_transf
         assert session.pico.look()["current"] == pytest.approx(quanta * QUANTUM_A, abs=STEP_A)
 
 
-def test_a_wall_leaves_as_the_currents_that_the_device_tells_frame_by_frame(powered_dac: Powered) -> None:
+def test_wall_leaves_as_the_reported_currents_frame_by_frame(powered_dac: Powered) -> None:
     session = powered_dac(position=0.0)
     session.configure_law(20_000, 2_000, settle_ticks=20, home_step=3_204_210)
     session.arm()
@@ -103,14 +103,14 @@ def test_a_wall_leaves_as_the_currents_that_the_device_tells_frame_by_frame(powe
     counts, indices = session.counts()
     assert np.max(counts) > 0, "in the wall"
     assert look["most"] > 1.0, "it pushed back (A)"
-    told = np.concatenate([_commanded(batch) for batch in session.batches])
+    reported = np.concatenate([_commanded(batch) for batch in session.batches])
     sent = frames(session)
     ended = np.array([frame.ended for frame in sent])
-    # What a sample tells was set in the tick before: its frame is the first that ends behind that tick's beginning.
+    # The current of a sample was set in the tick before: its frame is the first that ends after that tick began.
     came = session.ticks_of(indices - 1).came
     which = np.searchsorted(ended, came)
     codes = [MIDDLE if sent[i].word == RANGE else sent[i].code for i in which]
-    assert max(map(steps_off, codes, told)) <= NEAREST
+    assert max(map(steps_off, codes, reported)) <= NEAREST
 
 
 def _commanded(batch: m.Batch) -> np.ndarray:
@@ -133,7 +133,6 @@ def test_a_transfer_that_stalls_is_a_fault_and_zero_volts_within_two_ticks(
 
 
 def test_no_burst_of_requests_looks_like_a_stall(powered_dac: Powered) -> None:
-    """Requests that set the output beside the tick, at any moment before one."""
     session = powered_dac()
     session.configure(position_rate=5_000)
     for number in range(1, 4):
@@ -160,11 +159,11 @@ def test_a_hung_board_is_at_zero_volts_with_its_watchdog_and_again_after_the_res
     state = session.host.next_state()
     assert (state.state, state.fault) == (State.FAULT, Fault.WATCHDOG_RESET)
     assert session.pico.look()["volts"] == 0.0
-    assert not any(frame.heard for frame in frames(session))
+    assert not any(frame.accepted for frame in frames(session))
 
 
 def test_the_next_run_begins_at_zero_and_gives_its_current(powered_dac: Powered) -> None:
-    """The range is told anew: what was in reset meanwhile knows none."""
+    # The range is sent again, since the converter was in reset.
     session = powered_dac()
     session.push()
     session.host.disarm()
@@ -191,9 +190,9 @@ def test_a_contact_behind_the_board_is_zero_volts_whatever_it_sends_and_until_it
 
     session.pico.ask("contact", closed=False)
     assert volts_with(300) == 0.0
-    assert not any(frame.heard for frame in frames(session))
+    assert not any(frame.accepted for frame in frames(session))
     session.pico.ask("contact", closed=True)
     assert volts_with(300) == 0.0
-    assert any(frame.heard for frame in frames(session)), "a current without a range"
+    assert any(frame.accepted for frame in frames(session)), "a current without a range"
     assert volts_with(0) == 0.0
     assert volts_with(-300) == pytest.approx(-0.3 / FULL_SCALE_A * 10.0, abs=1e-3)

@@ -40,7 +40,7 @@ def test_every_tick_arrives_at_20_khz_over_3_mbaud(powered: Powered) -> None:
     assert session.pico.look()["overruns"] == 0
 
 
-def test_a_host_that_shouts_does_not_stop_the_tick(powered: Powered) -> None:
+def test_flood_of_a_host_does_not_stop_the_tick(powered: Powered) -> None:
     session = powered()
     session.configure(position_rate=20_000)
     session.ticks()

@@ -1,4 +1,4 @@
-"""What the Raspberry Pi Pico does when something is wrong, whole binary: the amplifier's enable pin falls, in time."""
+"""Faults of the Raspberry Pi Pico, whole binary: the amplifier's enable pin falls, in time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.firmware.rp2040.session import Session
 Powered = Callable[..., Session]
 
 
-def test_nothing_is_driven_before_a_host_says_so(powered: Powered) -> None:
+def test_no_current_flows_before_a_host_commands_it(powered: Powered) -> None:
     session = powered()
     look = session.pico.look()
     assert not look["enabled"]
@@ -25,7 +25,7 @@ def test_nothing_is_driven_before_a_host_says_so(powered: Powered) -> None:
 
 
 @pytest.mark.parametrize(("rate", "bite_us"), [(1_000, 5_000.0), (20_000, 2_000.0)])
-def test_the_watchdog_drops_enable_and_the_device_says_why_it_is_back(
+def test_watchdog_drops_enable_and_the_device_reports_the_reset(
     powered: Powered, rate: int, bite_us: float
 ) -> None:
     session = powered()
@@ -46,7 +46,7 @@ def test_the_watchdog_drops_enable_and_the_device_says_why_it_is_back(
 
 
 @pytest.mark.parametrize("output", ["powered", "powered_dac"])
-def test_a_crash_drops_enable_at_once_and_its_place_is_told_behind_the_reset(
+def test_crash_drops_enable_at_once_and_its_address_is_reported_after_the_reset(
     output: str, request: pytest.FixtureRequest
 ) -> None:
     session = request.getfixturevalue(output)()
@@ -62,7 +62,7 @@ def test_a_crash_drops_enable_at_once_and_its_place_is_told_behind_the_reset(
     assert session.host.ask(m.GetStatistics(session.host.nonce())).stopped_at == at
 
 
-def test_a_board_that_is_not_armed_shows_its_drive_when_asked(powered: Powered) -> None:
+def test_disarmed_board_enters_its_boot_loader_on_request(powered: Powered) -> None:
     session = powered()
     assert session.host.ask(m.EnterBootloader(session.host.nonce())).status == Status.OK
     session.listen(0.1)
@@ -76,7 +76,7 @@ def test_a_main_loop_that_stands_still_ends_the_run_within_20_ms_and_the_watchdo
     session.push()
     session.pico.ask("hang", interrupts=True)
     session.pico.run(15_000.0)
-    assert session.pico.look()["enabled"], "the tick goes on, and the command lives"
+    assert session.pico.look()["enabled"], "the tick continues, and the command lives"
     session.pico.run(6_000.0)
     assert not session.pico.look()["enabled"]
     session.pico.run(WATCHDOG_US)
@@ -104,7 +104,7 @@ class OnTheBoard(FarEnd):
             pressed: lambda: self.pico.ask("set", emergency_stop=True),
             illegal: lambda: self.pico.ask("jump"),
         }
-        self.mends = {pressed: lambda: self.pico.ask("set", emergency_stop=False)}
+        self.repairs = {pressed: lambda: self.pico.ask("set", emergency_stop=False)}
 
     def parameters(self) -> dict[str, Value]:
         return {**super().parameters(), "window_minimum": -(2**31), "window_maximum": 2**31 - 1}

@@ -1,4 +1,4 @@
-"""The RP2040's USB stack on a model of its controller: the host is played packet by packet."""
+"""The RP2040's USB stack on a model of its controller, packet by packet."""
 
 from __future__ import annotations
 
@@ -85,24 +85,24 @@ def test_strings_and_the_serial_number(host: Host) -> None:
         host.descriptor(STRING, 99)
 
 
-def test_windows_is_told_to_take_its_own_driver(host: Host) -> None:
+def test_descriptor_makes_windows_use_its_own_driver(host: Host) -> None:
     store = host.descriptor(OBJECT_STORE)
     assert struct.unpack_from("<HB", store, 2) == (len(store), 2)
     platform = list(pairs(store))[2]
     assert platform[4:20] == bytes.fromhex("DF60DDD88945C74C9CD2659D9E648A9F")
     _, length, request, _ = struct.unpack("<IHBB", platform[20:])
-    told = host.control_in(0xC0, request, 0, 7, 4096)
-    assert len(told) == length
+    descriptor = host.control_in(0xC0, request, 0, 7, 4096)
+    assert len(descriptor) == length
     # the set, its one configuration, the function of the vendor interface, nested and of the lengths that they state
-    assert struct.unpack_from("<HHIH", told) == (10, 0, 0x06030000, length)
-    assert struct.unpack_from("<HHBBH", told, 10) == (8, 1, 0, 0, length - 10)
-    assert struct.unpack_from("<HHBBH", told, 18) == (8, 2, 0, 0, length - 18)
-    assert told[26:46] == struct.pack("<HH8s8x", 20, 3, b"WINUSB")
-    size, kind, strings, name_bytes = struct.unpack_from("<HHHH", told, 46)
-    assert (size, kind, strings) == (len(told) - 46, 4, 7)
-    name = told[54 : 54 + name_bytes].decode("utf-16-le")
-    (value_bytes,) = struct.unpack_from("<H", told, 54 + name_bytes)
-    value = told[56 + name_bytes :].decode("utf-16-le")
+    assert struct.unpack_from("<HHIH", descriptor) == (10, 0, 0x06030000, length)
+    assert struct.unpack_from("<HHBBH", descriptor, 10) == (8, 1, 0, 0, length - 10)
+    assert struct.unpack_from("<HHBBH", descriptor, 18) == (8, 2, 0, 0, length - 18)
+    assert descriptor[26:46] == struct.pack("<HH8s8x", 20, 3, b"WINUSB")
+    size, kind, strings, name_bytes = struct.unpack_from("<HHHH", descriptor, 46)
+    assert (size, kind, strings) == (len(descriptor) - 46, 4, 7)
+    name = descriptor[54 : 54 + name_bytes].decode("utf-16-le")
+    (value_bytes,) = struct.unpack_from("<H", descriptor, 54 + name_bytes)
+    value = descriptor[56 + name_bytes :].decode("utf-16-le")
     assert (name, len(value) * 2) == ("DeviceInterfaceGUIDs\0", value_bytes)
     assert value[0] + value[37:] == "{}\0\0"
 
@@ -230,7 +230,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("request_name", REFUSED)
-def test_what_is_unknown_is_stalled_and_the_next_request_is_answered(host: Host, request_name: str) -> None:
+def test_unknown_request_is_stalled_and_the_next_one_is_answered(host: Host, request_name: str) -> None:
     host.setup(*REFUSED[request_name])
     host.toggles[0] = host.toggles[IN] = 1
     with pytest.raises(StallError):
@@ -286,7 +286,6 @@ def test_any_requests_in_any_order_given_up_anywhere(
 @QUIET
 @given(st.data())
 def test_bytes_arrive_whole_in_order_and_with_their_toggles(stack: Path, data: st.DataObject) -> None:
-    """Any mixture of frames, packets, lost acknowledgements, interrupts that come late, and ticks in their middle."""
     with Host(stack) as host:
         host.enumerate()
         sent: list[bytes] = []
@@ -379,7 +378,7 @@ def test_nothing_is_handed_over_late_in_a_frame(host: Host) -> None:
     host.later(799)
     assert host.firmware_writes(b"early\0")
     assert frames_of(b"".join(host.fetch_all())) == [b"early\0"]
-    host.later(5000)  # no frame for long: there is none that could end
+    host.later(5000)  # no frame for long: no frame could end
     assert host.firmware_writes(b"alone\0")
     assert frames_of(b"".join(host.fetch_all())) == [b"alone\0"]
 
@@ -387,7 +386,7 @@ def test_nothing_is_handed_over_late_in_a_frame(host: Host) -> None:
 # ---------------------------------------------------------------------- the two pipes
 
 
-def test_whoever_spoke_last_is_the_link(host: Host) -> None:
+def test_pipe_that_sent_last_is_the_link(host: Host) -> None:
     host.later(2_000_000)
     assert host.give(PORT, b"\x05port")
     assert host.firmware_writes(b"to port\0")
@@ -450,7 +449,7 @@ def test_a_reset_of_the_bus_forgets_all(host: Host) -> None:
     host.give(RIG, b"\x07old")
     host.reset()
     assert not host.is_up
-    assert not host.firmware_writes(b"nobody\0")
+    assert not host.firmware_writes(b"dropped\0")
     assert host.command("i", RIG).kind == "-"
     host.enumerate()
     assert host.fetch(RIG) is None
@@ -466,7 +465,7 @@ def test_a_silent_bus_takes_no_frames_and_keeps_no_old_ones(host: Host) -> None:
     host.command("z", number=1)
     host.interrupt()
     assert not host.is_up
-    assert not host.firmware_writes(b"nobody\0")
+    assert not host.firmware_writes(b"dropped\0")
     host.command("z", number=0)
     host.interrupt()
     host.frame()

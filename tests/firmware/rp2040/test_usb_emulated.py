@@ -86,7 +86,7 @@ def test_its_serial_number_is_that_of_its_flash_or_else_of_its_build(built: Buil
 
 
 @pytest.mark.parametrize("pipe", [RIG, PORT])
-def test_it_answers_on_the_pipe_that_asked(pico: emulator.Pico, pipe: int) -> None:
+def test_reply_comes_on_the_pipe_of_the_request(pico: emulator.Pico, pipe: int) -> None:
     line = UsbLine(pico, pipe)
     line.send(Connection(Role.HOST).send(IDENTIFY))
     assert isinstance(answer_of(line.run(5_000.0)), m.Identity)
@@ -120,7 +120,7 @@ def test_both_links_take_turns_in_one_memory(powered: Callable[..., Session]) ->
     assert counted.crc_errors == 0
 
 
-def test_what_it_does_not_know_it_refuses_and_goes_on(pico: emulator.Pico) -> None:
+def test_device_refuses_unknown_requests_and_continues(pico: emulator.Pico) -> None:
     line = UsbLine(pico)
     assert line.control(0x80, 6, 0x600, 0, 10)[0] == STALL
     assert line.control(0xC0, 0x77)[0] == STALL

@@ -34,14 +34,12 @@ def program() -> Path:
 
 @dataclass(frozen=True)
 class Answer:
-    kind: str  # D done, N NAK, S STALL, - nobody, Q out of sequence, L too long
+    kind: str  # D done, N NAK, S STALL, - no device, Q out of sequence, L too long
     pid: int
     data: bytes
 
 
 class Host:
-    """The bus with one device on it."""
-
     def __init__(self, path: Path) -> None:
         self._process: Any = subprocess.Popen([path], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         self.toggles: dict[int, int] = {}
@@ -72,7 +70,6 @@ class Host:
         self.command("!")
 
     def frame(self, microseconds: int = 1000) -> None:
-        """A new frame begins so much later."""
         self.command("f", 1, microseconds)
         self.interrupt()
 
@@ -154,7 +151,6 @@ class Host:
         return self.descriptor(3, index)[2:].decode("utf-16-le")
 
     def enumerate(self, address: int = 5) -> None:
-        """What every host does with what has been plugged in."""
         self.reset()
         assert len(self.descriptor(1, length=64)) == 18
         self.reset()
@@ -184,7 +180,6 @@ class Host:
         return self.command("g", number=capacity).data
 
     def fetch_all(self, endpoint: int = 1) -> list[bytes]:
-        """Packets until the device has no more."""
         packets = []
         self.interrupt()
         while (packet := self.fetch(endpoint)) is not None:

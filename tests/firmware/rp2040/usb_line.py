@@ -26,7 +26,7 @@ class UsbLine:
         self.pico.ask("usb_send", hex=data.hex(), **({} if endpoint is None else {"endpoint": endpoint}))
 
     def run(self, us: float, *, first: bool = False) -> bytes:
-        """Let time pass, or less of it: until something has come; what has come."""
+        """Let time pass, with `first` only until bytes arrive; return the bytes."""
         answer = self.pico.ask("usb_run", us=us, first=first)
         assert not answer["broken"], answer
         self.now_ns = round(answer["now"])
@@ -42,7 +42,6 @@ class UsbLine:
         return answer["status"], bytes.fromhex(answer["hex"])
 
     def look(self) -> dict[str, Any]:
-        """Counters of the bus, and what was out of step on it."""
         return self.pico.ask("usb_look")
 
 
@@ -52,14 +51,14 @@ class UsbSupervisor(Supervisor):
     def __init__(self, line: UsbLine, dictionary_hash: int) -> None:
         super().__init__()
         self.line = line
-        self.core: Any = SimpleNamespace(hash=dictionary_hash)  # all that a supervisor wants of it
+        self.core: Any = SimpleNamespace(hash=dictionary_hash)  # the only member that a supervisor uses
 
     def receive(self, data: bytes) -> bytes:
         self.line.send(data)
         return self.line.run(ANSWER_US)
 
     def watch(self, us: float) -> None:
-        """Supervise for so long, a word every 5 ms."""
+        """Supervise for so long, once every 5 ms."""
         while us > 0.0:
             self.line.send(
                 self.host.send(m.Command(self.host.answered, LIFETIME_US, int(m.Mode.SUPERVISE), 0, 0))
