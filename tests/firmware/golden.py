@@ -1,9 +1,8 @@
-"""Golden vectors: what the law must answer to counts, from the Python law, in one format for every processor.
+"""Golden vectors: the outputs of the Python law for the counts of a simulated hit, in one format for every processor.
 
-Counts are those of a simulated hit, from homing to release. The integers are those of exact arithmetic and have to be
-met to the bit; a law in float32 has to meet the currents of the host's law in float64 within `tolerance`, its phases
-and, but for one, its flags. Beside that, `crc` is the CRC-32 of all answers of this computer's own build: another
-processor must answer the same bits, whatever the arithmetic.
+A law in integers must have them to the bit; a law in float32 must have the currents of the host's law in float64 within
+`tolerance`, its phases and, but for one, its flags. `crc` is the CRC-32 of the outputs of this computer's build, which
+every processor must have.
 
 A file, little-endian: 64 bytes of header, `parameters` bytes of law_parameters (law.h; no pointer is in it, so it
 is laid out alike everywhere), then a record for each tick.
@@ -24,7 +23,7 @@ is laid out alike everywhere), then a record for each tick.
            12  u32      flags
            16  u32      phase
 
-`golden.c` runs one on whatever it is compiled for. Nothing is stored: `vectors` makes them anew.
+`golden.c` runs one; `vectors` makes them anew.
 """
 
 from __future__ import annotations
@@ -68,8 +67,6 @@ SIDES = (1, -1)
 
 @dataclass(frozen=True)
 class Vector:
-    """One run of the law."""
-
     name: str
     parameters: ct.Structure
     records: np.ndarray  # dtype RECORD
@@ -79,11 +76,9 @@ class Vector:
 
     @property
     def inputs(self) -> np.ndarray:
-        """What the law is given, as `LawLibrary.run` takes it."""
         return inputs(self.records["count"], self.records["elapsed"])
 
     def to_bytes(self) -> bytes:
-        """The file."""
         parameters = bytes(self.parameters)
         head = HEADER.pack(
             b"HRGV", VERSION, HEADER.size, len(parameters), len(self.records), self.tolerance, self.flags,
@@ -102,7 +97,6 @@ def vectors(law: LawLibrary) -> Iterator[Vector]:
 
 
 def vector(law: LawLibrary, estimator: str, scheme: str, side: int, arithmetic: int) -> Vector:
-    """One of them."""
     experiment = experiment_of(estimator, ESTIMATORS[estimator], SCHEMES[scheme], TIMES)
     changes = {"wall.side": side, "trial.start": START * side, "trial.effort": experiment.trial.effort * side}
     experiment = experiment_of(estimator, ESTIMATORS[estimator], SCHEMES[scheme], TIMES, changes)

@@ -27,7 +27,7 @@ PICO = named_budget("rp2040")
     ],
 )
 def test_a_law_that_the_processor_has_no_time_for_is_warned_of(rate: int, estimator: str, says: str) -> None:
-    """A float law was built for a board without a float unit, at any rate, without a word."""
+    # A bug that was there: a float law was built for a board without a float unit without a warning.
     changes = {
         "controller.loop": "device", "controller.position_rate": rate, "controller.velocity_rate": rate,
         "controller.estimator": estimator,

@@ -333,7 +333,6 @@ class CThermal(ctypes.Structure):
 @pytest.mark.parametrize("rate", [50, 1_000, 50_000])
 @pytest.mark.parametrize("time_constant_s", [0.125, 8.0, 8_192.0])
 def test_heat_in_integers_is_heat_in_doubles(library: ctypes.CDLL, rate: int, time_constant_s: float) -> None:
-    """From cold, warming and cooling: to 1e-6 of itself, and a millionth of a quantum² where there is hardly any."""
     ours, theirs = CThermal(), flat(np.float64, 3)
     library.thermal_configure.argtypes = [ctypes.c_void_p, ctypes.c_uint16, ctypes.c_float, ctypes.c_uint32]
     library.thermal_update.argtypes = [ctypes.c_void_p, ctypes.c_int16]

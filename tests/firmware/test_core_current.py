@@ -112,7 +112,6 @@ def test_c_and_python_have_the_same_memory(
     motions: list[tuple[int, int, int]],
     each: int,
 ) -> None:
-    """A count anywhere, and currents of any size, each for some ticks."""
     words = memoryview(np.zeros(WORDS, np.int64))
     check = Check()
     sensor = CurrentSensor(noise=noise, lag_s=lag_s, delay_s=delay_s, back_emf=back_emf)

@@ -324,7 +324,7 @@ def random_step(rng: random.Random) -> Step:
 
 
 def rig_of(sign: int = 1, drive: str = "current") -> RigModel:
-    """Back-EMF counts under voltage drive alone."""
+    # Back-EMF acts under voltage drive alone.
     amplifier = {"lag_s": 2e-4, "current_noise_a": 0.004, "drive": drive, "back_emf_damping": 5e-3}
     return rotary_rig(damping=1e-4, coulomb=2e-3, sign=sign, **amplifier)
 
@@ -453,7 +453,7 @@ def test_chunks_in_any_order_fill_the_same_bytes(
 def test_index_and_limit_switch_are_seen_alike(
     library: ctypes.CDLL, end: Literal["minimum", "maximum"]
 ) -> None:
-    """While the handle swings over both, in each tick; a count that was lost is lost to the index too."""
+    # The handle oscillates over both; a lost count shifts the index too.
     away = 1.0 if end == "minimum" else -1.0
     place = Reference(index=True, limit_switch=end, position=-0.01 * away, travel=1.0, index_distance=0.05)
     pair = Pair(library, replace(rotary_rig(damping=0.01), reference=place))
@@ -483,7 +483,7 @@ def test_bytes_after_a_question_do_not_change_its_answer(library: ctypes.CDLL) -
 
 @pytest.mark.parametrize("fill", [0, 1])
 def test_frames_of_every_length_are_counted_alike(library: ctypes.CDLL, fill: int) -> None:
-    """Also those that no honest sender makes: shorter than a header or longer than a batch, with a good CRC."""
+    # Also frames shorter than a header or longer than a batch, with a valid CRC.
     pair = Pair(library, linear_rig())
     for size in range(270):
         raw = (bytes([m.MAJOR]) + bytes([fill]) * size)[:size]
@@ -512,7 +512,6 @@ def test_every_type_in_every_length_is_answered_alike(library: ctypes.CDLL, stat
 
 @pytest.mark.parametrize("rate", first_by_default([7_777, 50, 99, 700, 1_000, 50_000]))
 def test_a_long_run_ends_alike(library: ctypes.CDLL, rate: int) -> None:
-    """Heat, windows and fractional periods over thousands of ticks, with a pause into LINK_LOST at the end."""
     pair = Pair(library, rig_of(), seed=rate)
     pair.begin(position_rate=rate, current_limit=10_000, continuous_current=300, thermal_time_constant=0.125)
     for tick in range(2_000):
@@ -553,7 +552,7 @@ def test_the_circle_of_sequences_is_halved_at_the_same_place(
 def test_a_command_that_was_longer_under_way_than_its_lifetime_is_not_activated(
     library: ctypes.CDLL, rate: int
 ) -> None:
-    """Whatever its age: on the circle of sequences too, where all from the middle of the session on lies behind."""
+    # On the circle of sequences too: from half of it on an age lies behind.
     pair = Pair(library, rig_of())
     pair.begin(position_rate=rate)
     oldest = 3_000 * rate // 1_000_000
@@ -573,7 +572,7 @@ def test_a_command_that_was_longer_under_way_than_its_lifetime_is_not_activated(
 
 @pytest.mark.parametrize("seed", first_by_default(range(20), 2))
 def test_the_motion_is_judged_alike_at_every_threshold(library: ctypes.CDLL, seed: int) -> None:
-    """Strokes with and against the effort, rest, reversals, about as long as the windows in which they are judged."""
+    # Strokes with and against the effort, rest and reversals, about as long as the windows of the monitors.
     rng = random.Random(seed)
     sign = rng.choice([1, -1])
     pair = Pair(library, unmeasured(rotary_rig(coulomb=2e-3, sign=sign)))

@@ -76,7 +76,6 @@ def driven(samples: list[Sample]) -> list[int]:
 
 
 def content(structure: Any, prefix: str = "") -> dict[str, Any]:
-    """Leaves of a structure by name."""
     leaves = {}
     for name, _ in structure._fields_:
         value = getattr(structure, name)

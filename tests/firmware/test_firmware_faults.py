@@ -215,7 +215,7 @@ def test_samples_arrive_in_the_ramp_too() -> None:
 
 
 def jammed(plant: PlantArguments) -> PlantArguments:
-    """The same plant under so much friction that it stands."""
+    """Return the plant with friction above every effort."""
     parameters = plant.parameters.copy()
     parameters[[COULOMB, COULOMB_LINK]] = 5.0
     return PlantArguments(**plant._asdict() | {"parameters": parameters})

@@ -42,7 +42,7 @@ def vectors(law: LawLibrary) -> list[golden.Vector]:
 
 @pytest.fixture(scope="module")
 def runner() -> ct.CDLL:
-    """The runner and the law for this computer, without optimisation and with the sanitizer: other code."""
+    """The runner and the law for this computer, without optimisation and with the sanitizer."""
     options = ["-fPIC", "-shared", "-fsanitize=undefined", "-fno-sanitize-recover=all", f"-I{SOURCES}"]
     sources = [*sorted(SOURCES.glob("*.c")), RUNNER]
     library = ct.CDLL(str(kept_c("golden.so", sources, options)))

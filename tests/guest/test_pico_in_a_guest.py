@@ -111,7 +111,9 @@ def check_at_rest(board: Any) -> None:
 def test_a_law_on_the_board_sends_its_ticks_and_leaves_no_current(board: Any) -> None:
     experiment = config.override(presets.load(pico.RIG), pico.CHANGES)
     quantum = experiment.rig.amplifier.current_quantum_a
-    law = prepare_controller(experiment, current_quantum_a=quantum, reference_count=0, verified=True).parameters
+    law = prepare_controller(
+        experiment, current_quantum_a=quantum, reference_count=0, verified=True
+    ).parameters
     link = open_link(board.url)
     try:
         host = Host(link)

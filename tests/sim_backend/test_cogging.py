@@ -90,7 +90,6 @@ def test_cogging_neither_makes_energy_nor_takes_any(
 def test_a_motor_that_hardly_cogs_moves_like_one_that_does_not(
     rig: RigModel, hand: Operator | None, lag_s: float
 ) -> None:
-    """The plant in full is the same rig: its states, its friction, its count and the age of its edge."""
     scale = EFFORTS[rig.motion]
     rubs = replace(
         rig.mechanics, motor_coulomb=0.1 * scale, link_coulomb=0.07 * scale, link_damping=0.1 * scale
@@ -142,7 +141,7 @@ def test_friction_holds_a_motor_that_cogs_to_the_last_bit_until_both_are_overcom
 def rippling(
     shares: dict[int, tuple[float, float]], lag_s: float, period: float = PERIODS["linear"]
 ) -> RigModel:
-    """A mass that nothing but its motor moves, whose effort varies by these shares (order: cosine, sine)."""
+    """Return a mass moved by its motor alone, whose effort varies by these shares (order: cosine, sine)."""
     orders, zeros = tuple(shares), (0.0,) * len(shares)
     cosine, sine = zip(*shares.values(), strict=True)
     return replace(
@@ -156,7 +155,7 @@ def rippling(
 
 
 def test_an_effort_that_ripples_does_the_work_of_its_integral_over_the_way() -> None:
-    """Of a constant u from rest, ∫ u·(1 + r(x)) dx in closed form is the kinetic energy; a sensor of current sees u."""
+    """Check that ∫ u·(1 + r(x)) dx from rest is the kinetic energy; the current sensor measures u."""
     command, shares = 2.0, {1: (0.05, -0.1), 5: (0.08, 0.02)}
     plant = DiscretePlant.build(rippling(shares, 0.0), 1e-3)
     rows = run(plant, 150, state=plant.at_rest(0.0), command=command)

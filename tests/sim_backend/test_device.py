@@ -312,13 +312,6 @@ def test_the_measured_current_lags_and_is_noisy_alike_for_the_same_seed() -> Non
     assert np.std(run[100:]) == pytest.approx(5.0, rel=0.2)
 
 
-def test_an_effort_from_the_world_moves_the_link_too() -> None:
-    host = armed()
-    device_of(host).hardware.external_effort = -5e-3
-    exchange(host, 0, ticks=RATE // 10)
-    assert device_of(host).truth()["velocity_true"][-1] == pytest.approx(-0.5)
-
-
 # ---------------------------------------------------------------------- limits
 
 
@@ -518,7 +511,6 @@ def test_a_motor_that_runs_away_under_its_own_effort_is_called_a_runaway(sign: i
 
 
 def test_speed_against_the_effort_is_over_speed_alone() -> None:
-    """The world throws the handle into a motor that brakes: no sign is wrong."""
     host = armed(speed_limit=1_000)
     device_of(host).hardware.external_effort = 0.2
     while not exchange(host, -200).fault:
@@ -537,7 +529,7 @@ def test_a_dead_encoder_is_found_by_the_edges_that_do_not_come(toggles: bool) ->
 
 
 def test_a_dead_encoder_is_found_however_much_of_the_limit_friction_takes() -> None:
-    """Of the 500 quanta friction holds 200: with the next twentieth and one more the rig must move."""
+    # Friction holds 200 of the 500 quanta: with the next twentieth and one more the rig must move.
     model = rotary_rig(inertia=1e-3, coulomb=0.02)
     safety = safety_of(model, current_limit=500, position_rate=RATE)
     assert not any(judge(safety, 0, 225, 225) for _ in range(RATE))
@@ -622,7 +614,6 @@ def judge(safety: Safety, count: int, current: int, measured: int) -> int:
 
 
 def safety_of(model: RigModel | None = None, **values: Value) -> Safety:
-    """The monitors of a rig with these parameters."""
     safety = Safety(model or rotary_rig())
     safety.configure({**DEFAULTS, **RUN_PARAMETERS, **values}, 0)
     return safety

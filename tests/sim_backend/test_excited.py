@@ -54,17 +54,6 @@ def test_a_steady_push_moves_a_free_mass_by_half_a_t_squared() -> None:
     assert not run.withheld.any()
 
 
-def test_a_push_rests_where_the_wall_holds_it_on_both_sides() -> None:
-    for push in (2.0, -2.0):
-        x, model, law = the_rig(
-            **{"rig.mechanics.motor_coulomb": 0.0, "wall.stiffness": 5000.0, "wall.damping": 40.0}
-        )
-        run = excited_plant(x, model).excite(law, 0.0, np.array([push]), 0.2, 2000)
-        assert run.position[-1] == pytest.approx(
-            push / 5000.0, abs=3e-6
-        )  # of a count, and of a current quantum
-
-
 @pytest.mark.parametrize(
     ("name", "delay", "cogging"),
     [

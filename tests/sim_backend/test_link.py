@@ -39,7 +39,7 @@ def fresh(faults: Faults | None = None, **device: Any) -> MemoryLink:
 
 
 def run(link: MemoryLink, ticks: int = SHORT_RUN) -> Host:
-    """A short run: each STATE is answered by a COMMAND, and a lost one is waited for."""
+    """Run for some ticks with a COMMAND for each STATE."""
     host = Host(link)
     host.begin(position_rate=RATE, command_lifetime_us=3_000)
     for _ in range(ticks):
@@ -118,15 +118,6 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
 
     assert stream(3) == stream(3)
     assert stream(3) != stream(4)
-
-
-def test_a_short_run_answers_every_state() -> None:
-    link = fresh()
-    host = run(link)
-    assert len(host.states) == SHORT_RUN
-    assert [state.current_commanded for state in host.states] == [0] + [CURRENT] * (SHORT_RUN - 1)
-    assert host.connection.statistics.lost == 0
-    assert link.failure() is None
 
 
 def test_unread_buffer_is_bounded() -> None:
@@ -214,7 +205,7 @@ def line_of(kind: FaultKind, frame: int, **others: Any) -> ScriptedLine:
 
 
 def through(line: ScriptedLine, frames: list[bytes]) -> list[bytes]:
-    """What comes out in each tick when frame k is sent in tick k."""
+    """Return the bytes received in each tick when frame k is sent in tick k."""
     out = []
     for tick, frame in enumerate(frames):
         line.send(TO_HOST, frame, tick)

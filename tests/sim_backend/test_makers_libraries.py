@@ -140,7 +140,7 @@ def test_its_command_to_stay_within_is_a_wall_of_its_gains() -> None:
 
 
 class Described:
-    """An ODrive spoken to in the names of its maker's description."""
+    """An ODrive with messages by the names of its maker's description."""
 
     def __init__(self, drive: Odrive) -> None:
         odrive_can = pytest.importorskip("odrive_can")

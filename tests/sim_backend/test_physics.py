@@ -41,9 +41,9 @@ def changed(rig: RigModel, inner_step_s: float = 5e-5, **mechanics: Any) -> RigM
 def test_a_rig_in_a_relaxed_hand_that_wants_nothing_creates_no_energy(
     rig: RigModel, start: list[float], coulomb: float
 ) -> None:
-    """But for a step in which a mass stops or turns: held friction then works at most over that step's travel.
+    """Energy may rise only in a step in which a mass stops or turns, by at most the friction times its travel.
 
-    Counted are both masses, the pads and the hand, and all springs; the hand is meant to be at zero.
+    The energy is that of both masses, the pads, the hand and all springs; the intended position is zero.
     """
     radius = rig.mechanics.handle_radius
     levels = (0.7 * coulomb * radius, 0.3 * coulomb * radius)
@@ -185,7 +185,6 @@ def test_the_response_in_a_hand_is_that_of_one_matrix_exponential(rig: RigModel,
 def test_a_hand_that_presses_with_20_newton_rests_20_millimetres_inside_a_wall_of_1_kilonewton_a_metre(
     press: float,
 ) -> None:
-    """And the pads between hand and handle give way by 20 N over their stiffness."""
     free_hand = replace(NORMAL, hand_stiffness=0.0)
     plant = DiscretePlant.build(changed(LINEAR, motor_damping=13.2).held_by(free_hand, None), 1e-3)
     assert plant.hand_position is not None

@@ -1,8 +1,6 @@
-"""The whole fixed-point law of a device in exact arithmetic: what `law.h` says, written again in fractions.
+"""The whole fixed-point law of a device (`law.h`) in exact arithmetic, for the integers of its parameters.
 
-Nothing is shared with the C code but the integers of the parameters; filter and wall are those of
-`tests.conformance.fixed_law`. Homing, release and slew limit, which `rig.control._fixed_wall` leaves to the host, are
-here.
+Filter and wall are those of `tests.conformance.fixed_law`; homing, release and slew limit are here.
 """
 
 from __future__ import annotations
@@ -20,7 +18,6 @@ ENDS = RowFlag.NONFINITE | RowFlag.OUT_OF_WINDOW | RowFlag.HOMING_FAILED
 
 
 def within(value: Any, limit: Any) -> Any:
-    """The nearest value within ±limit."""
     return sorted((-limit, value, limit))[1]
 
 

@@ -18,7 +18,7 @@ GAPS = (1, 1, 1, 2, 7, 1500, 2**32 - 1, 0)
 
 
 def golden_parameters(vectors: GoldenVectors) -> ct.Structure:
-    """Parameters that go to their trial at once, with the filter and the wall of golden vectors; nothing binds."""
+    """Return parameters without homing and limits, with the filter and the wall of golden vectors."""
     p = Parameters(arithmetic=FIXED, velocity_divider=vectors.velocity_divider, slow_multiple=1)
     p.window_minimum, p.window_maximum = -(2**31), 2**31 - 1
     p.home_minimum, p.home_maximum = p.window_minimum, p.window_maximum
@@ -35,7 +35,7 @@ def golden_parameters(vectors: GoldenVectors) -> ct.Structure:
 
 
 def excited(arithmetic: int, excitation: ExcitationTable) -> ct.Structure:
-    """Parameters without a wall that play an excitation, in their trial; constant effort 0."""
+    """Return parameters of a trial without a wall and constant effort that plays an excitation."""
     p = golden_parameters(golden_vectors(1))
     p.arithmetic, p.bilateral, p.current_limit = arithmetic, 1, 32767
     p.fixed_wall.stiffness = p.fixed_wall.damping = p.fixed_wall.constant = 0
@@ -91,7 +91,7 @@ BROKEN_FLOATS = (
 
 
 def broken(field: str, value: int) -> ct.Structure:
-    """Golden parameters with one field (dots for its owners) set to something that is refused."""
+    """Return golden parameters with one field (dots for its owners) set to a value that is refused."""
     p = golden_parameters(golden_vectors(1))
     p.window_minimum += field == "window_maximum"
     owner, _, name = field.rpartition(".")
@@ -100,7 +100,7 @@ def broken(field: str, value: int) -> ct.Structure:
 
 
 def of_estimator(name: str, **settings: float | str) -> ct.Structure:
-    """The float law with that estimator, in a trial of a few ticks that nothing ends."""
+    """Return the float law with an estimator, in a trial of a few ticks without limits."""
     settings |= {"gain": "steady"} if name == "kalman" else {}
     p = parameters_of(controller_of(experiment_of(name, settings, DUAL, SHORT)))
     p.settle_ticks, p.trial_ticks, p.release_ticks, p.home_step = 2, 20, 7, 2**34
@@ -110,7 +110,7 @@ def of_estimator(name: str, **settings: float | str) -> ct.Structure:
 
 
 def cases() -> Iterator[tuple[ct.Structure, np.ndarray]]:
-    """Good parameters with wild inputs, then broken ones, then noise: what the check lets pass must be sound."""
+    """Yield valid parameters with wild inputs, then invalid ones, then noise."""
     random = np.random.default_rng(9)
 
     def wild(ticks: int) -> np.ndarray:

@@ -21,7 +21,7 @@ STRICT = [
 ]  # fmt: skip
 WINDOW, RING, SECTIONS = 64, 128, 4
 
-i32, u32, i64, u64, f32 = ct.c_int32, ct.c_uint32, ct.c_int64, ct.c_uint64, ct.c_float
+i32, u32, i64, f32 = ct.c_int32, ct.c_uint32, ct.c_int64, ct.c_float
 
 
 def compile_law(output: Path, *options: str) -> Path:
@@ -34,7 +34,7 @@ def compile_law(output: Path, *options: str) -> Path:
 
 
 def kept_law(name: str, *options: str) -> Path:
-    """The same, made before perhaps."""
+    """Return the cached output of `compile_law`."""
     read = content([*SOURCES.iterdir(), DRIVER])
 
     def make(output: Path) -> None:
@@ -145,8 +145,6 @@ def inputs(counts: Sequence[int] | np.ndarray, elapsed: Sequence[int] | np.ndarr
 
 
 class LawLibrary:
-    """The shared library."""
-
     @classmethod
     def built(cls) -> Self:
         """That of this computer, as its compiler makes it at its best."""

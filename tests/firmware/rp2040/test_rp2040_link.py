@@ -20,13 +20,6 @@ def test_the_line_runs_at_the_rate_that_was_asked_for(powered: Powered) -> None:
     assert powered().pico.look()["baud"] == pytest.approx(BAUD, rel=0.003)
 
 
-def test_a_host_reads_the_whole_dictionary(powered: Powered) -> None:
-    session = powered()
-    dictionary = session.host.identify()
-    assert not dictionary.simulated
-    assert dictionary.parameter("law").maximum == 2  # type: ignore[union-attr]
-
-
 def test_every_tick_arrives_at_20_khz_over_3_mbaud(powered: Powered) -> None:
     session = powered(position=0.0)
     session.configure_law(20_000, 2_000)
