@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.control.estimators import COUNTS, age_of_last_change, unwrapped, whole_numbers
+from rig.control.estimators import COUNTS, age_of_last_change, unwrap, whole_numbers
 from rig.core.deferred import csv, pyarrow
 from rig.core.errors import ConfigError, RecordingError
 from rig.core.present import Row
@@ -118,7 +118,7 @@ def read_counts(
     elapsed = np.diff(grid.index, prepend=grid.index[0] - 1)
     exact = file[0].to_numpy(zero_copy_only=False)[rows]
     try:
-        whole = unwrapped(whole_numbers(exact, COUNTS), width, elapsed)
+        whole = unwrap(whole_numbers(exact, COUNTS), width, elapsed)
     except ConfigError as error:
         raise RecordingError(
             f"{path}: {error.message} (rows without a count are skipped)", remedy=error.remedy

@@ -179,7 +179,7 @@ def inputs(
 ) -> tuple[Ints, Floats, Ints]:
     """Check the arrays of `estimate` and return counts, age of the last edge (s) and elapsed periods.
 
-    Counts may wrap at 32 bits, but a narrower counter's must be unwrapped (`own_counts.unwrapped`).
+    Counts may wrap at 32 bits, but a narrower counter's must be unwrapped (`own_counts.unwrap`).
     """
     held, steps = _counts_and_steps(counts, elapsed, edge_time)
     whole = held.astype(np.int64)
