@@ -102,7 +102,7 @@ def parameters() -> str:
 
 def _codes(codes: Iterable[Described | DescribedFlag]) -> str:
     return table(
-        ("code", "name", "says", "remedy"), [(int(c), f"`{c.name}`", c.text, c.remedy) for c in codes]
+        ("code", "name", "meaning", "remedy"), [(int(c), f"`{c.name}`", c.text, c.remedy) for c in codes]
     )
 
 
@@ -149,7 +149,7 @@ def faults_of_a_rig() -> str:
         )
         for one in single_faults()
     ]
-    return table(("part", "fault", "found by", "reaction", "what remains", "shown by"), rows)
+    return table(("part", "fault", "detected by", "reaction", "remaining hazard", "test"), rows)
 
 
 def duties_of_a_port() -> str:

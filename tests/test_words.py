@@ -58,8 +58,8 @@ SOURCES = {".c", ".h", ".s", ".ld", ".js", ".html", ".css", ".j2", ".toml", ".rs
 OTHERS = {"uPlot.iife.min.js", "uPlot.min.css"}
 
 # What is left to fix, and only falls: names of the product with one of VERBS; words in Python files of tests/.
-VERBS_LEFT = 32
-WORDS_IN_TESTS = 2500
+VERBS_LEFT = 30
+WORDS_IN_TESTS = 825
 QUESTIONS = re.compile(r"def (test_(?:who|what|whether|whoever)_\w*)")  # a test's name is a claim
 
 

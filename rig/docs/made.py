@@ -174,7 +174,7 @@ def command_list() -> str:
     rows = (
         (f"[`rig {name}`](commands/{name.split()[0]}.md)", _prose(row["help"])) for name, row in known.items()
     )
-    return table(("command", "what it does"), rows)
+    return table(("command", "purpose"), rows)
 
 
 # ------------------------------------------------------------------ experiments and protocols
@@ -311,7 +311,7 @@ def _fault(fault: Fault, rows: Sequence[SingleFault]) -> str:
         f"## What to do\n\n{_sentence(fault.remedy)}",
     ]
     causes = [row for row in rows if fault.name in row.codes]
-    parts.append("## What breaks when it comes")
+    parts.append("## Causes")
     parts += [
         f"{_sentence(row.part + ': ' + row.fault)}\n"
         f": Found by {_prose(row.found)}. Reaction: {_prose(row.reaction)}. What remains: {_prose(row.remains)}."
@@ -319,14 +319,13 @@ def _fault(fault: Fault, rows: Sequence[SingleFault]) -> str:
     ]
     if not causes:
         parts.append(
-            "No single fault of a rig leads here: it is what the device notices of itself, or of a value that it was "
-            "given."
+            "No single fault of a rig causes it: the device reports its own state, or a value that it has received."
         )
     parts.append(
-        "Effort is zero and the fault is latched on the device; a recording has it in column `fault`; the first one is "
-        "kept. `rig device show URL` shows what a device has latched. The next `rig hit` reads it, reports it and "
-        "clears it; a cause that is still there comes back before anything moves. All that may break, and what shows "
-        "it: [single faults](../../explanation/single-faults.md)."
+        "Effort is zero and the fault is latched on the device; a recording contains it in column `fault`. The first "
+        "fault is stored. `rig device show URL` shows the latched one. The next `rig hit` reads it, reports it and "
+        "clears it; if the cause is still present, the fault is latched again before anything moves. All faults with "
+        "their detection and tests: [single faults](../../explanation/single-faults.md)."
     )
     return "\n\n".join(parts) + "\n"
 
@@ -338,12 +337,12 @@ def _sentence(text: str) -> str:
 def fault_list() -> str:
     """Return a list of all faults, with links to their pages."""
     rows = ((int(f), f"[`{f.name}`](faults/{_page_of(f).name})", _prose(f.text)) for f in Fault if f)
-    return table(("code", "name", "says"), rows)
+    return table(("code", "name", "meaning"), rows)
 
 
 def _codes(codes: Iterable[Described | DescribedFlag]) -> str:
     rows = ((int(c), f"`{c.name}`", _prose(c.text), _prose(c.remedy) or "–") for c in codes)
-    return table(("code", "name", "says", "remedy"), rows)
+    return table(("code", "name", "meaning", "remedy"), rows)
 
 
 # ------------------------------------------------------------------ Python

@@ -257,7 +257,7 @@ class Bridged:
         while self._at_ns < self.clock.now_ns():
             self.step(self.clock.now_ns())
         if self.alive:
-            self._to_drive(self.bridge.hear_host(data, self._now))
+            self._to_drive(self.bridge.receive_host(data, self._now))
 
     def port(self) -> LoopPort:
         """Plug functions that come back into this object."""
@@ -305,7 +305,7 @@ class Bridged:
         self.run(seconds)
         self.alive = True
         for line in self._unheard:
-            self._to_drive(self.bridge.hear_bus(line, self._now))
+            self._to_drive(self.bridge.receive_bus(line, self._now))
         self._unheard.clear()
 
     def step(self, end_ns: int) -> None:
@@ -321,11 +321,11 @@ class Bridged:
             if way == "to drive":
                 self._arrives(line)
             elif self.alive:
-                self._to_drive(self.bridge.hear_bus(line, self._now))
+                self._to_drive(self.bridge.receive_bus(line, self._now))
             else:
                 self._unheard.append(line)
         if self.alive:
-            self._to_drive(self.bridge.hear_host(b"", self._now))
+            self._to_drive(self.bridge.receive_host(b"", self._now))
         if self.alive and self.bridge.due <= self._now:
             self._to_drive(self.bridge.tick(self._now))
 

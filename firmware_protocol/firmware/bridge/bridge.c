@@ -8,7 +8,7 @@
 
 #define UNITS_PER_SECOND (HR_TIME_UNITS_PER_US * 1000000u)
 #define PREPARES UNITS_PER_SECOND /* how long a drive stays prepared without being armed */
-#define FED_TICKS 2u         /* one feeding is good for a set-point behind a lost reply, too */
+#define FED_TICKS 2u         /* one feeding covers a set-point after a lost reply, too */
 #define EXACT_COUNTS 8388608.0 /* 2²³: a float32 resolves such positions to half a count */
 #define LONG (UNITS_PER_SECOND / 50u) /* no command lives for longer; a drive that starts again is silent for longer (assumed) */
 #define JUMP 0.5             /* turns between two replies that no handle makes: the drive has started again */
@@ -101,7 +101,7 @@ static int16_t hal_measured_current(void *context)
 {
     const struct bridge *bridge = context;
     const double quanta = (double)bridge->drive.sample.torque / bridge->setup.torque_per_quantum;
-    if (!(quanta > -32767.0)) /* so does what is no number: an over-current */
+    if (!(quanta > -32767.0)) /* NaN too: both are an over-current */
         return -32767;
     return (int16_t)(quanta < 32767.0 ? lrint(quanta) : 32767);
 }
@@ -403,7 +403,7 @@ static bool may_have_lost_turns(const struct bridge *bridge, uint32_t missed)
     return is_silent(bridge, missed) && missed * bridge->period >= LONG;
 }
 
-/* Without a reply the core gets no sample, and after some its session no current. Its host is still informed of it. */
+/* Count a missing reply. The core gets no sample; after several its session ends with a fault, which the host receives. */
 static void miss_reply(struct bridge *bridge)
 {
     const bool known = bridge->drive.known, lost_before = may_have_lost_turns(bridge, bridge->missed++);
@@ -420,7 +420,7 @@ static void miss_reply(struct bridge *bridge)
         bridge->sampleless++;
 }
 
-/* The period behind this one; what this computer slept through is left out. */
+/* Return the next period; periods that this computer missed are skipped. */
 static uint64_t next_period(struct bridge *bridge)
 {
     const uint64_t behind = bridge->now > bridge->due ? bridge->now - bridge->due : 0, skipped = behind / bridge->period;

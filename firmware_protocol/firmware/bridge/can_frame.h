@@ -13,7 +13,7 @@ struct can_frame_bytes {
     uint8_t count;
     uint8_t bytes[CAN_FRAME_BYTES];
     bool classic; /* of eight bytes at most, for drives without CAN FD */
-    bool remote;  /* a question: classic, without bytes */
+    bool remote;  /* a remote request: classic, without bytes */
 };
 
 #endif

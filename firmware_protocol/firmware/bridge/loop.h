@@ -14,7 +14,7 @@ struct bridge_ends {
     bool host_stays; /* a host that hangs up may come again: a pseudo-terminal */
 };
 
-/* Run until `wake` is readable, or the host of a socket has gone. The drive is off when it returns. */
+/* Run until `wake` is readable, or the host of a socket has disconnected. The drive is off at the return. */
 void bridge_run(struct bridge *bridge, const struct bridge_ends *ends);
 
 #endif

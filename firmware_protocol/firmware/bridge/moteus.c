@@ -140,7 +140,7 @@ void moteus_make(struct can_frame_bytes *frame, uint32_t prefix, uint8_t id, uin
 
 /* ------------------------------------------------------------------ from the drive */
 
-/* The next number of a frame, and behind it. The caller knows that it is there. */
+/* Read the next number of a frame and advance. The caller must have checked that it is there. */
 static float number(const uint8_t **at, enum number type)
 {
     static const uint8_t SIZES[] = {1, 2, 4, 4};
@@ -173,7 +173,7 @@ static unsigned take(struct drive_sample *reply, uint8_t switches, unsigned at, 
     }
     if (type != INT8)
         return 0;
-    const uint8_t byte = (uint8_t)(int8_t)value; /* whatever came: a negative one is no uint8_t */
+    const uint8_t byte = (uint8_t)(int8_t)value; /* any received value: a negative one is not a uint8_t */
     if (at == MODE)
         reply->mode = byte;
     else if (at == CODE)
@@ -234,7 +234,7 @@ static enum moteus_action action_of(const struct drive *drive, const struct driv
     return order->fed ? moves : MOTEUS_ASK;
 }
 
-/* Shares beyond 1 stand in no page, and 0x024 limits kd's to kp's. */
+/* Shares beyond 1 are not documented, and 0x024 limits kd's share to kp's. */
 static bool renders(const struct drive *drive, const struct drive_wall *wall)
 {
     if (!(drive->kp > 0.0f && drive->kd > 0.0f))
@@ -271,7 +271,7 @@ static size_t write_order(struct drive *drive, const struct drive_order *order, 
         memmove(drive->modes + 1, drive->modes, DRIVE_IN_FLIGHT - 1u);
         drive->modes[0] = (uint8_t)mode_of(command.action);
     }
-    if (order->asks) /* the reply repeats the sender: a late one is not taken for that of this query */
+    if (order->asks) /* the reply repeats the sender, so that a late reply is not mistaken for this query's */
         drive->sender = (uint8_t)((drive->sender + 1u) % MOTEUS_SENDERS);
     moteus_make(frames, drive->prefix, (uint8_t)drive->id, (uint8_t)(MOTEUS_FIRST_SENDER + drive->sender), order->asks,
                 &command);

@@ -11,7 +11,7 @@
 #include "drive.h"
 
 /* A query names its sender, and the reply repeats it: sixteen senders number the queries, so that a late reply is not
- * taken for the one that is awaited. Other programs are sender 0 by default. */
+ * mistaken for the awaited one. Other programs are sender 0 by default. */
 #define MOTEUS_FIRST_SENDER 0x10u
 #define MOTEUS_SENDERS 16u
 
@@ -24,7 +24,7 @@ enum moteus_mode {
     MOTEUS_STAY_WITHIN = 13,
 };
 
-/* Codes of register 0x00f: faults below, beyond them what limits the torque of a mode that continues. */
+/* Codes of register 0x00f: faults below, limits of the torque from here on; the mode continues with a limit. */
 #define MOTEUS_FIRST_LIMIT 96u
 
 enum moteus_action {

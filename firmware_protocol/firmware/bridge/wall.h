@@ -1,4 +1,4 @@
-/* The wall of the law that runs (law.h), left to a drive: what of it is to act, in the terms of the drive's output. */
+/* The wall of the running law (law.h) rendered by a drive: its active part, in the units of the drive's output. */
 #ifndef HR_BRIDGE_WALL_H
 #define HR_BRIDGE_WALL_H
 
@@ -13,12 +13,12 @@ struct wall_scales {
     double torque_per_quantum; /* N·m at the output; may be negative */
 };
 
-/* The whole wall of a law that runs so many times a second, without a limit; false for one that no drive has: what clamps
- * its pull, damps one way or has two rates. */
+/* Convert the wall of a law at this rate, without a limit. False if no drive can render it: a wall that clamps its pull,
+ * damps in one direction or has two rates. */
 bool wall_of_law(const struct wall_scales *scales, const law_parameters *law, uint32_t rate, struct drive_wall *wall);
 
-/* What is to act of it in the tick that device_drive has begun: as much as of a current that a law here would want, and
- * with the set-point within the same limit. False: nothing. `given` is what both gave at the last sample (quanta). */
+/* Return the active part of the wall in the tick that device_drive has begun, reduced like the current of a law on the
+ * device, and limited together with the set-point. False: no wall. `given` is the sum of both at the last sample (quanta). */
 bool wall_now(const struct wall_scales *scales, struct device *device, int16_t given, struct drive_wall *wall);
 
 #endif

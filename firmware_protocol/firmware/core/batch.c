@@ -2,7 +2,7 @@
 
 #include "bytes.h"
 
-/* What one sample of each layout takes; see BATCH_LAYOUTS. */
+/* Bytes of one sample of each layout; see BATCH_LAYOUTS. */
 static const uint8_t sample_bytes[] = {5, 3, 6};
 
 enum { NARROW = 0, NO_MEASUREMENT = 1, WIDE = 2 };
@@ -22,8 +22,8 @@ void batch_forget(struct batch *batch)
     batch->follows = false;
 }
 
-/* Header and fixed fields. After a gap the base is the count itself: how far the handle has moved meanwhile need not
- * fit. */
+/* Write header and fixed fields. After a gap the base is the count itself, since the difference over the gap may not fit
+ * the layout. */
 static void begin(struct batch *batch, struct connection *connection, uint32_t index, uint32_t time)
 {
     struct batch_frame *frame = &batch->frames[batch->making];

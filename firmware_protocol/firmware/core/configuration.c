@@ -97,7 +97,7 @@ struct refusal configuration_take(struct candidate *candidate, const uint8_t *en
     return ACCEPTED;
 }
 
-/* Refuse what is inside the table's range and outside this board's. */
+/* Refuse a value inside the table's range but outside this board's. */
 static struct refusal check_board(const struct board *board, const uint32_t *values, const bool *given)
 {
     for (size_t i = 0; i < board->narrower_count; i++) {
@@ -118,7 +118,7 @@ static struct refusal check_together(const uint32_t *values)
     return ACCEPTED;
 }
 
-/* The first parameter of those given that is not live, or HR_PARAMETERS. */
+/* Return the first given parameter that is not live, or HR_PARAMETERS. */
 static size_t first_not_live(const bool *given)
 {
     size_t index = 0;

@@ -46,8 +46,7 @@ void faults_latch(struct faults *faults, uint32_t bits, uint64_t time)
     faults->later |= bits & ~(UINT32_C(1) << faults->first);
 }
 
-/* The copy takes as long as a tick or two; the amplifier is off here. In the tick of the fault there would be no
- * time for it. */
+/* The copy takes one or two ticks, so it is made here, with the amplifier off, and not in the tick of the fault. */
 void faults_clear(struct faults *faults)
 {
     if (faults->latched != HR_FAULT_NONE)

@@ -2,7 +2,7 @@
 
 #include "bytes.h"
 
-/* What the CRC of a frame and of its own CRC behind it comes to, before the last inversion. */
+/* CRC of a frame followed by its own CRC, before the last inversion: a constant. */
 #define RESIDUE 0xDEBB20E3u
 
 static inline uint32_t crc_step(uint32_t crc, uint8_t byte)
@@ -70,7 +70,7 @@ size_t frame_finish(struct packet *packet)
     return builder_finish(&builder);
 }
 
-/* ------------------------------------------------------------------ to take apart */
+/* ------------------------------------------------------------------ to receive */
 
 void splitter_reset(struct splitter *splitter)
 {

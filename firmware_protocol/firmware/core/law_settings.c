@@ -2,8 +2,8 @@
 
 #include "bytes.h"
 
-/* Nothing is computed here: a host has scaled everything to counts, ticks and quanta. What one law needs and the other
- * does not is copied all the same; its range was checked, and it is not read. */
+/* Values are only copied: the host has scaled them to counts, ticks and quanta. Values that the chosen law does not read
+ * are copied too; their ranges were checked. */
 
 static int32_t whole(const uint32_t *values, enum hr_parameter_index index)
 {
@@ -148,7 +148,7 @@ static void read_excitation(const uint32_t *values, law_excitation *excitation)
     excitation->seed = values[HR_PARAMETER_EXCITATION_SEED];
 }
 
-/* The parameter that a host had best look at. */
+/* Return the parameter to report for a rejected law. */
 static enum hr_parameter_index subject(law_verdict verdict, const law_parameters *law)
 {
     switch (verdict) {

@@ -8,7 +8,7 @@ void limits_configure(struct limits *limits, const struct limits_settings *setti
 {
     limits->largest = settings->largest;
     limits->continuous = settings->continuous;
-    limits->slew = settings->slew; /* 65535, which means none, is further than a current of 16 bits can change */
+    limits->slew = settings->slew; /* 65535 means no limit: a 16-bit current cannot change by more */
     limits->confirm = (uint32_t)((uint64_t)settings->confirm_ms * settings->rate / 1000u);
     limits->fade = settings->rate / FADES_A_SECOND;
     limits->unmoved = 0;
@@ -26,10 +26,9 @@ void limits_pass(struct limits *limits, int32_t count)
         limits->unmoved++;
 }
 
-/* On two channels a dead encoder and a hand that holds still look alike, and where one channel is dead, the other one
- * toggles the count between two neighbours, whatever the handle does. So an effort that has lasted for longer than any
- * trial holds a handle, without the count leaving two neighbours, fades out; it comes back when the hand has left the
- * wall. */
+/* With two channels a dead encoder cannot be distinguished from a hand that holds still. If one channel is dead, the other
+ * toggles the count between two neighbouring values for any motion. Therefore an effort that lasts longer than any trial,
+ * with the count on two neighbouring values, fades out; it returns when the hand has left the wall. */
 int16_t limits_confirmed(struct limits *limits, int16_t wanted)
 {
     if ((wanted == 0 && !limits->beside) || limits->confirm == 0)

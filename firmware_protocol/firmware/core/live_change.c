@@ -3,7 +3,7 @@
 #include "frame.h"
 #include "law_settings.h"
 
-/* A piece: what a Cortex-M0+ does in some 1000 cycles. */
+/* Size of a step: about 1000 cycles of a Cortex-M0+. */
 enum { SUM_BYTES = 48, ENTRIES = 2, CRC_VALUES = 6, VALUES = 14 };
 
 static void enter_step(struct live_change *change, enum live_step step)
@@ -74,7 +74,7 @@ static void sum_up(struct live_change *change)
 }
 
 /* A wall changes in free space alone: a jump of stiffness under a pressed hand would be a jump of effort. A bilateral
- * wall leaves no space free. A fault may have come since the request, and then nothing changes any more. */
+ * wall has no free space. After a fault since the request nothing is changed. */
 static void change_wall(struct live_change *change, const struct live_change_of *of)
 {
     struct renderer *renderer = of->renderer;

@@ -4,8 +4,8 @@
 
 #include "protocol.h"
 
-/* Up to the described friction, and a twentieth of the limit for what friction may be beside that, an automated rig may
- * rest. */
+/* An automated rig may be at rest under an effort of up to the described friction and a twentieth of the limit, which
+ * allows for friction above the description. */
 #define LARGEST_SHARE 5
 #define FRICTION_SHARE 0.25 /* a twentieth, times LARGEST_SHARE */
 
@@ -17,7 +17,7 @@
 #define FAULT(name) (UINT32_C(1) << HR_FAULT_##name)
 
 /* Time (s) after which a free rig under a steady current must have shown an encoder edge; negative for never.
- * Friction is taken off the effort, then the whole inertia is moved; viscous and electrical lag add their times. */
+ * The effort less friction moves the whole inertia; viscous and electrical lag add their times. */
 static double stall_s(const struct mechanics *m, double current)
 {
     const double driving = current * m->effort_quantum;

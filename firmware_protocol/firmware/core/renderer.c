@@ -9,7 +9,7 @@ static bool is_same(const law_excitation *a, const law_excitation *b)
            && a->seed == b->seed;
 }
 
-/* A table that is there, or under way, is not begun again: it takes seconds. */
+/* A table that is complete or being computed is not started again, because it takes seconds. */
 void renderer_configure(struct renderer *renderer, const law_parameters *parameters, int16_t *table)
 {
     renderer->there = true;

@@ -1,7 +1,7 @@
 /* In integers: a Cortex-M0+ does a double multiplication in a hundred cycles, and this runs in every tick. The
  * decay is a mantissa of 32 bits with its own exponent, for it spans 2⁻²⁹ … 2⁻³; the heat has 32 bits behind the
- * point, so that the slowest motor at the highest rate loses nothing. Against the same in doubles the relative
- * difference stays below 1e-6. */
+ * point, so that even the slowest motor at the highest rate has no rounding loss. The relative difference to the same
+ * computation in doubles is below 1e-6. */
 #include "thermal.h"
 
 #include <math.h>

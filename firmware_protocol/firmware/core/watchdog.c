@@ -1,12 +1,11 @@
 /* Effort is held over a tick, so everything is judged at the tick's end: the current is exactly zero when the
- * ramp ends, not a tick later. The ramp begins at what the limits left of the command, so that it falls in every
- * tick. A law on the device runs on while its command fades: the ramp then scales its output. */
+ * ramp ends, not a tick later. The ramp begins at the limited command, so that it falls in every
+ * tick. A law on the device continues while its command fades: the ramp then scales its output. */
 #include "watchdog.h"
 
 #include "protocol.h"
 
-/* What a host has for its first command after ARM, and to disarm after STOP: half a second. There is no current
- * meanwhile. */
+/* Time for the first command after ARM, and for DISARM after STOP: half a second, at zero current. */
 #define IDLE_LIFETIME (500000u * HR_TIME_UNITS_PER_US)
 
 void watchdog_idle(struct watchdog *watchdog, uint64_t now)

@@ -311,12 +311,12 @@ class Bridge:
         self._library.bridge_tick(self._address, now)
         return self._bus()
 
-    def hear_bus(self, data: bytes, now: int) -> bytes:
+    def receive_bus(self, data: bytes, now: int) -> bytes:
         """Hand in bytes of the bus; return what goes to the bus."""
         self._library.bridge_receive_bus(self._address, data, len(data), now)
         return self._bus()
 
-    def hear_host(self, data: bytes, now: int) -> bytes:
+    def receive_host(self, data: bytes, now: int) -> bytes:
         """Hand in bytes of the host and let the main loop turn; return what goes to the bus."""
         if data:
             self._library.bridge_receive_host(self._address, data, len(data), now)

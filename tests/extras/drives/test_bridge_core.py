@@ -67,7 +67,7 @@ def test_a_can_socket_in_place_of_an_adapter() -> None:
     assert world.torque == pytest.approx(CURRENT * 1e-3 * 0.1 / 2.0, rel=1e-6)
     assert world.bridge.facts.lost == 0
     bus_off = (0x20000000 | 0x40).to_bytes(4, "little") + bytes(12)  # CAN_ERR_FLAG, CAN_ERR_BUSOFF
-    world._to_drive(world.bridge.hear_bus(bus_off, world._now))
+    world._to_drive(world.bridge.receive_bus(bus_off, world._now))
     assert host.next_state().fault == DriveFault.BUS_LOST
     world.run(0.004)
     assert world.torque == 0.0

@@ -367,7 +367,7 @@ def test_a_recording_has_the_effort_of_the_drive_and_what_it_was_set_to(tmp_path
     x = walled(wall__damping=0.005, trial__duration_s=0.55, rig__mechanics__motor_coulomb=0.003)
     world = Bridged(rig_model(x), GAINS)
     rendered: dict[int, float] = {}
-    hear = world.bridge.hear_bus
+    hear = world.bridge.receive_bus
 
     def noted(line: bytes, now: int) -> bytes:
         sent = hear(line, now)
@@ -375,7 +375,7 @@ def test_a_recording_has_the_effort_of_the_drive_and_what_it_was_set_to(tmp_path
             rendered[world.bridge.facts.replies] = world.far.register(0x03A)
         return sent
 
-    world.bridge.hear_bus = noted  # type: ignore[method-assign]
+    world.bridge.receive_bus = noted  # type: ignore[method-assign]
     device = FramedDevice(world)
     (result,) = hit(
         HitRequest(experiment=x, url="moteus://", device=device, verified=True, output=tmp_path), admit
