@@ -88,7 +88,7 @@ def batch_layouts() -> str:
 
 
 def fault_entry() -> str:
-    """One entry of the fault ring."""
+    """Return one entry of the fault ring."""
     return f"{_bytes_of(wire_fields(m.FaultEntry))}\n\n{FAULT_ENTRY_BYTES} bytes an entry."
 
 
@@ -161,7 +161,7 @@ def duties_of_a_port() -> str:
 
 
 def parts_list() -> str:
-    """Parts of the reference rig, and where what is known of them is from."""
+    """Return parts of the reference rig, and where what is known of them is from."""
     parts = tomllib.loads(WIRING.read_text(encoding="utf-8"))["part"]
     return table(("", "part", "source"), ((one["name"], _part(one), one["source"]) for one in parts))
 

@@ -137,7 +137,7 @@ class Received:
 
     @property
     def nonce(self) -> int:
-        """Nonce of a transaction; a stream message has none (AttributeError)."""
+        """Return the nonce of a transaction; a stream message has none (AttributeError)."""
         return self.message.nonce  # type: ignore[attr-defined, no-any-return]
 
     def ack(
@@ -292,7 +292,7 @@ class Connection:
             return self._refuse(raw, Status.BAD_LENGTH)
         event = Received(message, session, sequence)
         if self.role is Role.HOST:
-            self._answered(message)
+            self._handle_answer(message)
             self.transaction = after_answer(self.transaction, event.nonce, *self._as_ack(message))
             return event
         objection = self._objection(event)
@@ -303,7 +303,7 @@ class Connection:
         return event
 
     def _objection(self, event: Received) -> tuple[Status, int] | None:
-        """Why the state, or a rule beside the table, forbids a request."""
+        """Return why the state, or a rule beside the table, forbids a request."""
         if event.request not in _NEXT[self.state]:
             return Status.BAD_STATE, int(self.state)
         message = event.message
@@ -373,7 +373,7 @@ class Connection:
             if self.role is Role.HOST:
                 self._begin(type_id, message.nonce, number)  # type: ignore[attr-defined]
             else:
-                self._answered(message)
+                self._handle_answer(message)
         return frame
 
     def begin(self, *requests: Message, session: int | None = None) -> None:
@@ -440,14 +440,14 @@ class Connection:
             del self._open[next(iter(self._open))]
         self._open[request, nonce] = session
 
-    def _answered(self, reply: Message) -> None:
+    def _handle_answer(self, reply: Message) -> None:
         """Move according to the answer to an open request; a repeated answer finds none and moves nothing."""
         request = reply.request if isinstance(reply, m.Ack) else _REQUEST_OF[type(reply)]
         session = self._open.pop((request, reply.nonce), None)  # type: ignore[attr-defined]
         if session is None:
             return
         if self.role is Role.HOST:
-            self._believe(reply)
+            self._adopt_state(reply)
         after = _NEXT[self.state].get(request)
         if after is None or (isinstance(reply, m.Ack) and reply.status != Status.OK):
             return
@@ -455,7 +455,7 @@ class Connection:
             self._open_session(session)
         self._move(after)
 
-    def _believe(self, reply: Message) -> None:
+    def _adopt_state(self, reply: Message) -> None:
         """Host: take the state from an answer that has it, so that both ends agree again after a restart."""
         if isinstance(reply, m.Identity):
             self._move(_STATES.get(reply.state, self.state))
@@ -503,7 +503,7 @@ class Connection:
         self._splitter.reset()
 
     def sequence_to_send(self, cls: type[Message]) -> int:
-        """Sequence that the next frame of this class will carry: where a compiled loop begins to count."""
+        """Return the sequence that the next frame of this class will carry: where a compiled loop begins to count."""
         return self._to_send.get(LAYOUT_OF[cls].type_id, 0)
 
     @property

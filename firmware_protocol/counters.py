@@ -27,5 +27,5 @@ class LinkStatistics:
 
     @property
     def framing_errors(self) -> int:
-        """Frames that were no frames: all defects but a wrong CRC."""
+        """Return frames that were no frames: all defects but a wrong CRC."""
         return self.cobs_errors + self.too_long + self.too_short

@@ -124,7 +124,7 @@ def build(
     constants: tuple[ConstantInfo, ...] = (),
     settings: Mapping[str, SettingValue] | None = None,
 ) -> Dictionary:
-    """Dictionary of a device that has all parameters and codes of this package.
+    """Return the dictionary of a device that has all parameters and codes of this package.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def build(
 
 
 def encode(dictionary: Dictionary) -> bytes:
-    """Compressed bytes as IDENTIFY pages them; equal dictionaries give equal bytes under one zlib."""
+    """Return compressed bytes as IDENTIFY pages them; equal dictionaries give equal bytes under one zlib."""
     plain = json.dumps(
         asdict(dictionary), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
     )
@@ -175,7 +175,7 @@ def encode(dictionary: Dictionary) -> bytes:
 
 
 def dictionary_hash(packed: bytes) -> int:
-    """First 8 bytes of the SHA-256 of the compressed dictionary, little-endian."""
+    """Return first 8 bytes of the SHA-256 of the compressed dictionary, little-endian."""
     return int.from_bytes(hashlib.sha256(packed).digest()[:8], "little")
 
 

@@ -22,6 +22,6 @@ class Duty:
 
 
 def duties() -> tuple[Duty, ...]:
-    """Every row, in the order of the file."""
+    """Return every row, in the order of the file."""
     content = tomllib.loads(PORTING.with_name("duties.toml").read_text(encoding="utf-8"))
     return tuple(Duty(**row) for row in content["duty"])

@@ -36,7 +36,7 @@ class _Piece:
 
 
 def excerpt(sources: Iterable[Path], wanted: Iterable[str], prefix: str) -> str:
-    """Declarations of C files that the wanted names need, these included.
+    """Return declarations of C files that the wanted names need, these included.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def excerpt(sources: Iterable[Path], wanted: Iterable[str], prefix: str) -> str:
 
 
 def renamed(name: str, prefix: str) -> str:
-    """The name that `excerpt` gives to a name of the firmware."""
+    """Return the name that `excerpt` gives to a name of the firmware."""
     capital = name.isupper()
     bare = name[4:] if name.startswith(("law_", "LAW_")) else name
     before = prefix.upper() if capital else prefix
@@ -115,7 +115,7 @@ def _pieces(text: str) -> Iterator[_Piece]:
 
 
 def _leading(whole: str) -> int:
-    """Where the comments before a declaration end."""
+    """Return where the comments before a declaration end."""
     found = re.match(r"(?:\s*/\*.*?\*/)*", whole, re.DOTALL)
     return found.end() if found else 0
 

@@ -24,14 +24,14 @@ class SingleFault:
     bench: tuple[int, ...] = ()
 
     def shown_by(self) -> str:
-        """Tests and steps, as the page names them."""
+        """Return tests and steps, as the page names them."""
         functions = [f"`{test.partition('::')[2]}`" for test in self.tests]
         steps = [f"step {number}" for number in self.bench]
         return ", ".join([*(functions or ["**no test**"]), *steps])
 
 
 def single_faults() -> list[SingleFault]:
-    """Every row, in the order of the file."""
+    """Return every row, in the order of the file."""
     content = tomllib.loads(FMEA.with_name("fmea.toml").read_text(encoding="utf-8"))
     return [_row(**row) for row in content["row"]]
 

@@ -398,12 +398,12 @@ BATCH_LAYOUTS: dict[int, tuple[str, ...]] = {
 
 
 def sender_of(type_id: int) -> Role:
-    """Who sends this type, known or not."""
+    """Return who sends this type, known or not."""
     return Role.DEVICE if type_id & 1 else Role.HOST
 
 
 def delivery_of(type_id: int) -> Delivery:
-    """How this type travels, known or not."""
+    """Return how this type travels, known or not."""
     if type_id < 0x40:
         return Delivery.TRANSACTION
     return Delivery.STREAM if type_id < 0x60 else Delivery.BATCH

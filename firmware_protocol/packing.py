@@ -60,11 +60,11 @@ class Layout:
 
     @property
     def data_limit(self) -> int:
-        """Longest tail that fits into a frame; 0 for a message without one."""
+        """Return the longest tail that fits into a frame; 0 for a message without one."""
         return self.limit - self.size if self.tail else 0
 
     def pack(self, message: Message) -> bytes:
-        """Payload of a message; raises `LocalProtocolError` for a value that its C type cannot hold."""
+        """Return the payload of a message; raises `LocalProtocolError` for a value that its C type cannot hold."""
         try:
             payload = self.struct.pack(*self._get(message))
         except struct.error as error:
@@ -76,7 +76,7 @@ class Layout:
         return payload
 
     def unpack(self, raw: bytes) -> Message:
-        """Message in a raw frame; raises `RemoteProtocolError` when its length is impossible for its type.
+        """Return the message in a raw frame; raises `RemoteProtocolError` when its length is impossible for its type.
 
         Bytes behind the last known field belong to a newer minor version and are ignored.
         """
@@ -97,12 +97,12 @@ def type_id_of(cls: type[Message]) -> int:
 
 
 def data_limit(cls: type[Message]) -> int:
-    """Longest `data` that a message of this class can carry, in bytes."""
+    """Return the longest `data` that a message of this class can carry, in bytes."""
     return LAYOUT_OF[cls].data_limit
 
 
 def encoded_bytes(cls: type[Message]) -> int:
-    """Bytes of a message of fixed size on the wire: header, fields, CRC, stuffing and delimiter."""
+    """Return bytes of a message of fixed size on the wire: header, fields, CRC, stuffing and delimiter."""
     return HEADER_BYTES + LAYOUT_OF[cls].size + CRC_BYTES + STUFFING_BYTES + 1
 
 
@@ -117,7 +117,7 @@ def pack(message: Message, *, session: int = 0, sequence: int = 0) -> bytes:
 
 
 def unpack(raw: bytes) -> tuple[Header, Message]:
-    """Header and message of a raw frame.
+    """Return the header and message of a raw frame.
 
     Raises `RemoteProtocolError` for an unknown type or an impossible payload. The major version is left
     to the caller, because IDENTIFY must be understood in every one.
@@ -137,7 +137,7 @@ FAULT_ENTRY_BYTES = _FAULT_ENTRY.size
 
 
 def pack_fault_entries(entries: Iterable[FaultEntry]) -> bytes:
-    """Bytes of FAULT_ENTRYs, one behind the other; raises `LocalProtocolError` for values that do not fit."""
+    """Return bytes of FAULT_ENTRYs, one behind the other; raises `LocalProtocolError` for values that do not fit."""
     try:
         return b"".join(_FAULT_ENTRY.pack(*_fault_values(entry)) for entry in entries)
     except struct.error as error:
@@ -145,7 +145,7 @@ def pack_fault_entries(entries: Iterable[FaultEntry]) -> bytes:
 
 
 def unpack_fault_entries(data: bytes) -> list[FaultEntry]:
-    """FAULT_ENTRYs of a fault log, oldest first; raises `RemoteProtocolError` for a broken length."""
+    """Return FAULT_ENTRYs of a fault log, oldest first; raises `RemoteProtocolError` for a broken length."""
     if len(data) % FAULT_ENTRY_BYTES:
         raise RemoteProtocolError(f"a fault log of {len(data)} bytes")
     return [FaultEntry(*values) for values in _FAULT_ENTRY.iter_unpack(data)]
@@ -158,7 +158,7 @@ _SAMPLES = {
 
 
 def pack_batch_samples(layout: int, samples: Iterable[tuple[int, ...]]) -> bytes:
-    """Bytes of the samples of a BATCH (difference, commanded, measured where the layout has it).
+    """Return bytes of the samples of a BATCH (difference, commanded, measured where the layout has it).
 
     Raises `LocalProtocolError` for values that do not fit.
     """

@@ -207,7 +207,7 @@ def check_together(values: Mapping[str, Value]) -> None:
 
 
 def encode_block(values: Mapping[str, Value]) -> bytes:
-    """Bytes of the given parameters, in any order of the mapping; raises `ParameterError`.
+    """Return bytes of the given parameters, in any order of the mapping; raises `ParameterError`.
 
     f32 values are rounded to float32: `decode_block` gives back what the device will hold.
     """
@@ -251,7 +251,7 @@ def decode_block(block: bytes) -> dict[str, Value]:
 
 
 def block_crc(block: bytes) -> int:
-    """CRC-32 of a block: the fingerprint that COMMIT answers and ARM repeats."""
+    """Return CRC-32 of a block: the fingerprint that COMMIT answers and ARM repeats."""
     return crc32(block)
 
 

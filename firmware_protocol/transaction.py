@@ -54,7 +54,7 @@ class Transaction(NamedTuple):
 
 
 def after_time(t: Transaction, time_ns: int, most_tries: int) -> Transaction:
-    """The transaction at a time. Its request is to be sent now exactly when it has one try more than before."""
+    """Return the transaction at a time. Its request is to be sent now exactly when it has one try more than before."""
     if t.step < 0 or (t.tries > 0 and time_ns < t.again_at):
         return t
     if t.tries >= most_tries:

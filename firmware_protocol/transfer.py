@@ -15,7 +15,7 @@ from firmware_protocol.transaction import CHUNK_BYTES
 
 
 def set_parameters(block: bytes, nonce: int) -> list[SetBegin | SetChunk | SetCommit]:
-    """Messages that bring a block to the device, in order; each waits for the ACK of the one before."""
+    """Return messages that bring a block to the device, in order; each waits for the ACK of the one before."""
     chunks = [SetChunk(nonce, at, block[at : at + CHUNK_BYTES]) for at in range(0, len(block), CHUNK_BYTES)]
     return [SetBegin(nonce, len(block), block_crc(block)), *chunks, SetCommit(nonce)]
 

@@ -52,10 +52,10 @@ def main(obj: object = None) -> None:
     if {"-q", "--quiet"}.isdisjoint(sys.argv[1:]):
         compiling.listen(CompilingNotice(EXPECTED.get("".join(sys.argv[1:2]), 0)))
     code = run(sys.argv[1:], obj)
-    sys.exit(_flushed(code))
+    sys.exit(_flush(code))
 
 
-def _flushed(code: int) -> int:
+def _flush(code: int) -> int:
     """Write what is still buffered, and return the exit code: 74 where a good run could not write all of it.
 
     The interpreter tries again at its end, and would complain and exit with 120 whatever the command returned. So what

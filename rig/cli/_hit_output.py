@@ -18,7 +18,7 @@ _BRINGS = {"operator.grip": "operator.", "controller.estimator": "controller.par
 
 
 def push_text(experiment: Experiment) -> str:
-    """Who pushes, in a few words."""
+    """Return who pushes, in a few words."""
     trial = experiment.trial
     if trial.kind == "human":
         return f"in a simulated hand ({experiment.operator.grip})"
@@ -26,7 +26,7 @@ def push_text(experiment: Experiment) -> str:
 
 
 def headline(experiment: Experiment) -> str:
-    """Rig, wall and scheme in one line."""
+    """Return the rig, wall and scheme in one line."""
     return experiment.headline()
 
 

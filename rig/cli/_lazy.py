@@ -35,7 +35,7 @@ class LazyGroup(click.Group):
 
     @cached_property
     def _listed(self) -> dict[str, list[str]]:
-        """Title → names, those of extras before the command that they name, else at the end."""
+        """Return title → names, those of extras before the command that they name, else at the end."""
         listed = {title: list(table) for title, table in self._titles.items()}
         for row in extras.added("commands").values():
             above, _, name = row.name.rpartition(" ")

@@ -69,7 +69,7 @@ class FrequencyBand(click.ParamType):  # type: ignore[type-arg]  # as above
 
 
 def paths(incomplete: str, endings: tuple[str, ...]) -> Iterator[str]:
-    """Directories, and files that end so, whose name begins with what was typed."""
+    """Yield directories, and files that end so, whose name begins with what was typed."""
     place, _, begun = incomplete.rpartition("/")
     before = f"{place}/" if "/" in incomplete else ""
     try:
@@ -91,7 +91,7 @@ def presets() -> list[str]:
 
 
 def estimators() -> list[str]:
-    """Names of all estimators, plug-ins included."""
+    """Return names of all estimators, plug-ins included."""
     known: list[str] = listing()["estimators"]
     return [*known, *(point.name for point in plugins.find_plugins("rig.estimators", known))]
 

@@ -67,37 +67,39 @@ class Dialogue:
     def _agrees(self, asked: Next) -> bool:
         motion = self._plan.experiment.rig.motion
         if asked.number == 1 and asked.attempt == 1:
-            _say(
+            _print_message(
                 f"series {asked.series} of {asked.total}: {asked.scheme}, "
                 f"B = {asked.damping:.4g} {unit_of('damping', motion)}"
             )
         again = f", attempt {asked.attempt}" if asked.attempt > 1 else ""
         text = f"  hit {asked.number}{again}: K = {asked.stiffness:.4g} {unit_of('stiffness', motion)}"
         if asked.thrown_out:
-            _say("  the wall threw the handle out: put it back near its start")
+            _print_message("  the wall threw the handle out: put it back near its start")
         first = asked.number == 1 and asked.attempt == 1
         if asked.thrown_out or self._confirm == "each" or (self._confirm == "series" and first):
-            return _asked(f"{text}   Enter: continue, q: end ")
-        _say(text)
+            return _ask(f"{text}   Enter: continue, q: end ")
+        _print_message(text)
         return True
 
     def _hands_off(self, text: str) -> None:
         """Before a torque pulse, which a hit with a person begins with where the rig was not tried, or is in doubt."""
         if self._confirm == "no":
-            _say(f"  {text}")
-        elif not _asked(f"  {text}   Enter: continue, q: end "):
+            _print_message(f"  {text}")
+        elif not _ask(f"  {text}   Enter: continue, q: end "):
             raise StoppedError("ended before the torque pulse; the motor did not move")
 
     def _report(self, asked: Next, done: Measured, valid: bool) -> None:
         kind = done.kind if valid else Kind.INVALID
         passed = ", ".join(name for name in CRITERIA if done.passes(name)) or "none"
-        _say(f"    {output.coloured(str(kind))}; {f'passes: {passed}' if valid else 'it is repeated'}")
+        _print_message(
+            f"    {output.coloured(str(kind))}; {f'passes: {passed}' if valid else 'it is repeated'}"
+        )
 
     def _pause(self, seconds: float) -> None:
         if self._virtual:
             return
         if seconds >= SHOWN_PAUSE_S:
-            _say(f"    the motor cools for {seconds:.0f} s")
+            _print_message(f"    the motor cools for {seconds:.0f} s")
         time.sleep(seconds)
 
 
@@ -116,7 +118,7 @@ def refuse_without_device(verified: bool, confirm: str | None) -> None:
         )
 
 
-def _asked(text: str) -> bool:
+def _ask(text: str) -> bool:
     """Wait for Enter or q; the end of the input ends, too."""
     while True:
         click.echo(text, nl=False, err=True)
@@ -129,5 +131,5 @@ def _asked(text: str) -> bool:
             return True
 
 
-def _say(text: str) -> None:
+def _print_message(text: str) -> None:
     click.echo(text, err=True)

@@ -52,7 +52,7 @@ class Bash(BashComplete):
     source_template = _BASH
 
     def get_completion_args(self) -> tuple[list[str], str]:
-        """Words before the last one, and what of that is typed."""
+        """Return words before the last one, and what of that is typed."""
         line = os.environ["COMP_WORDS"]
         words = split_arg_string(line)[1:]
         return (words, "") if line.endswith(" ") else (words[:-1], words[-1] if words else "")
@@ -76,7 +76,7 @@ def answer(instruction: str) -> int:
 
 
 def tree(rows: Mapping[str, Any]) -> click.Group:
-    """Empty commands with the options of their rows."""
+    """Return empty commands with the options of their rows."""
     groups = {"": click.Group("rig")}
     for name, row in rows.items():
         above, _, last = name.rpartition(" ")

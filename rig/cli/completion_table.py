@@ -52,7 +52,7 @@ def _json(part: Any) -> str:
 
 
 def _rows(group: click.Group, above: str) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Each command by its words, a group before those in it; a group has no options."""
+    """Yield each command by its words, a group before those in it; a group has no options."""
     context = click.Context(group)
     for last in group.list_commands(context):
         one, name = group.get_command(context, last), f"{above} {last}".strip()

@@ -239,7 +239,7 @@ def _ticks(request: DesignRequest, board: str) -> list[str]:
 
 
 def _limits(asked: dict[str, Any]) -> list[str]:
-    """Limits of felt, heard and moved as the keys of an experiment that they are."""
+    """Return limits of felt, heard and moved as the keys of an experiment that they are."""
     keys = {"felt": "verdict.felt_velocity", "heard": "verdict.heard_force", "moved": "verdict.moved"}
     return [f"{key}={asked[name]!r}" for name, key in keys.items() if asked[name] is not None]
 
@@ -266,7 +266,7 @@ def _wall(
 
 
 def _places(experiment: Experiment, url: str | None, asked: dict[str, Any]) -> tuple[LawPlace, ...]:
-    """Where the law may run: as the options say, or the device."""
+    """Return where the law may run: as the options say, or the device."""
     loop, names = asked["loop"], ("most_rate", "round_trip", "link")
     if url is None:
         rate, round_trip_s, link = (asked[name] for name in names)

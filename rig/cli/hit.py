@@ -46,7 +46,7 @@ def hit(request: hits.HitRequest, plot: str, expected: tuple[str, ...], as_json:
     request = replace(
         request,
         measuring=hit_output.measuring_link(quiet=as_json),
-        judged_link=_say_gate,
+        judged_link=_print_gate,
         hands_off=lambda text: click.echo(f"rig: {text}", err=True),
     )
     done: list[dict[str, Any]] = []
@@ -133,7 +133,7 @@ def _print_result(result: Any, picture: str | None, changed: list[str]) -> None:
     _print_recorded(result.recorded, picture)
 
 
-def _say_gate(gate: Gate) -> None:
+def _print_gate(gate: Gate) -> None:
     """Say what speaks against arming where it is armed all the same: a simulated rig, or --arm-anyway."""
     if gate.armable:
         return

@@ -134,7 +134,7 @@ def measure(
 
 
 def _walls(experiment: Experiment, stiffness: str | None, damping: str | None, bare: bool) -> list[Wall]:
-    """The walls that the options mean, the bare rig first."""
+    """Return the walls that the options mean, the bare rig first."""
     own = experiment.wall
     if stiffness is None and damping is None:
         return [(0.0, 0.0)] if bare else [(0.0, 0.0), (own.stiffness, own.damping)]
@@ -224,7 +224,7 @@ def _pairs(result: ImpedanceResult) -> list[tuple[str, str]]:
 
 
 def _effective(fidelity: Fidelity, stiffness: str, damping: str) -> list[tuple[str, str]]:
-    """Effective stiffness and damping with the lines that they are means over."""
+    """Return the effective stiffness and damping with the lines that they are means over."""
     low, high = fidelity.effective_band_hz
     if fidelity.effective_lines < EFFECTIVE_LINES:
         text = (

@@ -37,7 +37,7 @@ json_option = command.json_option
 
 
 def added(*options: Callable[[F], F]) -> Callable[[F], F]:
-    """One decorator for several, shown in this order."""
+    """Return one decorator for several, shown in this order."""
 
     def add(function: F) -> F:
         for one in reversed(options):
@@ -81,7 +81,7 @@ wall_options = keyword_options(CommandSettings, "stiffness", "damping")
 
 
 def walls_options(stiffness: str, damping: str) -> Callable[[F], F]:
-    """The same of several walls: lists, which both mean alike; the texts say of what."""
+    """Return the same of several walls: lists, which both mean alike; the texts say of what."""
     return added(
         option("-K", "--stiffness", group=EXPERIMENT, metavar="K,…|FROM:TO[:N]", help=stiffness),
         option("-B", "--damping", group=EXPERIMENT, metavar="B,…|FROM:TO:N", help=damping),
@@ -129,7 +129,7 @@ cutoff_option = keyword_options(CommandSettings, "cutoff")
 
 
 def scheme_option(default: str, group: str = EXPERIMENT) -> Callable[[F], F]:
-    """Sampling schemes to compare, by `default` if none is given, and the cut-off of those that state none."""
+    """Return sampling schemes to compare, by `default` if none is given, and the cut-off of those that state none."""
     return added(
         option(
             "--scheme",
@@ -188,7 +188,7 @@ judge_option = option(
 
 
 def url_option(default: str) -> Callable[[F], F]:
-    """Which device; the text says what is done without one."""
+    """Return which device; the text says what is done without one."""
     return option(
         "--url",
         group=DEVICE,
@@ -233,7 +233,7 @@ def confirm_option(choices: tuple[str, ...], default: str) -> Callable[[F], F]:
 
 
 def output_option(default: str | None, help: str, *names: str) -> Callable[[F], F]:
-    """Directory, or file, of what the command makes."""
+    """Return the directory, or file, of what the command makes."""
     more: dict[str, Any] = {} if default is None else {"default": Path(default), "show_default": True}
     return option("-o", "--output", *names, group=RESULT, type=click.Path(path_type=Path), help=help, **more)
 
@@ -450,7 +450,7 @@ def key_values(texts: tuple[str, ...]) -> dict[str, Any]:
 
 
 def parse_rate(text: str) -> tuple[int, int]:
-    """Rates of an option ``--rate``, in Hz, as schemes have them."""
+    """Return rates of an option ``--rate``, in Hz, as schemes have them."""
     try:
         return parse_rates(text)
     except ConfigError as error:

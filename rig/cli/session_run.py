@@ -286,7 +286,7 @@ def show(directory: Path, with_log: bool, unblind: bool, as_json: bool) -> None:
 
 
 def _when(at_s: float) -> tuple[str, str]:
-    """Date and time of day here; in virtual time, which begins at 0, the time since then."""
+    """Return the date and time of day here; in virtual time, which begins at 0, the time since then."""
     if at_s < _VIRTUAL_S:
         whole = int(at_s)
         return "in the simulation's time", f"{whole // 3600:02d}:{whole // 60 % 60:02d}:{whole % 60:02d}"
@@ -341,7 +341,7 @@ def _is_interactive() -> bool:
 
 
 def _desk(person: Person | None, seen: Rehearsed, *, hand: str) -> DeskFor:
-    """The console, or the simulated person whose progress is shown."""
+    """Return the console, or the simulated person whose progress is shown."""
     return _console(hand) if person is None else rehearsal_desk(person, looks=seen.looks)
 
 

@@ -44,7 +44,7 @@ def show(
     as_json: bool,
 ) -> None:
     """Show what RECORDING holds: rig, wall, why it ended, verdict, losses, columns."""
-    opened = _opened(recording, every_column=marks)
+    opened = _open(recording, every_column=marks)
     if (facts := counts_facts(opened)) is not None:
         if xy or expected:
             refuse_counts(opened)
@@ -70,7 +70,7 @@ def show(
         raise error
 
 
-def _opened(path: Path, *, every_column: bool) -> Recording:
+def _open(path: Path, *, every_column: bool) -> Recording:
     """Open a recording with the columns that are judged and drawn, and a header that describes all of them."""
     needed = None if every_column else {*JUDGED, *DRAWN}
     return replace(open_recording(path, needed), header=open_facts(path).header)
@@ -140,7 +140,7 @@ def _mark_pairs(happened: list[Mark]) -> list[tuple[str, str]]:
 
 
 def _where(header: dict[str, Any]) -> str:
-    """Where the law ran, and what a device has made of the wall."""
+    """Return where the law ran, and what a device has made of the wall."""
     extra = header["extra"]
     if "wall" not in extra:
         return "the host"
@@ -151,7 +151,7 @@ def _where(header: dict[str, Any]) -> str:
 
 
 def _agreement(found: dict[str, Any]) -> str:
-    """How the device's current followed the law that this computer ran on the same samples."""
+    """Return how the device's current followed the law that this computer ran on the same samples."""
     return (
         f"{found['differing']} of {found['compared']} currents differ, by {found['greatest_quanta']} quanta at most"
         + (

@@ -78,7 +78,7 @@ def load(experiment: ExperimentLike, **settings: Unpack[WallSettings]) -> Experi
     ConfigError
         No such preset or file, no such setting, or values that cannot be: each with key, range and remedy.
     """
-    return _changed(experiment, changes_of(settings, WallSettings))
+    return _change(experiment, changes_of(settings, WallSettings))
 
 
 @takes(HitOptions, HitRequest)
@@ -106,7 +106,7 @@ def hit(
     RigError
         Whatever ended the hit early; the effort is zero, and `recording` of the error names what was recorded.
     """
-    given: dict[str, Any] = {"hands_off": _say, **options}
+    given: dict[str, Any] = {"hands_off": _print_message, **options}
     changes, loaded = changes_of(options, HitOptions), presets.load_named(experiment)
     repeats = changes.get("trial.repeats", loaded.trial.repeats)
     if repeats != 1:
@@ -115,10 +115,10 @@ def hit(
             remedy="give repeats=1, and call it in a loop; for several hits of one device, pass the "
             "open device",
         )
-    law, estimator = _own(given, changes)
+    law, estimator = _take_own_parts(given, changes)
     own = {one.name: given[one.name] for one in fields(HitRequest) if one.name in given}
     request = HitRequest(**{**own, "experiment": loaded, "changes": changes, "law": law})
-    with _registered(law, estimator):
+    with _register(law, estimator):
         (result,) = one_hit.hit(request, admit, watch)
     return result
 
@@ -160,11 +160,11 @@ def plan(
         An invalid request; a round trip that is not above zero.
     """
     changes = changes_of(settings, WallSettings)
-    own = _own({"law": law, "estimator": estimator}, changes)
-    with _registered(*own):
+    own = _take_own_parts({"law": law, "estimator": estimator}, changes)
+    with _register(*own):
         loaded = presets.load_named(experiment)
         linked = planning.is_linked(url, realtime=realtime, round_trip_s=round_trip_s)
-        planned = config.with_realtime(loaded, changes) if linked else _changed(loaded, changes)
+        planned = config.with_realtime(loaded, changes) if linked else _change(loaded, changes)
         config.check_plugins(planned, planned.rig.name)
         run = controller.prepare_controller(planned, law=own[0])
         return planning.plan_of(run, linked=linked, round_trip_s=round_trip_s)
@@ -200,13 +200,13 @@ def replay(
     """
     opened = recording if isinstance(recording, Recording) else open_recording(recording)
     changes = changes_of(settings, WallSettings)
-    own_law, own_estimator = _own({"law": law, "estimator": estimator}, changes)
+    own_law, own_estimator = _take_own_parts({"law": law, "estimator": estimator}, changes)
     recorded = opened.header["initial_state"]
     if changes.get("controller.estimator") == recorded["estimator"]["name"] and len(changes) == 1:
         changes = {}  # the recorded one: with the parameters that it had
     if own_law is not None and own_law.name != recorded["law"]["name"]:
         changes["wall.law"] = own_law.name
-    with _registered(own_law, own_estimator):
+    with _register(own_law, own_estimator):
         return replaying.replay(opened, changes, law=own_law)
 
 
@@ -244,11 +244,11 @@ def compare(
     """
     changes = changes_of(settings, WallSettings)
     refuse_unused(changes)
-    own = _own({"law": law, "estimator": estimator}, changes)
+    own = _take_own_parts({"law": law, "estimator": estimator}, changes)
     if own[0] is not None:
         changes["wall.law"] = own[0].name
-    with _registered(*own):
-        loaded = _changed(experiment, changes)
+    with _register(*own):
+        loaded = _change(experiment, changes)
         return comparing.compare(loaded, entries_of(loaded, schemes), offsets=offsets)
 
 
@@ -301,13 +301,13 @@ def zwidth(
         Ctrl-C; what is done stays in the directory.
     """
     changes = changes_of(settings, Settings)
-    own = _own({"law": law, "estimator": estimator}, changes)
+    own = _take_own_parts({"law": law, "estimator": estimator}, changes)
     if own[0] is not None:
         changes["wall.law"] = own[0].name
     if (scheduler, directory) != (None, None):
         _refuse_what_is_not_installed(*own)
-    with _registered(*own):
-        loaded = _held(experiment, changes)
+    with _register(*own):
+        loaded = _put_in_hand(experiment, changes)
         parsed = [Scheme.parse(scheme) if isinstance(scheme, str) else scheme for scheme in schemes]
         chosen = schemes_for(loaded, parsed, dampings)
         planned = hit_plan(
@@ -375,7 +375,7 @@ def design(
     StoppedError
         Ctrl-C; what is done stays in the directory.
     """
-    held = _held(experiment, changes_of(settings, Settings))
+    held = _put_in_hand(experiment, changes_of(settings, Settings))
     request = designing.DesignRequest(
         experiment=held,
         wishes=designing.Wishes(
@@ -391,25 +391,27 @@ def design(
     return designing.design(request, place, scheduler=scheduler, workers=workers, watch=watch)
 
 
-def _held(experiment: ExperimentLike, changes: dict[str, Any]) -> Experiment:
-    """An experiment with changes; a preset is in a simulated hand, unless they say who pushes."""
+def _put_in_hand(experiment: ExperimentLike, changes: dict[str, Any]) -> Experiment:
+    """Return an experiment with changes; a preset is in a simulated hand, unless they say who pushes."""
     built_in = isinstance(experiment, str) and experiment in presets.names()
     if built_in and not {"trial.kind", "trial.effort"} & set(changes):
         changes = changes | changes_of({"operator": "normal"}, Settings)
-    return _changed(experiment, changes)
+    return _change(experiment, changes)
 
 
-def _say(text: str) -> None:
+def _print_message(text: str) -> None:
     print(f"rig: {text}", file=sys.stderr)
 
 
-def _changed(experiment: ExperimentLike, changes: Mapping[str, Any]) -> Experiment:
+def _change(experiment: ExperimentLike, changes: Mapping[str, Any]) -> Experiment:
     loaded = presets.load_named(experiment)
     return config.override(loaded, changes, "the settings") if changes else loaded
 
 
-def _own(options: Mapping[str, Any], changes: dict[str, Any]) -> tuple[Law | None, Estimator | None]:
-    """A law and an estimator that are no names; names, and that of the estimator, are put into the changes."""
+def _take_own_parts(
+    options: Mapping[str, Any], changes: dict[str, Any]
+) -> tuple[Law | None, Estimator | None]:
+    """Return a law and an estimator that are no names; names, and that of the estimator, are put into the changes."""
     law, estimator = options.get("law"), options.get("estimator")
     if isinstance(law, str):
         changes["wall.law"], law = law, None
@@ -426,7 +428,7 @@ def _own(options: Mapping[str, Any], changes: dict[str, Any]) -> tuple[Law | Non
 
 
 @contextmanager
-def _registered(law: Law | None, estimator: Estimator | None) -> Iterator[None]:
+def _register(law: Law | None, estimator: Estimator | None) -> Iterator[None]:
     """Register a law and an estimator of the caller for a while, unless they are given by name."""
     with ExitStack() as stack:
         if law is not None:

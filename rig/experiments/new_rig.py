@@ -112,7 +112,7 @@ class NewRig(Shown):
     experiment: Experiment
 
     def brief(self) -> list[Item]:
-        """The rig in a few numbers."""
+        """Return the rig in a few numbers."""
         x = self.experiment
         return [
             x.headline(),
@@ -203,8 +203,8 @@ class _Draft:
             "# [chosen]      for a first hit",
         ]
         section = ""
-        for key in sorted(self.keys, key=lambda key: SECTIONS.index(_placed(key)[0])):
-            (value, source), (head, leaf) = self.keys[key], _placed(key)
+        for key in sorted(self.keys, key=lambda key: SECTIONS.index(_split_key(key)[0])):
+            (value, source), (head, leaf) = self.keys[key], _split_key(key)
             if head != section:
                 lines += ["", f"[{head}]"]
                 section = head
@@ -214,7 +214,7 @@ class _Draft:
         return "\n".join(lines) + "\n"
 
 
-def _placed(key: str) -> tuple[str, str]:
+def _split_key(key: str) -> tuple[str, str]:
     """Return the table and the key inside it."""
     parts = key.split(".")
     depth = 2 if parts[0] == "rig" and len(parts) > 2 else 1

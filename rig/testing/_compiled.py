@@ -16,7 +16,7 @@ _MARK = 12345
 
 
 def guarded(memory: NDArray[Any]) -> tuple[NDArray[Any], Callable[[], bool]]:
-    """A copy of a memory between marks, and whether they are untouched: compiled code checks no index."""
+    """Return a copy of a memory between marks, and whether they are untouched: compiled code checks no index."""
     whole = np.full(len(memory) + 2 * GUARD, _MARK, dtype=memory.dtype)
     inside = whole[GUARD : GUARD + len(memory)]
     inside[:] = memory
@@ -25,7 +25,7 @@ def guarded(memory: NDArray[Any]) -> tuple[NDArray[Any], Callable[[], bool]]:
 
 
 def allocations(run: Callable[[], object]) -> int:
-    """How often compiled code asks the heap for memory during a run, once for each array that it is given.
+    """Return how often compiled code asks the heap for memory during a run, once for each array that it is given.
 
     So the same count for more ticks says that a tick asks for none. 0 where nothing is compiled.
     """

@@ -126,7 +126,7 @@ def _energy_given(rows: NDArray[np.void], x: Experiment, current_quantum_a: floa
 
 
 def recording_of(subject: Subject) -> Recording:
-    """The recording of what an assert is given."""
+    """Return the recording of what an assert is given."""
     recorded = getattr(subject, "recorded", subject)
     recording = getattr(recorded, "recording", recorded)
     if not isinstance(recording, Recording):
@@ -184,7 +184,7 @@ def _value(recording: Recording, name: str, row: int) -> str:
 
 
 def _at(recording: Recording, rows: NDArray[np.void], row: int) -> str:
-    """Where a row lies: its tick, its time and its phase."""
+    """Return where a row lies: its tick, its time and its phase."""
     passed_ns = int(rows["device_time"][row] - recording.rows["device_time"][0])
     return f"in tick {rows['tick'][row]} ({duration(passed_ns)}, {phase_name(int(rows['phase'][row]))})"
 

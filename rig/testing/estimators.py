@@ -48,7 +48,7 @@ def velocities(
 
 
 def edge_ages(counts: Sequence[int], elapsed: Sequence[int], period_s: float) -> list[float]:
-    """Age of the last edge at each sample (s), as a handle gives it that moves evenly from cell to cell.
+    """Return the age of the last edge at each sample (s), as a handle gives it that moves evenly from cell to cell.
 
     From the middle of the cell of one sample to the middle of the next one's: the last of n edges lies half a
     count before the sample. The handle has been at rest for a second before the first.
@@ -226,7 +226,7 @@ def check_scale(make: Make) -> None:
 
 
 def _lively_counts() -> list[int]:
-    """A hit as an encoder sees it: approach, impact, ringing, with rounding."""
+    """Return a hit as an encoder sees it: approach, impact, ringing, with rounding."""
     t = np.arange(300) * PERIOD_S
     motion = np.where(t < 0.05, t * 1.2, 0.06 + 0.01 * np.exp(-(t - 0.05) / 0.02) * np.sin(600 * (t - 0.05)))
     return [int(c) for c in np.floor(motion / RESOLUTION_SI + 0.5)]

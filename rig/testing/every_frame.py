@@ -78,7 +78,7 @@ def _struck(hits: Hits) -> bool:
 
 
 def _faults(kind: FaultKind, direction: Direction, hits: Hits) -> Iterator[FrameFault]:
-    """A fault at each frame, as long as the run before had one there."""
+    """Yield a fault at each frame, as long as the run before had one there."""
     for frame in range(MOST_FRAMES):
         yield FrameFault(kind=kind, direction=direction, frame=frame, byte=frame, bit=frame % 8)
         if not _struck(hits):

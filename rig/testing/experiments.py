@@ -52,7 +52,7 @@ class Experiments:
         ConfigError
             Error of `rig.load` for an invalid source.
         """
-        experiment = self._loaded(self._default if source is None else source)
+        experiment = self._load(self._default if source is None else source)
         return config.override(experiment, changes, "the test") if changes else experiment
 
     def short(self, source: Source = None, changes: Mapping[str, Any] | None = None) -> Experiment:
@@ -64,7 +64,7 @@ class Experiments:
         at_its_start = {"rig.simulation.initial_position": experiment.trial.start}
         return config.with_realtime(experiment, {**at_its_start, **SHORT, **(changes or {})})
 
-    def _loaded(self, source: Experiment | str | PathLike[str]) -> Experiment:
+    def _load(self, source: Experiment | str | PathLike[str]) -> Experiment:
         if isinstance(source, Experiment):
             return source
         name = fspath(source)

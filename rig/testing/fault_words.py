@@ -101,7 +101,7 @@ def kind_of(word: str) -> FaultKind:
 
 
 def direction_of(to: str) -> Direction:
-    """A direction, by who receives; `ConfigError` for another."""
+    """Return a direction, by who receives; `ConfigError` for another."""
     if to not in DIRECTIONS:
         raise ConfigError(f"to = {to!r} is not a direction of frames", remedy="to='host' or to='device'")
     return DIRECTIONS[to]

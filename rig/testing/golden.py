@@ -83,7 +83,7 @@ class Golden:
 
 
 def difference(golden: Recording, today: Recording, tolerance: Mapping[str, float]) -> str:
-    """The first row that differs, with every column that differs there; empty where none does.
+    """Return the first row that differs, with every column that differs there; empty where none does.
 
     Raises `RecordingError` for a tolerance of a column that there is not.
     """
@@ -113,7 +113,7 @@ def difference(golden: Recording, today: Recording, tolerance: Mapping[str, floa
         if apart[name][first]:
             was, now = golden.rows[name][first].item(), today.rows[name][first].item()
             line = f"  {name}: {now!r} {golden.units[name]}, was {was!r} (by {written(now - was)}"
-            allowed = 0.0 if isinstance(was, int) else _allowed(golden, name, tolerance.get(name))
+            allowed = 0.0 if isinstance(was, int) else _allow(golden, name, tolerance.get(name))
             lines.append(f"{line}, allowed {written(allowed, 2)})")
     return "\n".join(lines)
 
@@ -124,11 +124,11 @@ def _apart(
     was, now = golden.column(name)[:rows], today.column(name)[:rows]
     if was.dtype.kind != "f" and tolerance is None:
         return np.asarray(was != now)
-    allowed = _allowed(golden, name, tolerance)
+    allowed = _allow(golden, name, tolerance)
     return np.asarray(~np.isclose(now, was, rtol=0.0, atol=allowed, equal_nan=True))
 
 
-def _allowed(golden: Recording, name: str, tolerance: float | None) -> float:
+def _allow(golden: Recording, name: str, tolerance: float | None) -> float:
     """Return how far a real column may be off: the given tolerance, else the rounding that all its ticks may add up."""
     if tolerance is not None:
         return tolerance

@@ -95,7 +95,7 @@ class Hit:
 
     @property
     def path(self) -> Path:
-        """Its file; see ``--rig-record`` for what becomes of it."""
+        """Return its file; see ``--rig-record`` for what becomes of it."""
         return self._left.path
 
     @property
@@ -132,7 +132,7 @@ class Rigs:
 
     @property
     def rig(self) -> FramedDevice:
-        """The one rig, opened on first use. Errors as `rig.open_device`."""
+        """Return the one rig, opened on first use. Errors as `rig.open_device`."""
         if self._rig is None:
             self._rig = devices.open_device(self.url)
         return self._rig
@@ -260,9 +260,9 @@ class Hits:
                     "a script of faults is given, but the device is already open",
                     remedy="let rig_hit open the device",
                 )
-            return _ended(request, request.device, may_end=may_end)
+            return _describe_end(request, request.device, may_end=may_end)
         with self._rigs.device(request.experiment, script) as device:
-            return _ended(replace(request, device=device), device, may_end=may_end)
+            return _describe_end(replace(request, device=device), device, may_end=may_end)
 
 
 def end_all(stopped: StoppedError) -> NoReturn:
@@ -270,7 +270,7 @@ def end_all(stopped: StoppedError) -> NoReturn:
     pytest.exit(str(stopped), returncode=stopped.exit_code)
 
 
-def _ended(request: HitRequest, device: FramedDevice, *, may_end: bool) -> Hit:
+def _describe_end(request: HitRequest, device: FramedDevice, *, may_end: bool) -> Hit:
     """Run a hit and watch how its device comes to rest. A person's stop ends the whole run of tests."""
     recorded, counters, error = None, {}, None
     try:
@@ -291,12 +291,12 @@ def _ended(request: HitRequest, device: FramedDevice, *, may_end: bool) -> Hit:
         recorded=recorded,
         counters=counters,
         error=error,
-        rest=_watched(cast("WatchedLink", link)) if link.clock.virtual else _asked(device),
+        rest=_watch(cast("WatchedLink", link)) if link.clock.virtual else _read_state(device),
         struck=getattr(link, "struck", 0),
     )
 
 
-def _watched(link: WatchedLink) -> DeviceAfterwards:
+def _watch(link: WatchedLink) -> DeviceAfterwards:
     """Let time pass until the current is zero, and after that long enough for the watchdog of an armed device."""
     steps = 0
     while link.current != 0 and steps * STEP_S < WATCH_S:
@@ -307,7 +307,7 @@ def _watched(link: WatchedLink) -> DeviceAfterwards:
     return DeviceAfterwards(None if link.current else steps * STEP_S, link.armed)
 
 
-def _asked(device: FramedDevice) -> DeviceAfterwards | None:
+def _read_state(device: FramedDevice) -> DeviceAfterwards | None:
     """Read the STATE that an unarmed device sends on its own; return None if none arrives."""
     began_ns = device.link.clock.now_ns()
     rest: DeviceAfterwards | None = None

@@ -46,7 +46,7 @@ def reactions(
         Settings of the wall, as ``stiffness=300.0``, and ``tick_s``.
     """
     depth = np.ascontiguousarray(penetration, dtype=np.float64)
-    return _run(_prepared(law, wall), depth, np.broadcast_to(velocity, depth.shape).astype(np.float64))
+    return _run(_prepare(law, wall), depth, np.broadcast_to(velocity, depth.shape).astype(np.float64))
 
 
 def check_law(
@@ -83,7 +83,7 @@ def check_law(
 
 def check_memory(law: Law | str, wall: Mapping[str, Any]) -> None:
     """Memory and parameters are flat and finite, memory begins at zero, and a run keeps to it and takes no other."""
-    fresh = _prepared(law, wall)
+    fresh = _prepare(law, wall)
     for array in (fresh.parameters, fresh.state):
         assert array.dtype == "float64", "wrong type of array"
         assert array.ndim == 1, "not a flat array"
@@ -104,12 +104,12 @@ def check_memory(law: Law | str, wall: Mapping[str, Any]) -> None:
 
 def check_restart(law: Law | str, wall: Mapping[str, Any]) -> None:
     """The same motion gives the same bits: from a zeroed memory, and beside another law of its kind."""
-    one, depth, speed = _prepared(law, wall), *_motion()
+    one, depth, speed = _prepare(law, wall), *_motion()
     fresh = _run(one, depth, speed)
     one.state[:] = 0.0
     assert (_run(one, depth, speed) == fresh).all(), "a restart differs from a fresh law"
     one.state[:] = 0.0
-    two, both = _prepared(law, wall), np.empty(len(depth))
+    two, both = _prepare(law, wall), np.empty(len(depth))
     for k in range(len(depth)):
         both[k] = _run(one, depth[k : k + 1], speed[k : k + 1])[0]
         _run(two, depth[k : k + 1], -speed[k : k + 1])
@@ -118,12 +118,12 @@ def check_restart(law: Law | str, wall: Mapping[str, Any]) -> None:
 
 def check_one_by_one(law: Law | str, wall: Mapping[str, Any]) -> None:
     """Called by itself it answers as it does inside a compiled loop."""
-    one, depth, speed = _prepared(law, wall), *_motion()
+    one, depth, speed = _prepare(law, wall), *_motion()
     alone = [
         one.law.function(float(d), float(v), 1, one.state, one.parameters)
         for d, v in zip(depth, speed, strict=True)
     ]
-    assert alone == _run(_prepared(law, wall), depth, speed).tolist(), "differs inside a compiled loop"
+    assert alone == _run(_prepare(law, wall), depth, speed).tolist(), "differs inside a compiled loop"
 
 
 def check_finite(law: Law | str, wall: Mapping[str, Any]) -> None:
@@ -132,7 +132,7 @@ def check_finite(law: Law | str, wall: Mapping[str, Any]) -> None:
     values = np.array([sign * value for value in EXTREMES for sign in (-1.0, 1.0)])
     depth, speed = random.choice(values, TICKS), random.choice(values, TICKS)
     elapsed = random.integers(1, 5000, TICKS)
-    found = arrays.run(_prepared(law, wall), depth, speed, elapsed)
+    found = arrays.run(_prepare(law, wall), depth, speed, elapsed)
     assert np.isfinite(found).all(), _where(
         "gives a reaction that is not finite", ~np.isfinite(found), depth, speed
     )
@@ -142,7 +142,7 @@ def check_outside(law: Law | str, wall: Mapping[str, Any]) -> None:
     """In free space nothing acts, before a contact and after it."""
     depth, speed = _motion()
     outside = np.concatenate([-depth, depth, -depth])
-    found = _run(_prepared(law, wall), outside, np.concatenate([speed, speed, -speed]))
+    found = _run(_prepare(law, wall), outside, np.concatenate([speed, speed, -speed]))
     acts = (outside <= 0.0) & (found != 0.0)
     assert not acts.any(), _where("acts outside of the wall", acts, outside, found)
 
@@ -150,7 +150,7 @@ def check_outside(law: Law | str, wall: Mapping[str, Any]) -> None:
 def check_at_rest(law: Law | str, wall: Mapping[str, Any]) -> None:
     """A handle at rest inside the wall is not pulled in."""
     depth = np.linspace(0.0, DEPTH, TICKS)
-    found = _run(_prepared(law, wall), depth, np.zeros(TICKS))
+    found = _run(_prepare(law, wall), depth, np.zeros(TICKS))
     assert (found >= 0.0).all(), _where("pulls a handle at rest into the wall", found < 0.0, depth, found)
 
 
@@ -163,7 +163,7 @@ def check_passive(law: Law | str, wall: Mapping[str, Any]) -> None:
         tick_s = slower * TICK_S
         depth = DEPTH * _CYCLE
         speed = np.gradient(depth, tick_s)
-        found = _run(_prepared(law, {**wall, "tick_s": tick_s}), depth, speed)
+        found = _run(_prepare(law, {**wall, "tick_s": tick_s}), depth, speed)
         work = 0.5 * (found[1:] + found[:-1]) * np.diff(depth)
         given = -float(work.sum())
         assert given <= 1e-9 * float(np.abs(work).sum()), (
@@ -172,7 +172,7 @@ def check_passive(law: Law | str, wall: Mapping[str, Any]) -> None:
         )
 
 
-def _prepared(law: Law | str, wall: Mapping[str, Any]) -> PreparedLaw:
+def _prepare(law: Law | str, wall: Mapping[str, Any]) -> PreparedLaw:
     known = laws.get(law) if isinstance(law, str) else law
     return known.prepare({**WALL, "tick_s": TICK_S, **wall})
 
@@ -182,7 +182,7 @@ def _run(prepared: PreparedLaw, depth: Floats, speed: Floats) -> Floats:
 
 
 def _motion() -> tuple[Floats, Floats]:
-    """A contact with ringing, deep and shallow, in and out."""
+    """Return a contact with ringing, deep and shallow, in and out."""
     time = np.linspace(0.0, 1.0, TICKS)
     depth = DEPTH * (np.sin(3.0 * np.pi * time) + 0.2 * np.sin(40.0 * np.pi * time))
     return depth, SPEED * np.cos(40.0 * np.pi * time)

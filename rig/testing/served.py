@@ -68,12 +68,12 @@ class SerialRig:
         deadline = time.monotonic() + PATIENCE_S
         while True:
             try:
-                return self._asked()
+                return self._read_state()
             except LinkLostError:
                 if time.monotonic() > deadline:
                     raise
 
-    def _asked(self) -> Did:
+    def _read_state(self) -> Did:
         with devices.open_device(self.url) as device:
             states = device.states(LOOK_S)
             if not states:

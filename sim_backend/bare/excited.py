@@ -118,7 +118,7 @@ class ExcitedPlant:
 
     @property
     def inner_rate_hz(self) -> float:
-        """Inner steps of the plant in a second (Hz)."""
+        """Return inner steps of the plant in a second (Hz)."""
         return self._ratio / self._tick_s
 
     def _divisor(self, acquisition_hz: float) -> int:

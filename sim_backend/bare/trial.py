@@ -44,7 +44,7 @@ class Trace(NamedTuple):
 
     @classmethod
     def empty(cls, ticks: int, plant: DiscretePlant) -> Trace:
-        """Room for as many ticks of a plant."""
+        """Return the room for as many ticks of a plant."""
         states = np.zeros((ticks, len(plant.at_rest(0.0))))
         return cls(states=states, **{name: np.zeros(ticks, np.int64) for name in cls._fields[1:]})
 
@@ -170,7 +170,7 @@ def run_arguments(
     script: OperatorScript,
     ages: NDArray[np.int64] = IN_TIME,
 ) -> tuple[ControllerArguments, PlantArguments, OperatorScript, NDArray[np.int64], float, int, int]:
-    """Arguments of `run_ticks` before the trace, in its order."""
+    """Return arguments of `run_ticks` before the trace, in its order."""
     tick_units = round(plant.tick_s * UNITS_PER_SECOND)
     return (
         controller.arguments(),

@@ -203,12 +203,12 @@ class SimulatedDevice:
 
     @property
     def elapsed_ns(self) -> int:
-        """Simulated time since this object was made, over all resets (ns)."""
+        """Return the simulated time since this object was made, over all resets (ns)."""
         return self._epoch_ns + self.time_ns
 
     @property
     def next_tick_ns(self) -> int:
-        """When the next sample is due, on the scale of `elapsed_ns` (ns)."""
+        """Return when the next sample is due, on the scale of `elapsed_ns` (ns)."""
         return self._epoch_ns + int(self.board.words[DUE]) * _NS_NUMERATOR // _NS_DENOMINATOR
 
     @property
@@ -218,7 +218,7 @@ class SimulatedDevice:
 
     @property
     def current(self) -> int:
-        """Active current, after all limits (quanta)."""
+        """Return the active current, after all limits (quanta)."""
         return int(self._safety.rules[AT.current])
 
     # ------------------------------------------------------------------ the tick
@@ -230,7 +230,7 @@ class SimulatedDevice:
         board, words, hardware = self.board, self.board.words, self.hardware
         current = drive(board)
         if words[OWN.found] or words[CUTS]:
-            self._heed()
+            self._act_on_findings()
         hardware.advance(current)
         hardware.sense(words)
         words[COUNT], words[MEASURED] = hardware.count, hardware.measured
@@ -238,7 +238,7 @@ class SimulatedDevice:
         words[EDGE_AGE] = round(min(hardware.edge_age_s * UNITS_PER_SECOND, words[DUE]))
         sample(board)
         if words[OWN.found]:
-            self._heed()
+            self._act_on_findings()
         if self._truth is not None and words[SESSION]:
             hardware.log(self._truth, words[SAMPLE_INDEX])
         return self.connection.send(m.State(*board.state)) if report(board) else b""
@@ -261,7 +261,7 @@ class SimulatedDevice:
         self.tick()
         self.missed_ticks += 1
 
-    def _heed(self) -> None:
+    def _act_on_findings(self) -> None:
         """Do what a part of a tick, or a command, asks for: enter FAULT, or pull the amplifier's enable low."""
         if self.board.words[OWN.found]:
             self._latch(self.board.words[OWN.found])
@@ -289,12 +289,12 @@ class SimulatedDevice:
         """
         self._received_at = self.time if received_at is None else received_at
         *whole, rest = data.split(b"\0")
-        answers = b"".join([self._hear_frame(frame + b"\0") for frame in whole])
+        answers = b"".join([self._handle_frame(frame + b"\0") for frame in whole])
         self.connection.receive_data(rest)
         self._note_protocol()
         return answers
 
-    def _hear_frame(self, frame: bytes) -> bytes:
+    def _handle_frame(self, frame: bytes) -> bytes:
         """Take one frame and answer it before the next is looked at, as a board does: its counters are then right."""
         connection = self.connection
         connection.receive_data(frame)
@@ -350,7 +350,7 @@ class SimulatedDevice:
         }
 
     def _ack(self, event: Received, status: Status, detail: int = 0) -> m.Ack:
-        """ACK that names the first tick which sees the change, and the active parameters."""
+        """Return ACK that names the first tick which sees the change, and the active parameters."""
         crc = self._configuration.crc if isinstance(event.message, m.SetCommit | m.Arm) else 0
         return event.ack(status, detail=detail, sample_index=(self.sample_index + 1) & _U32, crc=crc)
 
@@ -441,7 +441,7 @@ class SimulatedDevice:
 
     @property
     def fault(self) -> Fault:
-        """The fault that is latched, or NONE."""
+        """Return the fault that is latched, or NONE."""
         return self._faults.latched
 
     def press_emergency_stop(self, pressed: bool = True) -> None:

@@ -86,7 +86,7 @@ class Core:
 
     @property
     def status(self) -> HostStatus:
-        """Where it is, and what it did to its hardware."""
+        """Return where it is, and what it did to its hardware."""
         status = HostStatus()
         self.library.host_status(self.address, ctypes.byref(status))
         return status
@@ -188,12 +188,12 @@ class FirmwareDevice:
 
     @property
     def elapsed_ns(self) -> int:
-        """Simulated time since this object was made, over all resets (ns)."""
+        """Return the simulated time since this object was made, over all resets (ns)."""
         return self._epoch_ns + self.time_ns
 
     @property
     def next_tick_ns(self) -> int:
-        """When the next sample is due, on the scale of `elapsed_ns` (ns)."""
+        """Return when the next sample is due, on the scale of `elapsed_ns` (ns)."""
         return self._epoch_ns + int(self._seen.due) * _NS_NUMERATOR // _NS_DENOMINATOR
 
     @property
@@ -203,12 +203,12 @@ class FirmwareDevice:
 
     @property
     def current(self) -> int:
-        """Active current, after all limits (quanta)."""
+        """Return the active current, after all limits (quanta)."""
         return int(self._seen.current)
 
     @property
     def sample_index(self) -> int:
-        """Number of the last sample, modulo 2³²."""
+        """Return the number of the last sample, modulo 2³²."""
         return int(self._seen.sample_index)
 
     @property
@@ -218,12 +218,12 @@ class FirmwareDevice:
 
     @property
     def session(self) -> int:
-        """Number of the session, 0 without one."""
+        """Return the number of the session, 0 without one."""
         return int(self._seen.session)
 
     @property
     def fault(self) -> Fault:
-        """The fault that is latched, or NONE."""
+        """Return the fault that is latched, or NONE."""
         return Fault(self._seen.fault)
 
     @property

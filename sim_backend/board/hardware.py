@@ -200,7 +200,7 @@ class Hardware:
 
     @property
     def most_ticks(self) -> int:
-        """Ticks until a driven hand has to be asked again, or noise to be drawn."""
+        """Return ticks until a driven hand has to be asked again, or noise to be drawn."""
         hand = len(self._script.rows) - self._row if self._hand_driven else NO_END
         return min(hand, self._noise.left or NO_END)
 
@@ -248,12 +248,12 @@ class Hardware:
 
     @property
     def effort(self) -> float:
-        """Motor effort at the last sample, behind the amplifier's lag (N·m or N)."""
+        """Return the motor effort at the last sample, behind the amplifier's lag (N·m or N)."""
         return self._state.item(self._plant.effort)
 
     @property
     def edge_age_s(self) -> float:
-        """Age of the last encoder edge at the last sample (s); ∞ before the first edge."""
+        """Return the age of the last encoder edge at the last sample (s); ∞ before the first edge."""
         return self._state.item(self._plant.edge_age)
 
     def cut(self) -> None:
@@ -274,7 +274,7 @@ class Hardware:
 
 
 def marks_of(model: RigModel) -> dict[str, int]:
-    """Where index and limit switch are, in true counts: fields of `Wires`.
+    """Return where index and limit switch are, in true counts: fields of `Wires`.
 
     The switch closes half the way between two indices before the first one, which is where it should be mounted.
     """

@@ -107,7 +107,7 @@ _ZERO_UNIT = 256
 
 
 def flat(kind: type, size: int) -> Any:
-    """Zeros, as a view of their memory: Python reads and writes its numbers faster than those of an array."""
+    """Return zeros, as a view of their memory: Python reads and writes its numbers faster than those of an array."""
     return memoryview(np.zeros(size, kind))  # type: ignore[arg-type]
 
 
@@ -387,7 +387,7 @@ class FaultMemory:
 
     @property
     def latched(self) -> Fault:
-        """First fault since the last clear, or NONE."""
+        """Return the first fault since the last clear, or NONE."""
         return Fault(self._rules[AT.fault])
 
     def latch(self, faults: int, time: int) -> None:

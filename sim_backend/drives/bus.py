@@ -37,7 +37,7 @@ class DriveModel(Protocol):
 
     @property
     def next_due(self) -> int | None:
-        """When it will send a frame by itself (ticks)."""
+        """Return when it will send a frame by itself (ticks)."""
         ...
 
     def run(self, until: int) -> list[Frame]:
@@ -62,7 +62,7 @@ class Splitter(Protocol):
     """Cuts bytes into units: a line, a frame."""
 
     def split(self, data: bytes) -> list[bytes]:
-        """Whole units of what has come; the rest waits."""
+        """Return whole units of what has come; the rest waits."""
         ...
 
 
@@ -74,9 +74,9 @@ class SimulatedAdapter(Protocol):
         ...
 
     def open(self, unit: bytes) -> tuple[Frame | None, list[bytes]]:
-        """The frame in a unit of the host, and the adapter's own answers to it."""
+        """Return the frame in a unit of the host, and the adapter's own answers to it."""
         ...
 
     def close(self, frame: Frame) -> list[bytes]:
-        """Units that carry a frame to the host."""
+        """Return units that carry a frame to the host."""
         ...

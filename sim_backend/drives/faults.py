@@ -44,7 +44,7 @@ class DriveScript:
     events: tuple[DriveEvent, ...] = ()
 
     def on_a_can_bus(self) -> DriveScript:
-        """The same where a frame that is damaged on its way fails its CRC, and no controller passes it on."""
+        """Return the same where a frame that is damaged on its way fails its CRC, and no controller passes it on."""
         damaged = (FaultKind.CORRUPT, FaultKind.TRUNCATE)
         frames = (
             replace(fault, kind=FaultKind.DROP) if fault.kind in damaged else fault for fault in self.frames

@@ -30,7 +30,7 @@ _CRC = _table()
 
 
 def checksum(text: bytes) -> int:
-    """CRC-8 over what stands before the star, the space included."""
+    """Return CRC-8 over what stands before the star, the space included."""
     crc = 0
     for byte in text:
         crc = _CRC[crc ^ byte]
@@ -53,7 +53,7 @@ class LineSplitter:
         self._rest = b""
 
     def split(self, data: bytes) -> list[bytes]:
-        """Whole lines, each with a line feed."""
+        """Return whole lines, each with a line feed."""
         *lines, self._rest = (self._rest + data).replace(b"\r", b"\n").split(b"\n")
         if len(self._rest) > LONGEST_LINE:
             self._rest = b""
@@ -82,11 +82,11 @@ class Uart:
         try:
             frame = self._frame(unit.rstrip())
         except _RefusedError as refused:
-            return None, self._say(b"ERR " + refused.args[0])
-        return frame, self._say(b"OK") if frame is not None else []
+            return None, self._format_answer(b"ERR " + refused.args[0])
+        return frame, self._format_answer(b"OK") if frame is not None else []
 
     def _frame(self, line: bytes) -> Frame | None:
-        line = self._unsealed(line)
+        line = self._remove_checksum(line)
         if not line.startswith(_SEND):
             raise _RefusedError(b"unknown command")
         word, space, rest = line.removeprefix(_SEND).partition(b" ")
@@ -107,9 +107,9 @@ class Uart:
     def close(self, frame: Frame) -> list[bytes]:
         """Say a frame in a line."""
         identifier = self._prefix << 16 | frame.identifier
-        return self._say(b"rcv %08x %b" % (identifier, frame.data.hex().encode()))
+        return self._format_answer(b"rcv %08x %b" % (identifier, frame.data.hex().encode()))
 
-    def _unsealed(self, line: bytes) -> bytes:
+    def _remove_checksum(self, line: bytes) -> bytes:
         """Return a line without its checksum, which may be missing until a first line has had one."""
         text, star, digits = line.rpartition(b"*")
         claimed = _hex(digits) if star and len(digits) == 2 else None
@@ -121,7 +121,7 @@ class Uart:
         self._checked = True
         return text.rstrip(b" ")
 
-    def _say(self, text: bytes) -> list[bytes]:
+    def _format_answer(self, text: bytes) -> list[bytes]:
         return [(seal(text) if self._checked else text) + b"\r\n"]
 
 

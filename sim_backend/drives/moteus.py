@@ -143,7 +143,7 @@ class SimulatedMoteus:
             **{0x120 + i: _to_signed(word) for i, word in enumerate(options.serial)},
             **{0x150 + i: _to_signed(word) for i, word in enumerate((*options.serial, 0x5349_4D00))},
         }
-        self._others = self._computed()
+        self._others = self._list_computed()
         self.power_up()
 
     def power_up(self) -> None:
@@ -195,7 +195,9 @@ class SimulatedMoteus:
     def _second_master(self, torque: float) -> list[Frame]:
         command = {**registers.fresh_command(), registers.POSITION_REGISTER: math.nan, 0x022: torque}
         self._obey({**command, 0x023: 0.0, 0x024: 0.0, 0x02B: 0.0}, POSITION)
-        return [Frame(self._id << 8 | OTHER_MASTER, self._asked(ReadRegisters(registers.MODE, 1, FLOAT)))]
+        return [
+            Frame(self._id << 8 | OTHER_MASTER, self._read_registers(ReadRegisters(registers.MODE, 1, FLOAT)))
+        ]
 
     # ------------------------------------------------------------------ frames
 
@@ -218,11 +220,11 @@ class SimulatedMoteus:
                 if registers.NOT_MEANT in self._writes:
                     return []
             elif isinstance(part, ReadRegisters):
-                answer += self._asked(part)
+                answer += self._read_registers(part)
             elif isinstance(part, StreamData):
                 answer += self._receive_console(part, wanted)
             elif wanted:
-                answer += self._polled(part)
+                answer += self._answer_poll(part)
         # The mode must be written first; a frame without it commands nothing.
         if registers.MODE in self._writes:
             self._obey(self._writes, self._writes[registers.MODE])
@@ -249,7 +251,7 @@ class SimulatedMoteus:
                 self._writes[register] = value
         return refused
 
-    def _asked(self, part: ReadRegisters) -> bytes:
+    def _read_registers(self, part: ReadRegisters) -> bytes:
         words = self._words.tolist()
         values: list[float] = []
         for register in range(part.first, part.first + part.number):
@@ -269,8 +271,8 @@ class SimulatedMoteus:
         value, steps = other[0](words), other[1]
         return value if kind == FLOAT else unscale(value, kind, steps)
 
-    def _computed(self) -> dict[int, tuple[Callable[[list[float]], float], Steps]]:
-        """Registers that follow from several words, or that this drive has nothing to say about."""
+    def _list_computed(self) -> dict[int, tuple[Callable[[list[float]], float], Steps]]:
+        """Return registers that follow from several words, or that this drive has nothing to say about."""
 
         def turns(w: list[float]) -> float:
             rotor = w[W.filtered] / w[W.counts_per_turn]
@@ -307,30 +309,36 @@ class SimulatedMoteus:
         if not wanted:
             return b""
         return (
-            bytes((SERVER_TO_CLIENT,)) + varuint(part.channel) + self._sized(self._console.say(STREAM_BYTES))
+            bytes((SERVER_TO_CLIENT,))
+            + varuint(part.channel)
+            + self._prefix_size(self._console.say(STREAM_BYTES))
         )
 
-    def _polled(self, part: StreamPoll) -> bytes:
+    def _answer_poll(self, part: StreamPoll) -> bytes:
         if part.channel != CONSOLE_CHANNEL:
             return b""
         most = min(part.most, STREAM_BYTES)
         if part.acknowledged is None:
-            return bytes((SERVER_TO_CLIENT,)) + varuint(part.channel) + self._sized(self._console.say(most))
+            return (
+                bytes((SERVER_TO_CLIENT,))
+                + varuint(part.channel)
+                + self._prefix_size(self._console.say(most))
+            )
         # An unacknowledged packet is repeated unchanged: the poll or its answer was lost.
         if part.acknowledged == self._packet:
             self._sent = self._console.say(most)
             self._packet = (self._packet + 1) & 0xFF
         head = bytes((NUMBERED_REPLY,)) + varuint(part.channel) + bytes((self._packet,))
-        return head + self._sized(self._sent)
+        return head + self._prefix_size(self._sent)
 
     @staticmethod
-    def _sized(data: bytes) -> bytes:
+    def _prefix_size(data: bytes) -> bytes:
         return varuint(len(data)) + data
 
     # ------------------------------------------------------------------ commands
 
     def _order(self, words: list[str]) -> bool:
-        """A command at the console (docs/protocol/diagnostic.md, `d`): no watchdog unless it is given one."""
+        """Run a command of the console (docs/protocol/diagnostic.md, `d`), without a watchdog unless it has one."""
         kind, *rest = words
         if kind == "stop":
             self._obey(registers.fresh_command(), STOPPED)
@@ -471,5 +479,5 @@ _FOLLOWED: dict[int, str] = {
 
 
 def _to_signed(word: int) -> int:
-    """A word of 32 bits as int32."""
+    """Return a word of 32 bits as int32."""
     return (word & 0xFFFFFFFF ^ 0x80000000) - 0x80000000

@@ -191,7 +191,7 @@ def _start(w: Words) -> None:
 
 
 @kernel(types.void(_V), no_refcount=True)
-def _heed_faults(w: Words) -> None:
+def _check_faults(w: Words) -> None:
     if w[W.mode] in (STOPPED, FAULT):
         return
     if w[W.struck] != 0.0:
@@ -209,7 +209,7 @@ def _heed_faults(w: Words) -> None:
 
 @kernel(_F(_F, _F, _F, _F, _F), no_refcount=True)
 def _acceleration(dx: float, velocity: float, goal: float, accel: float, top: float) -> float:
-    """Towards a moving target as fast as both limits allow, and no faster than it can stop there."""
+    """Return the acceleration towards a moving target: as fast as the limits allow, and stoppable there."""
     # Trajectory of fw/bldc_servo_position.h; `ahead` is the speed one cycle later, which must still be stoppable.
     if abs(velocity) > top:
         return math.copysign(accel, -velocity)
@@ -294,7 +294,7 @@ def _regulate(w: Words, kp_scale: float, kd_scale: float, ilimit_scale: float, f
 
 
 @kernel(_F(_V, _F, _F), no_refcount=True)
-def _limited(w: Words, torque: float, most: float) -> float:
+def _limit_torque(w: Words, torque: float, most: float) -> float:
     """Torque after the limits of command, position bounds, velocity and current; each says so by its code."""
     if abs(torque) > most:  # NaN: no limit
         torque = math.copysign(most, torque)
@@ -324,16 +324,16 @@ def _limited(w: Words, torque: float, most: float) -> float:
 def _damp(w: Words) -> float:
     """Zero velocity: the derivative term alone, with the time-out's torque."""
     w[W.control_position], w[W.control_velocity] = w[W.position], 0.0
-    return _limited(w, _regulate(w, 0.0, w[W.kd_scale], 0.0, 0.0), w[W.timeout_max_torque])
+    return _limit_torque(w, _regulate(w, 0.0, w[W.kd_scale], 0.0, 0.0), w[W.timeout_max_torque])
 
 
 @kernel(_F(_V), no_refcount=True)
-def _out_of_time(w: Words) -> float:
-    """The time-out's way, by `servo.timeout_mode`: what it does not know is as stopped."""
+def _time_out(w: Words) -> float:
+    """Return the torque of a time-out, by `servo.timeout_mode`; an unknown mode is as stopped (N·m)."""
     way = w[W.timeout_mode]
     if way == POSITION:
         _follow(w, math.nan, 0.0, w[W.default_velocity_limit], w[W.default_accel_limit])
-        return _limited(w, _regulate(w, 1.0, 1.0, 1.0, 0.0), math.nan)
+        return _limit_torque(w, _regulate(w, 1.0, 1.0, 1.0, 0.0), math.nan)
     if way == ZERO_VELOCITY:
         return _damp(w)
     if way == BRAKE:
@@ -343,7 +343,7 @@ def _out_of_time(w: Words) -> float:
 
 @kernel(_F(_V), no_refcount=True)
 def _stay_within(w: Words) -> float:
-    """Inside the bounds feed-forward alone; outside the controller around the bound that is violated."""
+    """Return feed-forward alone inside the bounds, else the controller around the violated bound (N·m)."""
     # docs/protocol/registers.md, 0x040 and 0x041, and ISR_DoStayWithinBounds (fw/bldc_servo_control.h): no clamp, no
     # trajectory, feed-forward on both sides, the limit of the command last. The scales are not limited, as in fw/pid.h;
     # the page claims a limit for kd's (0x024).
@@ -361,26 +361,26 @@ def _stay_within(w: Words) -> float:
     torque = _regulate(
         w, share * w[W.kp_scale], share * w[W.kd_scale], share * w[W.ilimit_scale], w[W.feedforward]
     )
-    return _limited(w, torque, w[W.max_torque])
+    return _limit_torque(w, torque, w[W.max_torque])
 
 
 @kernel(_F(_V), no_refcount=True)
 def _work(w: Words) -> float:
-    """Torque at the output that the mode asks for (N·m)."""
+    """Return the torque at the output that the mode asks for (N·m)."""
     mode = w[W.mode]
     torque = 0.0
     if mode == POSITION:
         _follow(w, w[W.command_position], w[W.command_velocity], w[W.velocity_limit], w[W.accel_limit])
         torque = _regulate(w, w[W.kp_scale], w[W.kd_scale], w[W.ilimit_scale], w[W.feedforward])
-        torque = _limited(w, torque, w[W.max_torque])
+        torque = _limit_torque(w, torque, w[W.max_torque])
     elif mode == STAY_WITHIN:
         torque = _stay_within(w)
     elif mode == TIMEOUT:
-        torque = _out_of_time(w)
+        torque = _time_out(w)
     elif mode == ZERO_VELOCITY:
         torque = _damp(w)
     elif mode == CURRENT:
-        torque = _limited(w, w[W.q_command] * w[W.torque_constant] / w[W.rotor_to_output], math.nan)
+        torque = _limit_torque(w, w[W.q_command] * w[W.torque_constant] / w[W.rotor_to_output], math.nan)
     elif mode == BRAKE:
         torque = -w[W.brake_damping] * w[W.velocity]
     return float(torque)
@@ -388,7 +388,7 @@ def _work(w: Words) -> float:
 
 @kernel(LAW, no_refcount=True)
 def law(w: Words, count: int, measured: float) -> float:
-    """One control cycle: encoder count and torque at the shaft (N·m) in, torque wanted there out."""
+    """Run one control cycle: encoder count and torque at the shaft (N·m) in, torque wanted there out."""
     if w[W.source_valid] != 0.0:
         _filter(w, count)
     # Torque at the output as the drive estimates it, from the true torque at the shaft.
@@ -400,7 +400,7 @@ def law(w: Words, count: int, measured: float) -> float:
     if w[W.command] != w[W.mode]:
         _change_mode(w)
     _start(w)
-    _heed_faults(w)
+    _check_faults(w)
     if w[W.mode] in (POSITION, STAY_WITHIN) and w[W.timeout_left] <= 0.0:  # NaN: no time-out
         w[W.mode] = TIMEOUT
         w[W.control_position] = math.nan

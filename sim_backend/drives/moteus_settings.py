@@ -19,7 +19,7 @@ TORQUE_TIMES_KV = 1.5 / math.sqrt(3.0) * 60.0 / (2.0 * math.pi)
 
 
 def defaults(counts_per_turn: int, torque_constant: float) -> dict[str, Value]:
-    """Configuration of a drive on an encoder and a motor (N·m/A at the shaft), calibrated.
+    """Return the configuration of a drive on an encoder and a motor (N·m/A at the shaft), calibrated.
 
     An encoder of 2¹⁴ counts is the board's own; another one is a quadrature encoder on aux1. A sign that is changed
     counts as calibrated anew: a positive torque turns towards greater positions.
@@ -130,7 +130,7 @@ class MoteusSettings:
 
 
 def format_value(value: Value) -> str:
-    """A value as the console prints it."""
+    """Return a value as the console prints it."""
     return str(value) if isinstance(value, int) else f"{value:f}"
 
 

@@ -204,17 +204,17 @@ class Motor:
 
     @property
     def turns(self) -> float:
-        """True position of the shaft (revolutions from the model's zero), in the encoder's direction."""
+        """Return the true position of the shaft (revolutions from the model's zero), in the encoder's direction."""
         sensed = self._state.item(self._plant.sensed_position)
         encoder = self._model.encoder
         return encoder.sign * sensed * encoder.ratio / (2.0 * math.pi)
 
     @property
     def count(self) -> int:
-        """Encoder count at the last tick."""
+        """Return the encoder count at the last tick."""
         return self._places.item(COUNT) + self._places.item(SLIP)
 
     @property
     def torque(self) -> float:
-        """Torque at the shaft, behind the amplifier's lag (N·m)."""
+        """Return the torque at the shaft, behind the amplifier's lag (N·m)."""
         return self._state.item(self._plant.effort) / self.effort_per_torque

@@ -77,7 +77,7 @@ class _Reader:
                 return value
 
     def numbers(self, kind: int, count: int) -> tuple[float, ...]:
-        """So many of a kind; as many as are there where the frame ends too soon."""
+        """Read numbers of a kind; fewer than `count` where the frame ends too soon."""
         letter, size = _FORMS[kind]
         count = min(count, self.left // size)
         values = struct.unpack_from(f"<{count}{letter}", self._data, self._place)
@@ -123,7 +123,7 @@ def _registers(reader: _Reader, head: int) -> WriteRegisters | ReadRegisters:
 
 
 def varuint(value: int) -> bytes:
-    """Seven bits a byte, the least first; the highest bit says that more follow."""
+    """Encode a number with seven bits a byte, the least first; the highest bit means that more follow."""
     out = bytearray()
     while value > 0x7F:
         out.append(value & 0x7F | 0x80)
@@ -133,14 +133,14 @@ def varuint(value: int) -> bytes:
 
 
 def reply(first: int, kind: int, values: list[float]) -> bytes:
-    """Values of consecutive registers, as they stand in a frame."""
+    """Return values of consecutive registers, as they stand in a frame."""
     count = len(values)
     head = bytes((REPLY | kind << 2 | count,)) if count < 4 else bytes((REPLY | kind << 2,)) + varuint(count)
     return head + varuint(first) + struct.pack(f"<{count}{_FORMS[kind][0]}", *values)
 
 
 def error(head: int, register: int, number: int) -> bytes:
-    """A register could not be written or read."""
+    """Encode the error of a register that could not be written or read."""
     return bytes((head,)) + varuint(register) + varuint(number)
 
 

@@ -184,7 +184,7 @@ class SimulatedOdrive:
 
     @property
     def next_due(self) -> int | None:
-        """When it will send a message by itself (ticks)."""
+        """Return when it will send a message by itself (ticks)."""
         due = [at for command, at in self._due.items() if self.values[_CYCLIC[command]]]
         return min(due, default=None)
 
@@ -298,7 +298,7 @@ class SimulatedOdrive:
         return FLOATS.pack(*pairs[command])
 
     def _outcome(self) -> Result:
-        """How the last request for a state went."""
+        """Return how the last request for a state went."""
         if self._wanted == AxisState.CLOSED_LOOP_CONTROL and self._words[W.state] != CLOSED_LOOP:
             return Result.DISARMED
         return self._result

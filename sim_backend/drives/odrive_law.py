@@ -151,7 +151,7 @@ def _take_inputs(w: Words) -> None:
 
 @kernel(_F(_V), no_refcount=True)
 def _control(w: Words) -> float:
-    """Torque by position, velocity and torque control, within its limits (N·m)."""
+    """Return the torque by position, velocity and torque control, within its limits (N·m)."""
     _take_inputs(w)
     top, mode, velocity = w[W.vel_limit], w[W.control_mode], w[W.vel_estimate]
     limited_velocity = w[W.enable_vel_limit] != 0.0
@@ -190,7 +190,7 @@ def _control(w: Words) -> float:
 
 
 @kernel(types.void(_V), no_refcount=True)
-def _heed(w: Words) -> None:
+def _check_faults(w: Words) -> None:
     """Errors that the drive finds by itself; those of the supply go when their cause does."""
     kept = int(w[W.active_errors]) & ~(_OVER | _UNDER | _HOT | _MISSING)
     w[W.active_errors] = float(kept)
@@ -230,12 +230,12 @@ def _change_state(w: Words) -> None:
 
 @kernel(LAW, no_refcount=True)
 def law(w: Words, count: int, measured: float) -> float:
-    """One control cycle: encoder count and torque at the shaft (N·m) in, torque wanted there out."""
+    """Run one control cycle: encoder count and torque at the shaft (N·m) in, torque wanted there out."""
     if w[W.encoder_valid] != 0.0:
         _estimate(w, count)
     share = w[W.torque_constant] / w[W.motor_constant]  # configured over true constant of the motor
     w[W.torque] = measured * share
-    _heed(w)
+    _check_faults(w)
     if w[W.requested] != 0.0:
         _change_state(w)
     torque = 0.0

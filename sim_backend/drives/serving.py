@@ -119,11 +119,11 @@ class Serving:
         self.held_up_ns += max(0, now - self._seen_ns - LONGEST_STEP_NS)
         self._seen_ns = now
         passed_ns = now - self._started_ns - self.held_up_ns
-        self._say(self._drive.run(self._first_tick + passed_ns * self._drive.rate_hz // _SECOND))
+        self._send_frames(self._drive.run(self._first_tick + passed_ns * self._drive.rate_hz // _SECOND))
 
     @property
     def _tick(self) -> int:
-        """Milliseconds since the host's first byte."""
+        """Return milliseconds since the host's first byte."""
         return 0 if self._first_ns is None else (self._seen_ns - self._first_ns) // _MS
 
     def _take(self, data: bytes) -> None:
@@ -165,17 +165,17 @@ class Serving:
                 if event.name == STALE:
                     self._stale = True
                 elif event.name == HOST_BUS_OFF:
-                    self._say([Frame(BUS_OFF, bytes(8), error=True)])
+                    self._send_frames([Frame(BUS_OFF, bytes(8), error=True)])
                     self._is_off = True
                 else:
-                    self._say(self._drive.happen(event.name, event.value))
+                    self._send_frames(self._drive.happen(event.name, event.value))
 
     def _is_due(self, event: DriveEvent) -> bool:
         if event.tick is not None:
             return self._first_ns is not None and event.tick <= self._tick
         return event.frame == self._units
 
-    def _say(self, frames: list[Frame]) -> None:
+    def _send_frames(self, frames: list[Frame]) -> None:
         if frames:
             self._send([unit for frame in frames for unit in self._adapter.close(frame)])
 

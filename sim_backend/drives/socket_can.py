@@ -21,13 +21,13 @@ _LENGTHS: tuple[int, ...] = (*range(9), 12, 16, 20, 24, 32, 48, 64)  # of the da
 
 
 def pad(data: bytes, padding: int = 0) -> bytes:
-    """Data up to the next length that CAN FD has."""
+    """Return the data up to the next length that CAN FD has."""
     size = next(size for size in _LENGTHS if size >= len(data))
     return data + bytes((padding,)) * (size - len(data))
 
 
 def from_wire(message: bytes) -> bytes:
-    """A message of a socket as a unit; nothing for what is no frame."""
+    """Return a message of a socket as a unit; nothing for what is no frame."""
     # Inside the simulation every frame has 72 bytes, and a flag gives its format: a byte stream without message
     # boundaries could not be split otherwise.
     if len(message) == CLASSIC_BYTES:
@@ -38,7 +38,7 @@ def from_wire(message: bytes) -> bytes:
 
 
 def to_wire(unit: bytes) -> bytes:
-    """The message that carries a unit."""
+    """Return the message that carries a unit."""
     return unit if unit[5] & FD_FORMAT else unit[:CLASSIC_BYTES]
 
 
@@ -46,7 +46,7 @@ class Frames:
     """Cuts bytes into units."""
 
     def split(self, data: bytes) -> list[bytes]:
-        """Whole units; a bus passes no others."""
+        """Return whole units; a bus passes no others."""
         return [data[at : at + FD_BYTES] for at in range(0, len(data), FD_BYTES)]
 
 

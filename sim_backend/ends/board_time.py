@@ -194,7 +194,7 @@ class TickedDevice(Protocol):
 
     @property
     def elapsed_ns(self) -> int:
-        """Simulated time, over all resets (ns)."""
+        """Return the simulated time, over all resets (ns)."""
         ...
 
     @property
@@ -260,7 +260,7 @@ class BoardTime:
         why = ASK
         while now_ns < end_ns and not self._stop.is_set():
             if why == ASK:
-                software, world = self._asked()
+                software, world = self._renew_supplies()
             why = keep_time(
                 software, *world, line, grid, self._output, self._received, min(now_ns + SLICE_NS, end_ns)
             )
@@ -273,7 +273,7 @@ class BoardTime:
         if why != ASK:
             self.device.passed(world)
 
-    def _asked(self) -> tuple[Lockstep, World]:
+    def _renew_supplies(self) -> tuple[Lockstep, World]:
         """Put out what the next ticks use up; return what they take."""
         device, grid = self.device, self._grid
         software, world = device.compiled()

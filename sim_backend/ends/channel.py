@@ -78,7 +78,7 @@ class ScriptedLine:
         queue.extend((tick, piece) for piece in pieces + behind)
 
     def _due(self, direction: Direction, number: int, tick: int) -> list[FrameFault]:
-        """Faults of a frame: those of its number, and those that have waited for one since their tick."""
+        """Return faults of a frame: those of its number, and those that have waited for one since their tick."""
         waiting = self._waiting[direction]
         now = [fault for fault in waiting if fault.tick is not None and fault.tick <= tick]
         # A fault at a tick strikes the first frame after it, once.

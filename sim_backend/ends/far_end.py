@@ -112,7 +112,7 @@ def _ready(handle: int) -> int:
 
 
 @kernel(types.void(FAR_END_TYPE))
-def _hear(end: FarEnd) -> None:
+def _take_output(end: FarEnd) -> None:
     """Take the device's output; what has no room is lost, as in a driver."""
     progress, arrived = end.progress, end.arrived
     software = end.software
@@ -136,7 +136,7 @@ def _pass(handle: int, deadline_ns: int) -> int:
         )
         progress[TICKS] += ticks
         progress[MOST] -= ticks
-        _hear(end)
+        _take_output(end)
         if progress[ARRIVED] + progress[DISCARDED] != before or words[DUE] > until:
             return 0
         failed = _serve(end.serve, 0)
@@ -146,7 +146,7 @@ def _pass(handle: int, deadline_ns: int) -> int:
 
 @kernel(types.int64(FAR_END_TYPE), inline=True)
 def _next_ns(end: FarEnd) -> int:
-    """When the next sample is due on the clock."""
+    """Return when the next sample is due on the clock."""
     return int(end.origin_ns + end.software.words[DUE] * _UNITS_NS // _UNITS)
 
 
@@ -217,7 +217,7 @@ def write(handle: int, address: int, size: int) -> int:
     if words[CUTS] != 0:
         cut(end.plant)
     if waiting != 0:
-        _hear(end)
+        _take_output(end)
     if words[RATE_CHANGED] != 0 or words[SWITCHED_ON] != 0:
         failed = _serve(end.serve, 0)
     return int(failed) if failed != 0 else size

@@ -70,12 +70,12 @@ class LinkedDevice(Protocol):
 
     @property
     def elapsed_ns(self) -> int:
-        """Simulated time, over all resets (ns)."""
+        """Return the simulated time, over all resets (ns)."""
         ...
 
     @property
     def next_tick_ns(self) -> int:
-        """When the next sample is due, on the scale of `elapsed_ns` (ns)."""
+        """Return when the next sample is due, on the scale of `elapsed_ns` (ns)."""
         ...
 
     def run(self, until_ns: int, most: int) -> tuple[bytes, int]:
@@ -185,7 +185,7 @@ def _with_offset(url: DeviceUrl, model: RigModel, offset: float) -> RigModel:
 
 
 def _pulses(starts_s: Sequence[float], origin_ns: int) -> deque[tuple[int, bool]]:
-    """When the sync input rises and falls (ns on the device's scale)."""
+    """Return when the sync input rises and falls (ns on the device's scale)."""
     levels: deque[tuple[int, bool]] = deque()
     for start, following in pairwise((*starts_s, np.inf)):
         end = start + min(SYNC_PULSE_S, 0.5 * (following - start))
@@ -267,23 +267,23 @@ class MemoryLink:
 
     @property
     def device(self) -> Any:
-        """The device, as the ticks so far left it."""
+        """Return the device, as the ticks so far left it."""
         self._take_back()
         return self._device
 
     @property
     def frames(self) -> dict[Direction, int]:
-        """Frames sent so far in each direction; counted only on a link with scripted faults, else empty."""
+        """Return frames sent so far in each direction; counted only on a link with scripted faults, else empty."""
         return {} if self.line is None else self.line.frames
 
     @property
     def struck(self) -> int:
-        """Faults of the script that have happened to frames."""
+        """Return faults of the script that have happened to frames."""
         return 0 if self.line is None else self.line.acted.total()
 
     @property
     def current(self) -> int:
-        """Active current of the device, after all limits (quanta)."""
+        """Return the active current of the device, after all limits (quanta)."""
         return int(self.device.current)
 
     @property
@@ -297,7 +297,7 @@ class MemoryLink:
 
     @property
     def discarded(self) -> int:
-        """Bytes that the host did not read in time."""
+        """Return bytes that the host did not read in time."""
         return self._progress.item(DISCARDED)
 
     # ------------------------------------------------------------------ Link
@@ -350,7 +350,7 @@ class MemoryLink:
         self._catch_up()
 
     def _next_tick_ns(self) -> int:
-        """When the next sample is due on the link's clock."""
+        """Return when the next sample is due on the link's clock."""
         return self._link_time(self._device.next_tick_ns)
 
     def _link_time(self, device_ns: int) -> int:
@@ -463,10 +463,12 @@ class MemoryLink:
     # ------------------------------------------------------------------ the compiled loop
 
     def _make_port(self) -> LoopPort:
-        plugs = callback_plugs(read=self._read_now, write=self.write, wait=self._wait, failed=self._failed)
+        plugs = callback_plugs(
+            read=self._read_now, write=self.write, wait=self._wait, failed=self._note_failure
+        )
         return LoopPort.on(self.clock, **plugs._asdict())
 
-    def _failed(self, failure: BaseException) -> None:
+    def _note_failure(self, failure: BaseException) -> None:
         if not isinstance(failure, LinkLostError):
             self._failure = self._failure or failure
 

@@ -57,7 +57,7 @@ class UsbShape:
         )
 
     def configuration(self) -> bytes:
-        """Configuration descriptor with its interface and endpoints."""
+        """Return the configuration descriptor with its interface and endpoints."""
         interface = struct.pack("<9B", 9, _INTERFACE, 0, 0, 2, self.interface_class, 0, 0, 4)
         endpoints = b"".join(
             struct.pack("<BBBBHB", 7, _ENDPOINT, address, _BULK, self.packet, 0)

@@ -101,7 +101,7 @@ def _push(
 
 
 @kernel(_FLOAT(_MATRIX, types.int64, _FLOAT, _FLOAT), inline=True, no_refcount=True)
-def _rubbed(gamma: Matrix, row: int, motor: float, link: float) -> float:
+def _add_friction(gamma: Matrix, row: int, motor: float, link: float) -> float:
     """Return what efforts on motor and link, constant over a step, add to a state."""
     return float(gamma[row, RUBS_MOTOR] * motor + gamma[row, RUBS_LINK] * link)
 
@@ -147,15 +147,15 @@ def advance(
         x_next, y_next = x, y
         if v != 0.0 or v_next != 0.0:
             x_next += _carry(phi, 0, 0.0, v, stretch, w, effort, reach, g, far)
-            x_next += push_x + _rubbed(gamma, 0, on_motor, rub_w)
+            x_next += push_x + _add_friction(gamma, 0, on_motor, rub_w)
         if w != 0.0 or w_next != 0.0:
             y_next += _carry(phi, 2, -stretch, v, 0.0, w, effort, h - y, g, goal - y)
-            y_next += push_y + _rubbed(gamma, 2, on_motor, rub_w)
+            y_next += push_y + _add_friction(gamma, 2, on_motor, rub_w)
         h_next = h + _carry(phi, 5, -reach, v, y - h, w, effort, 0.0, g, goal - h)
         g_next = _carry(phi, 6, -reach, v, y - h, w, effort, 0.0, g, goal - h)
-        effort = kept + (push_e + _rubbed(gamma, 4, on_motor, rub_w))
-        h = h_next + push_h + _rubbed(gamma, 5, on_motor, rub_w)
-        g = g_next + push_g + _rubbed(gamma, 6, on_motor, rub_w)
+        effort = kept + (push_e + _add_friction(gamma, 4, on_motor, rub_w))
+        h = h_next + push_h + _add_friction(gamma, 5, on_motor, rub_w)
+        g = g_next + push_g + _add_friction(gamma, 6, on_motor, rub_w)
         count, age = encode(count, age, x, x_next, step_s, resolution, offset)
         x, v, y, w = x_next, v_next, y_next, w_next
     state[0], state[1], state[2], state[3], state[4] = x, v, y, w, effort

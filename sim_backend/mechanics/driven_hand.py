@@ -93,7 +93,7 @@ class DrivenHand:
         times = self._times
         places = (self._tick + np.arange(len(times))) % self._tremor.shape[1]
         self._tick += len(times)
-        wanted, press = self._wanted(hand)
+        wanted, press = self._read_wish(hand)
         # What the hand follows moves at this speed at most, so the hand is never faster either.
         most = REACH_M_S / self._radius * float(times[-1])
         goal = self._led = self._led + min(max(wanted - self._led, -most), most)
@@ -114,7 +114,7 @@ class DrivenHand:
         return OperatorScript(rows=rows)
 
     def _along(self) -> Rows:
-        """Along with homing, then still until the trial has surely begun."""
+        """Return intentions that go along with homing, then rest until the trial has surely begun."""
         reach = self._reach
         along_s = abs(reach.start - self._from) / reach.pace
         ticks = max(1, math.ceil((along_s + reach.wait_s - reach.free_s) / self._tick_s))
@@ -125,8 +125,8 @@ class DrivenHand:
         rows[:, 1] = np.where(left > 0.0, math.copysign(reach.pace, reach.start - self._from), 0.0)
         return rows
 
-    def _wanted(self, hand: float) -> tuple[float, float]:
-        """Where the hand wants to be now (rad or m), and its press (N)."""
+    def _read_wish(self, hand: float) -> tuple[float, float]:
+        """Return where the hand wants to be now (rad or m), and its press (N)."""
         wish = self._wish()
         self._silent_s += len(self._times) * self._tick_s
         if wish is not None and wish.sequence != self._newest_wish.sequence:
@@ -148,7 +148,7 @@ class DrivenHand:
         return self._goal, min(max(self._newest_wish.press, 0.0), PRESS_N)
 
     def _share(self) -> float:
-        """Effort of the hand as a share of the scripted one's, 1 at most: what its tremor grows with."""
+        """Return the effort of the hand as a share of the scripted one's, 1 at most: what its tremor grows with."""
         operator = self._operator
         wall = self._reach.target - self._side * operator.depth / self._radius
         inside = max(0.0, self._side * (self._at - wall)) * self._radius

@@ -42,7 +42,7 @@ def clip(value: float, limit: float) -> float:
 
 @kernel(types.UniTuple(_FLOAT, 2)(_FLOAT, _FLOAT, _FLOAT), inline=True)
 def rub_one(free: float, gain: float, coulomb: float) -> tuple[float, float]:
-    """Friction effort on one mass, and the velocity it leaves: exactly zero when the mass comes to rest.
+    """Return the friction effort on one mass, and the velocity it leaves: exactly zero when the mass comes to rest.
 
     `free` is the velocity at the end of the step without this friction, `gain` what a unit of it adds.
     """
@@ -64,7 +64,7 @@ def rub_both(
     coulomb_motor: float,
     coulomb_link: float,
 ) -> tuple[float, float, float, float]:
-    """Friction efforts on motor and link, and the velocities they leave; see `rub_one`.
+    """Return friction efforts on motor and link, and the velocities they leave; see `rub_one`.
 
     The pair solves a box-constrained linear complementarity problem. Its matrix of gains is symmetric and positive
     definite (`plant._check_friction`), so there is exactly one solution.
@@ -91,7 +91,7 @@ def rub_both(
 def encode(
     old: int, age: float, before: float, after: float, step_s: float, resolution: float, offset: float
 ) -> tuple[int, float]:
-    """Encoder cell and age of the last edge after a step from position `before`, in cell `old`, to `after`.
+    """Return the encoder cell and age of the last edge after a step from position `before`, in cell `old`, to `after`.
 
     The time of the edge is interpolated at the mean velocity of the step; of several edges the last counts.
     A step that leaves a cell and comes back to it within itself shows no edge.

@@ -90,13 +90,13 @@ def _write(
 
 
 def _raised_cosine(x: Rows) -> tuple[Rows, Rows]:
-    """Go smoothly from 0 at x = 0 to 1 at x = 1: the value and its derivative."""
+    """Return a value that rises smoothly from 0 at x = 0 to 1 at x = 1, and its derivative."""
     x = np.clip(x, 0.0, 1.0)
     return 0.5 - 0.5 * np.cos(math.pi * x), 0.5 * math.pi * np.sin(math.pi * x)
 
 
 def tremor(t: Rows, rms: float, generator: np.random.Generator) -> tuple[Rows, Rows]:
-    """Band-limited displacement of this rms: lines of equal size with random phases, and its rate."""
+    """Return the band-limited displacement of this rms: lines of equal size with random phases, and its rate."""
     omega = 2.0 * math.pi * TREMOR_HZ
     phase = generator.uniform(0.0, 2.0 * math.pi, len(omega))
     # n lines of equal size with random phases: the squares of their rms values add up to rms².

@@ -143,7 +143,7 @@ class DiscretePlant:
 
     @property
     def commands(self) -> slice:
-        """Where the state keeps the commands on their way, oldest first; zero them to cut the effort."""
+        """Return where the state keeps the commands on their way, oldest first; zero them to cut the effort."""
         return slice(self.edge_age + 1, None)
 
     def at_rest(self, position: float) -> Vector:
@@ -216,7 +216,7 @@ def energy(state: Vector, model: RigModel) -> float:
 
 
 def _exact(continuous: StateSpace, step_s: float) -> tuple[Matrix, Matrix]:
-    """Zero-order-hold discretisation: exp([A B; 0 0] h) = [phi gamma; 0 1]."""
+    """Return the zero-order-hold discretisation: exp([A B; 0 0] h) = [phi gamma; 0 1]."""
     order, inputs = continuous.b.shape
     # Van Loan's block matrix: one exponential gives both, also where A is singular (a free mass has no spring).
     both = np.zeros((order + inputs, order + inputs))
@@ -297,7 +297,7 @@ def _advance_rigid(
 def _advance_two_mass(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
 ) -> int:
-    """Positions act through the stretch alone: moving both masses alike changes nothing else."""
+    """Move a plant of two masses by one tick; positions act through the stretch alone."""
     x, v, y, w = state[0], state[1], state[2], state[3]  # motor and link: position, velocity
     effort, age = state[4], state[5]
     step_s, coulomb_v, coulomb_w = parameters[STEP_S], parameters[COULOMB], parameters[COULOMB_LINK]

@@ -17,7 +17,7 @@ CURRENT_QUANTA_LIMIT = 32767.0  # i16 on the wire; symmetric, so that negating a
 
 @kernel(types.int64(types.float64, types.float64, types.float64), inline=True)
 def cell(position: float, resolution: float, offset: float) -> int:
-    """Encoder cell that contains a position: floor(position / resolution + offset), before the sign.
+    """Return the encoder cell that contains a position: floor(position / resolution + offset), before the sign.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def encoder_count(position: float, resolution: float, offset: float, sign: int) 
 
 @kernel(types.int64(types.float64, types.float64), inline=True)
 def current_quanta(current_a: float, quantum_a: float) -> int:
-    """Current as a whole number of quanta: floor(current / quantum + ½), within ±32767.
+    """Return the current as a whole number of quanta: floor(current / quantum + ½), within ±32767.
 
     Parameters
     ----------

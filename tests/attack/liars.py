@@ -193,7 +193,7 @@ class Liar(SimulatedDevice):
         self._answers += bool(said)
         if self._answers > ANSWERS_MOST:
             raise EndlessError
-        return self._frames(said, self._answered) if said and self._script.answer else said
+        return self._frames(said, self._handle_answer) if said and self._script.answer else said
 
     def _command(self, command: m.Command, sequence: int) -> None:
         if not self._script.looks:
@@ -218,7 +218,7 @@ class Liar(SimulatedDevice):
         self._told += 1
         return changed
 
-    def _answered(self, message: Message) -> Message:
+    def _handle_answer(self, message: Message) -> Message:
         script = self._script
         if type(message) is not script.answer or self._chance.random() > script.share:
             return message

@@ -47,6 +47,6 @@ def open_as_real(monkeypatch: pytest.MonkeyPatch, travel_s: float) -> None:
     def started(*_: Any) -> Any:
         raise Started
 
-    monkeypatch.setattr(hits, "_opened", opened)
+    monkeypatch.setattr(hits, "_open_device", opened)
     monkeypatch.setattr(hits, "run_trial", started)
     monkeypatch.setattr(gate, "measure_link", lambda *_, **__: link(travel_s))

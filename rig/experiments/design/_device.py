@@ -13,7 +13,7 @@ from rig.firmware.tick_budget import BOARD, named_budget
 
 
 def places_of(url: str, experiment: Experiment, board: str = BOARD) -> tuple[LawPlace, ...]:
-    """Where the law may run with a device: on this computer, at the link's measured delay, and on the device.
+    """Return where the law may run with a device: on this computer, at the link's measured delay, and on the device.
 
     Nothing moves. Raises what opening a device does, and `LinkLostError` for one that does not answer.
     """

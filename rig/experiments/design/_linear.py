@@ -60,7 +60,7 @@ class Linear:
 def tasks(
     experiment: Experiment, candidates: Sequence[Candidate], dampings: Sequence[float], k: Sequence[float]
 ) -> tuple[list[Task], list[int]]:
-    """One task for each estimator at each velocity rate, whose realisation all its candidates share.
+    """Return one task for each estimator at each velocity rate, whose realisation all its candidates share.
 
     Returns also the place of each result in the order of the tasks' rows: candidates are sorted by estimator there.
     """
@@ -91,7 +91,7 @@ def tasks(
 
 
 def results(done: Sequence[Sequence[Mapping[str, Any]]], order: Sequence[int]) -> list[Linear]:
-    """The results of the tasks in the order of the candidates."""
+    """Return the results of the tasks in the order of the candidates."""
     rows = [
         Linear(**{**row, "stable": tuple(row["stable"]), "quiet": tuple(row["quiet"])})
         for one in done
@@ -101,7 +101,7 @@ def results(done: Sequence[Sequence[Mapping[str, Any]]], order: Sequence[int]) -
 
 
 def of_estimator(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Theory of some candidates that share estimator, settings and velocity rate; plain data in and out."""
+    """Return the theory of some candidates that share estimator, settings and velocity rate; plain data in and out."""
     experiment = config.restore_experiment(payload["experiment"])
     k, b = np.array(payload["stiffnesses"]), np.array(payload["dampings"])
     first: LinearLoop | None = None
@@ -158,7 +158,7 @@ def _stable(lifted: Lifted, k: Floats, b: Floats) -> NDArray[np.bool_]:
 
 
 def _limits(stable: NDArray[np.bool_], k: Floats) -> list[float]:
-    """Largest K at each damping that is stable with all softer ones; 0 where the softest is not."""
+    """Return the largest K at each damping that is stable with all softer ones; 0 where the softest is not."""
     count = np.logical_and.accumulate(stable, axis=0).sum(axis=0)
     return np.where(count > 0, k[np.maximum(count - 1, 0)], 0.0).tolist()  # type: ignore[no-any-return]
 

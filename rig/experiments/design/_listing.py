@@ -64,7 +64,7 @@ class LawPlace:
     board: str = BOARD
 
     def delay_ticks(self, experiment: Experiment, rate: int) -> int:
-        """Whole ticks from a sample to its effort at a position rate."""
+        """Return whole ticks from a sample to its effort at a position rate."""
         if self.loop == "host" and self.round_trip_s is not None:
             return ticks_late(self.round_trip_s, rate, experiment.host.pacing)
         return experiment.rig.simulation.computation_delay_ticks
@@ -106,7 +106,7 @@ class Candidate:
         return f"{self.loop} {self.delay_ticks} {self.scheme.text}"
 
     def condition(self, experiment: Experiment) -> Experiment:
-        """The experiment with its law where this one runs, so late; its scheme is still its own."""
+        """Return the experiment with its law where this one runs, so late; its scheme is still its own."""
         rig = experiment.rig
         late = replace(rig.simulation, computation_delay_ticks=self.delay_ticks)
         return replace(
@@ -116,7 +116,7 @@ class Candidate:
         )
 
     def applied(self, experiment: Experiment) -> Experiment:
-        """The experiment under this candidate; `ConfigError` for one that cannot be."""
+        """Return the experiment under this candidate; `ConfigError` for one that cannot be."""
         return self.scheme.applied(self.condition(experiment))
 
     def same_law(self, other: Candidate, experiment: Experiment) -> bool:
@@ -140,7 +140,7 @@ class Candidate:
 
     @classmethod
     def own(cls, experiment: Experiment, places: Sequence[LawPlace] = ()) -> Candidate:
-        """The experiment's own scheme, where it runs, as late as that place makes it."""
+        """Return the experiment's own scheme, where it runs, as late as that place makes it."""
         own = experiment.controller
         there = next((place for place in places if place.loop == own.loop), places_for(experiment)[0])
         delay = there.delay_ticks(experiment, own.position_rate)
@@ -156,7 +156,7 @@ def places_for(
     round_trip_s: float | None = None,
     board: str = BOARD,
 ) -> tuple[LawPlace, ...]:
-    """Where the law may run, without a device to ask: where the experiment's own runs, at most at its rate.
+    """Return where the law may run, without a device to ask: where the experiment's own runs, at most at its rate.
 
     Raises `ConfigError` for a board whose cycles are not known.
     """
@@ -180,7 +180,7 @@ def places_for(
 def listed(
     experiment: Experiment, places: Sequence[LawPlace], schemes: Sequence[Scheme] = ()
 ) -> tuple[Candidate, ...]:
-    """The listed set on an experiment; with `schemes` these are the set.
+    """Return the listed set on an experiment; with `schemes` these are the set.
 
     Raises
     ------

@@ -101,17 +101,17 @@ class Margin:
 
     @reported
     def spoils_first(self) -> Left:
-        """The single change that leaves least."""
+        """Return the single change that leaves least."""
         return self.alone[0]
 
     @reported
     def secured(self) -> float:
-        """Stiffness that the worst of them leaves (N·m/rad or N/m); a lower bound where its share is one."""
+        """Return the stiffness that the worst of them leaves (N·m/rad or N/m); a lower bound where its share is one."""
         return self.worst.share * self.stiffness
 
 
 def identified(experiment: Experiment) -> dict[str, float]:
-    """Identified parameters of a rig that are not zero, by dotted key."""
+    """Return identified parameters of a rig that are not zero, by dotted key."""
     values = {}
     for key in IDENTIFIED:
         _, section, name = key.split(".")
@@ -162,7 +162,7 @@ def _single(described: Experiment) -> Iterator[tuple[str, Experiment]]:
 
 
 def _joint(described: Experiment) -> Iterator[tuple[str, Experiment]]:
-    """Samples of all parameters together, in each hand and in the experiment's own."""
+    """Yield samples of all parameters together, in each hand and in the experiment's own."""
     random, values = np.random.default_rng(SEED), identified(described)
     for number in range(1, SAMPLES + 1):
         factors = random.uniform(1.0 - SHARE, 1.0 + SHARE, len(values)).tolist()
@@ -173,7 +173,7 @@ def _joint(described: Experiment) -> Iterator[tuple[str, Experiment]]:
 
 
 def _hands(described: Experiment) -> dict[str, dict[str, str]]:
-    """Every other hand, as changes, whose trial the experiment's own rules allow."""
+    """Return every other hand, as changes, whose trial the experiment's own rules allow."""
     own = described.operator.grip if described.trial.kind == "human" else ""
 
     def may_hold(changes: dict[str, str]) -> bool:

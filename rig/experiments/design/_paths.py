@@ -27,7 +27,7 @@ Complex = NDArray[np.complex128]
 
 
 def noise(controller: Controller, resolution: float) -> float:
-    """Rms velocity at rest (rad/s or m/s) of a controller's estimator."""
+    """Return rms velocity at rest (rad/s or m/s) of a controller's estimator."""
     # The handle rests on the edge of a count, and the count toggles at random from sample to sample: more than any rest
     # shows, and the same for every estimator.
     toggling = np.random.default_rng(SEED).integers(0, 2, 2 * SAMPLES)
@@ -42,8 +42,8 @@ def fidelity_hz(controller: Controller, resolution: float, lag_s: float, delay_t
     omega = 2.0 * np.pi * frequency
     late_s = delay_ticks / controller.position_rate
     rendered = (
-        _estimated(controller, resolution)
-        * _held(omega * period_s, controller.prediction == "extrapolate")
+        _respond_to_sines(controller, resolution)
+        * _respond_to_hold(omega * period_s, controller.prediction == "extrapolate")
         * np.exp(-1j * omega * late_s)
         / (1.0 + 1j * omega * lag_s)
     )
@@ -59,7 +59,7 @@ def fidelity_hz(controller: Controller, resolution: float, lag_s: float, delay_t
 
 
 def cost(controller: Controller, board: str) -> float | None:
-    """Cycles per tick on a board, the mean over a velocity period; None for an estimator that no board runs."""
+    """Return cycles per tick on a board, the mean over a velocity period; None for an estimator that no board runs."""
     # The estimator's longest call over the ticks of a velocity period; all else in a tick is the same for all schemes.
     of_a_call = _budget(board).call_cycles(controller.estimator)
     return None if of_a_call is None else of_a_call * controller.velocity_rate / controller.position_rate
@@ -83,7 +83,7 @@ def _velocity(controller: Controller, counts: NDArray[np.int64], resolution: flo
     )
 
 
-def _estimated(controller: Controller, resolution: float) -> Complex:
+def _respond_to_sines(controller: Controller, resolution: float) -> Complex:
     """Estimate over true velocity of the sines, at the samples."""
     settings = tuple(sorted(controller.parameters.items()))
     return _of_estimator(controller.estimator, settings, controller.velocity_rate, resolution)
@@ -104,7 +104,7 @@ def _of_estimator(
     return np.array(found)
 
 
-def _held(turn: NDArray[np.float64], extrapolate: bool) -> Complex:
+def _respond_to_hold(turn: NDArray[np.float64], extrapolate: bool) -> Complex:
     """Return the frequency response of holding a sampled sine, or extrapolating it linearly; `turn` is ωT2."""
     zero = (1.0 - np.exp(-1j * turn)) / (1j * turn)
     return np.asarray((1.0 + 1j * turn) * zero**2 if extrapolate else zero)

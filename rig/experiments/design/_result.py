@@ -92,13 +92,13 @@ class Design(Shown, Drawn):
 
     @property
     def front(self) -> list[Standing]:
-        """Schemes that no other of the second round dominates, the stiffest first."""
+        """Return schemes that no other of the second round dominates, the stiffest first."""
         chosen = [self.standings[i] for i in rules.front([one.measures for one in self.standings])]
         return sorted(chosen, key=lambda one: -one.measures.stiffness)
 
     @property
     def as_good(self) -> list[Standing]:
-        """Schemes of the second round that reach the experiment's own one in every measure of a paper."""
+        """Return schemes of the second round that reach the experiment's own one in every measure of a paper."""
         own = self._own_before.measures
         return [
             one
@@ -116,7 +116,7 @@ class Design(Shown, Drawn):
         return FITTED in self.experiment.rig.source
 
     def toml(self) -> str:
-        """The recommended ``[controller]`` section, with what it was found for."""
+        """Return the recommended ``[controller]`` section, with what it was found for."""
         applied = self.recommended.candidate.applied(self.experiment).controller
         lines = [
             "# Found by rig design on simulated hits: " + self._goal_text(),
@@ -135,7 +135,7 @@ class Design(Shown, Drawn):
         return "\n".join(lines) + "\n"
 
     def brief(self) -> list[Item]:
-        """The recommended scheme, against the experiment's own, and its margin."""
+        """Return the recommended scheme, against the experiment's own, and its margin."""
         return [
             f"design of {self.experiment.rig.name}: {self.recommended.label}",
             Row("goal", self._goal_text()),
@@ -151,7 +151,7 @@ class Design(Shown, Drawn):
         ]
 
     def detailed(self) -> list[Item]:
-        """The short form, and the front."""
+        """Return the short form, and the front."""
         return [
             *self.brief(),
             *self.against_tables(),

@@ -84,7 +84,7 @@ class Measures:
     cost: float | None
 
     def merit(self, objective: str) -> float:
-        """A measure, so that more is better."""
+        """Return a measure, so that more is better."""
         value: float | None = getattr(self, objective)
         return -math.inf if value is None else OBJECTIVES.get(objective, 1) * value
 
@@ -112,7 +112,7 @@ def dominates(one: Measures, other: Measures) -> bool:
 
 
 def front(found: Sequence[Measures]) -> list[int]:
-    """Which of these no other dominates, by index."""
+    """Return which of these no other dominates, by index."""
     return [i for i, one in enumerate(found) if not any(dominates(other, one) for other in found)]
 
 
@@ -168,7 +168,7 @@ class Wishes:
         check_positive(named)
 
     def of_path(self, noise: float, fidelity_hz: float, cost: float | None) -> dict[str, float]:
-        """How far a velocity path fulfils each wish about it: from 1 on it does."""
+        """Return how far a velocity path fulfils each wish about it: from 1 on it does."""
         shares = {}
         if self.fidelity_hz is not None:
             shares["fidelity_hz"] = fidelity_hz / self.fidelity_hz
@@ -179,7 +179,7 @@ class Wishes:
         return shares
 
     def asked(self, name: str) -> str:
-        """A wish in words; the argument that states it is named."""
+        """Return a wish in words; the argument that states it is named."""
         if name == "wall" and self.wall is not None:
             return f"K = {self.wall[0]:g} with B = {self.wall[1]:g} (`must_be_stable`)"
         option = {"fidelity_hz": "fidelity_to", "noise": "most_noise", "cost": "most_cost"}[name]
@@ -187,7 +187,7 @@ class Wishes:
 
 
 def measure_of(goal: Goal) -> str:
-    """The measure of walls that a goal is compared by."""
+    """Return the measure of walls that a goal is compared by."""
     return "area" if goal == "quiet" else goal
 
 
@@ -240,7 +240,7 @@ class Comparison:
 
     @property
     def interval(self) -> tuple[float, float, float]:
-        """Mean difference over the own scheme's mean, and the ends of its interval of `CONFIDENCE`."""
+        """Return the mean difference over the own scheme's mean, and the ends of its interval of `CONFIDENCE`."""
         own = float(np.mean(self.own))
         differences = (np.array(self.recommended) - np.array(self.own)) / (own if own > 0.0 else 1.0)
         mean, n = float(differences.mean()), len(differences)

@@ -93,7 +93,7 @@ class DesignRequest:
     paper: bool = False
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values: all that decides the search; a paper has stages of its own, which change no other."""
+        """Return plain values: all that decides the search; a paper has stages of its own, which change no other."""
         return {
             "experiment": config.as_mapping(self.experiment),
             "wishes": plain(self.wishes),
@@ -104,7 +104,7 @@ class DesignRequest:
 
 
 def directory_for(request: DesignRequest, where: Path) -> Path:
-    """Directory of a design; its name carries a digest of everything that decides the result."""
+    """Return the directory of a design; its name carries a digest of everything that decides the result."""
     described = json.dumps([sweep.code_version(), request.as_mapping()], sort_keys=True)
     digest = sha256(described.encode()).hexdigest()[:8]
     return where / f"design-{request.experiment.rig.name}-{digest}"
@@ -160,12 +160,14 @@ class _Search:
         candidates = [own, *(one for one in others if not one.same_law(own, x))]
         reach = dampings_for(x, (own.scheme,), columns=2)[-1]
         dampings = (0.0, *(reach * 2.0**octave for octave in range(OCTAVES[0], OCTAVES[1] + 1)))
-        known = dict(zip([one.key for one in candidates], self._linear(candidates, dampings), strict=True))
+        known = dict(
+            zip([one.key for one in candidates], self._run_linear_stage(candidates, dampings), strict=True)
+        )
         shares = [wishes.of_path(one.noise, one.fidelity_hz, one.cost) for one in known.values()]
         rules.refuse_unmet(wishes, shares)
         entering = [one for one, share in zip(candidates, shares, strict=True) if rules.fulfilled(share)]
         along = dampings
-        entering = self._promising(entering, known, along, known[own.key])
+        entering = self._rank_promising(entering, known, along, known[own.key])
         kept = entering[: self.request.rounds[0].enter]
 
         rounds: list[list[Standing]] = []
@@ -194,12 +196,14 @@ class _Search:
                 remedy="push harder (`effort`, `operator`), allow more (`felt`, `heard`, `moved`), or use a finer "
                 "encoder",
             )
-        held_out = None if best is of_own else self._held_out(best, of_own, dampings)
+        held_out = None if best is of_own else self._compare_held_out(best, of_own, dampings)
         if held_out is not None and not held_out.no_worse and self._may_be_own(of_own, places):
             best = of_own
         against: tuple[Against, ...] = ()
         if self.request.paper:
-            against = against_paper(x, self._promising(candidates, known, along, known[own.key]), self.run)
+            against = against_paper(
+                x, self._rank_promising(candidates, known, along, known[own.key]), self.run
+            )
         damping, limit = _where(best, wishes)
         return Design(
             experiment=x,
@@ -225,20 +229,20 @@ class _Search:
             place.loop == own.candidate.loop and place.allows(applied) for place in places
         )
 
-    def _linear(self, candidates: Sequence[Candidate], dampings: Sequence[float]) -> list[Linear]:
+    def _run_linear_stage(self, candidates: Sequence[Candidate], dampings: Sequence[float]) -> list[Linear]:
         search = search_for(self.request.experiment, schemes=[one.scheme for one in candidates])
         k = np.geomspace(search.lowest, search.highest, linear.STIFFNESSES).tolist()
         tasks, order = linear.tasks(self.request.experiment, candidates, dampings, k)
         return linear.results(self.run.run(linear.STAGE, tasks), order)
 
-    def _promising(
+    def _rank_promising(
         self,
         candidates: Sequence[Candidate],
         known: Mapping[str, Linear],
         dampings: Sequence[float],
         own: Linear,
     ) -> list[Candidate]:
-        """The best first: in turn by the boundary with a toggling count and by that without."""
+        """Return the best first: in turn by the boundary with a toggling count and by that without."""
         wishes = self.request.wishes
 
         def value(one: Candidate, quiet: bool) -> tuple[float, ...]:
@@ -271,7 +275,7 @@ class _Search:
         grid = WallGrid(dampings=tuple(b), search=search, offsets=stage.offsets)
         maps = self.run.map_each(stage.name, [(one.condition(x), one.scheme, grid) for one in entrants])
         found = [
-            self._standing(one, known[one.key], of_one, stage.ratio)
+            self._make_standing(one, known[one.key], of_one, stage.ratio)
             for one, of_one in zip(entrants, maps, strict=True)
         ]
         own_area = _of(found, own).measures.area
@@ -279,7 +283,7 @@ class _Search:
             found, key=lambda one: rules.key(wishes, one.measures, one.shares, own_area), reverse=True
         )
 
-    def _standing(self, candidate: Candidate, path: Linear, found: ZWidth, step: float) -> Standing:
+    def _make_standing(self, candidate: Candidate, path: Linear, found: ZWidth, step: float) -> Standing:
         wishes, x = self.request.wishes, self.request.experiment
         boundary = tuple(found.curve(0, "any"))
         measures = Measures(
@@ -303,7 +307,7 @@ class _Search:
         )
 
     def _with_wall(self, finalists: list[Standing]) -> list[Standing]:
-        """The finalists with the wished wall itself hit, at all offsets: the map has only its neighbours."""
+        """Return the finalists with the wished wall itself hit, at all offsets: the map has only its neighbours."""
         wall = self.request.wishes.wall
         if wall is None:
             return finalists
@@ -321,8 +325,8 @@ class _Search:
             found.append(replace(one, shares={**one.shares, "wall": share}))
         return sorted(found, key=lambda one: rules.fulfilled(one.shares), reverse=True)
 
-    def _held_out(self, best: Standing, own: Standing, dampings: Sequence[float]) -> Comparison:
-        """Both schemes on offsets and seeds of their own."""
+    def _compare_held_out(self, best: Standing, own: Standing, dampings: Sequence[float]) -> Comparison:
+        """Return both schemes on offsets and seeds of their own."""
         x = self.request.experiment
         x = config.override(x, {"trial.seed": x.trial.seed + HELD_OUT_SEED}, "the comparison")
         last = self.request.rounds[-1]
@@ -342,7 +346,7 @@ class _Search:
 
 
 def _pairs(found: ZWidth) -> list[BoundaryMeasures]:
-    """A boundary of each offset and repeat by itself."""
+    """Return a boundary of each offset and repeat by itself."""
     curve = found.curve(0, "any")
     dampings = [b.damping for b in curve]
     return [
@@ -360,14 +364,14 @@ def _octaves(top: float, columns: int) -> tuple[float, ...]:
 
 
 def _reach(standings: Sequence[Standing]) -> float:
-    """The column after the last one in which any wall passed."""
+    """Return the column after the last one in which any wall passed."""
     dampings = [b.damping for b in standings[0].boundary]
     last = max(one.measures.damping for one in standings)
     return next((b for b in dampings if b > last), dampings[-1])
 
 
 def _where(best: Standing, wishes: Wishes) -> tuple[float, float]:
-    """Damping at which a margin is taken, and the limit of K there."""
+    """Return the damping at which a margin is taken, and the limit of K there."""
     if wishes.wall is not None:
         return wishes.wall[1], max(b.lowest for b in best.boundary if b.damping == wishes.wall[1])
     peak = max(best.boundary, key=lambda boundary: boundary.counted)

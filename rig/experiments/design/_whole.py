@@ -72,7 +72,7 @@ class PaperSchemes:
 
     @classmethod
     def of(cls, rig: str) -> PaperSchemes:
-        """The paper that a rig is of; `ConfigError` for one of no paper."""
+        """Return the paper that a rig is of; `ConfigError` for one of no paper."""
         if rig in KOUL:
             return cls(schemes=(Scheme.of(presets.load(rig)),), measures=OF_A_PAPER)
         if rig == PAPERS_RIG:
@@ -98,7 +98,7 @@ class MappedScheme:
         return ("≥ " if name in self.capped else "") + written(self.values[name], 3)
 
     def misses(self, other: MappedScheme) -> list[str]:
-        """Measures in which it is not as good as another."""
+        """Return measures in which it is not as good as another."""
         return [
             name
             for name, value in self.values.items()
@@ -132,7 +132,7 @@ class Against:
 
     @property
     def best(self) -> MappedScheme | None:
-        """The scheme that misses fewest measures, of those the one with the largest range and peak."""
+        """Return the scheme that misses fewest measures, of those the one with the largest range and peak."""
         return self.measured[0] if self.measured else None
 
     @property
@@ -151,7 +151,7 @@ class Against:
         )
 
     def table(self, motion: str) -> Table:
-        """Each measure: the paper's scheme, the best found, and how many were ruled out by it."""
+        """Return each measure: the paper's scheme, the best found, and how many were ruled out by it."""
         best, missed = self.best, [] if self.best is None else self.best.misses(self.paper)
         rows = []
         for name in self.paper.values:
@@ -217,7 +217,7 @@ class _Whole:
             )
             for scheme in self._paper.schemes
         ]
-        measured = self._measured("paper", own)
+        measured = self._map_whole("paper", own)
         return tuple(self._against(n, paper, candidates) for n, paper in enumerate(measured))
 
     def _against(self, number: int, paper: MappedScheme, candidates: Sequence[Candidate]) -> Against:
@@ -235,7 +235,7 @@ class _Whole:
         # In batches, the most promising by theory first: it ends as soon as one is as good.
         while len(found) < len(left) and all(one.misses(paper) for one in found):
             batch = left[len(found) : len(found) + BATCH]
-            found += self._measured(f"{name} from {len(found)}", batch)
+            found += self._map_whole(f"{name} from {len(found)}", batch)
         found.sort(key=lambda one: (len(one.misses(paper)), -one.values["damping"] * one.values["stiffness"]))
         return Against(
             paper=paper,
@@ -255,9 +255,9 @@ class _Whole:
         beyond = [b for b in self._dampings if b >= reach]
         # In the order in which they rule out most for the fewest hits; counting numbers needs none.
         if "tuned" in asked:
-            yield "tuned", lambda left: [one for one in left if self._tuned(one) <= asked["tuned"]]
+            yield "tuned", lambda left: [one for one in left if self._count_tuned(one) <= asked["tuned"]]
         if asked["undamped"] > 0.0:  # else every scheme reaches it
-            yield "undamped", lambda left: self._undamped(name, left, asked["undamped"])
+            yield "undamped", lambda left: self._keep_undamped(name, left, asked["undamped"])
         if asked["damping"] > 0.0:
             yield "damping", lambda left: self._hold(f"{name} range", left, beyond, softest)
         if asked["stiffness"] > 0.0:
@@ -267,7 +267,7 @@ class _Whole:
                 lambda left: self._hold(f"{name} peak", left, self._dampings, rung),
             )
 
-    def _undamped(self, name: str, left: Sequence[Candidate], asked: float) -> list[Candidate]:
+    def _keep_undamped(self, name: str, left: Sequence[Candidate], asked: float) -> list[Candidate]:
         """At B = 0 a law is K times the position, so that one estimator stands for all."""
 
         def law(one: Candidate) -> tuple[Any, ...]:
@@ -279,13 +279,13 @@ class _Whole:
         return [one for one in left if law(one) in laws]
 
     def _rung(self, name: str, asked: float) -> float:
-        """Softest rung that is as good as what is asked for."""
+        """Return the softest rung that is as good as what is asked for."""
         return next(k for k in self._search.rungs if rules.reaches(name, k, asked, RATIO))
 
     def _hold(
         self, stage: str, left: Sequence[Candidate], dampings: Sequence[float], stiffness: float
     ) -> list[Candidate]:
-        """Candidates one of whose walls, at any of the dampings, does not fail at some offset."""
+        """Return candidates one of whose walls, at any of the dampings, does not fail at some offset."""
         if not left:
             return []
         one_rung = StiffnessSearch(way="grid", lowest=stiffness, highest=1.5 * stiffness, ratio=2.0)
@@ -300,7 +300,7 @@ class _Whole:
             )
         ]
 
-    def _measured(self, stage: str, some: Sequence[Candidate]) -> list[MappedScheme]:
+    def _map_whole(self, stage: str, some: Sequence[Candidate]) -> list[MappedScheme]:
         """Map candidates whole, and excite their rigs where the paper does."""
         x = self._x
         grid = WallGrid(dampings=self._dampings, search=self._search, offsets=OFFSETS)
@@ -319,7 +319,7 @@ class _Whole:
                 candidate=one,
                 label=one.scheme.label(one.condition(x)),
                 values=self._values(one, found, width),
-                capped=self._capped(found, width),
+                capped=self._list_capped(found, width),
             )
             for one, found, width in zip(some, maps, widths, strict=True)
         ]
@@ -333,11 +333,11 @@ class _Whole:
                 "k_width": together.stiffness,
                 "b_width": together.damping,
                 "worst_fidelity": together.worst_fidelity,
-                "tuned": float(self._tuned(one)),
+                "tuned": float(self._count_tuned(one)),
             }
         return {name: values[name] for name in self._paper.measures}
 
-    def _capped(self, found: ZWidth, width: SchemeWidths | None) -> tuple[str, ...]:
+    def _list_capped(self, found: ZWidth, width: SchemeWidths | None) -> tuple[str, ...]:
         hit = found.width(0, "any")
         reached = {
             "undamped": hit.undamped_capped,
@@ -348,8 +348,8 @@ class _Whole:
         }
         return tuple(name for name in self._paper.measures if reached.get(name, False))
 
-    def _tuned(self, one: Candidate) -> int:
-        """Numbers to tune; the listed set states order and longest window where they keep their default, too."""
+    def _count_tuned(self, one: Candidate) -> int:
+        """Return numbers to tune; the listed set states order and longest window where they keep their default, too."""
         controller = one.applied(self._x).controller
         defaults = {
             setting.name: setting.default for setting in estimators.get(controller.estimator).settings

@@ -171,7 +171,7 @@ def export_estimator(
     if not overwrite:
         refuse_existing(header)
         refuse_existing(test)
-    case = _case(signal, rate_hz, resolution) if case is None else _fitting(case, rate_hz, resolution)
+    case = _case(signal, rate_hz, resolution) if case is None else _check_fits(case, rate_hz, resolution)
     counts, elapsed = case.counts[:MOST_SAMPLES], case.elapsed[:MOST_SAMPLES]
     velocity = run(prepared, counts, case.arrays[1][:MOST_SAMPLES], elapsed)[0]
     computed: tuple[Cost, ...] = ()
@@ -198,7 +198,7 @@ def export_estimator(
     )
     export = replace(
         export,
-        text=f"{_about(export)}{_guarded(header, made.code)}",
+        text=f"{_about(export)}{_add_guard(header, made.code)}",
         test_text=_test_text(export, made, counts, elapsed, velocity),
     )
     for path, content in ((header, export.text), (test, export.test_text)):
@@ -223,7 +223,7 @@ def _case(name: str, rate_hz: float, resolution: float) -> Case:
     return signal_case(SIGNALS[name], rate_hz, resolution)
 
 
-def _fitting(case: Case, rate_hz: float, resolution: float) -> Case:
+def _check_fits(case: Case, rate_hz: float, resolution: float) -> Case:
     if math.isclose(case.rate_hz, rate_hz, rel_tol=1e-9) and math.isclose(
         case.resolution, resolution, rel_tol=1e-9
     ):
@@ -249,7 +249,7 @@ def _tolerance(prepared: Prepared, counts: Ints, elapsed: Ints, velocity: Floats
 
 
 def _with_rounded_memory(prepared: Prepared, counts: Ints, elapsed: Ints) -> Floats:
-    """Velocities of an estimator that needs no edge times and keeps its memory in float32."""
+    """Return velocities of an estimator that needs no edge times and keeps its memory in float32."""
     update, state_f, state_i = (
         prepared.estimator.update,
         np.zeros_like(prepared.state_f),
@@ -300,7 +300,7 @@ def _cost_table(costs: Sequence[Cost]) -> Table:
 
 
 def _about(export: EstimatorExport) -> str:
-    """The comment at the top of the header."""
+    """Return the comment at the top of the header."""
     prefix = _prefix(export)
     chosen = (
         ", ".join(f"{name} = {value}" for name, value in export.settings.items()) or "all at their default"
@@ -338,7 +338,7 @@ def _prefix(export: EstimatorExport) -> str:
     return export.estimator.replace("-", "_")
 
 
-def _guarded(header: Path, code: str) -> str:
+def _add_guard(header: Path, code: str) -> str:
     guard = "".join(c if c.isascii() and c.isalnum() else "_" for c in header.name.upper())
     return f"#ifndef RIG_{guard}\n#define RIG_{guard}\n\n{code}\n#endif\n"
 

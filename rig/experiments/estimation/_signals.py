@@ -65,7 +65,7 @@ def ramp(speed: float = 0.01 * np.pi) -> Signal:
 
 
 def sine(amplitude: float = 0.01, frequency_hz: float = 5.0) -> Signal:
-    """Free oscillation of a handle: amplitude · sin(2π·frequency·t)."""
+    """Return the free oscillation of a handle: amplitude · sin(2π·frequency·t)."""
     w = 2.0 * np.pi * frequency_hz
 
     def motion(t: Floats) -> Motion:
@@ -134,7 +134,7 @@ SIGNALS: dict[str, Signal] = {
 
 
 def edge_times(signal: Signal, time_s: ArrayLike, resolution: float, *, offset: float = 0.5) -> Floats:
-    """When the last encoder edge at or before each time happened, as an ideal capture unit sees it.
+    """Return when the last encoder edge at or before each time happened, as an ideal capture unit sees it.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ def _turning_points(signal: Signal, times: Floats) -> Floats:
 
 
 def _bisect(function: Callable[[Floats], Floats], low: Floats, high: Floats) -> Floats:
-    """Where each component of a function that is below zero at `low` and not at `high` passes zero."""
+    """Return where each component of a function that is below zero at `low` and not at `high` passes zero."""
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
         below = function(middle) < 0.0

@@ -76,22 +76,22 @@ class Case:
 
     @cached_property
     def judged_time_s(self) -> Floats:
-        """Times of the judged samples (s)."""
+        """Return times of the judged samples (s)."""
         return self.time_s[self.judged]
 
     @cached_property
     def true_velocity(self) -> Floats:
-        """True velocity at the judged samples."""
+        """Return the true velocity at the judged samples."""
         return self.truth(self.judged_time_s)
 
     @reported
     def speed_rms(self) -> float:
-        """Root mean square of the true velocity over the judged samples."""
+        """Return the root mean square of the true velocity over the judged samples."""
         return float(np.sqrt(np.mean(np.square(self.true_velocity))))
 
     @cached_property
     def arrays(self) -> tuple[Ints, Floats, Ints]:
-        """Counts, edge ages and elapsed periods, checked."""
+        """Return counts, edge ages and elapsed periods, checked."""
         return inputs(self.counts, self.dt, self.edge_time, self.elapsed)
 
     @cached_property
@@ -289,7 +289,7 @@ def recording_case(recording: Recording, rate_hz: float | None = None, *, name: 
 
 
 def _truth(recording: Recording, time_s: Floats, resolution: float) -> tuple[Callable[[Floats], Floats], str]:
-    """Velocity as a function of time, and where it comes from."""
+    """Return the velocity as a function of time, and where it comes from."""
     if recording.has_truth:
         true = recording.column("velocity_true")
         known = np.isfinite(true)

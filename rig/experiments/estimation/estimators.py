@@ -108,7 +108,7 @@ class EstimatorComparison(Shown, Drawn):
     scores: tuple[Score, ...]
 
     def brief(self) -> list[Item]:
-        """Raw error and delay of each."""
+        """Return the raw error and delay of each."""
         rows: list[Item] = []
         number = len(self.variants)
         for case, first in zip(self.cases, range(0, len(self.scores), number), strict=True):
@@ -186,7 +186,7 @@ def estimates(case: Case, variant: Variant) -> Floats:
 
 
 def errors(case: Case, velocity: Floats) -> tuple[float, float, float]:
-    """Raw rms error of velocities of shape (n,), delay (s), and rms error without that delay."""
+    """Return raw rms error of velocities of shape (n,), delay (s), and rms error without that delay."""
     # Three numbers: raw error alone ranks the least delayed estimator first whatever its noise, corrected error alone
     # the slowest filter.
     raw, delay_s = raw_error(case, velocity), delay(case, velocity)
@@ -196,7 +196,7 @@ def errors(case: Case, velocity: Floats) -> tuple[float, float, float]:
 
 
 def raw_error(case: Case, velocity: Floats) -> float:
-    """Raw rms error of velocities of shape (n,)."""
+    """Return raw rms error of velocities of shape (n,)."""
     return _rms(velocity[case.judged] - case.true_velocity)
 
 
@@ -226,7 +226,7 @@ def delay(case: Case, velocity: Floats) -> float:
 
 
 def rest_noise(variant: Variant, dt: float, resolution: float) -> tuple[float, float]:
-    """Rms of the velocity read at rest, after a steady approach: with a resting count, and with a toggling one.
+    """Return rms of the velocity read at rest, after a steady approach: with a resting count, and with a toggling one.
 
     The toggling count falls on either of two neighbours with equal chance at each sample: a handle at rest on the
     boundary of a cell.
@@ -256,7 +256,7 @@ def _rest_noise(
 
 
 def cost_ns(case: Case, variant: Variant) -> float:
-    """Shortest time of an update (ns) in a compiled loop through the plug type, over the case to and fro."""
+    """Return the shortest time of an update (ns) in a compiled loop through the plug type, over the case to and fro."""
     times = math.ceil(TIMED_SAMPLES / len(case.counts))
     counts = np.concatenate([case.counts if i % 2 == 0 else case.counts[::-1] for i in range(times)])
     arrays = inputs(counts, case.dt)

@@ -117,8 +117,8 @@ def identify_lipschitz(time_s: Floats, position: Floats, *, sines: int = DEFAULT
     refined together by nonlinear least squares; offset, amplitudes and phases follow linearly (variable projection).
     Source: Chawda et al., section IV; the choice of frequencies is ours.
     """
-    time_s, position = _checked(time_s, position, sines)
-    t, y = _thinned(time_s - time_s[0], position - position[0])
+    time_s, position = _check_motion(time_s, position, sines)
+    t, y = _thin_out(time_s - time_s[0], position - position[0])
     length, step = t[-1] - t[0], float(np.median(np.diff(t)))
     scale = float(np.std(y)) or 1.0
     lowest, highest = 0.1 / length, 0.25 / step
@@ -126,7 +126,7 @@ def identify_lipschitz(time_s: Floats, position: Floats, *, sines: int = DEFAULT
     # One sine after another, each started at the peak of the residual's spectrum: all at once, the descent ends in a
     # local minimum.
     for _ in range(sines):
-        rest = y - _evaluated(found, t, _linear_part(found, t, y))
+        rest = y - _evaluate(found, t, _linear_part(found, t, y))
         guess = np.append(found, np.clip(_spectral_peak(rest, step), 1.01 * lowest, 0.99 * highest))
         # Frequencies alone are free: offset and amplitudes are linear and solved within (variable projection).
         found = optimize.least_squares(
@@ -141,7 +141,7 @@ def identify_lipschitz(time_s: Floats, position: Floats, *, sines: int = DEFAULT
     return _as_fit(found, time_s, position, _linear_part(found, t, y))
 
 
-def _checked(time_s: Floats, position: Floats, sines: int) -> tuple[Floats, Floats]:
+def _check_motion(time_s: Floats, position: Floats, sines: int) -> tuple[Floats, Floats]:
     t, y = np.asarray(time_s, dtype=np.float64), np.asarray(position, dtype=np.float64)
     if t.ndim != 1 or t.shape != y.shape:
         raise ConfigError(
@@ -161,7 +161,7 @@ def _checked(time_s: Floats, position: Floats, sines: int) -> tuple[Floats, Floa
     return t, y
 
 
-def _thinned(t: Floats, y: Floats) -> tuple[Floats, Floats]:
+def _thin_out(t: Floats, y: Floats) -> tuple[Floats, Floats]:
     group = -(-len(t) // MOST_SAMPLES)
     whole = len(t) // group * group
     return t[:whole].reshape(-1, group).mean(axis=1), y[:whole].reshape(-1, group).mean(axis=1)
@@ -174,22 +174,22 @@ def _spectral_peak(rest: Floats, step: float) -> float:
 
 
 def _columns(frequencies: Floats, t: Floats) -> Floats:
-    """Regressors, shape (n, 1 + 2·sines): a constant, then all sines, then all cosines."""
+    """Return regressors, shape (n, 1 + 2·sines): a constant, then all sines, then all cosines."""
     angle = 2.0 * np.pi * np.outer(t, frequencies)
     return np.hstack([np.ones((len(t), 1)), np.sin(angle), np.cos(angle)])
 
 
 def _linear_part(frequencies: Floats, t: Floats, y: Floats) -> Floats:
-    """Offset, then the factors of sines and cosines, that are best for these frequencies."""
+    """Return the offset, then the factors of sines and cosines, that are best for these frequencies."""
     return np.asarray(np.linalg.lstsq(_columns(frequencies, t), y, rcond=1e-9)[0])
 
 
-def _evaluated(frequencies: Floats, t: Floats, linear: Floats) -> Floats:
+def _evaluate(frequencies: Floats, t: Floats, linear: Floats) -> Floats:
     return np.asarray(_columns(frequencies, t) @ linear)
 
 
 def _residual(frequencies: Floats, t: Floats, y: Floats) -> Floats:
-    return _evaluated(frequencies, t, _linear_part(frequencies, t, y)) - y
+    return _evaluate(frequencies, t, _linear_part(frequencies, t, y)) - y
 
 
 def _jacobian(frequencies: Floats, t: Floats, y: Floats) -> Floats:
@@ -206,8 +206,8 @@ def _as_fit(frequencies: Floats, time_s: Floats, position: Floats, linear: Float
     t = time_s - time_s[0]
     n = len(frequencies)
     curvature = linear * np.concatenate([[0.0], np.tile(-((2.0 * np.pi * frequencies) ** 2), 2)])
-    fitted = _evaluated(frequencies, t, linear) + position[0]
-    second = _evaluated(frequencies, t, curvature)
+    fitted = _evaluate(frequencies, t, linear) + position[0]
+    second = _evaluate(frequencies, t, curvature)
     amplitudes = np.hypot(linear[1 : n + 1], linear[n + 1 :])
     phases = np.arctan2(linear[n + 1 :], linear[1 : n + 1])
     order = np.argsort(-amplitudes, kind="stable")

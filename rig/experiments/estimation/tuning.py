@@ -33,11 +33,11 @@ DIGITS = 4  # significant ones that a tuned value keeps
 Settings = Mapping[str, float | str]
 
 
-def _corrected(case: Case, velocity: Floats) -> float:
+def _measure_corrected(case: Case, velocity: Floats) -> float:
     return errors(case, velocity)[2]
 
 
-def _both(case: Case, velocity: Floats) -> float:
+def _measure_both(case: Case, velocity: Floats) -> float:
     _, delay_s, left = errors(case, velocity)
     late = 0.0 if math.isnan(delay_s) else abs(delay_s)
     return left / case.speed_rms + late / DELAY_SCALE_S
@@ -48,8 +48,8 @@ def _both(case: Case, velocity: Floats) -> float:
 # tenth of the speed.
 OBJECTIVES: dict[str, Callable[[Case, Floats], float]] = {
     "rms": raw_error,
-    "delay-corrected-rms": _corrected,
-    "rms+delay": _both,
+    "delay-corrected-rms": _measure_corrected,
+    "rms+delay": _measure_both,
 }
 
 
@@ -91,13 +91,13 @@ class Tuning(Shown):
     evaluations: int
 
     def brief(self) -> list[Item]:
-        """The settings and how far each may be off."""
+        """Return the settings and how far each may be off."""
         rows = [Row(one.setting, one.value, note=f"within 10 %: {shown_range(one)}") for one in self.ranges]
         changed = f"{self.objective} {self.objective_start:.4g} before, {self.objective_best:.4g} now"
         return [f"{self.estimator} tuned on {self.case}: {changed}", *rows]
 
     def toml(self) -> str:
-        """Fragment of an experiment's file: estimator and settings, with what they were tuned for."""
+        """Return the fragment of an experiment's file: estimator and settings, with what they were tuned for."""
         comments = {each.setting: f"  # within 10 %: {shown_range(each)}" for each in self.ranges}
         lines = [
             f"# Tuned for {self.objective} on {self.case} ({self.reference}) at {self.after.rate_hz:g} Hz,",
@@ -222,7 +222,7 @@ class _TuningWalk:
         self.reference = estimates(case, Variant(estimator.name, self.start))
 
     def value(self, settings: Settings) -> float:
-        """Objective at these settings; infinite where they cannot be realised."""
+        """Return the objective at these settings; infinite where they cannot be realised."""
         key = tuple(settings.items())
         if key not in self.known:
             self.known[key] = self._evaluate(settings)
@@ -262,7 +262,7 @@ class _TuningWalk:
         return float(self.start.get(setting.name, setting.default or setting.minimum))
 
     def _axis(self, setting: Setting) -> _Axis | None:
-        """Axis of a setting; None when no other value is allowed or none changes the estimate."""
+        """Return axis of a setting; None when no other value is allowed or none changes the estimate."""
         start = self.begin(setting)
         for whole in (False, True):
             axis = _Axis.around(setting, start, whole)
@@ -287,7 +287,7 @@ class _TuningWalk:
         return found
 
     def descend(self) -> Floats:
-        """Best point of the unit cube."""
+        """Return the best point of the unit cube."""
         d = len(self.axes)
         start = np.array([axis.place(self.begin(axis.setting)) for axis in self.axes])
         # A scan before the descent, which finds only the nearest minimum. Sobol without scrambling, so that a tuning

@@ -84,7 +84,7 @@ class Impact:
 
 
 def measure(time_s: Floats, counts: Floats, impact_velocity: float) -> ImpactNumbers:
-    """Numbers of a trace that begins at the first sample inside; `counts` is the penetration, shape (n,)."""
+    """Return numbers of a trace that begins at the first sample inside; `counts` is the penetration, shape (n,)."""
     end = max(1, round(REST_SHARE * len(counts)))
     peak, rest = float(counts.max()), float(counts[-end:].mean())
     swing = max(LEAST_SWING, SWING_SHARE * (peak - rest))

@@ -144,7 +144,7 @@ def examined(where: OnDevice, experiment: Experiment) -> Iterator[tuple[FramedDe
 
 
 def _asked_for(experiment: Experiment) -> dict[str, Any]:
-    """Rates and wall, which a measurement varies."""
+    """Return rates and wall, which a measurement varies."""
     controller, wall = experiment.controller, experiment.wall
     return {
         "controller.position_rate": controller.position_rate,

@@ -54,7 +54,7 @@ def admit(request: HitRequest, device: FramedDevice, experiment: Experiment) -> 
 
 
 def vetted(request: HitRequest, device: FramedDevice, experiment: Experiment) -> PreparedRun:
-    """The run of an experiment in effect on an open device. The link is not measured, and nothing moves.
+    """Return the run of an experiment in effect on an open device. The link is not measured, and nothing moves.
 
     Raises
     ------

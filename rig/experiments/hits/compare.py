@@ -110,7 +110,7 @@ class SchemeImpacts:
 
     @property
     def peaks(self) -> tuple[float, float]:
-        """Least and largest peak over the offsets (counts)."""
+        """Return the least and largest peak over the offsets (counts)."""
         peaks = [impact.numbers.peak for impact in self.impacts]
         return min(peaks), max(peaks)
 
@@ -145,22 +145,22 @@ class SchemeComparison(Shown, Drawn):
 
     @reported
     def motion(self) -> Motion:
-        """Its kind of motion, which decides the units."""
+        """Return its kind of motion, which decides the units."""
         return self.experiment.rig.motion
 
     @reported
     def wall(self) -> Wall:
-        """The wall, whose damping an entry may replace."""
+        """Return the wall, whose damping an entry may replace."""
         return self.experiment.wall
 
     @reported
     def cutoffs(self) -> str | None:
-        """How the cut-offs differ between damped schemes that state none; None where they do not."""
+        """Return how the cut-offs differ between damped schemes that state none; None where they do not."""
         damped = [outcome.entry.scheme for outcome in self.outcomes if outcome.damping > 0.0]
         return describe_cutoffs(damped, self.experiment)
 
     def brief(self) -> list[Item]:
-        """The wall, and of each scheme the peak, its spread over the offsets, and the rest."""
+        """Return the wall, and of each scheme the peak, its spread over the offsets, and the rest."""
         return [
             self._headline(),
             *(
@@ -170,7 +170,7 @@ class SchemeComparison(Shown, Drawn):
         ]
 
     def detailed(self) -> list[Item]:
-        """Every number of each scheme, and how the cut-offs differ."""
+        """Return every number of each scheme, and how the cut-offs differ."""
         velocity = unit_of("velocity", self.motion)
         head = ("counts", f"impact ({velocity})", "peak", "of offsets", "second", "rest", "bounces", "decay")
         table = Table((*head, "settling (s)"), [one.cells() for one in self.outcomes])
@@ -360,7 +360,7 @@ def _controller(experiment: Experiment, start: Start) -> ControllerState:
 
 
 def _one_tick_before(experiment: Experiment, start: Start, tick_s: float) -> tuple[float, float]:
-    """Position and velocity from which the rig, as one body, coasts to the start within one tick."""
+    """Return the position and velocity from which the rig, as one body, coasts to the start within one tick."""
     if start.velocity == 0.0:
         return start.position, 0.0
     m = experiment.rig.mechanics

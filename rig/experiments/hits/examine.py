@@ -166,14 +166,14 @@ def examine(question: ExaminationRequest, on_progress: Progress = lambda what, s
     if question.url is None and not question.realtime:
         return seen
     try:
-        with _opened(question) as device:
+        with _open_device(question) as device:
             return _with_device(question, device, seen, on_progress)
     except RigError as error:
         return replace(seen, error=error)
 
 
 @contextmanager
-def _opened(question: ExaminationRequest) -> Iterator[FramedDevice]:
+def _open_device(question: ExaminationRequest) -> Iterator[FramedDevice]:
     """Open the device; a simulated one in real time becomes a process of its own."""
     loop = question.changes.get("controller.loop", question.experiment.controller.loop)
     url = devices.url_for(question.url or "sim://", loop)
@@ -208,13 +208,13 @@ def _with_device(
 
     try:
         try:
-            link = _measured(device, experiment, asked.seconds, shown)
+            link = _measure_link(device, experiment, asked.seconds, shown)
         except RealtimeError as error:
-            scheduling = (_not_scheduled(error),)
+            scheduling = (_report_not_scheduled(error),)
             seen = replace(seen, checks=(*seen.checks, *scheduling))
             # The link is measured without the scheduling that was refused: its numbers are worth more than an error.
             plain = replace(experiment, host=replace(experiment.host, realtime="off"))
-            link = _measured(device, plain, asked.seconds, shown)
+            link = _measure_link(device, plain, asked.seconds, shown)
     except RigError as lost:
         return replace(seen, error=lost)
     rows = supported_walls(
@@ -229,7 +229,7 @@ def _with_device(
     )
 
 
-def _measured(
+def _measure_link(
     device: FramedDevice, experiment: Experiment, seconds: float, progress: Callable[[float], None]
 ) -> LinkMeasurement:
     virtual = device.link.clock.virtual
@@ -240,5 +240,5 @@ def _measured(
 
 
 @question("real-time scheduling", 'required by host.realtime = "enforce": without it no run begins')
-def _not_scheduled(error: RealtimeError) -> Check:
+def _report_not_scheduled(error: RealtimeError) -> Check:
     return answers.refused(error.message, error.remedy)

@@ -140,14 +140,14 @@ class HitResult(Shown, Drawn):
         return self.recorded.judgement.verdict_true
 
     def brief(self) -> list[Item]:
-        """Wall, verdict with its reasons, and the three ripples that it goes by."""
+        """Return the wall, verdict with its reasons, and the three ripples that it goes by."""
         rows = self.recorded.judgement.rows(self.experiment)
         summary = [row for row in rows if row.label in {"verdict", ""}]
         numbers = [row for row in rows if row.label.startswith(("peak", "felt", "heard", "moved"))]
         return [self.experiment.headline(), *summary[:3], *numbers, Row("recording", str(self.path))]
 
     def detailed(self) -> list[Item]:
-        """Everything that the verdict goes by."""
+        """Return everything that the verdict goes by."""
         rows = self.recorded.judgement.rows(self.experiment)
         return [self.experiment.headline(), *rows, Row("recording", str(self.path))]
 
@@ -239,7 +239,7 @@ def hit(request: HitRequest, admit: Admit, watch: Watch | None = None) -> Iterat
     RigError
         Whatever ended a trial early (see `rig.experiments.trials._trial.run_trial`); the effort is zero.
     """
-    with stop_requests.listening() as series, _opened(request) as (device, effective):
+    with stop_requests.listening() as series, _open_device(request) as (device, effective):
         with series:
             admitted = admit(request, device, effective)
         gate, warnings, experiment = admitted.gate, admitted.warnings, admitted.run.experiment
@@ -271,10 +271,10 @@ def hit(request: HitRequest, admit: Admit, watch: Watch | None = None) -> Iterat
 def left_by(error: Exception) -> Recorded | None:
     """Return the recording of a hit that ended with this error; None if nothing moved."""
     end = end_of(error)
-    return None if end is None else _recorded(end)
+    return None if end is None else _make_recorded(end)
 
 
-def _recorded(end: TrialEnd) -> Recorded:
+def _make_recorded(end: TrialEnd) -> Recorded:
     if end.sealed is not None and end.judgement is not None:
         return Recorded(end.experiment, end.sealed, end.judgement)
     recording = open_recording(end.recording)  # sealing failed, and something else before
@@ -285,7 +285,7 @@ def _one(device: FramedDevice, trial: TrialRequest, admitted: Admitted) -> HitRe
     end = run_trial(device, trial)
     fault, device.cleared_fault = device.cleared_fault, None
     return HitResult(
-        recorded=_recorded(end),
+        recorded=_make_recorded(end),
         counters=end.counters,
         cleared_fault=None if fault is None else fault.text,
         gate=admitted.gate,
@@ -294,7 +294,7 @@ def _one(device: FramedDevice, trial: TrialRequest, admitted: Admitted) -> HitRe
 
 
 @contextmanager
-def _opened(request: HitRequest) -> Iterator[tuple[FramedDevice, Experiment]]:
+def _open_device(request: HitRequest) -> Iterator[tuple[FramedDevice, Experiment]]:
     """Open the device of a request; with it the experiment in effect there.
 
     A simulated one in real time becomes a process of its own.
@@ -326,7 +326,7 @@ def _opened(request: HitRequest) -> Iterator[tuple[FramedDevice, Experiment]]:
 
 
 def _rig_behind(url: str, request: HitRequest) -> RigModel | None:
-    """The rig that a bridge must know; a board knows its own."""
+    """Return the rig that a bridge must know; a board knows its own."""
     if not devices.is_made_for_a_rig(url):
         return None
     return config.rig_model(config.with_realtime(request.experiment, request.changes))

@@ -62,7 +62,7 @@ class HitSimulator:
 
 
 def start_of(experiment: Experiment) -> float:
-    """Where a hit begins (rad or m): somewhere within homing's tolerance, by the seed."""
+    """Return where a hit begins (rad or m): somewhere within homing's tolerance, by the seed."""
     spread = experiment.homing.tolerance_counts * experiment.rig.encoder.resolution / 2.0
     return experiment.trial.start + spread * float(
         np.random.default_rng(experiment.trial.seed).uniform(-1.0, 1.0)

@@ -121,7 +121,7 @@ def _by_order(
 
 
 def _columns(orders: Sequence[int], each: dict[int, tuple[float, float]]) -> tuple[list[float], list[float]]:
-    """Cosines and sines, zero where there is no harmonic."""
+    """Return cosines and sines, zero where there is no harmonic."""
     rows = [each.get(n, (0.0, 0.0)) for n in orders]
     return [c for c, _ in rows], [s for _, s in rows]
 

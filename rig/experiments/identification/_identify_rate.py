@@ -24,7 +24,7 @@ RATES = ("controller.position_rate", "controller.velocity_rate")
 
 
 def at_rate(x: Experiment, rate_hz: int, origin: str) -> Experiment:
-    """The rig with a loop of this rate, its wall gone."""
+    """Return the rig with a loop of this rate, its wall gone."""
     return config.override(still(x), dict.fromkeys(RATES, rate_hz), origin)
 
 
@@ -64,14 +64,14 @@ def choose_rate(
         if not stated.reason:
             return stated
         slower = works if works is not None and works.rate_hz < stated_hz else None
-        raise _refused(x, measurement, stated, slower)
+        raise _make_refusal(x, measurement, stated, slower)
     if works is None:
-        raise _refused(x, measurement, judged[-1], None)
+        raise _make_refusal(x, measurement, judged[-1], None)
     return works
 
 
 def halves(rate_hz: int) -> list[int]:
-    """Half of a rate, a quarter and so on, in whole steps, down to the slowest (Hz)."""
+    """Return half of a rate, a quarter and so on, in whole steps, down to the slowest (Hz)."""
     slower = (rate_hz >> number for number in range(1, rate_hz.bit_length()))
     return [rate - rate % RATE_STEP for rate in slower if rate - rate % RATE_STEP >= SLOWEST_HZ]
 
@@ -103,7 +103,7 @@ def judge_rate(x: Experiment, measurement: LinkMeasurement, rate_hz: int) -> Rat
     return RateChoice(rate_hz, "; ".join(reasons), silence_s)
 
 
-def _refused(
+def _make_refusal(
     x: Experiment, measurement: LinkMeasurement, choice: RateChoice, works: RateChoice | None
 ) -> PlanError:
     if works is not None:

@@ -225,11 +225,11 @@ class Identification(Shown, Drawn):
 
     @reported
     def motion(self) -> str:
-        """Its kind of motion, which decides the units."""
+        """Return its kind of motion, which decides the units."""
         return self.experiment.rig.motion
 
     def brief(self) -> list[Item]:
-        """Friction, damping, inertia, delay, each with its 95 % interval; warnings."""
+        """Return the friction, damping, inertia, delay, each with its 95 % interval; warnings."""
         x, sliding, dynamics = self.experiment, self.sliding, self.dynamics
         values = {
             "Coulomb friction": sliding.coulomb.text(_unit(x, "effort")),
@@ -317,7 +317,7 @@ def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None
                 heavy = dynamics.inertia.value + request.mass_kg * arm**2
                 ripple = session.ripple(loaded, request.cogging, dynamics.inertia.value, heavy, damping)
         simulated = device.dictionary.simulated
-    found = _identified(
+    found = _make_identification(
         request, base, signs, sliding, dynamics, cogging, ripple, session.recordings, simulated=simulated
     )
     return replace(found, warnings=(*found.warnings, *_doubts(base, found, session.drift, session.repeated)))
@@ -401,7 +401,7 @@ class _Session:
         self.drift = 0.0  # largest change of an excited motion from period to period
 
     def free_motions(self, x: Experiment, say: Tell) -> tuple[SignCheck, Sliding, Dynamics]:
-        """Pushes, sweeps if cogging is looked for, strokes, excitation."""
+        """Run pushes, sweeps if cogging is requested, strokes, and the excitation."""
         request = self._request
         say(f"signs: {PUSHES} small pushes, at most {most_push(x):.3g} {_unit(x, 'effort')}")
         # The order is one of trust: pushes need no sign to be known and end by themselves after a few counts; strokes
@@ -427,7 +427,7 @@ class _Session:
         return signs_of(x, rows, rate)
 
     def sliding(self, x: Experiment) -> Sliding:
-        rows, rate = self._run(self._evened(strokes_motion(x)), "sliding")
+        rows, rate = self._run(self._compensate_cogging(strokes_motion(x)), "sliding")
         return fit_sliding(
             np.arange(len(rows)) / rate,
             self._effort(rows),
@@ -445,7 +445,7 @@ class _Session:
         runs, lates = [], []
         for number in range(request.realisations):
             multisine = excitation(x, request.seed, request.period_s, inertia, number)
-            run, late = self._excited(x, multisine, inertia, number)
+            run, late = self._run_excitation(x, multisine, inertia, number)
             runs.append(run)
             lates.append(late)
         found = fit_dynamics(
@@ -459,11 +459,11 @@ class _Session:
         self.drift = max(period_change(run, found.band.chosen) for run in runs)
         return found.later(round(float(np.median(lates))), 1.0 / x.controller.position_rate)
 
-    def _excited(
+    def _run_excitation(
         self, x: Experiment, multisine: Multisine, inertia: float, number: int
     ) -> tuple[ExcitedRun, int]:
         """Run one realisation, and again when a command that came late has pushed the handle out of its period."""
-        motion = self._evened(excitation_motion(x, multisine, inertia))
+        motion = self._compensate_cogging(excitation_motion(x, multisine, inertia))
         for attempt in range(1 if self.device.link.clock.virtual else ATTEMPTS):
             if attempt:
                 self.repeated += 1
@@ -507,7 +507,7 @@ class _Session:
         sweeps = cogging_sweeps(x, most_order, loaded=loaded)[1]
         return np.arange(len(rows)) / rate, rows["effort_sent"], rows["position"], sweeps
 
-    def _evened(self, motion: IdentificationMotion) -> IdentificationMotion:
+    def _compensate_cogging(self, motion: IdentificationMotion) -> IdentificationMotion:
         """The motion with the cogging compensated that is known: else a handle may fall from detent to detent."""
         x = motion.experiment
         if not self._cogging.orders:
@@ -517,7 +517,7 @@ class _Session:
         return IdentificationMotion(config.override(evened, {}, "identification"), motion.law)
 
     def _effort(self, rows: NDArray[np.void]) -> NDArray[np.float64]:
-        """Effort of the motor, cogging included as far as it is known."""
+        """Return the effort of the motor, cogging included as far as it is known."""
         return np.asarray(rows["effort_sent"] + self._cogging.effort(rows["position"]))
 
     def _run(
@@ -545,7 +545,7 @@ class _Session:
 def excited_run_of(
     rows: NDArray[np.void], rate: float, multisine: Multisine, effort: NDArray[np.float64]
 ) -> ExcitedRun:
-    """The whole periods of one realisation, the settling ones cut.
+    """Return the whole periods of one realisation, the settling ones cut.
 
     The effort of a row is held from its sample to the next; whatever comes later is a delay to be identified. Where the
     last samples are lost, the periods end with those before.
@@ -631,7 +631,7 @@ def _check_signs(signs: SignCheck) -> None:
         )
 
 
-def _identified(
+def _make_identification(
     request: IdentifyRequest,
     base: Experiment,
     signs: SignCheck,

@@ -39,11 +39,11 @@ class KMax(Drawn):
         return cls(tuple(scheme.position_rate for scheme in found.plan.schemes), found)
 
     def curve(self, criterion: str) -> list[Boundary]:
-        """Boundaries in the order of the rates."""
+        """Return boundaries in the order of the rates."""
         return [self.map.curve(number, criterion)[0] for number in range(len(self.rates))]
 
     def saturation(self, criterion: str) -> float | None:
-        """K_max at the highest rate over K_max at 20 kHz; None without both, or when one is a cap or zero."""
+        """Return K_max at the highest rate over K_max at 20 kHz; None without both, or when one is a cap or zero."""
         if 20_000 not in self.rates or self.rates[-1] <= 20_000:
             return None
         curve = self.curve(criterion)

@@ -40,15 +40,15 @@ class Map(Protocol):
     table_name: ClassVar[str]
 
     def table(self) -> Iterator[dict[str, Any]]:
-        """Every trial as a flat row."""
+        """Return every trial as a flat row."""
         ...
 
     def units(self) -> Mapping[str, str]:
-        """Unit of each column that has one."""
+        """Return the unit of each column that has one."""
         ...
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON, without the single trials."""
+        """Return plain values, for JSON, without the single trials."""
         ...
 
 
@@ -63,7 +63,7 @@ class Plan(Protocol[M_co]):
 
     @property
     def experiment(self) -> Experiment:
-        """Its rig gives the directory its name."""
+        """Return the experiment, whose rig names the directory."""
         ...
 
     @property
@@ -76,7 +76,7 @@ class Plan(Protocol[M_co]):
         ...
 
     def found(self, results: Sequence[Any]) -> M_co:
-        """The map that the results of all tasks make."""
+        """Return the map that the results of all tasks make."""
         ...
 
 
@@ -193,7 +193,7 @@ def read_plan(directory: Path) -> tuple[MapPlan | FrequencyPlan, str]:
 
 
 def recorded_hit(plan: MapPlan, series: Series, stiffness: float, output: Path) -> Path:
-    """One simulated hit of a map as a recording: the same rows over the byte link, to the last bit.
+    """Return one simulated hit of a map as a recording: the same rows over the byte link, to the last bit.
 
     Its name says which hit it is, so that a hit that was asked for before is only found again.
 
@@ -229,6 +229,6 @@ def write_map(found: Map, directory: Path) -> None:
 
 
 def summary(found: Map) -> dict[str, Any]:
-    """Plain values, for JSON: everything but the single trials; of impedances with Table I."""
+    """Return plain values, for JSON: everything but the single trials; of impedances with Table I."""
     more = {"table_one": plain(table_one(found))} if isinstance(found, FrequencyMap) else {}
     return {**found.as_mapping(), **more}

@@ -71,7 +71,7 @@ def bisect(holds: Callable[[float], bool], low: float, high: float, steps: int) 
 
 
 def highest_stiffness(experiment: Experiment) -> float:
-    """Stiffest wall in which the push rests as deep as ``trial.minimum_rest_counts`` (N·m/rad or N/m).
+    """Return the stiffest wall in which the push rests as deep as ``trial.minimum_rest_counts`` (N·m/rad or N/m).
 
     Beyond it the handle leaves the wall for want of push, not of stability. With `minimum_rest_counts` = 0 one count
     is asked for.
@@ -162,7 +162,7 @@ def _stays_in_window(experiment: Experiment, stiffness: float) -> bool:
 
 
 def _softest(experiment: Experiment, lowest: float, highest: float) -> float:
-    """Softest wall that a trial may hit: in a softer one the handle would go beyond its window."""
+    """Return the softest wall that a trial may hit: in a softer one the handle would go beyond its window."""
 
     def refused(logarithm: float) -> bool:
         walled = replace(experiment, wall=replace(experiment.wall, stiffness=math.exp(logarithm)))
@@ -195,7 +195,7 @@ def schemes_for(
 def dampings_for(
     experiment: Experiment, schemes: Sequence[Scheme], columns: int = COLUMNS
 ) -> tuple[float, ...]:
-    """Dampings from 0 to a little beyond the linear limit of the scheme that allows most."""
+    """Return dampings from 0 to a little beyond the linear limit of the scheme that allows most."""
     widest = max(_range(experiment, scheme) for scheme in schemes)
     return tuple(np.linspace(0.0, BEYOND * widest, columns).tolist())
 
@@ -261,7 +261,7 @@ def hit_plan(
 
 
 def theory_curves(plan: MapPlan) -> dict[int, tuple[list[float], list[float]]]:
-    """Dampings and linear limits of every scheme that the theory can take, by index of scheme."""
+    """Return dampings and linear limits of every scheme that the theory can take, by index of scheme."""
     if plan.experiment.controller.wall_is_elsewhere:
         return {}
     dampings = np.linspace(min(plan.dampings), max(plan.dampings), CURVE_POINTS)
@@ -283,7 +283,7 @@ def _linear_only(schemes: Iterable[Scheme], curves_of: Callable[[Scheme], T]) ->
 
 
 def kmax_theory(found: KMax) -> tuple[list[float], list[float]]:
-    """Rates and linear limits at B = 0."""
+    """Return rates and linear limits at B = 0."""
     schemes = found.map.plan.schemes
     limits = [theory.k_max(found.map.plan.experiment, scheme, 0.0) for scheme in schemes]
     return [float(rate) for rate in found.rates], [limit.stiffness for limit in limits]
@@ -338,7 +338,7 @@ def frequency_plan(
 
 
 def default_schemes(experiment: Experiment) -> tuple[Scheme, ...]:
-    """The paper's four estimators: at 1 kHz with its settings, else with their defaults at the active rates."""
+    """Return the paper's four estimators: at 1 kHz with its settings, else with their defaults at the active rates."""
     rates = experiment.controller.position_rate, experiment.controller.velocity_rate
     if set(rates) == {PAPERS_RATE}:
         return tuple(Scheme.parse(text) for text in PAPERS_SCHEMES)

@@ -71,7 +71,7 @@ def numbers_of(text: str, name: str) -> tuple[float, ...]:
 
 
 def bounds_of(text: str, name: str) -> tuple[float, float]:
-    """Lowest and highest of ``10:1000``; `ConfigError` calls them `name`."""
+    """Return the lowest and highest of ``10:1000``; `ConfigError` calls them `name`."""
     try:
         low, high = (float(part) for part in text.split(":"))
     except ValueError:
@@ -109,7 +109,7 @@ class StiffnessSearch:
 
     @property
     def rungs(self) -> list[float]:
-        """All stiffnesses, ascending; the last one does not exceed the highest."""
+        """Return all stiffnesses, ascending; the last one does not exceed the highest."""
         # Plus 1e-9: a highest that is a whole number of ratios must be a rung, whatever its logarithm's last bit.
         steps = math.floor(math.log(self.highest / self.lowest) / math.log(self.ratio) + 1e-9)
         return [self.lowest * self.ratio**step for step in range(steps + 1)]
@@ -328,7 +328,7 @@ class GridSearch:
 
     @property
     def highest(self) -> int:
-        """Largest stiffness on the edge that the search found; −1 if none."""
+        """Return the largest stiffness on the edge that the search found; −1 if none."""
         return max(stiffness for _, stiffness in self.edge)
 
     @property
@@ -343,12 +343,12 @@ class GridSearch:
 
     @property
     def unseen(self) -> int:
-        """Dampings with passive walls that it never came to."""
+        """Return dampings with passive walls that it never came to."""
         seen = dict(self.edge)
         return sum(b not in seen and k >= 0 for b, k in enumerate(self.connected))
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON, in SI units; None for an edge that is not there."""
+        """Return plain values, for JSON, in SI units; None for an edge that is not there."""
         dampings, stiffnesses = self.dampings, self.stiffnesses
 
         def walls(edge: Iterable[tuple[int, int]]) -> list[list[float | None]]:

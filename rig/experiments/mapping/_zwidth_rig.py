@@ -109,7 +109,7 @@ def zwidth_on_rig(plan: MapPlan, session: DeviceMap, *, journal: Path | None = N
             try:
                 return hits.series(plan.experiment_of(one), StiffnessSearch(**task.payload["search"]), first)
             except (KeyboardInterrupt, StoppedError) as stop:
-                raise _stopped(stop, first, journal) from stop
+                raise _make_stop_error(stop, first, journal) from stop
 
         done = sweep.run_here(work_of(where.url, where.realtime), perform, tasks, journal=journal)
         return ZWidth.of(plan, done, on_device=True)
@@ -125,7 +125,7 @@ def cooling_s(rms_effort: float, nominal_effort: float, duration_s: float) -> fl
     return max(0.0, duration_s * ((rms_effort / nominal_effort) ** 2 - 1.0))
 
 
-def _stopped(stop: BaseException, where: Next, journal: Path | None) -> StoppedError:
+def _make_stop_error(stop: BaseException, where: Next, journal: Path | None) -> StoppedError:
     """Say how far a session came; series are done in their order."""
     reason = stop.message if isinstance(stop, StoppedError) else "stopped; the effort is zero"
     kept = f"{where.series - 1} of {where.total} series are done" + (

@@ -194,7 +194,7 @@ class ImpedanceResult(Shown, Drawn):
 
     @reported
     def motion(self) -> Motion:
-        """Its kind of motion, which decides the units."""
+        """Return its kind of motion, which decides the units."""
         return self.experiment.rig.motion
 
     @reported
@@ -313,7 +313,7 @@ def measure_impedance(
 def unexpected(
     results: Sequence[ImpedanceResult], expected: Collection[str]
 ) -> UnexpectedVerdictError | None:
-    """The error for the first wall that is not as expected, ``passive`` or ``not-passive``; None if all are.
+    """Return the error for the first wall that is not as expected, ``passive`` or ``not-passive``; None if all are.
 
     Without expectations everything is expected.
     """
@@ -368,7 +368,7 @@ def measure_on_device(
             runs: list[RealisationRun] = []
             recordings: list[Path] = []
             for realisation in range(one.excitation.realisations):
-                run, paths = _recorded_whole(trials, one, realisation)
+                run, paths = _record_whole(trials, one, realisation)
                 runs.append(run)
                 recordings += paths
                 done += 1
@@ -387,7 +387,7 @@ def prepared(
     schemes: Sequence[Scheme],
     excitation: Excitation | None,
 ) -> list[list[Experiment]]:
-    """ExcitedRun experiments to run, checked: the walls of each scheme."""
+    """Return ExcitedRun experiments to run, checked: the walls of each scheme."""
     if excitation is not None:
         experiment = replace(experiment, excitation=excitation)
     base = config.excited(experiment)
@@ -496,7 +496,7 @@ def recorded_impedance(
 
 
 def known_device(experiment: Experiment) -> RigidRig:
-    """Mass, damping and back-EMF of the rig, as its file says."""
+    """Return the mass, damping and back-EMF of the rig, as its file says."""
     mechanics, amplifier = experiment.rig.mechanics, experiment.rig.amplifier
     return RigidRig(
         inertia=mechanics.motor_inertia + mechanics.loaded_link_inertia,
@@ -515,14 +515,14 @@ def expected(experiment: Experiment, lines_hz: Floats, signal: Signal = "count")
         return None
 
 
-def _recorded_whole(
+def _record_whole(
     trials: Trials, experiment: Experiment, realisation: int
 ) -> tuple[RealisationRun, list[Path]]:
     """Record one realisation; repeat it if samples were lost, because a period with a gap cannot be used."""
     paths: list[Path] = []
     while True:
         try:
-            run, path = _recorded(trials, experiment, realisation)
+            run, path = _record_realisation(trials, experiment, realisation)
             return run, [*paths, path]
         except RecordingError as error:
             if error.recording is None or len(paths) + 1 == ATTEMPTS:
@@ -530,8 +530,10 @@ def _recorded_whole(
             paths.append(error.recording)
 
 
-def _recorded(trials: Trials, experiment: Experiment, realisation: int) -> tuple[RealisationRun, Path]:
-    """One realisation as a recorded trial."""
+def _record_realisation(
+    trials: Trials, experiment: Experiment, realisation: int
+) -> tuple[RealisationRun, Path]:
+    """Return one realisation as a recorded trial."""
     trial = config.as_mapping(experiment)["trial"]
     done = trials.run(
         experiment,

@@ -148,17 +148,17 @@ class SchemeWidths:
 
     @reported
     def stiffness(self) -> Spread:
-        """K-width over realisations; one that holds nothing counts as 0."""
+        """Return K-width over realisations; one that holds nothing counts as 0."""
         return Spread.of([width.stiffness for width in self.each])
 
     @reported
     def damping(self) -> Spread:
-        """B-width over the realisations that hold something."""
+        """Return B-width over the realisations that hold something."""
         return Spread.of([width.damping for width in self.each])
 
     @reported
     def worst_fidelity(self) -> Spread:
-        """Largest error over the realisations that hold something, each over its own region."""
+        """Return the largest error over the realisations that hold something, each over its own region."""
         return Spread.of([width.worst_fidelity for width in self.each])
 
 
@@ -265,7 +265,7 @@ def table_one(found: FrequencyMap) -> TableOne:
     # that alone. So fidelity is also shown at walls that are connected under every scheme, with damping, since without
     # it the estimator has no effect.
     held = regions[comparable].all(axis=0) & damped[:, None] & (len(comparable) > 0)
-    cells = _spaced(np.argwhere(held))
+    cells = _choose_spaced(np.argwhere(held))
     rows = []
     for number, scheme in enumerate(plan.schemes):
         controller = scheme.applied(plan.experiment).controller
@@ -296,7 +296,7 @@ def table_one(found: FrequencyMap) -> TableOne:
 
 
 def tuned_numbers(estimator: str, parameters: Mapping[str, float | str]) -> tuple[str, ...]:
-    """Names of the numbers among an estimator's stated settings, as the paper counts them."""
+    """Return names of the numbers among an estimator's stated settings, as the paper counts them."""
     names = [name for name, value in parameters.items() if not isinstance(value, str)]
     if estimator == "levant":
         others = [name for name in names if name not in LEVANT_GAINS]
@@ -310,8 +310,8 @@ def _papers(experiment: Experiment, scheme: Scheme, estimator: str) -> Printed |
     return PAPER.get(estimator) if own else None
 
 
-def _spaced(cells: np.ndarray[Any, np.dtype[np.int64]]) -> list[tuple[int, int]]:
-    """Some of the cells, evenly spaced in the order of damping times stiffness, the last among them."""
+def _choose_spaced(cells: np.ndarray[Any, np.dtype[np.int64]]) -> list[tuple[int, int]]:
+    """Return some of the cells, evenly spaced in the order of damping times stiffness, the last among them."""
     if len(cells) == 0:
         return []
     order = np.argsort((cells[:, 0] + 1) * (cells[:, 1] + 1), kind="stable")
@@ -320,5 +320,5 @@ def _spaced(cells: np.ndarray[Any, np.dtype[np.int64]]) -> list[tuple[int, int]]
 
 
 def _step(values: tuple[float, ...]) -> float:
-    """Largest step of a grid's axis, 0 for a single value."""
+    """Return the largest step of a grid's axis, 0 for a single value."""
     return float(np.diff(values).max()) if len(values) > 1 else 0.0

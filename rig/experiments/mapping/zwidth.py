@@ -103,7 +103,7 @@ class MapPlan:
             raise PlanError(f"{self.repeats} repeats (`repeats`)", remedy="give 1 or more")
 
     def series(self) -> list[Series]:
-        """Every series, in the order of schemes, dampings, offsets, repeats."""
+        """Return every series, in the order of schemes, dampings, offsets, repeats."""
         return [
             Series(number, damping, offset, repeat)
             for number in range(len(self.schemes))
@@ -113,7 +113,7 @@ class MapPlan:
         ]
 
     def experiment_of(self, series: Series, under: Experiment | None = None) -> Experiment:
-        """The experiment of a series but for its stiffness; `under` is the plan's under its scheme, if known."""
+        """Return the experiment of a series but for its stiffness; `under` is the plan's under its scheme, if known."""
         changes = {
             "rig.encoder.offset": series.offset,
             "trial.seed": self.experiment.trial.seed + series.repeat,
@@ -124,7 +124,7 @@ class MapPlan:
 
     @cached_property
     def tasks(self) -> list[sweep.Task]:
-        """The series as a sweep runs them: here their experiments are checked, and nowhere again."""
+        """Return the series as a sweep runs them: here their experiments are checked, and nowhere again."""
         applied = [scheme.applied(self.experiment) for scheme in self.schemes]
         return [
             sweep.Task(
@@ -142,7 +142,7 @@ class MapPlan:
         ]
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values, which `from_mapping` turns into an equal plan."""
+        """Return plain values, which `from_mapping` turns into an equal plan."""
         own = {"search": asdict(self.search), "schemes": [scheme.text for scheme in self.schemes]}
         named = {
             name: getattr(self, name) for name in ("dampings", "offsets", "repeats", "judged", "criteria")
@@ -151,7 +151,7 @@ class MapPlan:
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], where: str) -> MapPlan:
-        """The plan of plain values; `ConfigError` names `where`."""
+        """Return the plan of plain values; `ConfigError` names `where`."""
         return cls(
             experiment=config.experiment_from_mapping(mapping["experiment"], where),
             schemes=tuple(Scheme.parse(text) for text in mapping["schemes"]),
@@ -164,7 +164,7 @@ class MapPlan:
         )
 
     def found(self, results: Sequence[Any]) -> ZWidth:
-        """The map that the results of all tasks make."""
+        """Return the map that the results of all tasks make."""
         return ZWidth.of(self, results)
 
 
@@ -300,7 +300,7 @@ class ZWidth(Shown, Drawn):
 
     @property
     def cutoffs(self) -> str | None:
-        """How the cut-offs differ between schemes that state none; None where they do not."""
+        """Return how the cut-offs differ between schemes that state none; None where they do not."""
         return describe_cutoffs(self.plan.schemes, self.plan.experiment)
 
     @property
@@ -318,7 +318,7 @@ class ZWidth(Shown, Drawn):
             hits += len(rows)
             for criterion in plan.criteria:
                 column = (one.scheme, one.damping, criterion)
-                limits.setdefault(column, []).append(limit_of(_tried(rows, criterion, plan.judged)))
+                limits.setdefault(column, []).append(limit_of(_collect_tried(rows, criterion, plan.judged)))
         boundaries = tuple(
             Boundary.of(*column, found, rendered=rendered_share(applied[column[0]], column[1]))
             for column, found in limits.items()
@@ -326,7 +326,7 @@ class ZWidth(Shown, Drawn):
         return cls(plan, boundaries, hits, series, on_device)
 
     def curve(self, scheme: int, criterion: str) -> list[Boundary]:
-        """Boundaries of one scheme under one criterion, by damping."""
+        """Return boundaries of one scheme under one criterion, by damping."""
         found = [b for b in self.boundaries if (b.scheme, b.criterion) == (scheme, criterion)]
         return sorted(found, key=lambda boundary: boundary.damping)
 
@@ -351,7 +351,7 @@ class ZWidth(Shown, Drawn):
         )
 
     def invalid(self) -> dict[str, int]:
-        """Why hits were invalid, with how many each, the most common reason first."""
+        """Return why hits were invalid, with how many each, the most common reason first."""
         limits, why = config.verdict_thresholds(self.plan.experiment), Counter[str]()
         suffix, column = TRUE if self.plan.judged == "true" else "", _passes("any", self.plan.judged)
         for rows in self.series:
@@ -363,7 +363,7 @@ class ZWidth(Shown, Drawn):
         return dict(why.most_common())
 
     def brief(self) -> list[Item]:
-        """Each scheme's width, by the criterion that every ripple counts for."""
+        """Return each scheme's width, by the criterion that every ripple counts for."""
         x = self.plan.experiment
         stiffness, damping = (unit_of(name, x.rig.motion) for name in ("stiffness", "damping"))
         rows = []
@@ -383,7 +383,7 @@ class ZWidth(Shown, Drawn):
         ]
 
     def detailed(self) -> list[Item]:
-        """The short form, and the limit of each scheme at each damping."""
+        """Return the short form, and the limit of each scheme at each damping."""
         x = self.plan.experiment
         stiffness, damping = (unit_of(name, x.rig.motion) for name in ("stiffness", "damping"))
         curves = [self.curve(number, "any") for number in range(len(self.plan.schemes))]
@@ -392,14 +392,14 @@ class ZWidth(Shown, Drawn):
         return [*self.brief(), Table(head, rows, words=0)]
 
     def table(self) -> Iterator[dict[str, Any]]:
-        """Every hit as a flat row: scheme, damping, offset, repeat, stiffness, kinds and numbers."""
+        """Yield every hit as a flat row: scheme, damping, offset, repeat, stiffness, kinds and numbers."""
         for one, rows in zip(self.plan.series(), self.series, strict=True):
             of_series = asdict(one) | {"scheme": self.plan.schemes[one.scheme].text}
             for row in rows:
                 yield of_series | row
 
     def units(self) -> dict[str, str]:
-        """Unit of each column of the table that has one."""
+        """Return the unit of each column of the table that has one."""
         quantities: dict[str, Any] = {"damping": "damping", "stiffness": "stiffness", "offset": "count"}
         for name, quantity in UNITS.items():
             quantities[name] = quantities[name + TRUE] = quantity
@@ -408,7 +408,7 @@ class ZWidth(Shown, Drawn):
         }
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON: the plan, the boundaries and the widths, without the single hits."""
+        """Return plain values, for JSON: the plan, the boundaries and the widths, without the single hits."""
         plan = self.plan
         labels = [scheme.label(plan.experiment) for scheme in plan.schemes]
         return {
@@ -437,7 +437,7 @@ class ZWidth(Shown, Drawn):
 
 
 def row_of(measured: Measured, suffix: str) -> dict[str, Any]:
-    """Columns of one side of a hit: kind, what passes, and every number."""
+    """Return columns of one side of a hit: kind, what passes, and every number."""
     passes = (measured.passes(criterion) for criterion in CRITERIA)
     return dict(zip(_columns(suffix), (str(measured.kind), *passes, *measured.numbers.item()), strict=True))
 
@@ -457,6 +457,8 @@ def _passes(criterion: str, judged: Judged) -> str:
     return f"passes_{criterion}" + (TRUE if judged == "true" else "")
 
 
-def _tried(rows: Iterable[Mapping[str, Any]], criterion: str, judged: Judged) -> dict[float, bool | None]:
+def _collect_tried(
+    rows: Iterable[Mapping[str, Any]], criterion: str, judged: Judged
+) -> dict[float, bool | None]:
     column = _passes(criterion, judged)
     return {row["stiffness"]: row[column] for row in rows}

@@ -80,7 +80,7 @@ class FrequencyPlan:
 
     @property
     def realisations(self) -> int:
-        """How many times each wall is excited."""
+        """Return how many times each wall is excited."""
         return self.experiment.excitation.realisations
 
     @property
@@ -90,23 +90,23 @@ class FrequencyPlan:
         return self.judging.band_hz or (excitation.low_hz, excitation.high_hz)
 
     def columns(self) -> list[tuple[int, float]]:
-        """Number of the scheme and damping of every task."""
+        """Return the number of the scheme and damping of every task."""
         return [(number, damping) for number in range(len(self.schemes)) for damping in self.dampings]
 
     @cached_property
     def tasks(self) -> list[sweep.Task]:
-        """The columns as a sweep runs them.
+        """Return the columns as a sweep runs them.
 
         Raises `PlanError` when the excitation is too large for the rig at the softest wall of some scheme.
         """
         applied = [scheme.applied(config.excited(self.experiment)) for scheme in self.schemes]
-        refuse_excitations([_walled(one, self.stiffnesses[0], self.dampings[0]) for one in applied])
+        refuse_excitations([_set_wall(one, self.stiffnesses[0], self.dampings[0]) for one in applied])
         return [
             sweep.Task(
                 f"{number}/{damping!r}",
                 run_column,
                 {
-                    "experiment": config.as_mapping(_walled(applied[number], 0.0, damping)),
+                    "experiment": config.as_mapping(_set_wall(applied[number], 0.0, damping)),
                     "stiffnesses": list(self.stiffnesses),
                     "judging": asdict(self.judging),
                     "signal": self.signal,
@@ -117,36 +117,36 @@ class FrequencyPlan:
         ]
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values, which `from_mapping` turns into an equal plan."""
+        """Return plain values, which `from_mapping` turns into an equal plan."""
         own = {"judging": asdict(self.judging), "schemes": [scheme.text for scheme in self.schemes]}
         named = {name: getattr(self, name) for name in ("stiffnesses", "dampings", "signal")}
         return {**plain(named), **own, "experiment": config.as_mapping(self.experiment)}
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], where: str) -> FrequencyPlan:
-        """The plan of plain values; `ConfigError` names `where`."""
+        """Return the plan of plain values; `ConfigError` names `where`."""
         return cls(
             experiment=config.experiment_from_mapping(mapping["experiment"], where),
             schemes=tuple(Scheme.parse(text) for text in mapping["schemes"]),
             stiffnesses=tuple(mapping["stiffnesses"]),
             dampings=tuple(mapping["dampings"]),
-            judging=_judging(mapping["judging"]),
+            judging=_restore_judging(mapping["judging"]),
             signal=mapping["signal"],
         )
 
     def found(self, results: Sequence[Any]) -> FrequencyMap:
-        """The map that the results of all tasks make."""
+        """Return the map that the results of all tasks make."""
         return FrequencyMap.of(self, results)
 
 
 def run_column(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Excite every wall of one column; payload and result are JSON: a row per wall and realisation, and for all."""
     experiment = config.restore_experiment(payload["experiment"])
-    judging = _judging(payload["judging"])
+    judging = _restore_judging(payload["judging"])
     bench = ExcitedRig(experiment, signal=payload["signal"])
     rows: list[dict[str, Any]] = []
     for stiffness in payload["stiffnesses"]:
-        walled = _walled(bench.experiment, stiffness, experiment.wall.damping)
+        walled = _set_wall(bench.experiment, stiffness, experiment.wall.damping)
         rows += wall_rows(bench, walled, judging, payload["signal"])
     return rows
 
@@ -228,7 +228,7 @@ class FrequencyMap(Shown, Drawn):
         return cls(plan, columns, arranged("passive", np.bool_), arranged("fidelity", np.float64))
 
     def brief(self) -> list[Item]:
-        """How many walls of each scheme are passive."""
+        """Return how many walls of each scheme are passive."""
         plan, (low, high) = self.plan, self.plan.band_hz
         walls = len(plan.dampings) * len(plan.stiffnesses)
         rows = [
@@ -247,7 +247,7 @@ class FrequencyMap(Shown, Drawn):
                 yield {"scheme": self.plan.schemes[number].text, "damping": damping} | of_row
 
     def units(self) -> dict[str, str]:
-        """Unit of each column of the table that has one."""
+        """Return the unit of each column of the table that has one."""
         motion = self.plan.experiment.rig.motion
         damping = unit_of("damping", motion)
         return {
@@ -261,7 +261,7 @@ class FrequencyMap(Shown, Drawn):
         }
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON: everything but the single walls and Table I."""
+        """Return plain values, for JSON: everything but the single walls and Table I."""
         plan, x = self.plan, self.plan.experiment
         return {
             "domain": "frequency",
@@ -277,10 +277,10 @@ class FrequencyMap(Shown, Drawn):
         }
 
 
-def _walled(experiment: Experiment, stiffness: float, damping: float) -> Experiment:
+def _set_wall(experiment: Experiment, stiffness: float, damping: float) -> Experiment:
     return replace(experiment, wall=replace(experiment.wall, stiffness=stiffness, damping=damping))
 
 
-def _judging(mapping: Mapping[str, Any]) -> Judging:
+def _restore_judging(mapping: Mapping[str, Any]) -> Judging:
     band = mapping["band_hz"]
     return Judging(**{**mapping, "band_hz": None if band is None else tuple(band)})

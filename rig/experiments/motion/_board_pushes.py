@@ -81,7 +81,7 @@ def board_pushes(
     for number in range(pushes):
         at = _at_rest(device, x, reference_count)
         way: Literal[-1, 1] = 1 if number % (2 * ALIKE) < ALIKE else -1
-        run = _prepared(device, x, at, way, verified=verified, zero=reference_count)
+        run = _prepare_push(device, x, at, way, verified=verified, zero=reference_count)
         refuse(device_checks(run, device.dictionary))
         request = TrialRequest(
             run=run,
@@ -91,7 +91,7 @@ def board_pushes(
             leaves_switch=True,
         )
         try:
-            recorded.append(_pushed(device, request))
+            recorded.append(_run_push(device, request))
         except DeviceFaultError as error:
             ended = error
             recorded.append(stalled(error))
@@ -100,7 +100,7 @@ def board_pushes(
             break
         pushed = rows[-1]["position"][rows[-1]["phase"] == Phase.TRIAL]
         if not len(pushed):
-            raise _restless()
+            raise _make_restless_error()
         if np.ptp(pushed) < NOTHING * push_way(x):
             break  # as in `nudges`
     path = recorded[0].path
@@ -109,22 +109,22 @@ def board_pushes(
 
 
 def _at_rest(device: FramedDevice, x: Experiment, reference_count: int) -> float:
-    """Where the handle is (rad or m), once it rests; a channel that is dead may toggle."""
+    """Return where the handle is (rad or m), once it rests; a channel that is dead may toggle."""
     for _ in range(LOOKS):
         counts = [state.count for state in device.states(REST_S)]
         if len(counts) > 1 and max(counts) - min(counts) <= 1:
             return position_now(device, x, reference_count)
-    raise _restless()
+    raise _make_restless_error()
 
 
-def _restless() -> IdentificationError:
+def _make_restless_error() -> IdentificationError:
     return IdentificationError(
         "the handle does not rest, so the result of a push would be meaningless",
         remedy="take all hands off the handle and remove what pulls it, then check again",
     )
 
 
-def _prepared(
+def _prepare_push(
     device: FramedDevice, x: Experiment, at: float, way: Literal[-1, 1], *, verified: bool, zero: int
 ) -> PreparedRun:
     given: dict[str, Any] = {
@@ -140,7 +140,7 @@ def _prepared(
     return replace(run, parameters={**run.parameters, **{name: around.parameters[name] for name in AROUND}})
 
 
-def _pushed(device: FramedDevice, request: TrialRequest) -> Recording:
+def _run_push(device: FramedDevice, request: TrialRequest) -> Recording:
     """Run one push; the window that it leaves is no error."""
     try:
         end = run_trial(device, request)

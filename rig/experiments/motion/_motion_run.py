@@ -74,7 +74,7 @@ def refuse_unverified(device: FramedDevice, *, verified: bool) -> None:
 
 
 def position_now(device: FramedDevice, x: Experiment, reference_count: int) -> float:
-    """Where the handle is (rad or m); raises `PlanError` outside of its window."""
+    """Return where the handle is (rad or m); raises `PlanError` outside of its window."""
     at = controller.resolution(x) * (device.count() - reference_count)
     limits = x.rig.limits
     if not limits.position_minimum < at < limits.position_maximum:
@@ -138,7 +138,7 @@ def run_motion(
 
 
 def trial_rows(recording: Recording, phases: Sequence[Phase] = (Phase.TRIAL,)) -> NDArray[np.void]:
-    """Rows of the trial proper, or of these phases; errors as `whole`."""
+    """Return rows of the trial proper, or of these phases; errors as `whole`."""
     return whole(recording, recording.rows[np.isin(recording.rows["phase"], phases)])
 
 
@@ -174,11 +174,11 @@ def whole(recording: Recording, rows: NDArray[np.void]) -> NDArray[np.void]:
             f"{recording.path}: {100 * late:.1f} % of the ticks were late, allowed are {100 * LATE_SHARE:g} %",
             remedy=f"end other programs on the computer, or choose `rate` {rate // 2}",
         )
-    return _filled(rows) if lost else rows
+    return _fill_lost(rows) if lost else rows
 
 
-def _filled(rows: NDArray[np.void]) -> NDArray[np.void]:
-    """One row for each tick: what was lost is the row before, with what is known of the time in between."""
+def _fill_lost(rows: NDArray[np.void]) -> NDArray[np.void]:
+    """Return one row for each tick: what was lost is the row before, with what is known of the time in between."""
     index = rows["sample_index"].astype(np.int64)
     ticks = np.arange(index[0], index[-1] + 1)
     after = np.searchsorted(index, ticks)
@@ -247,7 +247,7 @@ def repeat_if_late(device: FramedDevice, run: Callable[[], Result], rate_hz: int
 
 
 def bearing_rate(silence_s: float) -> int:
-    """Highest rate whose commands live for twice this silence (Hz)."""
+    """Return the highest rate whose commands live for twice this silence (Hz)."""
     rate_hz = rate_of_lifetime(silence_s / LIFETIME_SHARE)
     return rate_hz - rate_hz % RATE_STEP
 

@@ -241,7 +241,7 @@ def at_own_rate(x: Experiment, device: FramedDevice) -> dict[str, Any]:
 
 
 def energy_of(x: Experiment) -> float:
-    """Most that the motor gives to the handle in one push (J): its most effort over its way."""
+    """Return the most that the motor gives to the handle in one push (J): its most effort over its way."""
     return most_push(x) * push_way(x)
 
 
@@ -253,7 +253,7 @@ def judged(x: Experiment, signs: SignCheck) -> tuple[Check, ...]:
     # Friction beyond what a push may use looks like a dead motor: nothing was observed, and the rig is not armed for a
     # person.
     if not moved:
-        return (_not_moved(x, signs, most, coulomb, effort),)
+        return (_judge_unmoved(x, signs, most, coulomb, effort),)
     sizes = [push.inertia for push in moved if math.isfinite(push.inertia)]
     begins = float(np.median([push.began_s for push in moved]))
     expected = coulomb / push_growth(x)
@@ -297,7 +297,7 @@ def judged(x: Experiment, signs: SignCheck) -> tuple[Check, ...]:
     )
 
 
-def _not_moved(x: Experiment, signs: SignCheck, most: float, coulomb: float, effort: str) -> Check:
+def _judge_unmoved(x: Experiment, signs: SignCheck, most: float, coulomb: float, effort: str) -> Check:
     seen = max((push.seen for push in signs.pushes), default=0.0)
     text = f"nothing moved, up to {most:.3g} {effort}"
     if (hidden := observable_check(x)).outcome is not Outcome.OK:

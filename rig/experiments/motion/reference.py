@@ -243,7 +243,7 @@ class _IndexSearch:
         )
         self.recordings.append(signs.recording)
         signs.insist()
-        if not self._pressed():
+        if not self._is_pressed():
             self._tell(f"to the limit switch at the {self._reference.limit_switch} of the travel")
             self._seek()
         # The index comes once in a turn of the encoder: behind a limit switch the first one on the way back is always
@@ -260,7 +260,7 @@ class _IndexSearch:
         self._check_distance(first, second)
         return first, switch, abs(second - first)
 
-    def _pressed(self) -> bool:
+    def _is_pressed(self) -> bool:
         return bool(self._look().inputs & Input.LIMIT_SWITCH)
 
     def _look(self) -> State:
@@ -333,7 +333,7 @@ class _IndexSearch:
         for _ in range(round(1.0 / LEAVE)):
             before = self._device.reference().index_edges
             rows = self._go(self._device.count() + self._away * step, "leave")
-            if not self._pressed():
+            if not self._is_pressed():
                 pressed = np.flatnonzero(rows["inputs"] & int(Input.LIMIT_SWITCH))
                 return int(rows["count"][pressed[-1] if len(pressed) else 0]), before
         raise IdentificationError(

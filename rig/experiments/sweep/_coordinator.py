@@ -112,7 +112,7 @@ class Progress:
 
     @property
     def units_per_s(self) -> float:
-        """Units per second of this run."""
+        """Return units per second of this run."""
         return self.units / max(self.elapsed_s, 1e-9)
 
     @property
@@ -184,12 +184,12 @@ class Coordinator:
     def _work(self, signals: list[int], series: RunSeries) -> None:
         while self._out or (self._queue and not self._stopping):
             self._hand_out()
-            if self._interrupted(signals, series):
+            if self._check_interruption(signals, series):
                 return
             self._take()
             self._store.sync()
         self._shown_s = -math.inf
-        self._interrupted(signals, series)
+        self._check_interruption(signals, series)
 
     @property
     def _stopping(self) -> bool:
@@ -207,7 +207,7 @@ class Coordinator:
             self._progress, running=len(self._out), workers=workers, stopping=self._stopping
         )
 
-    def _interrupted(self, signals: list[int], series: RunSeries) -> bool:
+    def _check_interruption(self, signals: list[int], series: RunSeries) -> bool:
         """Show the progress and act on Ctrl-C; returns True for the second one, which waits for nothing."""
         before = self.interruption
         try:

@@ -91,7 +91,7 @@ def _rendered_check(found: Peak, motion: Motion) -> Check:
 
 
 def _linear_loop(x: Experiment) -> LinearLoop:
-    """The loop as linear theory sees it; a raw difference in place of an estimator that is not linear."""
+    """Return the loop as linear theory sees it; a raw difference in place of an estimator that is not linear."""
     fixed = replace(x.controller, slow_velocity_rate=None)
     try:
         return linear_loop(replace(x, controller=fixed))
@@ -144,7 +144,7 @@ def _steps(x: Experiment) -> tuple[Step, ...]:
 
 
 def _heat_checks(x: Experiment) -> list[Check]:
-    """Heat of the motor that excites; one that only renders the wall carries less."""
+    """Return the heat of the motor that excites; one that only renders the wall carries less."""
     if x.excitation.channel != "motor":
         return []
     seconds = x.excitation.realisations * config.excitation_s(x)[0]

@@ -244,7 +244,7 @@ def cogging_period(x: Experiment) -> float:
 
 
 def pushes_motion(x: Experiment, at: float, pushes: int = PUSHES) -> IdentificationMotion:
-    """Small pushes about where the handle is; window, speed and energy shrink to what they need."""
+    """Return small pushes about where the handle is; window, speed and energy shrink to what they need."""
     limits, way, rate = x.rig.limits, push_way(x), slow_rate(x)
     speed = min(limits.speed, PUSH_SPEED * way)
     changes = {
@@ -267,11 +267,11 @@ def pushes_motion(x: Experiment, at: float, pushes: int = PUSHES) -> Identificat
         pulses=pushes,
         rate_hz=rate,
     )
-    return IdentificationMotion(_moved(x, at, pushes_s(pushes), rate, changes), law)
+    return IdentificationMotion(_set_motion(x, at, pushes_s(pushes), rate, changes), law)
 
 
 def single_push(x: Experiment, at: float, way: Literal[-1, 1]) -> Experiment:
-    """One push as a trial of the law that every board has; to be run inside the limits of `pushes_motion`.
+    """Return one push as a trial of the law that every board has; to be run inside the limits of `pushes_motion`.
 
     There is no wall. The slew limit lets the effort grow as slowly as in the other pushes, and the window is the way of
     a push, on both sides: whatever the signs are, the guard cuts in the very tick in which the handle has gone so far.
@@ -295,13 +295,13 @@ def single_push(x: Experiment, at: float, way: Literal[-1, 1]) -> Experiment:
 
 
 def strokes_motion(x: Experiment) -> IdentificationMotion:
-    """Strokes at constant speeds by the homing servo, with as much effort as the motor gives for hours."""
+    """Return strokes at constant speeds by the homing servo, with as much effort as the motor gives for hours."""
     path, _ = strokes_of(x)
     limit = min(x.rig.limits.effort, x.rig.limits.nominal_effort)
     rate = slow_rate(x)
     stiffness, damping = servo_of(x, rate)
     law = make_tracing_law(path, stiffness=stiffness, damping=damping, limit=limit, rate_hz=rate)
-    return IdentificationMotion(_moved(x, path[0][1], path[-1][0], rate, _homing(x, rate)), law)
+    return IdentificationMotion(_set_motion(x, path[0][1], path[-1][0], rate, _homing(x, rate)), law)
 
 
 def way_motion(x: Experiment, at: float, to: float, margin: float) -> IdentificationMotion:
@@ -332,12 +332,12 @@ def way_motion(x: Experiment, at: float, to: float, margin: float) -> Identifica
             "homing.settle_s": WAY_REST_S,
             "homing.timeout_s": min(600.0, 2.0 * way_s + WAY_PATIENCE_S),
         }
-        moved = _moved(x, to, WAY_END_S, rate, changes)
+        moved = _set_motion(x, to, WAY_END_S, rate, changes)
         return IdentificationMotion(moved, None, (Phase.HOMING, Phase.SETTLE, Phase.TRIAL))
     law = make_tracing_law(
         [(0.0, at), (way_s, to)], stiffness=stiffness, damping=damping, limit=effort, rate_hz=rate
     )
-    return IdentificationMotion(_moved(x, at, way_s + WAY_REST_S, rate, changes), law)
+    return IdentificationMotion(_set_motion(x, at, way_s + WAY_REST_S, rate, changes), law)
 
 
 def weighing_motion(x: Experiment) -> IdentificationMotion:
@@ -346,11 +346,11 @@ def weighing_motion(x: Experiment) -> IdentificationMotion:
     stiffness, damping = servo_of(x, rate)
     path, _ = weighing_strokes(x)
     law = make_tracing_law(path, stiffness=stiffness, damping=damping, limit=limit, rate_hz=rate)
-    return IdentificationMotion(_moved(x, path[0][1], path[-1][0], rate, _bearing(x, rate, limit)), law)
+    return IdentificationMotion(_set_motion(x, path[0][1], path[-1][0], rate, _bearing(x, rate, limit)), law)
 
 
 def _bearing(x: Experiment, rate: int, limit: float) -> dict[str, Any]:
-    """Homing that bears a load: so far below its set point the servo holds it."""
+    """Return the homing that bears a load: so far below its set point the servo holds it."""
     hangs = limit / servo_of(x, rate)[0] / x.rig.encoder.resolution
     return {
         **_homing(x, rate),
@@ -379,13 +379,13 @@ def cogging_motion(x: Experiment, most_order: int, *, loaded: bool = False) -> I
     stiffness, damping = servo_of(x, rate)
     law = make_tracing_law(path, stiffness=stiffness, damping=damping, limit=limit, rate_hz=rate)
     changes = _bearing(x, rate, limit) if loaded else _homing(x, rate)
-    return IdentificationMotion(_moved(x, path[0][1], path[-1][0], rate, changes), law)
+    return IdentificationMotion(_set_motion(x, path[0][1], path[-1][0], rate, changes), law)
 
 
 def cogging_sweeps(
     x: Experiment, most_order: int, *, loaded: bool = False
 ) -> tuple[list[tuple[float, float]], list[Stroke]]:
-    """Path of pairs of sweeps over most of the window, each pair at a speed of its own, and each of them.
+    """Return the path of pairs of sweeps over most of the window, each pair at a speed of its own, and each of them.
 
     A load is let go first.
     """
@@ -407,16 +407,16 @@ def cogging_sweeps(
 
 
 def excitation_motion(x: Experiment, multisine: Multisine, inertia: float) -> IdentificationMotion:
-    """One realisation of a multisine about the middle of the window, kept there by a soft spring."""
+    """Return one realisation of a multisine about the middle of the window, kept there by a soft spring."""
     rate = x.controller.position_rate
     periods = settle_periods(multisine.period_s) + PERIODS
     law = bilateral.excited_law(multisine.period(rate), round(multisine.period_s * rate))
     changes = {"wall.stiffness": centring(inertia), **_homing(x, rate)}
-    return IdentificationMotion(_moved(x, _middle(x), periods * multisine.period_s, rate, changes), law)
+    return IdentificationMotion(_set_motion(x, _middle(x), periods * multisine.period_s, rate, changes), law)
 
 
 def servo_of(x: Experiment, rate: int) -> tuple[float, float]:
-    """Stiffness and damping of a well damped servo that the delay of loop and velocity filter leaves stable.
+    """Return the stiffness and damping of a well damped servo that the delay of loop and velocity filter leaves stable.
 
     The homing servo of a description may count on an end mass that is not there now; no more damping is used than it
     has, because a mode may be what limits it.
@@ -434,7 +434,7 @@ def _cutoff_hz(x: Experiment, rate: int) -> float:
 
 
 def _homing(x: Experiment, rate: int) -> dict[str, Any]:
-    """Homing by that servo, as close to the start as friction and cogging let it come."""
+    """Return the homing by that servo, as close to the start as friction and cogging let it come."""
     stiffness, damping = servo_of(x, rate)
     held = 2.0 * (coulomb_of(x) + x.rig.cogging.crest) / stiffness / x.rig.encoder.resolution
     return {
@@ -446,7 +446,7 @@ def _homing(x: Experiment, rate: int) -> dict[str, Any]:
 
 
 def strokes_of(x: Experiment) -> tuple[list[tuple[float, float]], list[Stroke]]:
-    """Path of the strokes (time, position) and each of them."""
+    """Return the path of the strokes (time, position) and each of them."""
     limits = x.rig.limits
     travel = TRAVEL_SHARE * (limits.position_maximum - limits.position_minimum)
     slowing = max(1.0, 2.0 * travel / STROKES_S[0] / (STROKE_SPEED * limits.speed))
@@ -478,7 +478,7 @@ def _settles(x: Experiment, length_s: float, travel: float) -> bool:
 
 
 def excitation(x: Experiment, seed: int, period_s: float, inertia: float, realisation: int = 0) -> Multisine:
-    """A multisine as large as effort, heat, window and speed allow, with margins, for a rig of this inertia."""
+    """Return a multisine as large as effort, heat, window and speed allow, with margins, for a rig of this inertia."""
     top = min(HIGHEST_HZ, HIGHEST_SHARE * x.controller.position_rate)
     if top < 2.0 * LOWEST_HZ:
         raise ConfigError(
@@ -504,17 +504,17 @@ def excitation(x: Experiment, seed: int, period_s: float, inertia: float, realis
 
 
 def centring(inertia: float) -> float:
-    """Stiffness of the spring that centres an excited handle (N·m/rad or N/m)."""
+    """Return the stiffness of the spring that centres an excited handle (N·m/rad or N/m)."""
     return inertia * (2.0 * math.pi * CENTRING_HZ) ** 2
 
 
 def inertia_of(x: Experiment) -> float:
-    """Described inertia of everything that moves (kg·m² or kg)."""
+    """Return the described inertia of everything that moves (kg·m² or kg)."""
     return x.rig.mechanics.motor_inertia + x.rig.mechanics.loaded_link_inertia
 
 
 def coulomb_of(x: Experiment) -> float:
-    """Described Coulomb friction of everything that moves (N·m or N)."""
+    """Return the described Coulomb friction of everything that moves (N·m or N)."""
     return x.rig.mechanics.motor_coulomb + x.rig.mechanics.link_coulomb
 
 
@@ -566,7 +566,7 @@ def observable_check(x: Experiment) -> Check:
 
 
 def _observable_limits(x: Experiment) -> dict[str, float]:
-    """Limits with which `most_push` is enough; empty where the amplifier has not so much effort."""
+    """Return limits with which `most_push` is enough; empty where the amplifier has not so much effort."""
     limits, wanted = x.rig.limits, SPARE * OBSERVABLE * holding_effort(x)
     if (most := round_up(wanted / PUSH_SHARE)) > x.rig.amplifier.effort_limit:
         return {}
@@ -598,7 +598,9 @@ def slow_rate(x: Experiment) -> int:
     return _divisor(x.controller.position_rate, SLOW_RATE)
 
 
-def _moved(x: Experiment, at: float, duration_s: float, rate: int, changes: Mapping[str, Any]) -> Experiment:
+def _set_motion(
+    x: Experiment, at: float, duration_s: float, rate: int, changes: Mapping[str, Any]
+) -> Experiment:
     velocity_rate = _divisor(rate, SLOW_RATE)
     still = {
         **_NO_WALL,
@@ -640,7 +642,7 @@ _NO_WALL: dict[str, Any] = {
 
 def still(x: Experiment) -> Experiment:
     """Return the same rig with its handle free."""
-    return _moved(x, _middle(x), 1.0, slow_rate(x), {})
+    return _set_motion(x, _middle(x), 1.0, slow_rate(x), {})
 
 
 def _middle(x: Experiment) -> float:
@@ -648,7 +650,7 @@ def _middle(x: Experiment) -> float:
 
 
 def _free_impedance(x: Experiment, inertia: float) -> Callable[[Floats], Any]:
-    """Z of a rigid rig on its centring spring: the described damping and back-EMF, and this inertia."""
+    """Return Z of a rigid rig on its centring spring: the described damping and back-EMF, and this inertia."""
     mechanics, amplifier = x.rig.mechanics, x.rig.amplifier
     damping, stiffness = mechanics.motor_damping + mechanics.link_damping, centring(inertia)
 
@@ -660,7 +662,7 @@ def _free_impedance(x: Experiment, inertia: float) -> Callable[[Floats], Any]:
 
 
 def settle_periods(period_s: float) -> int:
-    """Periods that are played before those that are kept."""
+    """Return periods that are played before those that are kept."""
     return max(LEAST_SETTLE, math.ceil(EXCITATION_SETTLE_S / period_s - 1e-9))
 
 

@@ -130,7 +130,7 @@ def _windows(
     coulomb: float,
     damping: float,
 ) -> tuple[Floats, Floats]:
-    """Predicted and measured bends of half-overlapping windows, straight lines taken off; a row each."""
+    """Return the predicted and measured bends of half-overlapping windows, straight lines taken off; a row each."""
     view = np.lib.stride_tricks.sliding_window_view
     if len(position) < length:
         return np.zeros((0, length)), np.zeros((0, length))

@@ -207,7 +207,7 @@ class _Watch:
 
 
 def _ring(device: FramedDevice, request: TrialRequest) -> Ring:
-    """The block that the loop, the recorder and, in real time, other processes of this user share."""
+    """Return the block that the loop, the recorder and, in real time, other processes of this user share."""
     run, gate = request.run, request.extra.get("gate")
     info = {
         "url": device.link.url.text,
@@ -255,7 +255,7 @@ def _arm(
         limit_switch=_switch_rule(experiment, leaves=request.leaves_switch),
     )
     if run.on_device is not None:
-        settings = _supervising(settings, run.on_device, run.parameters)
+        settings = _supervise(settings, run.on_device, run.parameters)
     return thread(
         device.link,
         controller,
@@ -274,14 +274,14 @@ def _compares_currents(device: FramedDevice, law: LawOnDevice | None) -> bool:
 
 
 def _switch_rule(experiment: Experiment, *, leaves: bool) -> int:
-    """When a pressed limit switch ends the run: `limit_switch` of `rig.loop.layout.SETTINGS`."""
+    """Return when a pressed limit switch ends the run: `limit_switch` of `rig.loop.layout.SETTINGS`."""
     if experiment.rig.reference.limit_switch == "none":
         return 0
     return 1 + math.ceil(BOUNCE_S * experiment.controller.position_rate) if leaves else 1
 
 
 def _loop_of(run: PreparedRun, link: Link) -> Callable[..., LoopThread]:
-    """The thread of the loop, for a law here or on the device, with all that it runs compiled."""
+    """Return the thread of the loop, for a law here or on the device, with all that it runs compiled."""
     if run.on_device is None:
         LoopThread.prepare(link, run.controller)
         return LoopThread
@@ -289,7 +289,7 @@ def _loop_of(run: PreparedRun, link: Link) -> Callable[..., LoopThread]:
     return partial(SupervisedThread, live=run.on_device.live)
 
 
-def _supervising(settings: LoopSettings, law: LawOnDevice, parameters: Mapping[str, Value]) -> LoopSettings:
+def _supervise(settings: LoopSettings, law: LawOnDevice, parameters: Mapping[str, Value]) -> LoopSettings:
     """Return the settings of a loop that supervises a law on the device, and computes the same rows."""
     return replace(
         settings,

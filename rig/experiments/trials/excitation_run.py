@@ -80,7 +80,7 @@ def _own_multisine(experiment: Experiment, realisation: int) -> Multisine:
 
 
 def ramp_s(experiment: Experiment) -> float:
-    """How long the excitation rises (s)."""
+    """Return how long the excitation rises (s)."""
     return SETTLING_SHARE * config.excitation_s(experiment)[1]
 
 
@@ -130,7 +130,7 @@ def _device_table(
 
 
 def excited_law(experiment: Experiment, realisation: int = 0, current_quantum_a: float | None = None) -> Law:
-    """The bilateral wall, and the excitation of one realisation by the rig's own motor.
+    """Return the bilateral wall, and the excitation of one realisation by the rig's own motor.
 
     Where a device makes the excitation, its table is that of the device, to the bit, in the quantum that it declares.
     """
@@ -206,7 +206,7 @@ class ExcitedRig:
         tick_s = 1.0 / x.controller.position_rate
         if motion.ticks < self._ticks:
             memory = fresh.memory[0]
-            reason = _tripped(x, float(memory["position"]), float(memory["velocity"]))
+            reason = _explain_trip(x, float(memory["position"]), float(memory["velocity"]))
             return RealisationRun(None, reason, motion.ticks * tick_s, saturated)
         each = round(tick_s / motion.acquisition_s)  # positions in a tick
         first = round(config.excitation_s(x)[1] / tick_s)
@@ -217,7 +217,7 @@ class ExcitedRig:
         effort, delay_s, hold_s = excitation, 0.0, 0.0
         if x.excitation.channel == "motor":
             table = np.tile(prepared.multisine.period(1.0 / tick_s), x.excitation.periods)
-            effort = _lagged(np.repeat(table + motion.withheld[first:], each), self._model, each / tick_s)
+            effort = _apply_lag(np.repeat(table + motion.withheld[first:], each), self._model, each / tick_s)
             delay_s, hold_s = _delay_s(x), motion.acquisition_s
         record = ExcitedRun(
             rate_hz=each / tick_s,
@@ -299,7 +299,7 @@ def record_of(recording: Recording, x: Experiment) -> ExcitedRun:
         period_samples=round(x.excitation.period_s / tick_s),
         periods=x.excitation.periods,
         excitation=excitation[first:],
-        effort=_lagged(effort[first:], model, 1.0 / tick_s),
+        effort=_apply_lag(effort[first:], model, 1.0 / tick_s),
         # Samples at the loop's rate show too little of a motion between them: at 1 kHz a free mass at 250 Hz 3 %. The
         # share follows from the rig alone, whatever the wall (`seen_at_ticks`), and is undone.
         position=_between(rows["position"][first:], model, tick_s, float(lines[-1])),
@@ -316,7 +316,7 @@ def bound_share(recording: Recording) -> float:
 
 
 def late_ticks(sent: NDArray[np.int64], applied: NDArray[np.int64]) -> int:
-    """Ticks between a command and its current, beyond the one in which a sample shows it: the likeliest number.
+    """Return ticks between a command and its current, beyond the one in which a sample shows it: the likeliest number.
 
     A command that answers sample k is active at sample k + 1 when nothing is late.
     """
@@ -345,7 +345,7 @@ def _answer(a: Floats, b: Floats, at: NDArray[Any], place: int) -> Complexes:
 
 
 def _between(position: Floats, model: RigModel, tick_s: float, highest_hz: float) -> Floats:
-    """Whole periods of positions at the ticks, with the true motion's size up to the highest line."""
+    """Return whole periods of positions at the ticks, with the true motion's size up to the highest line."""
     spectrum = np.fft.rfft(position)
     frequency = np.asarray(np.fft.rfftfreq(len(position), tick_s), dtype=np.float64)
     inside = (frequency > 0.0) & (frequency <= highest_hz * (1.0 + 1e-9))
@@ -353,8 +353,8 @@ def _between(position: Floats, model: RigModel, tick_s: float, highest_hz: float
     return np.fft.irfft(spectrum, len(position))
 
 
-def _lagged(effort: Floats, model: RigModel, rate_hz: float) -> Floats:
-    """Whole periods of an effort behind the amplifier's electrical lag."""
+def _apply_lag(effort: Floats, model: RigModel, rate_hz: float) -> Floats:
+    """Return whole periods of an effort behind the amplifier's electrical lag."""
     lag_s = model.amplifier.lag_s
     if lag_s == 0.0:
         return np.asarray(effort)
@@ -367,7 +367,7 @@ def _delay_s(x: Experiment) -> float:
     return rig_model(x).delay_ticks(tick_s) * tick_s
 
 
-def _tripped(x: Experiment, position: float, velocity: float) -> str:
+def _explain_trip(x: Experiment, position: float, velocity: float) -> str:
     limits = x.rig.limits
     if abs(velocity) > limits.speed:
         return f"estimated speed {abs(velocity):.3g} above the limit {limits.speed:g}"

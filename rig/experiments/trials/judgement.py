@@ -69,13 +69,13 @@ class Verdicts:
     motion: MotionBalance | None
 
     def rows(self, experiment: Experiment) -> list[Row]:
-        """The verdict and what it goes by, for people; the truth beside it where there is one."""
+        """Return the verdict and what it goes by, for people; the truth beside it where there is one."""
         verdict, true, motion = self.verdict, self.verdict_true, experiment.rig.motion
         thresholds, count = verdict_thresholds(experiment), experiment.rig.encoder.resolution
         position, velocity, effort = (unit_of(name, motion) for name in ("position", "velocity", "effort"))
 
         def beside(text: str, name: str, threshold: float = 0.0) -> str:
-            """Text, and the true value of that name."""
+            """Return the text, and the true value of that name."""
             value = None if true is None else getattr(true, name)
             shown = "" if value is None else f"true {written(_nothing(value, threshold))}"
             return ", ".join(part for part in (text, shown) if part)
@@ -120,7 +120,7 @@ class Verdicts:
         ]
 
     def _start(self, experiment: Experiment, unit: str) -> list[Row]:
-        """Where the trial began, if that is more than a count from where it was to begin."""
+        """Return where the trial began, if that is more than a count from where it was to begin."""
         away = 0.0 if self.began is None else abs(self.began - experiment.trial.start)
         if away <= experiment.rig.encoder.resolution:
             return []

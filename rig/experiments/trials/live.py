@@ -110,7 +110,7 @@ def change_wall(
 
 
 def parameter_set(experiment: Experiment, *, current_quantum_a: float, reference_count: int) -> list[float]:
-    """Numbers of a set for the loop: the wall's position, then the parameters of its law.
+    """Return numbers of a set for the loop: the wall's position, then the parameters of its law.
 
     Raises
     ------
@@ -189,7 +189,7 @@ def _check_sides(experiment: Experiment) -> None:
 def _info_with(
     info: Mapping[str, Any], experiment: Experiment, changes: Mapping[str, Any], number: int
 ) -> dict[str, Any]:
-    """The info of the run from now on: what it runs, and which changes came, the newest last."""
+    """Return the info of the run from now on: what it runs, and which changes came, the newest last."""
     sets = [*info.get("parameter_sets", ()), {"number": number, "changes": dict(changes)}]
     return {**info, "experiment": config.as_mapping(experiment), "parameter_sets": sets[-REMEMBERED:]}
 

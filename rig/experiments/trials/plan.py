@@ -159,7 +159,7 @@ def _tick_checks(x: Experiment, board: str) -> list[Check]:
 
 
 def _cutoff_checks(x: Experiment) -> list[Check]:
-    """The cut-offs that comparisons of this experiment's rates give its filter."""
+    """Return the cut-offs that comparisons of this experiment's rates give its filter."""
     found = describe_cutoffs(default_schemes(x), x)
     return [] if found is None else [Check(CUTOFFS, Outcome.OK, found)]
 
@@ -221,7 +221,7 @@ def delay_checks(x: Experiment, round_trip_s: float | None = None) -> list[Check
 
 
 def _link_ticks(x: Experiment, round_trip_s: float | None) -> tuple[int, str]:
-    """How many ticks late a link makes commands, and where that is from."""
+    """Return how many ticks late a link makes commands, and where that is from."""
     rate, described = x.controller.position_rate, x.rig.simulation.computation_delay_ticks
     if x.controller.loop == "device":
         return 0, "the device runs the law"
@@ -310,7 +310,7 @@ class PredictedImpact:
 
 
 def predict_impact(experiment: Experiment) -> PredictedImpact:
-    """Energy balance: the push works along the approach, against Coulomb friction; the spring takes it all.
+    """Return the energy balance: the push works along the approach, against Coulomb friction; the spring takes it all.
 
     A person's hand is assumed to follow its intention without lag, and to be so soft that its mass does not count.
     """
@@ -340,7 +340,7 @@ def _way_of_the_hand(x: Experiment, distance: float) -> float:
 
 
 def _reach_velocity(x: Experiment, distance: float) -> float:
-    """Velocity of a raised cosine over the way of the hand where it passes the wall."""
+    """Return the velocity of a raised cosine over the way of the hand where it passes the wall."""
     way = _way_of_the_hand(x, distance)
     if math.isinf(way):
         return math.inf
@@ -542,7 +542,7 @@ def _slower_changes(x: Experiment, velocity: float) -> dict[str, float]:
 
 
 def _stiffer_changes(x: Experiment, hit: PredictedImpact) -> dict[str, float]:
-    """The stiffness that stops the handle within the window."""
+    """Return the stiffness that stops the handle within the window."""
     limits = x.rig.limits
     end = limits.position_maximum if x.wall.side > 0 else limits.position_minimum
     room = LESS * abs(end - x.wall.position)
@@ -553,7 +553,7 @@ def _stiffer_changes(x: Experiment, hit: PredictedImpact) -> dict[str, float]:
 
 
 def _let_go_check(x: Experiment) -> Check:
-    """Where a pressing hand ends when the wall goes away in the release."""
+    """Return where a pressing hand ends when the wall goes away in the release."""
     limits = x.rig.limits
     start = x.trial.start
     end = start + x.wall.side * _way_of_the_hand(x, abs(x.wall.position - start))

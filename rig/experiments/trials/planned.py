@@ -47,7 +47,7 @@ class Plan(Shown):
 
     @reported
     def duration_s(self) -> float:
-        """Longest time that everything may take (s)."""
+        """Return the longest time that everything may take (s)."""
         return self.repeats * sum(step.duration_s for step in self.steps)
 
     @reported
@@ -56,17 +56,17 @@ class Plan(Shown):
         return not refused(self.checks)
 
     def brief(self) -> list[Item]:
-        """The steps, and what is refused."""
+        """Return the steps, and what is refused."""
         refusals = [Row("refused", f"{check.name}: {check.text}") for check in refused(self.checks)]
         steps = [Row(step.name, step.text) for step in self.steps]
         return [f"plan of {self.rig}", *(refusals or [Row("refused", "nothing")]), *steps]
 
     def detailed(self) -> list[Item]:
-        """Everything that `rig experiment plan` prints."""
+        """Return everything that `rig experiment plan` prints."""
         return [f"plan of {self.rig}", *self.items()]
 
     def items(self) -> list[Item]:
-        """The steps, how long they take at most, and the checks, for people."""
+        """Return the steps, how long they take at most, and the checks, for people."""
         longest = Row("", f"{self.repeats} × at most {written(self.duration_s / self.repeats)} s")
         return [*(Row(step.name, step.text) for step in self.steps), longest, *self.checks]
 
@@ -87,7 +87,7 @@ def check_positive(named: Mapping[str, float | None]) -> None:
 
 
 def heat_check(x: Experiment, effort: float, seconds: float, remedy: str) -> Check:
-    """Heat of the motor after a constant effort for so long, from cold."""
+    """Return the heat of the motor after a constant effort for so long, from cold."""
     limits = x.rig.limits
     load = effort / limits.nominal_effort
     budget = load**2 * -math.expm1(-seconds / limits.thermal_time_constant_s)
@@ -96,7 +96,7 @@ def heat_check(x: Experiment, effort: float, seconds: float, remedy: str) -> Che
 
 
 def where_it_runs(x: Experiment) -> str:
-    """Where the law runs, in words: with the device's arithmetic and what it sends of every tick."""
+    """Return where the law runs, in words: with the device's arithmetic and what it sends of every tick."""
     if x.controller.loop == "host":
         return "the law on this computer"
     arithmetic = ARITHMETIC_WORDS[device_law.arithmetic_of(x.controller)]

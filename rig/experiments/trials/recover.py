@@ -171,7 +171,7 @@ def _with_cost(capture: Path, sealed: Path, recording: Recording) -> Recovered:
 
 
 def _tick_s(recording: Recording) -> float:
-    """Period of the loop (s); 0 when the header does not tell."""
+    """Return the period of the loop (s); 0 when the header does not tell."""
     rate = ((recording.experiment.get("controller") or {}).get("position_rate")) or 0
     return 1.0 / rate if rate > 0 else 0.0
 
@@ -190,7 +190,7 @@ def _alone(capture: Path) -> Iterator[bool]:
 
 
 def _user_of(capture: Path) -> str | None:
-    """The loop whose recording this is, in words; also one that has ended and is about to seal it."""
+    """Return the loop whose recording this is, in words; also one that has ended and is about to seal it."""
     for loop in running.running(done=True):
         named = loop.info.get("recording")
         if not isinstance(named, str):
@@ -202,7 +202,7 @@ def _user_of(capture: Path) -> str | None:
 
 
 def failed(results: Iterable[Recovered]) -> RecordingError | None:
-    """The error that stands for all captures that could not be sealed, if there are any."""
+    """Return the error that stands for all captures that could not be sealed, if there are any."""
     broken = [result for result in results if result.outcome == CaptureState.FAILED]
     if not broken:
         return None

@@ -122,7 +122,7 @@ def replay(
 
 
 def state_before(recording: Recording, row: int) -> dict[str, Any]:
-    """The controller as it stood before a row, found by replaying the ones before; `ControllerState.as_mapping`.
+    """Return the controller as it stood before a row, found by replaying the ones before; `ControllerState.as_mapping`.
 
     Raises `RecordingError` for a recording that has no replay up to there, `ConfigError` and `LawError` as `replay`.
     """
@@ -161,7 +161,7 @@ def _rows(recording: Recording) -> NDArray[np.void]:
 
 
 def _sets(recording: Recording, changes: Mapping[str, Any] | None, law: Law | None) -> NDArray[np.float64]:
-    """Parameter sets that became active during the run, unless another wall is asked for."""
+    """Return parameter sets that became active during the run, unless another wall is asked for."""
     sets = recording.trailer.get("parameter_sets") or [] if recording.trailer else []
     if law is not None or any(key.startswith("wall.") for key in changes or ()):
         sets = []

@@ -81,7 +81,7 @@ def _batches(first: list[Any], left: Iterator[Any]) -> Iterator[list[Any]]:
 
 
 def _type(name: str, rows: list[Any]) -> Any:
-    """The type of the first value that is not None; a column of nothing but None is taken as truths."""
+    """Return the type of the first value that is not None; a column of nothing but None is taken as truths."""
     value = next((row[name] for row in rows if row[name] is not None), False)
     for kind, arrow in ((bool, pyarrow.bool_()), (int, pyarrow.int64()), (float, pyarrow.float64())):
         if isinstance(value, kind):

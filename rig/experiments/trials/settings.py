@@ -142,7 +142,7 @@ class RigRequest:
 
 
 def changes_of(options: Mapping[str, Any], known: type) -> dict[str, Any]:
-    """Changes by dotted key that the settings among some options mean, those of ``changes`` last.
+    """Return changes by dotted key that the settings among some options mean, those of ``changes`` last.
 
     `known` is the TypedDict of the permitted names; raises `ConfigError` for another one, with the closest of them.
     """
@@ -161,7 +161,7 @@ def changes_of(options: Mapping[str, Any], known: type) -> dict[str, Any]:
 
 
 def _pushed_by(operator: str) -> dict[str, Any]:
-    """Who pushes: a hand of that grip, or the motor alone; the rules of an experiment refuse an unknown grip."""
+    """Return who pushes: a hand of that grip, or the motor alone; the rules of an experiment refuse an unknown grip."""
     if operator == "none":
         return {"trial.kind": "constant-effort"}
     return {"trial.kind": "human", "operator.grip": operator}

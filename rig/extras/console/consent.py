@@ -19,7 +19,7 @@ ENDS = "ends when no page operates the rig any more"
 
 
 def describe_run(request: Run, experiment: Experiment, digest: str) -> list[str]:
-    """Lines for a run on a real rig; `experiment` is that in effect."""
+    """Return lines for a run on a real rig; `experiment` is that in effect."""
     trial, wall = experiment.trial, experiment.wall
     stiffness, damping = (unit_of(name, experiment.rig.motion) for name in ("stiffness", "damping"))
     longest_s = trial.duration_s + trial.hold_s
@@ -35,7 +35,7 @@ def describe_run(request: Run, experiment: Experiment, digest: str) -> list[str]
 
 
 def describe_session(request: BeginSession, url: str, digest: str) -> list[str]:
-    """Lines for a session on a real rig."""
+    """Return lines for a session on a real rig."""
     whose = f"{request.code} with {request.protocol}"
     if request.directory:
         whose = f"{request.directory}, resumed{' at the block' if request.at == 'block' else ''}"

@@ -42,21 +42,23 @@ def main() -> None:
     """Do errands until standard input ends."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is no answer
-    compiling.listen(lambda busy: _tell(answers, {"compiling": busy}))
+    compiling.listen(lambda busy: _write_message(answers, {"compiling": busy}))
     for line in sys.stdin.buffer:
         asked = json.loads(line)
         try:
             result = ERRANDS[asked["errand"]](**asked["content"])
         except RigError as error:
-            _tell(answers, error.as_mapping())
+            _write_message(answers, error.as_mapping())
         except Exception as error:  # a defect of ours: report it to the page, and do the next errand
-            _tell(answers, {"error": f"{asked['errand']}: {error!r}", "remedy": "report this defect"})
+            _write_message(
+                answers, {"error": f"{asked['errand']}: {error!r}", "remedy": "report this defect"}
+            )
         else:
             found, data = result if isinstance(result, tuple) else (result, b"")
-            _tell(answers, {"result": plain(found), "bytes": len(data)}, data)
+            _write_message(answers, {"result": plain(found), "bytes": len(data)}, data)
 
 
-def _tell(answers: BinaryIO, message: dict[str, Any], data: bytes = b"") -> None:
+def _write_message(answers: BinaryIO, message: dict[str, Any], data: bytes = b"") -> None:
     answers.write(json.dumps(message).encode() + b"\n")
     answers.write(data)
     answers.flush()

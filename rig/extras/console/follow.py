@@ -70,7 +70,7 @@ class Followed:
         return self._look_at_info()
 
     def state(self) -> dict[str, Any]:
-        """How it stands, as plain values."""
+        """Return how it stands, as plain values."""
         ring, newest = self._ring, self.history.raw(self.history.rows - 1, self.history.rows)
         state = {
             "pid": self.pid,
@@ -126,7 +126,7 @@ def attach(loop: RunningLoop, history: History) -> Followed | None:
 
 
 def _rate_of(info: Mapping[str, Any]) -> float:
-    """Rows a second; `RigError` where another program left what is no rate."""
+    """Return rows a second; `RigError` where another program left what is no rate."""
     try:
         rate = float(((info.get("experiment") or {}).get("controller") or {}).get("position_rate") or 1000.0)
     except (AttributeError, TypeError, ValueError):
@@ -137,7 +137,7 @@ def _rate_of(info: Mapping[str, Any]) -> float:
 
 
 def newest(pid: int | None = None) -> RunningLoop | None:
-    """The loop that began last, of all or of one process."""
+    """Return the loop that began last, of all or of one process."""
     found = [loop for loop in running() if pid in (None, loop.pid)]
     return found[-1] if found else None
 

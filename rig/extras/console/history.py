@@ -92,7 +92,7 @@ class History:
 
     @property
     def oldest_row(self) -> int:
-        """The first row that is still there as it was."""
+        """Return the first row that is still there as it was."""
         return max(0, self.rows - len(self._raw))
 
     def raw(self, first: int, last: int) -> NDArray[np.void]:
@@ -100,14 +100,14 @@ class History:
         return self._rows_of(max(first, self.oldest_row), min(last, self.rows))
 
     def row_at(self, seconds: float) -> int:
-        """Number of the row that came so long after the first one, or the nearest there is."""
+        """Return the number of the row that came so long after the first one, or the nearest there is."""
         if self._buckets == 0 or seconds >= self._newest_s():
             return self.rows
         kept = np.arange(max(0, self._buckets - len(self._times)), self._buckets)
         return int(kept[0] + np.searchsorted(self._times[kept % len(self._times)], seconds)) * BUCKET
 
     def seconds_at(self, row: int) -> float:
-        """When a row came that is still there as it was (s since the first)."""
+        """Return when a row came that is still there as it was (s since the first)."""
         return float(self._seconds(self._raw[row % len(self._raw)][np.newaxis])[0])
 
     def received_at(self, row: int) -> float | None:
@@ -118,14 +118,14 @@ class History:
         return (time.time_ns() - age_ns) * 1e-6
 
     def seconds_of(self, device_time_ns: int) -> float:
-        """When something was on the device's clock (s since the first row)."""
+        """Return when something was on the device's clock (s since the first row)."""
         return (device_time_ns - self.start_ns) * 1e-9
 
     def _newest_s(self) -> float:
         return self.seconds_at(self.rows - 1)
 
     def cut(self, columns: Sequence[str], first: int, last: int, step: int) -> HistoryExcerpt:
-        """Columns from row `first` up to before `last`, each point over `step` rows.
+        """Return columns from row `first` up to before `last`, each point over `step` rows.
 
         Whole points only. Where rows are no longer there as they were, `step` becomes a whole number of buckets; what
         is no longer there at all is left out.

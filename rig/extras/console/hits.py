@@ -31,25 +31,25 @@ SIMULATED = "sim://"
 
 
 def experiment_of(content: Mapping[str, Any]) -> Experiment:
-    """The experiment that a page names: a built-in rig or a file."""
+    """Return the experiment that a page names: a built-in rig or a file."""
     return presets.load_named(str(content.get("rig") or "koul-compliant"))
 
 
 def apply_changes(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
-    """An experiment in real time with a page's changes: keys checked, and that its estimator can be realised."""
+    """Return an experiment in real time with a page's changes: keys checked, and that its estimator can be realised."""
     found = config.with_realtime(experiment, changes)
     for_experiment(found, current_quantum_a=found.rig.amplifier.current_quantum_a)
     return found
 
 
 def describe_rig(rig: str, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """An experiment in effect as a mapping, and its digest."""
+    """Return an experiment in effect as a mapping, and its digest."""
     experiment = apply_changes(experiment_of({"rig": rig}), changes)
     return {"experiment": config.as_mapping(experiment), "digest": digest_of(experiment)}
 
 
 def digest_of(experiment: Experiment) -> str:
-    """Short digest of all that decides a hit: two that are equal mean the same experiment."""
+    """Return the short digest of all that decides a hit: two that are equal mean the same experiment."""
     return short(canonical_json(config.as_mapping(experiment)))
 
 
@@ -95,7 +95,7 @@ def _run(
         verified=bool(content.get("verified")),
         output=Path(str(content["output"])),
         measuring=lambda share: talk.progress(stage="measuring the link", share=share),
-        judged_link=lambda gate: _say(gate, talk),
+        judged_link=lambda gate: _report_gate(gate, talk),
         hands_off=lambda text: talk.progress(stage=text),
     )
     return list(hits.hit(request, admit, lambda _, __: _watch(talk)))
@@ -113,6 +113,6 @@ def _watch(talk: Talk) -> Callable[[int, int], None]:
     return report
 
 
-def _say(gate: Gate, talk: Talk) -> None:
+def _report_gate(gate: Gate, talk: Talk) -> None:
     if not gate.armable:
         talk.progress(stage="arming a simulated rig that the gate would refuse", why=gate.text)

@@ -109,7 +109,7 @@ class Job:
                 await self._process.wait()
 
     async def _complaints(self) -> str:
-        """The last line that it leaves on its standard error."""
+        """Return the last line that it leaves on its standard error."""
         assert self._process.stderr is not None
         kept = b""
         while data := await self._process.stderr.read(TAIL_BYTES):

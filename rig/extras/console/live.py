@@ -61,7 +61,7 @@ class Live(Service):
     def greet(self, client: Client) -> None:
         """See `Service.greet`."""
         client.show(self._followed)
-        self._tell_loop(client)
+        self._send_loop(client)
 
     # Requests.
 
@@ -114,7 +114,7 @@ class Live(Service):
         await self.search()
 
     def looked_at(self) -> Followed:
-        """The loop that is looked at; raises `ConfigError` where none runs."""
+        """Return the loop that is looked at; raises `ConfigError` where none runs."""
         if self._followed is None or self._followed.ended:
             raise ConfigError("no loop is running", remedy="start a run first")
         return self._followed
@@ -132,10 +132,10 @@ class Live(Service):
             with self._surviving("reading the followed loop"):
                 self._take_rows()
             with self._surviving("updating the pages"):
-                self._tell_hand()
+                self._send_hand()
                 if (now := time.monotonic()) >= due:
                     due = now + STATE_S
-                    self._tell_state()
+                    self._send_state()
             for client in self._shared.clients:
                 client.wake()
             await asyncio.sleep(FRAME_S)
@@ -147,7 +147,7 @@ class Live(Service):
         try:
             followed.poll()
             if followed.changed():
-                self._tell_loop()
+                self._send_loop()
         except Exception:
             self._unreadable = (followed.pid, followed.since)
             self._withhold()
@@ -169,7 +169,7 @@ class Live(Service):
             now = time.monotonic()
             if now - self._defects.get(what, -math.inf) > DEFECT_S:
                 self._defects[what] = now
-                self._shared.tell_trouble(defect(what, error))
+                self._shared.report_trouble(defect(what, error))
 
     async def search(self) -> None:
         """Follow the wanted loop, unless it is followed already; follow none while its operator must be blinded."""
@@ -197,7 +197,7 @@ class Live(Service):
         self._followed = made
         for client in self._shared.clients:
             client.show(made)
-            self._tell_loop(client)
+            self._send_loop(client)
 
     def _withhold(self) -> None:
         if self._followed is not None:
@@ -211,7 +211,7 @@ class Live(Service):
         followed = self._followed
         return followed is not None and (followed.pid, followed.since) == (loop.pid, loop.since)
 
-    def _tell_state(self) -> None:
+    def _send_state(self) -> None:
         held = self._shared.lease.held()
         followed = self._followed
         state = None if followed is None else followed.state()
@@ -230,7 +230,7 @@ class Live(Service):
                 }
             )
 
-    def _tell_hand(self) -> None:
+    def _send_hand(self) -> None:
         motions = self._hand.motions()
         if motions and self._history.rows:
             rows = [
@@ -240,7 +240,7 @@ class Live(Service):
             for client in self._shared.clients:
                 client.put_newest({"say": "hand", "motions": rows})
 
-    def _tell_loop(self, only: Client | None = None) -> None:
+    def _send_loop(self, only: Client | None = None) -> None:
         if self._followed is not None:
             message = json.dumps({"say": "loop", **plain(self._followed.about())})
             for client in self._shared.clients if only is None else {only}:

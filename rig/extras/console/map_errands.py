@@ -29,7 +29,7 @@ MOST = 500  # maps of a list
 
 
 def directories(directory: str) -> list[dict[str, Any]]:
-    """The maps of a directory, the newest first: their names, what they map, and how they stand."""
+    """Return the maps of a directory, the newest first: their names, what they map, and how they stand."""
     found = [path.parent for path in Path(directory).glob(f"*/{maps.PLAN}")]
     found.sort(key=lambda path: -_changed_s(path))
     return [_headline(path) for path in found[:MOST]]
@@ -141,7 +141,7 @@ def _hits(plan: MapPlan, key: str, rows: list[dict[str, Any]]) -> dict[str, Any]
 
 
 def _code(row: dict[str, Any], criterion: str, suffix: str) -> int:
-    """A hit under one criterion: stable, failed slowly or at once, or invalid."""
+    """Return a hit under one criterion: stable, failed slowly or at once, or invalid."""
     passes = row[f"passes_{criterion}{suffix}"]
     if passes is None:
         return INVALID
@@ -166,7 +166,7 @@ def _impedances(plan: FrequencyPlan, key: str, rows: list[dict[str, Any]]) -> di
 
 
 def theory(directory: str) -> list[dict[str, Any]]:
-    """Curves of linear theory over the map: by scheme, name, dampings and stiffnesses."""
+    """Return curves of linear theory over the map: by scheme, name, dampings and stiffnesses."""
     plan, _ = _plan(Path(directory))
     if isinstance(plan, FrequencyPlan):
         return [
@@ -181,7 +181,7 @@ def theory(directory: str) -> list[dict[str, Any]]:
 
 
 def find_recording(directory: str, key: str, stiffness: float, output: str) -> dict[str, Any]:
-    """The recording of one hit: of a device's map the one that it left, of the simulation the same hit again.
+    """Return the recording of one hit: of a device's map the one that it left, of the simulation the same hit again.
 
     Raises
     ------

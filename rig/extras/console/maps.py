@@ -111,7 +111,7 @@ class Watched:
             self.begun_s, self.begun_weight = now_s, self._weight()
 
     def progress_message(self, columns: list[dict[str, Any]], now_s: float, *, anew: bool) -> str:
-        """Some columns as a message, and how far the map is; `anew`: they are all that there are."""
+        """Return some columns as a message, and how far the map is; `anew`: they are all that there are."""
         return json.dumps(
             {
                 "say": "cells", "map": self.path.name, "anew": anew, "columns": columns, "state": self.state,

@@ -10,12 +10,12 @@ from rig.core.errors import ConfigError
 
 
 def file_in(directory: Path, name: str) -> Path:
-    """A plain file of a directory; `ConfigError` for a path, a link, a hidden file, or what is not there."""
+    """Return a plain file of a directory; `ConfigError` for a path, a link, a hidden file, or what is not there."""
     return _entry(directory, name, stat.S_ISREG, "file")
 
 
 def directory_in(directory: Path, name: str) -> Path:
-    """A directory of a directory; errors as `file_in`."""
+    """Return a directory of a directory; errors as `file_in`."""
     return _entry(directory, name, stat.S_ISDIR, "directory")
 
 

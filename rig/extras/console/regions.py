@@ -43,7 +43,7 @@ class Regions:
 
 
 def find_regions(rig: str, changes: Mapping[str, Any], damping: float, delay_ticks: int) -> Regions:
-    """Limits for a rig with a page's changes, as `rig.extras.console.hits.apply_changes` has it."""
+    """Return limits for a rig with a page's changes, as `rig.extras.console.hits.apply_changes` has it."""
     return regions(apply_changes(experiment_of({"rig": rig}), changes), delay_ticks, damping)
 
 

@@ -156,7 +156,7 @@ def request_of(text: str | bytes, kinds: Mapping[str, type[Request]]) -> Request
 
 
 def number_of(text: str | bytes) -> int:
-    """The number that a page gave its message, right or wrong; 0: none."""
+    """Return the number that a page gave its message, right or wrong; 0: none."""
     number = json_of(text).get("number")
     return number if isinstance(number, int) and not isinstance(number, bool) else 0
 
@@ -172,7 +172,7 @@ def refuse_reserved(changes: Mapping[str, Any]) -> None:
 
 
 def json_of(text: str | bytes) -> dict[str, Any]:
-    """The object that a message holds; an empty one where it holds none."""
+    """Return the object that a message holds; an empty one where it holds none."""
     try:
         value = json.loads(text)
     except (ValueError, RecursionError):

@@ -185,7 +185,7 @@ class Console:
                 client.reply(number, result)
 
     def _job_says(self, job: Job, message: Mapping[str, Any]) -> None:
-        kept = [service.job_says(job, message) for service in self.services]
+        kept = [service.handle_job_message(job, message) for service in self.services]
         if any(kept):
             return
         envelope = {"say": "job", "job": job.name, "pid": job.pid, "told": message}
@@ -211,7 +211,7 @@ class Console:
 
 
 def _facts() -> dict[str, Any]:
-    """Constants that a page receives once."""
+    """Return constants that a page receives once."""
     return {
         "columns": [
             {
@@ -228,7 +228,7 @@ def _facts() -> dict[str, Any]:
 
 
 def _estimator(name: str) -> dict[str, Any]:
-    """One of the registry with its settings, as it says them itself; `problem` where it cannot be used."""
+    """Return one of the registry with its settings, as it says them itself; `problem` where it cannot be used."""
     if problem := estimators.broken(name):
         return {"name": name, "settings": [], "problem": problem}
     settings = estimators.get(name).settings

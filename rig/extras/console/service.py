@@ -73,7 +73,7 @@ class ServiceContext:
         )
         return saved
 
-    def tell_trouble(self, error: RigError) -> None:
+    def report_trouble(self, error: RigError) -> None:
         """Tell every page what went wrong, where none has asked."""
         for client in self.clients:
             client.put(trouble(error))
@@ -117,7 +117,7 @@ class Service(ABC):
     def greet(self, client: Client) -> None:  # noqa: B027  (most have nothing to say)
         """Send a newly connected page what it must know."""
 
-    def job_says(self, job: Job, message: Mapping[str, Any]) -> bool:
+    def handle_job_message(self, job: Job, message: Mapping[str, Any]) -> bool:
         """Take a message of a job; return True if it is for this service alone, and not for the pages."""
         return False
 

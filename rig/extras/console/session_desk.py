@@ -59,7 +59,7 @@ class PageDesk(AskingDesk):
         moved = None if hand is None else {"kind": hand[0], "press": hand[1]}
         talk.tell("setup", pid=os.getpid(), keys=keymap, hand=moved)
 
-    def _say(self, kind: str, **content: Any) -> None:
+    def _send(self, kind: str, **content: Any) -> None:
         self._talk.tell(kind, **content)
 
     def _take(self, patience_s: float) -> Any:

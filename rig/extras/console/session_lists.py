@@ -31,7 +31,7 @@ def describe_resumption(directory: str) -> dict[str, Any]:
 
 
 def protocols() -> list[dict[str, str]]:
-    """Protocol files here, and the templates: name, and what it is about."""
+    """Return protocol files here, and the templates: name, and what it is about."""
     found = []
     for path in sorted(Path().glob("*.toml"))[:MOST]:
         with suppress(RigError):
@@ -43,12 +43,12 @@ def protocols() -> list[dict[str, str]]:
 
 
 def resumable() -> list[dict[str, Any]]:
-    """Sessions here that are not over, the newest first: directory, whose, and where it stands."""
+    """Return sessions here that are not over, the newest first: directory, whose, and where it stands."""
     return [session for log in _logs()[:MOST] if (session := _describe_unfinished(log)) is not None]
 
 
 def protocol_file(name: str) -> Path:
-    """The file of a protocol: of the package, where the name is that of a template."""
+    """Return the file of a protocol: of the package, where the name is that of a template."""
     if name in template_names():
         return template_path(name)
     return Path(name)

@@ -122,7 +122,7 @@ class Sessions(Service):
         self._shared.blinded = True  # until the session reports that its operator is not blinded
         self._seat, self._end, self._compiling = None, None, False
         self._rounds = asyncio.create_task(self._every_round(job))
-        self._tell()
+        self._update_pages()
         return {"pid": job.pid}
 
     # At the desk.
@@ -139,14 +139,14 @@ class Sessions(Service):
             if client.participant and seat.talk.keymap.meaning(request.key) not in VERDICTS:
                 return
         seat.key(request.key, now_s, request.shown_s)
-        self._tell()
+        self._update_pages()
 
     async def _line(self, client: Client, request: TypeLine) -> None:
         seat = self._seat
         if seat is None or self._job is None or not self._may(client, seat, request, "item"):
             return
         seat.do(seat.talk.line(request.text), request.shown_s)
-        self._tell()
+        self._update_pages()
 
     async def _reach(self, client: Client, request: Reach) -> None:
         self._shared.must_operate(client)
@@ -171,17 +171,17 @@ class Sessions(Service):
 
     # Messages of the session, and what a page is sent.
 
-    def job_says(self, job: Job, message: Mapping[str, Any]) -> bool:
-        """See `Service.job_says`."""
+    def handle_job_message(self, job: Job, message: Mapping[str, Any]) -> bool:
+        """See `Service.handle_job_message`."""
         if job.name != JOB:
             return False
         kind = message["say"]
         match kind:
             case "setup":
-                self._seat = Seat(message, partial(_say, job), self._seat_hand(message["hand"]))
+                self._seat = Seat(message, partial(_send, job), self._seat_hand(message["hand"]))
             case "view" | "ask":
                 assert self._seat is not None
-                self._rings += self._seat.hear(kind, message, time.monotonic())
+                self._rings += self._seat.receive(kind, message, time.monotonic())
                 self._shared.blinded = self._seat.talk.view.blinded
             case "done":
                 self._end = message["result"]
@@ -194,7 +194,7 @@ class Sessions(Service):
                 self._leave()
             case _:
                 return False
-        self._tell()
+        self._update_pages()
         return kind not in ("compiling", "ended")
 
     def _seat_hand(self, hand: Mapping[str, Any] | None) -> SeatHand | None:
@@ -215,13 +215,13 @@ class Sessions(Service):
             while True:
                 if self._seat is not None:
                     self._seat.look(time.monotonic())
-                    self._tell()
+                    self._update_pages()
                 await asyncio.sleep(ROUND_S)
         except Exception as error:
-            self._shared.tell_trouble(defect("the session's desk failed, and the session ends", error))
+            self._shared.report_trouble(defect("the session's desk failed, and the session ends", error))
             await job.close()
 
-    def _tell(self) -> None:
+    def _update_pages(self) -> None:
         for pages, message in self._messages():
             if message != self._sent.get(message["say"]):
                 self._sent[message["say"]] = message
@@ -277,7 +277,7 @@ class Sessions(Service):
         await super().close()
 
 
-def _say(job: Job, kind: str, **content: Any) -> None:
+def _send(job: Job, kind: str, **content: Any) -> None:
     job.answer({"kind": kind, **content})
 
 

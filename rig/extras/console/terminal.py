@@ -93,5 +93,5 @@ def _refusal(url: str, why: str, remedy: str) -> ConfigError:
 
 
 def _printable(text: str) -> str:
-    """A page's text without what a terminal would obey: escapes, new lines, changes of direction."""
+    """Return a page's text without what a terminal would obey: escapes, new lines, changes of direction."""
     return "".join(one if one.isprintable() else "�" for one in text)

@@ -45,7 +45,7 @@ def restore(recording: Path, directory: Path) -> None:
 
 
 def _with_pictures(recording: Path) -> list[Path]:
-    """The recording last: while its pictures move, it is still where it was."""
+    """Return the recording last: while its pictures move, it is still where it was."""
     pictures = [recording.with_suffix(f".{ending}") for ending in FORMATS]
     return [*(path for path in pictures if path.is_file()), recording]
 

@@ -111,7 +111,7 @@ def open_bus(url: DeviceUrl) -> Bus:
 
 
 def _connect(place: str) -> socket.socket:
-    """A Unix socket whose messages are those of a raw CAN socket: a program in the place of a bus."""
+    """Return a Unix socket whose messages are those of a raw CAN socket: a program in the place of a bus."""
     end = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     try:
         end.connect(place)
@@ -151,7 +151,7 @@ class AdapterBus:
 
     @property
     def refused(self) -> int:
-        """Lines that the adapter did not take."""
+        """Return lines that the adapter did not take."""
         return int(self._adapter.refused)
 
     def send(self, frame: CanFrame) -> None:
@@ -184,13 +184,13 @@ class CanBus:
 
     def __init__(self, place: str, end: socket.socket | None = None, *, bit_rates: str = FD) -> None:
         self.place = place
-        self._socket = end or self._opened(place, bit_rates)
+        self._socket = end or self._open(place, bit_rates)
         self._socket.setblocking(False)
         self.descriptor = self._socket.fileno()
         self._library = library()
 
     @staticmethod
-    def _opened(place: str, bit_rates: str) -> socket.socket:
+    def _open(place: str, bit_rates: str) -> socket.socket:
         try:
             end = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         except OSError as error:

@@ -83,7 +83,7 @@ class DriveLaw:
 
     @property
     def gains(self) -> tuple[float, float] | None:
-        """Spring and damper that a share of 1 gives, or None where it is not to render a wall."""
+        """Return the spring and damper that a share of 1 gives, or None where it is not to render a wall."""
         return None if self.objection else (self.kp, self.kd)
 
     def describe(self, transmission: float) -> dict[str, int | float | str]:

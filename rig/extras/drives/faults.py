@@ -139,5 +139,5 @@ TEXTS = {"moteus": MOTEUS, "odrive": ODRIVE}
 
 
 def explain_faults(kind: str) -> tuple[CodeInfo, ...]:
-    """All of them, for the dictionary of a kind of drive."""
+    """Return all of them, for the dictionary of a kind of drive."""
     return tuple(CodeInfo(int(code), code.name, text, remedy) for code, (text, remedy) in TEXTS[kind].items())

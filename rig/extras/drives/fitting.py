@@ -55,11 +55,11 @@ class Output:
     scale_remedy: str
 
     def transmission(self, model: RigModel) -> float:
-        """Angle of the output (rad) for 1 rad or 1 m of the rig."""
+        """Return the angle of the output (rad) for 1 rad or 1 m of the rig."""
         return 2.0 * math.pi / (self.counts_per_turn * model.encoder.resolution)
 
     def ranges(self, model: RigModel) -> dict[str, tuple[int, int]]:
-        """Ranges of the device's parameters that the drive sets."""
+        """Return ranges of the device's parameters that the drive sets."""
         effort = self.most_current * self.torque_constant * self.transmission(model)
         most = min(peak_current(model), math.floor(effort / model.amplifier.effort_quantum * (1.0 + 1e-6)))
         low, high = (

@@ -349,7 +349,7 @@ class Bridge:
 
     @property
     def fault(self) -> int:
-        """The fault that is latched, or 0."""
+        """Return the fault that is latched, or 0."""
         return int(self._library.bridge_fault_now(self._address))
 
     @property

@@ -99,7 +99,7 @@ class BridgeLink(DescriptorLink):
 
 
 def _facts_in(descriptor: int) -> BridgeFacts:
-    """The facts in a file that both processes have open."""
+    """Return the facts in a file that both processes have open."""
     return BridgeFacts.from_buffer(mmap.mmap(descriptor, ctypes.sizeof(BridgeFacts)))
 
 

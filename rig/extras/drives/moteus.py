@@ -104,7 +104,7 @@ class MoteusConversation:
         self._send(b"\x01\x00\x00", reply=False)
 
     def register(self, number: int) -> int:
-        """Value of a register; raises as `asked`."""
+        """Return the value of a register; raises as `asked`."""
         address = bytes([number]) if number < 0x80 else bytes([number & 0x7F | 0x80, number >> 7])
         data = self.asked(b"\x19" + address, lambda data: data.startswith(b"\x29" + address))
         (value,) = struct.unpack_from("<i", data, 1 + len(address))
@@ -157,7 +157,7 @@ class MoteusConversation:
         self._bus.send(CanFrame(sender | (REPLY if reply else 0), data))
 
     def _line(self) -> str:
-        """The next line of the diagnostic channel."""
+        """Return the next line of the diagnostic channel."""
         line, deadline = b"", time.monotonic() + LINE_S
         while b"\n" not in line and time.monotonic() < deadline:
             reply = self.asked(bytes([0x42, 1, DIAGNOSTIC_BYTES]), lambda data: data.startswith(b"\x41\x01"))
@@ -210,12 +210,12 @@ class MoteusFacts:
 
     @property
     def counts_per_turn(self) -> float:
-        """Encoder counts for a turn of the output."""
+        """Return encoder counts for a turn of the output."""
         return self.counts / self.rotor_to_output if self.on_rotor else float(self.counts)
 
     @property
     def output(self) -> Output:
-        """Reported properties of the drive's output."""
+        """Return reported properties of the drive's output."""
         return Output(
             kind="moteus",
             encoder=self.source,

@@ -201,9 +201,9 @@ class OdriveConversation:
             self._others.add(node)
 
     def request(self, command: OdriveCommand) -> bytes:
-        """Request a message and return its data; errors as `_asked`."""
+        """Request a message and return its data; errors as `_request`."""
         frame = CanFrame(self.node << NODE_BITS | command, b"", classic=True, remote=True)
-        return self._asked(frame, command, lambda data: len(data) == 8)
+        return self._request(frame, command, lambda data: len(data) == 8)
 
     def parameter(self, path: str) -> float:
         """Value of a parameter; raises `IncompatibleDeviceError` where this firmware has none of this name."""
@@ -216,14 +216,16 @@ class OdriveConversation:
         number, form = found
         question = struct.pack("<BHB", 0, number, 0)
         frame = CanFrame(self.node << NODE_BITS | OdriveCommand.RX_SDO, question, classic=True)
-        answer = self._asked(
+        answer = self._request(
             frame,
             OdriveCommand.TX_SDO,
             lambda data: data[1:3] == question[1:3] and len(data) >= 4 + form.size,
         )
         return float(form.unpack_from(answer, 4)[0])
 
-    def _asked(self, question: CanFrame, command: OdriveCommand, is_answer: Callable[[bytes], bool]) -> bytes:
+    def _request(
+        self, question: CanFrame, command: OdriveCommand, is_answer: Callable[[bytes], bool]
+    ) -> bytes:
         """Send a request up to `TRIES` times and return the reply; raises `DeviceNotFoundError` without one."""
         for _ in range(TRIES):
             self._bus.send(question)
@@ -267,7 +269,7 @@ class OdriveFacts:
 
     @property
     def output(self) -> Output:
-        """Reported properties of the drive's shaft."""
+        """Return reported properties of the drive's shaft."""
         v = self.values
         onboard = v[ENCODER] == ONBOARD
         constant = v[TORQUE_CONSTANT]
@@ -331,7 +333,7 @@ def find(talk: OdriveConversation) -> OdriveFacts:
 
 
 def _error_at_rest(talk: OdriveConversation) -> int:
-    """Error of a drive at rest. What a killed bridge has left its watchdog ends, and nothing here."""
+    """Return the error of a drive at rest. What a killed bridge has left its watchdog ends, and nothing here."""
     deadline = time.monotonic() + REST_S
     while True:
         error, state, _ = struct.unpack_from("<IBB", talk.request(OdriveCommand.HEARTBEAT))

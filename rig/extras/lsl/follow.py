@@ -62,7 +62,7 @@ class Chunk:
 
 
 def without_secrets(content: Mapping[str, Any]) -> dict[str, Any]:
-    """A marker's content without what a blinded person must not know, at any depth."""
+    """Return a marker's content without what a blinded person must not know, at any depth."""
     return {
         key: without_secrets(value) if isinstance(value, Mapping) else value
         for key, value in content.items()
@@ -71,7 +71,7 @@ def without_secrets(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def decimation(position_rate: float, rate: float | None) -> int:
-    """How many rows make a sample, so that there are `rate` samples a second at most; None: each row is one."""
+    """Return how many rows make a sample, so that there are `rate` samples a second at most; None: each row is one."""
     return 1 if rate is None else max(1, math.ceil(position_rate / rate))
 
 
@@ -116,7 +116,7 @@ class Follower:
 
     @property
     def lost(self) -> int:
-        """Rows that were overwritten before they were seen."""
+        """Return rows that were overwritten before they were seen."""
         return self._reader.lost
 
     @property
@@ -207,13 +207,13 @@ class Follower:
 
 
 def _wall(info: Mapping[str, Any]) -> dict[str, Any]:
-    """Stiffness and damping in the info of a run."""
+    """Return the stiffness and damping in the info of a run."""
     wall = (info.get("experiment") or {}).get("wall") or {}
     return {name: wall.get(name) for name in ("stiffness", "damping")}
 
 
 def _changes(both: NDArray[np.void], new: int) -> dict[str, NDArray[np.int64]]:
-    """Places among the new rows at which a marker belongs."""
+    """Return places among the new rows at which a marker belongs."""
     phase, numbers = both["phase"], both["parameter_set"]
     touching = (phase == Phase.TRIAL) & ((both["flags"] & _INSIDE) != 0)
     beginning = np.arange(len(both)) == 0

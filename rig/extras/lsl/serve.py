@@ -243,7 +243,7 @@ class _Server:
 
 
 def _next_loop(pid: int | None) -> tuple[int, Ring] | None:
-    """A loop that runs, with its process; the newest."""
+    """Return a loop that runs, with its process; the newest."""
     if pid is not None:
         ring = running.memory_of(pid)
         return None if ring is None else (pid, ring)

@@ -69,7 +69,7 @@ def read_claims(
 
 
 def _sections(text: str) -> dict[str, dict[str, str]]:
-    """Sections of named texts; a line that begins neither belongs to the text before it."""
+    """Return sections of named texts; a line that begins neither belongs to the text before it."""
     found: dict[str, dict[str, str]] = {}
     key = name = ""
     for line in text.splitlines():

@@ -31,10 +31,10 @@ class ReproductionPlan(Protocol):
     """All parts of the work, by name, and the way back from their results."""
 
     def parts(self) -> dict[str, Part]:
-        """Everything that has to be computed."""
+        """Return everything that has to be computed."""
 
     def results(self, done: Parts) -> Any:
-        """One typed object of everything that came back."""
+        """Return one typed object of everything that came back."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +70,7 @@ class Paper:
     pictures: Mapping[str, Callable[[Any, Path], None]]
 
     def template(self, name: str) -> str:
-        """Path of one of its templates."""
+        """Return the path of one of its templates."""
         return f"extras/papers/{self.name}/{name}"
 
 
@@ -116,7 +116,7 @@ class Reproduction:
         return dict(plain(mapping))
 
     def count(self, status: ClaimStatus) -> int:
-        """How many claims have this status."""
+        """Return how many claims have this status."""
         return sum(claim.status is status for claim in self.claims)
 
 

@@ -57,22 +57,22 @@ class Ruling:
 
     @property
     def held(self) -> list[str]:
-        """Cases in which the claim held."""
+        """Return cases in which the claim held."""
         return [name for name, holds in self.cases.items() if holds]
 
     @property
     def failed(self) -> list[str]:
-        """Cases in which the claim did not hold."""
+        """Return cases in which the claim did not hold."""
         return [name for name, holds in self.cases.items() if not holds]
 
     @property
     def condition(self) -> str:
-        """The conditions under which a claim held that did not hold in all cases."""
+        """Return the conditions under which a claim held that did not hold in all cases."""
         return "; ".join(self.sufficient) if self.status is ClaimStatus.ONLY_WITH else ""
 
     @property
     def sufficient(self) -> list[str]:
-        """Conditions under which the claim held in every case."""
+        """Return conditions under which the claim held in every case."""
         return [name for name, cases in self.conditions.items() if all(self.cases[case] for case in cases)]
 
     @property
@@ -81,11 +81,11 @@ class Ruling:
         return f"{self.status} {self.condition}".rstrip()
 
     def having(self, **numbers: Any) -> Ruling:
-        """The same ruling with more numbers."""
+        """Return the same ruling with more numbers."""
         return replace(self, numbers={**self.numbers, **numbers})
 
     def only(self, **numbers: Any) -> Ruling:
-        """The same claim, reproduced only under a condition that is no case of its own."""
+        """Return the same claim, reproduced only under a condition that is no case of its own."""
         return replace(self.having(**numbers), status=ClaimStatus.ONLY_WITH)
 
 

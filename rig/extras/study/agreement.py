@@ -237,7 +237,7 @@ def kappa(counts: Floats | Sequence[Sequence[float]], weights: Weights = "none")
 
 
 def _alike(classes: int, weights: Weights) -> Floats:
-    """How much of an agreement each pair of classes is: 1 on the diagonal."""
+    """Return how much of an agreement each pair of classes is: 1 on the diagonal."""
     place = np.arange(classes)
     distance = np.abs(place[:, None] - place[None, :]).astype(np.float64)
     if weights == "none":

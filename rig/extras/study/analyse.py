@@ -118,7 +118,7 @@ class StudyAnalysis:
 
     @property
     def messages(self) -> tuple[str, ...]:
-        """Messages for the reader: about the sessions, and about what was left out."""
+        """Return messages for the reader: about the sessions, and about what was left out."""
         left = [run for run in self.runs if run.state != "complete"]
         found = []
         fast = sum(trial.too_fast and trial.counts for trial in self.trials)
@@ -176,18 +176,18 @@ class StudyAnalysis:
 
     @property
     def runs_as_counted(self) -> tuple[RunRow, ...]:
-        """Runs as K_max, models and slopes count them, see `rig.extras.study.rows.runs_as_counted`."""
+        """Return runs as K_max, models and slopes count them, see `rig.extras.study.rows.runs_as_counted`."""
         return runs_as_counted(self.runs, include_marked=self.options.include_marked)
 
     def counts(self) -> dict[str, int]:
-        """Trials by what became of them; "counted" ones made limits."""
+        """Return trials by what became of them; "counted" ones made limits."""
         return {
             "recorded": len(self.trials),
             **dict(sorted(fates(self.trials, self.runs_as_counted).items())),
         }
 
     def _of_marked(self) -> Iterator[str]:
-        """Runs that ended by `most`, and limits that their verdicts contradict."""
+        """Yield runs that ended by `most`, and limits that their verdicts contradict."""
         taken = (
             "included"
             if self.options.include_marked
@@ -212,7 +212,7 @@ class StudyAnalysis:
             yield f"{_plural(len(names), 'limit')} {_is(len(names))} marked, {taken}: {_list_names(names)}"
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON; trials are in their table."""
+        """Return plain values, for JSON; trials are in their table."""
         study, protocol = self.study, self.study.protocol
         return {
             "title": protocol.study.title,

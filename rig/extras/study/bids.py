@@ -267,7 +267,7 @@ def _channel_rows(columns: Iterable[Channel]) -> list[Row]:
 
 
 def _participants(study: Study, labels: Mapping[str, str]) -> tuple[tuple[str, ...], list[Row], Row]:
-    """Columns, rows and sidecar of the participants' table; each answer is a column."""
+    """Return columns, rows and sidecar of the participants' table; each answer is a column."""
     own = {
         "code": {"Description": "as in the study's own files"},
         "row": {"Description": "row of the order of conditions, from 0"},
@@ -338,7 +338,7 @@ def _date(acquired: datetime | None, shift: timedelta | None) -> str | None:
 
 
 def _cell(value: Any) -> str:
-    """A cell of a table: no tabs, no line ends, never empty."""
+    """Return a cell of a table: no tabs, no line ends, never empty."""
     if value is None or value == "":
         return MISSING
     if isinstance(value, bool):

@@ -63,7 +63,7 @@ class Channel:
     description: str
 
     def as_row(self) -> dict[str, str]:
-        """Cells of the channels file, in the order that the standard wants."""
+        """Return cells of the channels file, in the order that the standard wants."""
         return {
             "name": self.name,
             "component": self.component,
@@ -175,7 +175,7 @@ def sidecar(
 
 
 def spans(recording: Recording) -> list[tuple[str, float, float]]:
-    """Kind, onset and duration (s) of what happened in a recording, in the order of time."""
+    """Return the kind, onset and duration (s) of what happened in a recording, in the order of time."""
     time, phases = recording.time_s, recording.column("phase")
     found: list[tuple[str, float, float]] = []
     if not len(time):
@@ -199,7 +199,7 @@ def spans(recording: Recording) -> list[tuple[str, float, float]]:
 
 
 def _pins(recording: Recording) -> list[tuple[str, float, float]]:
-    """Edges at the device's sync pins, from the first row on."""
+    """Return edges at the device's sync pins, from the first row on."""
     origin = int(recording.rows["device_time"][0])
     return [
         (mark.name, (mark.device_time - origin) * 1e-9, 0.0)
@@ -209,7 +209,7 @@ def _pins(recording: Recording) -> list[tuple[str, float, float]]:
 
 
 def frame(motion: Motion) -> dict[str, Any]:
-    """The reference frame, for a channels file's JSON."""
+    """Return the reference frame, for a channels file's JSON."""
     what = (
         "The handle turns about one axis, called z; the angle is zero at the rig's reference"
         if motion == "rotary"
@@ -235,7 +235,7 @@ def unit(text: str) -> str:
 
 
 def _cells(values: Any) -> Any:
-    """A column for the writer; what is not finite becomes the word for a missing value."""
+    """Return a column for the writer; what is not finite becomes the word for a missing value."""
     if values.dtype.kind == "f" and not np.isfinite(values).all():
         return [repr(value) if np.isfinite(value) else MISSING for value in values.tolist()]
     return values

@@ -96,7 +96,7 @@ def analyse(
 
 
 def beside(places: tuple[Path, ...], found: StudyAnalysis) -> Path:
-    """The directory ``analysis`` in the only place that was named, or where all sessions lie."""
+    """Return the directory ``analysis`` in the only place that was named, or where all sessions lie."""
     if len(places) == 1:
         return (places[0] if places[0].is_dir() else places[0].parent) / "analysis"
     parents = {session.directory.resolve().parent for session in found.study.sessions}
@@ -153,7 +153,7 @@ def show(found: StudyAnalysis) -> None:
 
 
 def _differences(found: StudyAnalysis) -> Iterator[Item]:
-    """Why there is no model, the differences, and what must be known of them."""
+    """Yield why there is no model, the differences, and what must be known of them."""
     model, first = tables.first_contrasts(found)
     if model is not None and model.problem:
         yield f"No mixed model: {model.problem}"

@@ -83,7 +83,7 @@ class BlockRow:
 
 
 def slopes(runs: Sequence[RunRow], trials: Sequence[TrialRow]) -> tuple[Slope, ...]:
-    """All slopes: of limits by each measure, of the time to a verdict, and of the share of invalid trials."""
+    """Return all slopes: of limits by each measure, of the time to a verdict, and of the share of invalid trials."""
     found: list[Slope] = []
     places: tuple[tuple[str, Callable[[RunRow], float]], ...] = (
         ("order", lambda run: float(run.order)),
@@ -182,7 +182,7 @@ def _slope(
 
 
 def within_slopes(at: Floats, values: Floats, cells: Sequence[tuple[str, str, float]]) -> dict[str, float]:
-    """Slope of values along places, one for each participant; those whose places allow none are left out.
+    """Return the slope of values along places, one for each participant; those whose places allow none are left out.
 
     Parameters
     ----------

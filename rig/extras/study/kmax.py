@@ -231,7 +231,7 @@ def _collect_limit(measure: Measure, runs: Sequence[RunRow], limit: LimitInterva
 
 
 def estimate_participants(runs: Sequence[RunRow], pooled: Pooled, seed: int = 0) -> tuple[OfParticipant, ...]:
-    """K_max of each participant, by measure, condition and damping; `seed` is that of the bootstrap."""
+    """Return K_max of each participant, by measure, condition and damping; `seed` is that of the bootstrap."""
     found = []
     for measure in MEASURES:
         groups: dict[tuple[str, Cell], list[Observed]] = {}
@@ -279,7 +279,7 @@ def estimate_participants(runs: Sequence[RunRow], pooled: Pooled, seed: int = 0)
 def over_participants(
     each: Sequence[OfParticipant], conditions: Sequence[str]
 ) -> tuple[OverParticipants, ...]:
-    """K_max over participants, by measure, then the conditions in this order, then damping."""
+    """Return K_max over participants, by measure, then the conditions in this order, then damping."""
     groups: dict[tuple[Measure, str, float], list[OfParticipant]] = {}
     for one in each:
         groups.setdefault((one.measure, one.condition, one.damping), []).append(one)
@@ -317,7 +317,7 @@ def over_participants(
 
 
 def compare_pairs(each: Sequence[OfParticipant], conditions: Sequence[str]) -> tuple[Paired, ...]:
-    """Differences between all pairs of conditions, at each damping that both have and over all of them."""
+    """Return differences between all pairs of conditions, at each damping that both have and over all of them."""
     return tuple(
         one for measure in MEASURES for one in _correct_holm(_compare_pairs(each, measure, conditions))
     )
@@ -331,7 +331,7 @@ def _correct_holm(family: Sequence[Paired]) -> list[Paired]:
 def _compare_pairs(
     each: Sequence[OfParticipant], measure: Measure, conditions: Sequence[str]
 ) -> list[Paired]:
-    """Differences by one measure, not yet corrected."""
+    """Return differences by one measure, not yet corrected."""
     of = [one for one in each if one.measure == measure]
     known = {(one.participant, one.condition, one.damping): (one.mean, one.rounding) for one in of}
     beyond: dict[Cell, Beyond] = {}
@@ -378,7 +378,7 @@ def _compare_pairs(
 def _behind(
     beyond: Mapping[Cell, Beyond], against: str, condition: str, damping: float | None
 ) -> dict[Cell, Beyond]:
-    """The cells that a difference is of, with their censored limits."""
+    """Return the cells that a difference is of, with their censored limits."""
     both = {b for name, b in beyond if name == against} & {b for name, b in beyond if name == condition}
     return {
         (name, b): one

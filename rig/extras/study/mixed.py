@@ -190,7 +190,7 @@ def _sort_cells(cells: Iterable[Cell], conditions: Sequence[str]) -> list[Cell]:
 
 
 def _problem(kept: Sequence[Observed], cells: Sequence[Cell], *, censored: bool) -> str:
-    """Why there can be no model; empty when there can."""
+    """Return why there can be no model; empty when there can."""
     participants = len({one.participant for one in kept})
     problem = ""
     if censored and not cells:
@@ -249,7 +249,7 @@ class _Design:
 
     @classmethod
     def of(cls, values: Sequence[Observed], cells: Sequence[Cell]) -> _Design:
-        """Means over the repeats of each participant in each cell."""
+        """Return means over the repeats of each participant in each cell."""
         where: list[Cell] = [(one.condition, one.damping) for one in values]
         conditions = list(dict.fromkeys(name for name, _ in cells))
         dampings = sorted({damping for _, damping in cells})
@@ -306,7 +306,7 @@ class _Design:
         return rows
 
     def alike(self, part: str) -> Floats:
-        """1 where two values of a participant have this random part in common, else 0."""
+        """Return 1 where two values of a participant have this random part in common, else 0."""
         groups = self.frame.groupby(["participant", *part.split(" × ")[1:]]).ngroup().to_numpy()
         number = self.by_person(groups + 1.0)
         return np.asarray((number[:, :, None] == number[:, None]) & (number[:, :, None] > 0.0), np.float64)
@@ -348,7 +348,7 @@ class _Design:
         return found
 
     def weights(self, of: Mapping[Cell, float]) -> Floats:
-        """A linear combination of the fixed effects, by weights of the cells."""
+        """Return a linear combination of the fixed effects, by weights of the cells."""
         return np.array([*(of.get(cell, 0.0) for cell in self.cells), *(0.0 for _ in self.covariates)])
 
 
@@ -366,7 +366,7 @@ class _Optimum:
 def _minus_log_likelihood(
     variances: Floats, count: int, limits: Floats, fixed: Floats, parts: Sequence[Floats], reml: bool
 ) -> tuple[float, Floats]:
-    """Minus the log likelihood at variances of the random parts, in the residual's, and its gradient.
+    """Return minus the log likelihood at variances of the random parts, in the residual's, and its gradient.
 
     Fixed effects and the residual's variance are the likeliest there. All arrays are as `_Design.by_person` has them:
     `count` values, and zeros that add nothing to any sum.
@@ -433,7 +433,7 @@ class _Model:
 
     @classmethod
     def of(cls, design: _Design) -> _Model | None:
-        """REML estimates of statsmodels at the optimum, without the parts whose variance is zero there."""
+        """Return REML estimates of statsmodels at the optimum, without the parts whose variance is zero there."""
         optimum = _optimum(design, design.columns("cell", *design.covariates))
         if optimum is None:
             return None
@@ -473,19 +473,19 @@ class _Model:
         )
 
     def term(self, name: str, weights: Floats) -> Term:
-        """A linear combination of the fixed effects."""
+        """Return a linear combination of the fixed effects."""
         value, deviation = float(weights @ self.mean), self.deviation(weights)
         low, high = stats.t.interval(0.95, self.degrees, value, deviation)
         return Term(name=name, value=value, low=float(low), high=float(high))
 
     def p(self, weights: Floats) -> float:
-        """Two-sided p that a linear combination is zero."""
+        """Return the two-sided p that a linear combination is zero."""
         return float(
             2.0 * stats.t.sf(abs(float(weights @ self.mean)) / self.deviation(weights), self.degrees)
         )
 
     def deviation(self, weights: Floats) -> float:
-        """Standard error of a linear combination."""
+        """Return the standard error of a linear combination."""
         return math.sqrt(float(weights @ self.covariance @ weights))
 
 
@@ -539,7 +539,7 @@ def _difference(
 
 
 def _tests(design: _Design) -> tuple[LikelihoodRatio, ...]:
-    """Likelihood ratios of the full model against those without condition, damping, and their interaction.
+    """Return likelihood ratios of the full model against those without condition, damping, and their interaction.
 
     A factor that cannot be separated from the rest has none, and one of which a fit does not converge.
     """

@@ -19,7 +19,7 @@ def participants_of(
 
 
 def answers_of(study: Study) -> tuple[AnswerRow, ...]:
-    """All answers, in the order in which they were given; corrections included."""
+    """Return all answers, in the order in which they were given; corrections included."""
     when = {item.name: item.when for item in study.protocol.question}
     return tuple(
         AnswerRow(

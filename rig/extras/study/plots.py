@@ -140,7 +140,7 @@ def tracks_name(code: str) -> str:
 
 @style.own_style()
 def zwidth_figure(found: StudyAnalysis, measure: Measure) -> Any:
-    """K_max against B by condition: a thin line for each participant, a thick one with intervals for their mean.
+    """Return K_max against B by condition: a thin line for each participant, a thick one with intervals for their mean.
 
     With a single damping the conditions stand beside each other, and a line joins what belongs to one participant.
     """
@@ -353,7 +353,7 @@ def _functions(axes: Any, of: Sequence[PsychometricFit], judge: str, colour: str
 
 
 def _k50(one: PsychometricFit) -> str:
-    """K50, as a bound, or the number of censored ones where there are both kinds."""
+    """Return K50, as a bound, or the number of censored ones where there are both kinds."""
     if one.above and one.below:
         return f"K50 of {one.above + one.below} of {one.participants} censored"
     mark = "≥" if one.above else "≤" if one.below else "="
@@ -361,7 +361,7 @@ def _k50(one: PsychometricFit) -> str:
 
 
 def _together(of: Sequence[PsychometricFit]) -> PsychometricFit | None:
-    """The function of all participants, or of the only one."""
+    """Return the function of all participants, or of the only one."""
     for one in of:
         if one.participant == "":
             return one
@@ -463,7 +463,7 @@ def _key(axes: Any, trials: Sequence[TrialRow]) -> None:
 
 @style.own_style()
 def agreement_figure(found: StudyAnalysis) -> Any:
-    """Tables of confusions of the person's verdicts and the automatic ones, all conditions together."""
+    """Return tables of confusions of the person's verdicts and the automatic ones, all conditions together."""
     tables = _unlike([one for one in found.agreements if one.condition == "" and one.trials])
     figure = style.new_figure(1.0 + 3.3 * len(tables), 3.7)
     panels = figure.subplots(1, len(tables), squeeze=False)[0]
@@ -475,7 +475,7 @@ def agreement_figure(found: StudyAnalysis) -> Any:
 
 
 def _unlike(tables: Sequence[Agreement]) -> list[Agreement]:
-    """One table of each kind: weights change kappa, not the table."""
+    """Return one table of each kind: weights change kappa, not the table."""
     by_name: dict[str, Agreement] = {}
     for table in tables:
         by_name.setdefault(table.name, table)
@@ -660,7 +660,7 @@ def _conditions(found: StudyAnalysis) -> list[str]:
 
 
 def _plain(text: str) -> str:
-    """A text of the user's for matplotlib: no formula, and nothing that a legend would hide."""
+    """Return a text of the user's for matplotlib: no formula, and nothing that a legend would hide."""
     text = text.replace("$", r"\$")
     return f" {text}" if text.startswith("_") else text
 

@@ -120,14 +120,14 @@ def psychometrics(
 
 
 def complete_runs(runs: Sequence[RunRow]) -> set[tuple[str, int]]:
-    """Participants and numbers of the runs that limits are made of."""
+    """Return participants and numbers of the runs that limits are made of."""
     return {(run.participant, run.run) for run in runs if run.state == "complete"}
 
 
 def gather_verdicts(
     study: Study, judge: str, complete: Container[tuple[str, int]]
 ) -> dict[tuple[str, float], dict[str, Verdicts]]:
-    """Verdicts by condition and damping, and by participant.
+    """Return verdicts by condition and damping, and by participant.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def fit(
     levels: tuple[float, ...],
     verdicts: Sequence[tuple[float, bool]],
 ) -> PsychometricFit:
-    """The function that verdicts (stiffness, stable) of one participant on these levels show."""
+    """Return the function that verdicts (stiffness, stable) of one participant on these levels show."""
     grid = of_levels(tuple(levels))
     posterior = grid.posterior(verdicts)
     half = half_way(levels, verdicts)
@@ -186,7 +186,7 @@ def fit(
 def together(
     each: Sequence[PsychometricFit], levels: tuple[float, ...], verdicts: Sequence[tuple[float, bool]]
 ) -> PsychometricFit:
-    """The function of several participants under one condition, of whose verdicts these are all."""
+    """Return the function of several participants under one condition, of whose verdicts these are all."""
     # Student's interval over people's own K50: it shows a K50 that drifts between repeats, for which the posterior's is
     # too narrow.
     own = np.array([one.threshold.mean for one in each])

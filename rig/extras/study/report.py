@@ -95,7 +95,7 @@ def numbers(found: StudyAnalysis) -> dict[str, Any]:
 
 
 def provenance(found: StudyAnalysis) -> dict[str, Any]:
-    """Where the numbers come from: logs with their hashes, devices, versions, seeds."""
+    """Return where the numbers come from: logs with their hashes, devices, versions, seeds."""
     sessions = found.study.sessions
     return {
         "logs": {

@@ -66,7 +66,7 @@ def _of_protocols(study: Study) -> Iterator[Deviation]:
 
 
 def invalid_trials(study: Study) -> tuple[Deviation, ...]:
-    """Trials that were invalid or cut off for safety, with the reasons."""
+    """Return trials that were invalid or cut off for safety, with the reasons."""
     found: list[Deviation] = []
     for session in study.sessions:
         for event in session.of_kind("trial"):
@@ -97,7 +97,7 @@ def _deviation(session: StudySession, event: Event, what: str, detail: str) -> D
 
 
 def _sentence(session: StudySession, event: Event) -> str:
-    """An event and what belongs to it, filled into the template."""
+    """Return an event and what belongs to it, filled into the template."""
     content, before = event.content, session.events[: event.number]
     trial = content.get("trial")
     verdicts = [one.content["verdict"] for one in session.of_kind("judged") if one.content["trial"] == trial]
@@ -123,7 +123,7 @@ def _sentence(session: StudySession, event: Event) -> str:
 
 
 def _away_s(session: StudySession, event: Event) -> float | None:
-    """How long a session had rested before it was resumed or continued."""
+    """Return how long a session had rested before it was resumed or continued."""
     since = [
         one
         for one in session.events[: event.number]
@@ -133,7 +133,7 @@ def _away_s(session: StudySession, event: Event) -> float | None:
 
 
 def _with_units(session: StudySession, reasons: str) -> str:
-    """Reasons of a verdict, which have numbers alone, with their units."""
+    """Return reasons of a verdict, which have numbers alone, with their units."""
     return _REASON.sub(lambda found: f"{found[0]} {_unit(session, _MEASURED[found[1]])}", reasons)
 
 

@@ -98,14 +98,14 @@ class _Prior:
 
 
 def methods(found: StudyAnalysis) -> tuple[Paragraph, ...]:
-    """All paragraphs, in the order of a paper."""
+    """Return all paragraphs, in the order of a paper."""
     text = fill_text(TEMPLATE, **_facts(found))
     parts = re.findall(r"^## (.+)\n((?:(?!## ).*\n?)*)", text, flags=re.MULTILINE)
     return tuple(Paragraph(heading.strip(), " ".join(body.split())) for heading, body in parts)
 
 
 def effective(found: StudyAnalysis) -> dict[str, Experiment | RigError]:
-    """The experiment of each condition at its first damping and softest wall, or why it cannot be had here."""
+    """Return the experiment of each condition at its first damping and softest wall, or why it cannot be had here."""
     state = found.study.sessions[0].state
     walls = walls_in(state)
     experiments: dict[str, Experiment | RigError] = {}
@@ -118,14 +118,14 @@ def effective(found: StudyAnalysis) -> dict[str, Experiment | RigError]:
 
 
 def first_experiment(found: StudyAnalysis) -> Experiment:
-    """That of the first condition, or what it changes where its estimator is not installed here."""
+    """Return that of the first condition, or what it changes where its estimator is not installed here."""
     protocol = found.study.protocol
     first = effective(found)[protocol.condition[0].name]
     return first if isinstance(first, Experiment) else walls_in(found.study.sessions[0].state).base
 
 
 def analysed_with() -> dict[str, str]:
-    """Versions of what this analysis was computed with."""
+    """Return versions of what this analysis was computed with."""
     found = {}
     for name in ("haptic-rig", "numpy", "scipy", "statsmodels", "matplotlib"):
         try:
@@ -216,7 +216,7 @@ def _conditions(
 def _settings(
     found: StudyAnalysis, changes: Mapping[str, Any], elsewhere: tuple[str, ...]
 ) -> tuple[_Setting, ...]:
-    """Changed numbers of the experiment, without the keys that other sentences have."""
+    """Return changed numbers of the experiment, without the keys that other sentences have."""
     known, motion = parameters(), found.study.motion
     settings = []
     for key, value in changes.items():
@@ -230,7 +230,7 @@ def _settings(
 
 
 def _searches(found: StudyAnalysis) -> Iterator[_StatedSearch]:
-    """The study's search, unless every condition has its own, and those."""
+    """Yield the study's search, unless every condition has its own, and those."""
     protocol = found.study.protocol
     own = [(one.name, one.search) for one in protocol.condition if one.search is not None]
     shared = [(None, protocol.search)] if len(own) < len(protocol.condition) else []
@@ -253,7 +253,7 @@ def _priors(found: StudyAnalysis) -> list[_Prior]:
 
 
 def _collect_opened(found: StudyAnalysis, *names: str) -> list[tuple[Any, ...]]:
-    """Values of these entries each time that a device was opened, each combination once."""
+    """Return values of these entries each time that a device was opened, each combination once."""
     every = [
         tuple(event.content.get(name, "unknown") for name in names)
         for session in found.study.sessions
@@ -263,7 +263,7 @@ def _collect_opened(found: StudyAnalysis, *names: str) -> list[tuple[Any, ...]]:
 
 
 def _versions(found: StudyAnalysis) -> Iterator[str]:
-    """Versions that sessions ran with, each set once."""
+    """Yield versions that sessions ran with, each set once."""
     sets = dict.fromkeys(tuple((s.began.get("versions") or {}).items()) for s in found.study.sessions)
     for versions in filter(None, sets):
         named = [f"{name} {text}" for name, text in versions if name not in ("sources", "protocol")]

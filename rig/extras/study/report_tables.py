@@ -32,7 +32,7 @@ _SAME = 0.005  # of a lapse rate: no further from the mean of its prior
 
 
 def over_participants(found: StudyAnalysis, measure: Measure) -> Table:
-    """K_max of each condition and damping, over participants."""
+    """Return K_max of each condition and damping, over participants."""
     rows = [
         (
             one.condition,
@@ -109,7 +109,7 @@ def likelihood_ratios(model: Mixed) -> Table:
 
 
 def terms(found: StudyAnalysis, model: Mixed) -> Table:
-    """The terms of the mixed model."""
+    """Return the terms of the mixed model."""
     named = [
         *[(f"{condition}, B = {damping:g}", term) for (condition, damping), term in model.means],
         *[(f"slope per {place(slope.name)}", slope) for slope in model.slopes],
@@ -156,7 +156,7 @@ def _is_mostly_censored(one: PsychometricFit) -> bool:
 
 
 def agreement(some: Iterable[Agreement]) -> Table:
-    """Cohen's kappa of each table of confusions."""
+    """Return Cohen's kappa of each table of confusions."""
     rows = [
         (
             one.condition or "all",
@@ -193,7 +193,7 @@ def agreement(some: Iterable[Agreement]) -> Table:
 
 
 def slopes(found: StudyAnalysis, some: Iterable[Slope]) -> Table:
-    """How limits, response times and invalid trials change along a session."""
+    """Return how limits, response times and invalid trials change along a session."""
     units = {"limit": found.study.unit("stiffness"), "response time": "ln s"}
     rows = [
         (
@@ -216,7 +216,7 @@ def slopes(found: StudyAnalysis, some: Iterable[Slope]) -> Table:
 
 
 def blocks(found: StudyAnalysis) -> Table:
-    """Trials of each block, practice aside."""
+    """Return trials of each block, practice aside."""
     rows = [
         (
             one.participant, one.block, one.trials, one.invalid, one.redone, one.aborted, one.unsure,
@@ -367,7 +367,7 @@ def events(some: Iterable[Deviation], caption: str) -> Table:
 
 
 def drop_empty_columns(table: Table) -> Table:
-    """A table without the columns in which nothing but dashes stands."""
+    """Return a table without the columns in which nothing but dashes stands."""
     kept = [
         i for i in range(len(table.head)) if not table.rows or any(row[i] != NOTHING for row in table.rows)
     ]
@@ -379,7 +379,7 @@ def drop_empty_columns(table: Table) -> Table:
 
 
 def first_contrasts(found: StudyAnalysis) -> tuple[Mixed | None, list[tuple[Contrast | Paired, str]]]:
-    """The model, and the differences to begin with, each with its method: the model's, else the paired ones.
+    """Return the model, and the differences to begin with, each with its method: the model's, else the paired ones.
 
     Paired differences that are no more than bounds stand beside the model's.
     """
@@ -407,7 +407,7 @@ def summarise_differences(found: StudyAnalysis) -> Iterator[tuple[Contrast | Pai
 
 
 def write_bounded(value: float, above: int, below: int, marked: object = "") -> str:
-    """A value with the sign of a bound, where so many limits behind it lie above or below the levels.
+    """Return a value with the sign of a bound, where so many limits behind it lie above or below the levels.
 
     An asterisk follows where some of them are marked.
     """
@@ -416,7 +416,7 @@ def write_bounded(value: float, above: int, below: int, marked: object = "") -> 
 
 
 def lapse_rate(mean: float) -> str:
-    """A lapse rate; a dash where it is absent, or still the mean of its prior."""
+    """Return a lapse rate; a dash where it is absent, or still the mean of its prior."""
     return NOTHING if abs(mean - PRIOR_LAPSE_RATE) < _SAME else percent(mean, 1)
 
 
@@ -435,7 +435,7 @@ def _units(found: StudyAnalysis) -> Sequence[str]:
 
 
 def whole(found: StudyAnalysis) -> tuple[list[PsychometricFit], list[PsychometricFit]]:
-    """Psychometric functions of all participants (or the only one), and those of each."""
+    """Return psychometric functions of all participants (or the only one), and those of each."""
     alone = len(found.study.sessions) == 1
     every = list(found.psychometrics)
     together = [one for one in every if alone or not one.participant]
@@ -443,7 +443,7 @@ def whole(found: StudyAnalysis) -> tuple[list[PsychometricFit], list[Psychometri
 
 
 def no_slope(found: StudyAnalysis) -> dict[str, list[str]]:
-    """Why there are slopes without a value: what of and along, by problem."""
+    """Return why there are slopes without a value: what of and along, by problem."""
     problems: dict[str, list[str]] = {}
     for one in found.slopes:
         if one.problem:
@@ -453,7 +453,7 @@ def no_slope(found: StudyAnalysis) -> dict[str, list[str]]:
 
 
 def no_interval(found: StudyAnalysis) -> dict[str, list[str]]:
-    """Why tables of confusions have no interval: tables by problem."""
+    """Return why tables of confusions have no interval: tables by problem."""
     problems: dict[str, list[str]] = {}
     for one in found.agreements:
         name = one.name + (f" of {one.condition}" if one.condition else "")
@@ -463,7 +463,7 @@ def no_interval(found: StudyAnalysis) -> dict[str, list[str]]:
 
 
 def no_mean_interval(found: StudyAnalysis, measure: Measure) -> dict[str, list[str]]:
-    """Why means over participants have no interval: conditions and dampings by problem."""
+    """Return why means over participants have no interval: conditions and dampings by problem."""
     problems: dict[str, list[str]] = {}
     for one in found.over_participants:
         if one.measure == measure and one.problem:
@@ -472,7 +472,7 @@ def no_mean_interval(found: StudyAnalysis, measure: Measure) -> dict[str, list[s
 
 
 def group_untested(found: StudyAnalysis, some: Iterable[Paired]) -> dict[str, list[str]]:
-    """Differences without an interval, in words, by problem."""
+    """Return differences without an interval, in words, by problem."""
     unit, problems = found.study.unit("stiffness"), dict[str, list[str]]()
     for one in some:
         if one.problem:

@@ -114,7 +114,7 @@ class LimitInterval:
 
     @property
     def rounding(self) -> float:
-        """Standard deviation of the error of the value that rounding to the levels makes."""
+        """Return the standard deviation of the error of the value that rounding to the levels makes."""
         return rounding_deviation(self.step)
 
 
@@ -165,7 +165,7 @@ class RunRow:
 
     @property
     def lapses(self) -> int:
-        """Those judged against what is known."""
+        """Return those judged against what is known."""
         return self.caught.lapses
 
 

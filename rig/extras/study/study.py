@@ -78,11 +78,11 @@ class StudySession:
 
     @property
     def began_at(self) -> float:
-        """When it began (s since 1970)."""
+        """Return when it began (s since 1970)."""
         return self.events[0].at
 
     def of_kind(self, kind: str) -> list[Event]:
-        """Events of one kind, as they were written."""
+        """Return events of one kind, as they were written."""
         return [event for event in self.events if event.kind == kind]
 
     def devices(self) -> dict[int, Mapping[str, Any]]:
@@ -107,7 +107,7 @@ class Study:
 
     @property
     def protocol(self) -> Protocol:
-        """The protocol that they have in common."""
+        """Return the protocol that they have in common."""
         return self.sessions[0].state.protocol
 
     @property
@@ -121,7 +121,7 @@ class Study:
         return self.sessions[0].state.rehearsal is not None
 
     def unit(self, quantity: str) -> str:
-        """SI unit of a quantity on this rig."""
+        """Return SI unit of a quantity on this rig."""
         return unit_of(quantity, self.motion)
 
 
@@ -181,7 +181,7 @@ def _with_trials(sessions: list[StudySession]) -> tuple[list[StudySession], list
 
 
 def find_sessions(paths: Iterable[Path]) -> list[Path]:
-    """Directories of sessions at these places, each once."""
+    """Return directories of sessions at these places, each once."""
     found: dict[Path, Path] = {}
     for path in paths:
         with plain_errors("read", path):

@@ -179,7 +179,7 @@ def tables(found: StudyAnalysis) -> tuple[DataTable, ...]:
 
 
 def _own(name: str, kind: type, quantity: str, meaning: str, field: str = "") -> DataColumn:
-    """A column that is a field of its row, of the same name or another one."""
+    """Return a column that is a field of its row, of the same name or another one."""
     return DataColumn(name, kind, quantity, meaning, lambda row: getattr(row, field or name))
 
 
@@ -199,7 +199,7 @@ def columns_of(described: type, *names: str) -> tuple[DataColumn, ...]:
 
 
 def _kind(hint: Any) -> type:
-    """The type of a field, whether or not it may be None."""
+    """Return the type of a field, whether or not it may be None."""
     kinds = (
         [one for one in get_args(hint) if one is not type(None)] if isinstance(hint, UnionType) else [hint]
     )
@@ -569,7 +569,7 @@ _BLOCKS = (
 
 
 def _items(found: StudyAnalysis) -> tuple[DataColumn, ...]:
-    """A column for each question that was asked once: whole numbers of a scale, or text."""
+    """Return a column for each question that was asked once: whole numbers of a scale, or text."""
     return tuple(
         DataColumn(
             f"answer_{item.name}", int if item.kind == "scale" else str, "", item.text, _answer(item.name)
@@ -584,7 +584,7 @@ def _answer(item: str) -> Callable[[ParticipantRow], Any]:
 
 
 def _differences(found: StudyAnalysis) -> list[Mapping[str, Any]]:
-    """Differences by all methods, as one list."""
+    """Return differences by all methods, as one list."""
     rows: list[Mapping[str, Any]] = [
         _difference(one, one.measure, "paired", one.participants) for one in found.paired
     ]
@@ -607,7 +607,7 @@ _OF_TABLE = ("kappa", "low", "high", "problem", "share", "positive", "negative",
 
 
 def _confusions(found: StudyAnalysis) -> list[Mapping[str, Any]]:
-    """A row for each cell of each table of confusions."""
+    """Return a row for each cell of each table of confusions."""
     return [
         {
             "name": table.name,

@@ -32,12 +32,12 @@ def facts_of(row: TrialRow) -> dict[str, Any]:
 
 
 def unusable(row: TrialRow) -> str | None:
-    """Why the recording of a trial must not be exported, as a sentence; None when it may."""
+    """Return why the recording of a trial must not be exported, as a sentence; None when it may."""
     if row.recorded in {"missing", "changed"}:
         return f"{row.participant}, trial {row.trial}: its recording is {row.recorded}"
     return None
 
 
 def file_name(code: str) -> str:
-    """A participant's code as the name of a file or directory: what a path could mean otherwise is left out."""
+    """Return a participant's code as the name of a file or directory: what a path could mean otherwise is left out."""
     return re.sub(r"[^\w.+-]", "-", code).lstrip(".") or "-"

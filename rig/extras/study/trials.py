@@ -49,7 +49,7 @@ Watch = Callable[[int, int], None]
 
 
 def trials_of(study: Study) -> tuple[TrialRow, ...]:
-    """All recorded hits, participant by participant, also those that do not count (`TrialRow.void`)."""
+    """Return all recorded hits, participant by participant, also those that do not count (`TrialRow.void`)."""
     schemes = schemes_of(study)
     rows: list[TrialRow] = []
     for session in study.sessions:
@@ -65,7 +65,7 @@ def trials_of(study: Study) -> tuple[TrialRow, ...]:
 
 
 def runs_of(study: Study, *, watch: Watch | None = None) -> tuple[RunRow, ...]:
-    """All runs that were begun, in the order of the sessions."""
+    """Return all runs that were begun, in the order of the sessions."""
     schemes = schemes_of(study)
     rows: list[RunRow] = []
     for number, session in enumerate(study.sessions):
@@ -101,7 +101,7 @@ def schemes_of(study: Study) -> dict[str, str]:
 
 
 def _scheme_words(text: str | None, own: Mapping[str, Any]) -> str:
-    """Rates, estimator and its settings, as far as scheme and experiment say them: no estimator is looked up."""
+    """Return rates, estimator and its settings, as far as scheme and experiment say them: no estimator is looked up."""
     if text is None:
         rates = own["position_rate"], own["velocity_rate"]
         settings, estimator = dict(own["parameters"]), own["estimator"]
@@ -127,12 +127,12 @@ def _scheme_words(text: str | None, own: Mapping[str, Any]) -> str:
 
 
 def levels(protocol: Protocol, condition: str) -> tuple[float, ...]:
-    """Stiffnesses that a condition's search may ask for."""
+    """Return stiffnesses that a condition's search may ask for."""
     return tuple(levels_of(protocol.search_of(protocol.condition_named(condition))))
 
 
 def levels_by_participant(study: Study) -> dict[tuple[str, str], tuple[float, ...]]:
-    """The `levels` of each participant's own protocol, by code and condition."""
+    """Return the `levels` of each participant's own protocol, by code and condition."""
     return {
         (session.code, condition.name): levels(session.state.protocol, condition.name)
         for session in study.sessions
@@ -143,7 +143,7 @@ def levels_by_participant(study: Study) -> dict[tuple[str, str], tuple[float, ..
 def half_way(
     grid: Sequence[float], verdicts: Sequence[tuple[float, bool]], share: float | None = None
 ) -> LimitInterval:
-    """The stiffness with this share of stable verdicts (None: a half), as the median of its posterior.
+    """Return the stiffness with this share of stable verdicts (None: a half), as the median of its posterior.
 
     Verdicts of several runs are taken for those of one limit: where it wanders from run to run, the interval is too
     narrow. Beyond the levels it is their end, see `rig.session.search._psychometric.Located`.
@@ -187,7 +187,7 @@ def answers(state: SessionState, run: SearchRun, judge: str) -> list[JudgedProbe
 
 
 def _runs_in_order(state: SessionState) -> Iterable[tuple[int, int, SearchRun]]:
-    """Block, place in it, and run, in the order of the plan; practice aside."""
+    """Return the block, place in it, and run, in the order of the plan; practice aside."""
     for block in state.blocks:
         if not block.practice:
             for order, run in enumerate(block.runs, start=1):
@@ -273,7 +273,7 @@ def _caught(
 
 
 def _limits(state: SessionState, run: SearchRun, rule: str) -> tuple[dict[Measure, LimitInterval], str]:
-    """The limits of a run by each measure that there is, and what must be known of them."""
+    """Return the limits of a run by each measure that there is, and what must be known of them."""
     found: dict[Measure, LimitInterval] = {}
     grid = levels(state.protocol, run.condition)
     probes, note = answers(state, run, "followed"), ""
@@ -293,7 +293,7 @@ def _limits(state: SessionState, run: SearchRun, rule: str) -> tuple[dict[Measur
 
 
 def _describe_series(rule: Ascending, probes: Sequence[JudgedProbe]) -> str:
-    """How many series failed at the softest wall already, where that is not the limit of all of them."""
+    """Return how many series failed at the softest wall already, where that is not the limit of all of them."""
     series = rule.series(probes)
     failed = sum(one.censored == "below" for one in series)
     if failed in (0, len(series)):

@@ -27,7 +27,7 @@ CONSENT = (
 
 
 def walls_of(walls: Walls) -> Iterator[SessionWall]:
-    """Every wall that a session may ask for, practice too; of a condition and damping all one after the other."""
+    """Yield every wall that a session may ask for, practice too; of a condition and damping all one after the other."""
     protocol = walls.protocol
     practised = protocol.practice.condition or protocol.condition[0].name
     for condition in protocol.condition:

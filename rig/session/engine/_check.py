@@ -155,7 +155,7 @@ def refuse_walls(study: Walls) -> None:
 
 
 def _experiments(study: Walls, condition: Condition) -> list[Experiment]:
-    """Experiments of a condition: at every damping, all its levels."""
+    """Return experiments of a condition: at every damping, all its levels."""
     levels = levels_of(study.protocol.search_of(condition))
     found = []
     for damping in condition.damping:
@@ -211,7 +211,7 @@ def _durations(
     stiffest: Experiment,
     question_s: float,
 ) -> Iterator[tuple[str, ExpectedRange]]:
-    """Durations of the parts of a session (s)."""
+    """Yield durations of the parts of a session (s)."""
     yield "homing and free space", trials * (times.homing + times.baseline)
     yield "hits", trials * (times.hit + times.release)
     yield "ready and verdict", trials * (times.ready + times.verdict)
@@ -238,7 +238,7 @@ def _durations(
 def _disk(
     protocol: Protocol, cells: Sequence[CellPlan], under: Sequence[Sequence[Experiment]]
 ) -> ExpectedRange:
-    """Room for the recordings of a participant."""
+    """Return the room for the recordings of a participant."""
     of_a_trial = {
         one.name: bytes_of_trial(of[0], protocol) for one, of in zip(protocol.condition, under, strict=True)
     }
@@ -263,7 +263,7 @@ def _same(value: float) -> ExpectedRange:
 
 
 def _names(protocol: Protocol, blocks: Sequence[Block]) -> tuple[tuple[str, ...], ...]:
-    """Names of the runs of each block."""
+    """Return names of the runs of each block."""
     several = {one.name for one in protocol.condition if len(one.damping) > 1}
     return tuple(
         tuple(

@@ -86,7 +86,7 @@ _PLAIN = (DeviceNotFoundError, LinkLostError, OverrunError, RealtimeError, Recor
 
 
 def first_wall(walls: Walls, blocks: Sequence[Block]) -> tuple[Experiment, Mapping[str, Any]]:
-    """The softest wall of the first run: what a device is opened with before anything is hit."""
+    """Return the softest wall of the first run: what a device is opened with before anything is hit."""
     protocol = walls.protocol
     run = next(run for block in blocks for run in block.runs)
     softest = protocol.search_of(protocol.condition_named(run.condition)).lowest
@@ -96,7 +96,7 @@ def first_wall(walls: Walls, blocks: Sequence[Block]) -> tuple[Experiment, Mappi
 def _wall(
     walls: Walls, name: str, damping: float, stiffness: float, seed: int | None = None
 ) -> tuple[Experiment, Mapping[str, Any]]:
-    """The experiment of a hit, and what a device must not change of it."""
+    """Return the experiment of a hit, and what a device must not change of it."""
     condition = walls.protocol.condition_named(name)
     experiment = walls.at(condition, damping, stiffness, seed=seed)
     return experiment, own_rates(condition, experiment)
@@ -115,7 +115,7 @@ class Streams(Marks, Protocol):
 
     @property
     def lost(self) -> int:
-        """How many marks could not be sent."""
+        """Return how many marks could not be sent."""
         ...
 
     def wait(self) -> None:
@@ -494,7 +494,7 @@ class _Engine:
         self.record("continued")
 
     def _redoable(self) -> RecordedTrial | None:
-        """The trial that `redo` is about: the newest that counts, in the current block."""
+        """Return the trial that `redo` is about: the newest that counts, in the current block."""
         counted = [trial for trial in self._state.trials if not trial.void and not trial.invalid]
         begun = self._state.begun[-1] if self._state.begun else None
         return counted[-1] if counted and counted[-1].block == begun else None

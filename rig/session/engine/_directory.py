@@ -73,7 +73,7 @@ class Session:
 
 
 def study_directory(protocol: Protocol, study: Path | None, *, rehearsal: bool = False) -> Path:
-    """Where the participants of a protocol are kept, or those who were simulated."""
+    """Return where the participants of a protocol are kept, or those who were simulated."""
     if study is not None:
         return study
     return (REHEARSALS if rehearsal else SESSIONS) / directory_name(protocol.study.title)
@@ -335,7 +335,7 @@ def _set_aside(session: Session) -> list[dict[str, str]]:
 
 
 def _find_damaged(session: Session) -> list[dict[str, str]]:
-    """Lines that were taken out of the log, and that no earlier event names."""
+    """Return lines that were taken out of the log, and that no earlier event names."""
     events = [event for event in session.log.events if event.kind == "resumed"]
     known = {one["file"] for event in events for one in event.content.get("damaged", ())}
     found = [path for path in set_aside(session.log.path) if path.name not in known]

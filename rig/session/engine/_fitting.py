@@ -39,7 +39,7 @@ def refuse_misfit(walls: Walls, runner: TrialRunner) -> None:
 
 
 def _stiffest(walls: Walls) -> Iterator[tuple[Experiment, Mapping[str, Any]]]:
-    """The stiffest wall of each condition and damping."""
+    """Yield the stiffest wall of each condition and damping."""
     for condition in walls.protocol.condition:
         stiffest = levels_of(walls.protocol.search_of(condition))[-1]
         for damping in condition.damping:

@@ -140,7 +140,7 @@ class DeviceRunner:
         }
 
     def refusals(self, walls: Sequence[SessionWall]) -> tuple[RefusedWalls, ...]:
-        """Which of these walls a real rig does not arm without consent. Its link is measured; nothing moves.
+        """Return which of these walls a real rig does not arm without consent. Its link is measured; nothing moves.
 
         Raises
         ------
@@ -280,7 +280,7 @@ class DeviceRunner:
         stack.close()
 
     def _device(self, experiment: Experiment, changes: Mapping[str, Any]) -> FramedDevice | None:
-        """The open device that the trial runs on; None in virtual time."""
+        """Return the open device that the trial runs on; None in virtual time."""
         if self.virtual:
             return None
         if not self.simulated:

@@ -148,7 +148,7 @@ class SessionLog:
 
 
 def read(path: Path) -> list[Event]:
-    """The events of a log, also of one that is being written; raises as `SessionLog`."""
+    """Return the events of a log, also of one that is being written; raises as `SessionLog`."""
     with plain_errors("read", path):
         if not path.is_file():
             raise RecordingError(f"session log {path} not found", remedy="check the path")
@@ -191,7 +191,7 @@ def set_damaged_line_aside(path: Path) -> Path | None:
 
 
 def set_aside(path: Path) -> list[Path]:
-    """Files beside a log with lines that were taken out of it, oldest first."""
+    """Return files beside a log with lines that were taken out of it, oldest first."""
     return list(takewhile(Path.exists, _beside(path)))
 
 
@@ -211,7 +211,7 @@ def _beside(path: Path) -> Iterator[Path]:
 
 
 def _read(path: Path, lines: Iterator[tuple[int, bytes]]) -> tuple[list[Event], int, int]:
-    """Events, CRC of the last line, and where the good part ends."""
+    """Return events, CRC of the last line, and where the good part ends."""
     events: list[Event] = []
     last = end = 0
     for place, line in lines:

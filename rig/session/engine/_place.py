@@ -32,7 +32,7 @@ class Place:
 
 
 def last_place(events: Sequence[Event]) -> Place:
-    """Where a session took place when it was opened last."""
+    """Return where a session took place when it was opened last."""
     opened = last_opened(events)
     place = opened.get("place")
     if place is None:
@@ -46,7 +46,7 @@ def last_opened(events: Sequence[Event]) -> Mapping[str, Any]:
 
 
 def resume_command(directory: Path, events: Sequence[Event]) -> str:
-    """The command that resumes a session where it took place."""
+    """Return the command that resumes a session where it took place."""
     place = last_place(events)
     words = ["rig", "session", "resume", str(directory)]
     if place.url is not None:
@@ -87,7 +87,7 @@ def list_lost_samples(opened: Mapping[str, Any]) -> list[str]:
 
 @cache
 def software() -> dict[str, str]:
-    """Versions of what runs a session here."""
+    """Return versions of what runs a session here."""
     return {
         **versions(f"{MAJOR}.{MINOR}"),
         "sources": code_version().partition("+")[2],

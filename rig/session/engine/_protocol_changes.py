@@ -54,7 +54,7 @@ class Difference:
 
     @property
     def usual(self) -> Any:
-        """The value of most participants, of the first of them where that is not one."""
+        """Return the value of most participants, of the first of them where that is not one."""
         texts = {code: json.dumps(value, sort_keys=True) for code, value in self.values.items()}
         (most, _), *_ = Counter(texts.values()).most_common(1)
         return next(self.values[code] for code, text in texts.items() if text == most)
@@ -82,7 +82,7 @@ def value_words(value: Any) -> str:
 
 
 def list_names(names: Sequence[str]) -> str:
-    """The first names, and how many more there are."""
+    """Return the first names, and how many more there are."""
     more = len(names) - _LISTED
     return ", ".join(names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
 
@@ -94,7 +94,7 @@ def walls_in(state: SessionState, reach_for: ReachFor | None = None) -> Walls:
 
 
 def settings_of(protocol: Protocol, experiment: Mapping[str, Any]) -> dict[str, Any]:
-    """Every key of a protocol, and of the experiment that it names (``experiment.…``), as plain JSON.
+    """Return every key of a protocol, and of the experiment that it names (``experiment.…``), as plain JSON.
 
     Conditions and questions are keyed by their names; the key ``condition`` has these names in order.
     """
@@ -125,7 +125,7 @@ def changed_keys(walls: Walls, study: Path, code: str = "") -> list[Difference]:
 
 
 def deciding(changes: Iterable[Difference], study: Path) -> list[Difference]:
-    """Those changes that can decide a result, or that make two studies of one directory."""
+    """Return those changes that can decide a result, or that make two studies of one directory."""
 
     def shares_a_directory(one: Difference) -> bool:
         return one.key == TITLE and study.name in {directory_name(title) for title in one.values.values()}
@@ -186,7 +186,7 @@ def _settings_there(study: Path, code: str) -> dict[str, dict[str, Any]]:
 
 
 def _read_settings(events: Sequence[Event]) -> dict[str, dict[str, Any]]:
-    """The settings of a session with a trial, by its code."""
+    """Return the settings of a session with a trial, by its code."""
     if not any(event.kind == "trial" for event in events):
         return {}
     began = events[0].content

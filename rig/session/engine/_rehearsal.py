@@ -78,7 +78,7 @@ class Person:
 
 
 def thresholds_of(given: Iterable[str]) -> dict[str, float]:
-    """Thresholds from texts like ``dual=430``; raises `ConfigError` for another form."""
+    """Return thresholds from texts like ``dual=430``; raises `ConfigError` for another form."""
     found: dict[str, float] = {}
     for text in given:
         name, equals, value = text.rpartition("=")

@@ -111,7 +111,7 @@ class SessionResult:
 
     @property
     def pairs(self) -> list[tuple[str, str]]:
-        """Its names and values to show."""
+        """Return its names and values to show."""
         outside = f", {self.outside} outside the bands" if self.outside else ""
         trials = (
             f"{self.trials}, {self.counted} count, {self.invalid} invalid ({self.by_machine} by the machine), "
@@ -289,14 +289,14 @@ def _resume(
 
 
 def read_person(directory: Path) -> Person | None:
-    """The simulated person of a session that was a rehearsal; None of one with a participant."""
+    """Return the simulated person of a session that was a rehearsal; None of one with a participant."""
     events = read(directory / LOG)
     found = events[0].content.get("rehearsal") if events else None
     return None if found is None else Person(**found)
 
 
 def took_place(directory: Path) -> Place:
-    """Where a session took place when it was opened last."""
+    """Return where a session took place when it was opened last."""
     return last_place(read(directory / LOG))
 
 
@@ -310,7 +310,7 @@ def rehearsal_desk(person: Person, looks: Callable[[DeskView], None] | None = No
 
 
 def session_state(directory: Path) -> tuple[SessionState, list[Event]]:
-    """Where a session stands, and its events; also while it runs."""
+    """Return where a session stands, and its events; also while it runs."""
     events = read(directory / LOG)
     return SessionState.of(events), events
 
@@ -318,7 +318,7 @@ def session_state(directory: Path) -> tuple[SessionState, list[Event]]:
 def summary(
     directory: Path, state: SessionState, events: Sequence[Event] = (), messages: tuple[str, ...] = ()
 ) -> SessionResult:
-    """How a session stands, without anything that identifies a wall."""
+    """Return how a session stands, without anything that identifies a wall."""
     counted = [trial for trial in state.trials if not (trial.void or trial.practice) and trial.verdict]
     blocks = [block for block in state.blocks if not block.practice]
     return SessionResult(
@@ -342,7 +342,7 @@ def summary(
 
 
 def row_of(code: str) -> int:
-    """Row of the order, from 0, that a participant's code names: its last number, counted from 1.
+    """Return the row of the order, from 0, that a participant's code names: its last number, counted from 1.
 
     Raises `ConfigError` for a code without a number.
     """

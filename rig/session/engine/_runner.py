@@ -79,7 +79,7 @@ class TrialRunner(Protocol):
         ...
 
     def refusals(self, walls: Sequence[SessionWall]) -> Sequence[RefusedWalls]:
-        """Which of these walls the rig does not arm without consent; see `DeviceRunner.refusals`."""
+        """Return which of these walls the rig does not arm without consent; see `DeviceRunner.refusals`."""
         ...
 
     def pace(self, experiment: Experiment, changes: Mapping[str, Any]) -> Pace | None:

@@ -231,32 +231,32 @@ class SessionState:
 
     @property
     def open_block(self) -> Block | None:
-        """The block that was begun last, unless it is finished."""
+        """Return the block that was begun last, unless it is finished."""
         if not self.begun:
             return None
         block = next(one for one in self.blocks if one.number == self.begun[-1])
         return block if any(self.asks(run) is not None for run in block.runs) else None
 
-    def _tried(self, content: Any) -> None:
+    def _add_trial(self, content: Any) -> None:
         trial = trial_of(content)
         self.trials.append(trial)
         self.heat = trial.heat
         if not trial.invalid and self._owed.get(trial.run):
             self._owed[trial.run] -= 1
 
-    def _judged(self, content: Any) -> None:
+    def _set_verdict(self, content: Any) -> None:
         trial = self.trial_numbered(content["trial"])
         for name in ("verdict", "judged_by", "response_time_s"):
             setattr(trial, name, content[name])
         fastest_s = self.protocol.trial.fastest_verdict_s
         trial.too_fast = trial.judged_by == "person" and content["response_time_s"] < fastest_s
 
-    def _redone(self, content: Any) -> None:
+    def _redo(self, content: Any) -> None:
         trial = self.trial_numbered(content["trial"])
         trial.leave_out(REDONE)
         self._owed[trial.run] = self._owed.get(trial.run, 0) + 1
 
-    def _restarted(self, content: Any) -> None:
+    def _restart_block(self, content: Any) -> None:
         number = content["block"]
         for trial in self.trials:
             if trial.block == number:
@@ -274,13 +274,13 @@ class SessionState:
     def _rest(self, content: Any) -> None:
         self._rested[content["reason"]] = self.newest
 
-    def _answered(self, content: Any) -> None:
+    def _add_answer(self, content: Any) -> None:
         if content["item"] == FITTED:
             self.fitted = self._fit_of(next(one for one in self.blocks if one.number == content["block"]))
         else:
             self.answered[content["item"], content["block"]] = content["answer"]
 
-    def _noted(self, content: Any) -> None:
+    def _add_note(self, content: Any) -> None:
         self.notes.append((content["trial"], content["text"]))
 
     def _pause(self, content: Any) -> None:
@@ -300,23 +300,23 @@ class SessionState:
     def _end(self, content: Any) -> None:
         self.ended = content["reason"]
 
-    def _began_block(self, content: Any) -> None:
+    def _begin_block(self, content: Any) -> None:
         self.begun.append(content["block"])
 
     def _skip(self, content: Any) -> None:
         self.skipped.add(content["run"])
 
     _changes: ClassVar[Mapping[str, Callable[[SessionState, Any], None]]] = {
-        "block": _began_block,
-        "trial": _tried,
-        "judged": _judged,
-        "redone": _redone,
+        "block": _begin_block,
+        "trial": _add_trial,
+        "judged": _set_verdict,
+        "redone": _redo,
         "retried": _retry,
-        "restarted": _restarted,
+        "restarted": _restart_block,
         "skipped": _skip,
         "rested": _rest,
-        "answered": _answered,
-        "note": _noted,
+        "answered": _add_answer,
+        "note": _add_note,
         "paused": _pause,
         "continued": _continue,
         "resumed": _resume,
@@ -326,7 +326,7 @@ class SessionState:
 
     @property
     def newest(self) -> int:
-        """Number of the newest trial, 0 before the first."""
+        """Return the number of the newest trial, 0 before the first."""
         return self.trials[-1].trial if self.trials else 0
 
     @property
@@ -335,7 +335,7 @@ class SessionState:
         return float(self.experiment["rig"]["limits"]["thermal_time_constant_s"])
 
     def trial_numbered(self, number: int) -> RecordedTrial:
-        """The trial of this number; raises `RecordingError` when the log has none."""
+        """Return the trial of this number; raises `RecordingError` when the log has none."""
         if not 1 <= number <= len(self.trials) or self.trials[number - 1].trial != number:
             raise RecordingError(
                 f"the log refers to trial {number}, which it does not contain",
@@ -344,11 +344,11 @@ class SessionState:
         return self.trials[number - 1]
 
     def trials_of(self, run: SearchRun) -> list[RecordedTrial]:
-        """Trials of a run that count, invalid ones too."""
+        """Return trials of a run that count, invalid ones too."""
         return [trial for trial in self.trials if trial.run == run.number and not trial.void]
 
     def rule(self, run: SearchRun) -> Rule:
-        """The search rule of a run, without its catch trials."""
+        """Return the search rule of a run, without its catch trials."""
         return rule_of(self.protocol, run)
 
     def answers(self, run: SearchRun) -> list[JudgedProbe]:
@@ -370,7 +370,7 @@ class SessionState:
         return led
 
     def judged_probes(self, run: SearchRun) -> list[JudgedProbe]:
-        """All answers about the walls of a run: each judged trial that counts.
+        """Return all answers about the walls of a run: each judged trial that counts.
 
         An unsure verdict is an empty answer, until there are `trial.unsure` of them in a row about one wall: then it
         counts as not stable.
@@ -393,7 +393,7 @@ class SessionState:
         return self.protocol.search_of(self.protocol.condition_named(run.condition))
 
     def asks(self, run: SearchRun) -> Probe | None:
-        """Which wall a run wants next; None when it has enough or was left."""
+        """Return which wall a run wants next; None when it has enough or was left."""
         if run.number in self.skipped:
             return None
         answers = tuple(self.answers(run))
@@ -450,7 +450,7 @@ class SessionState:
             return due
         probe = self.asks(run)
         assert probe is not None
-        return DoTrial(self._presented(block, run, probe, attempt))
+        return DoTrial(self._present(block, run, probe, attempt))
 
     def _before(self, block: Block) -> Step | None:
         """Return the step that must precede the next trial of a block; None without one."""
@@ -458,9 +458,9 @@ class SessionState:
         between = self.protocol.rest.between_blocks_s if self.trials and not begun else 0.0
         if between > 0.0 and self._rested.get("block") != self.newest:
             return DoRest(between, "block")
-        return self._fitting(block) or (None if begun else DoBlock(block))
+        return self._ask_fitting(block) or (None if begun else DoBlock(block))
 
-    def _fitting(self, block: Block) -> DoAsk | None:
+    def _ask_fitting(self, block: Block) -> DoAsk | None:
         """Ask for what the rig needs in a block, or no longer; None where it is there."""
         fit = self._fit_of(block)
         if fit == self.fitted:
@@ -476,7 +476,7 @@ class SessionState:
     def _fit_of(self, block: Block) -> str:
         return self.protocol.condition_named(block.runs[0].condition).fit
 
-    def _presented(self, block: Block, run: SearchRun, probe: Probe, attempt: int) -> Presented:
+    def _present(self, block: Block, run: SearchRun, probe: Probe, attempt: int) -> Presented:
         number = self.newest + 1
         return Presented(
             block=block.number,
@@ -494,7 +494,7 @@ class SessionState:
         )
 
     def _turn(self, block: Block, waiting: int) -> int:
-        """Whose turn it is among the runs that are not finished."""
+        """Return whose turn it is among the runs that are not finished."""
         if not block.interleave:
             return 0
         done = sum(1 for t in self.trials if t.block == block.number and not t.void and not t.invalid)
@@ -539,7 +539,7 @@ class SessionState:
         )
 
     def _stop_rule(self) -> str | None:
-        """The rule that ends the session now, if one does. What was redone does not count."""
+        """Return the rule that ends the session now, if one does. What was redone does not count."""
         stop = self.protocol.stop
         counted = sum(not (trial.practice or trial.void) for trial in self.trials)
         if stop.trials is not None and counted >= stop.trials:
@@ -560,7 +560,7 @@ def _run_of(events: Sequence[Event], trial: int) -> int:
 
 
 def _count_in_a_row(found: Iterable[bool]) -> int:
-    """How many of the newest are true, without one between that is not."""
+    """Return how many of the newest are true, without one between that is not."""
     count = 0
     for one in found:
         count = count + 1 if one else 0
@@ -568,7 +568,7 @@ def _count_in_a_row(found: Iterable[bool]) -> int:
 
 
 def apply_corrections(events: Iterable[Event]) -> list[Event]:
-    """The events with their corrections in place; the corrections themselves stay too."""
+    """Return the events with their corrections in place; the corrections themselves stay too."""
     events = list(events)
     changes: dict[int, dict[str, Any]] = {}
     for event in events:

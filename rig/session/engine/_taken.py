@@ -43,7 +43,7 @@ def find_taken(protocol: Protocol, study: Path) -> Taken | None:
 
 
 def _read_finished(protocol: Protocol, path: Path) -> Sequence[Event]:
-    """The events of a participant's session that is over and had the same trials; none of another."""
+    """Return the events of a participant's session that is over and had the same trials; none of another."""
     try:
         events = read(path)
         state = SessionState.of(events)
@@ -59,7 +59,7 @@ def _trial_timing(protocol: Protocol) -> tuple[str, Trial]:
 
 
 def _steps(events: Sequence[Event]) -> Iterator[tuple[str, float]]:
-    """Kind of each event, and how long after the one before it came (s)."""
+    """Yield the kind of each event, and how long after the one before it came (s)."""
     for before, after in pairwise(events):
         if not after.content.get("practice") and (after.kind != "judged" or before.kind == "trial"):
             yield after.kind, after.at - before.at

@@ -56,7 +56,7 @@ def line_of_event(event: Event) -> str:
 
 
 def whole_line(event: Event, motion: Motion) -> str:
-    """An event as a line for those who are not blinded: with condition and wall, and reasons in full."""
+    """Return an event as a line for those who are not blinded: with condition and wall, and reasons in full."""
     content, parts = event.content, [line_of_event(event)]
     if event.kind == "trial":
         return _whole(trial_of(content), motion)
@@ -94,7 +94,7 @@ def _whole(trial: RecordedTrial, motion: Motion) -> str:
 
 
 def outcome(trial: RecordedTrial, *, blind: bool) -> str:
-    """The result of a trial, without its wall, and without anything that could influence a verdict."""
+    """Return the result of a trial, without its wall, and without anything that could influence a verdict."""
     if trial.invalid:
         return _invalid(trial.trial, trial.reasons, blind=blind)
     if not trial.verdict:
@@ -111,7 +111,7 @@ def outcome(trial: RecordedTrial, *, blind: bool) -> str:
 
 
 def _describe_too_fast(trial: RecordedTrial) -> list[str]:
-    """A verdict that no person gives so soon, in one phrase or none."""
+    """Return a verdict that no person gives so soon, in one phrase or none."""
     if not trial.too_fast or trial.response_time_s is None:
         return []
     after_ms = 1e3 * trial.response_time_s
@@ -121,7 +121,7 @@ def _describe_too_fast(trial: RecordedTrial) -> list[str]:
 
 
 def _describe_kept(outside: Sequence[str], *, blind: bool) -> list[str]:
-    """How a trial that counts lay outside the protocol's bands, in one phrase or none.
+    """Return how a trial that counts lay outside the protocol's bands, in one phrase or none.
 
     Not shown before the verdict: that a press was judged reveals that the wall was not unstable.
     """

@@ -43,7 +43,7 @@ def press_of(recording: Recording, experiment: Experiment) -> float | None:
 
 
 def judge_bands(hit: HitOutcome, trial: Trial, motion: Motion) -> HitOutcome:
-    """The hit with what of it lies outside the bands, and invalid because of that where the protocol says so."""
+    """Return the hit with what of it lies outside the bands, and invalid because of that where the protocol says so."""
     found = () if hit.automatic == Kind.INVALID else tuple(_outside(hit, trial, motion))
     if not found or trial.outside == "keep":
         return replace(hit, outside=found)

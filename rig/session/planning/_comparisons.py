@@ -29,7 +29,7 @@ Walls = Sequence[tuple[str, Experiment]]  # each with its condition
 
 
 def wall_checks(walls: Walls) -> list[Check]:
-    """Every wall like a hit of its own; of each comparison the worst wall, and how many walls are like it."""
+    """Return every wall like a hit of its own; of each comparison the worst wall, and how many walls are like it."""
     worst: dict[str, tuple[Check, str]] = {}
     number: dict[tuple[str, Outcome], int] = {}
     for condition, x in walls:

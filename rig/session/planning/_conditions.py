@@ -120,7 +120,7 @@ class Walls:
         return x if seed is None else replace(x, trial=replace(x.trial, seed=seed))
 
     def softest(self, condition: Condition) -> Experiment:
-        """The softest wall of a condition, at its first damping; raises as `at`."""
+        """Return the softest wall of a condition, at its first damping; raises as `at`."""
         return self.at(condition, *self._softest(condition))
 
     def _softest(self, condition: Condition) -> tuple[float, float]:
@@ -216,7 +216,7 @@ def _find_misplaced(protocol: Protocol) -> Iterator[Problem]:
 
 
 def _wide_caps(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
-    """A cap only narrows what the rig allows."""
+    """Yield a cap only narrows what the rig allows."""
     limits = {name: getattr(base.rig.limits, name) for name in ("effort", "speed", "energy")}
     for name, quantity in (("effort", "effort"), ("speed", "velocity"), ("energy", "J")):
         cap, unit = getattr(protocol.caps, name), unit_of(quantity, base.rig.motion)
@@ -244,7 +244,7 @@ def _wide_bands(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
 
 
 def _find_refused(walls: Walls) -> Iterator[Problem]:
-    """Every condition and damping at the softest and the stiffest wall, until one of them is refused."""
+    """Yield every condition and damping at the softest and the stiffest wall, until one of them is refused."""
     protocol, unit = walls.protocol, unit_of("stiffness", walls.base.rig.motion)
     for number, condition in enumerate(protocol.condition, 1):
         levels = levels_of(protocol.search_of(condition))

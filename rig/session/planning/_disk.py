@@ -44,5 +44,5 @@ def refuse_full_disk(walls: Walls, row: int, place: Path) -> None:
 
 
 def format_size(size: float) -> str:
-    """A size in bytes for people."""
+    """Return a size in bytes for people."""
     return f"{size / 1e9:.2g} GB" if size >= 1e9 else f"{size / 1e6:.{0 if size >= 1e7 else 1}f} MB"

@@ -73,12 +73,12 @@ class Expected:
 
     @property
     def free(self) -> float | None:
-        """Largest stable stiffness without a hand on the handle."""
+        """Return the largest stable stiffness without a hand on the handle."""
         return self.by_hand.get(NO_OPERATOR)
 
     @property
     def in_hand(self) -> tuple[float, float] | None:
-        """Those of the hand that bears least, and of the hand that bears most."""
+        """Return those of the hand that bears least, and of the hand that bears most."""
         held = [value for hand, value in self.by_hand.items() if hand != NO_OPERATOR]
         return (min(held), max(held)) if held else None
 
@@ -86,7 +86,7 @@ class Expected:
 def expected_limits(
     experiment: Experiment, dampings: tuple[float, ...], wanted: Search
 ) -> dict[float, Expected]:
-    """Where the limits of one condition lie, by damping.
+    """Return where the limits of one condition lie, by damping.
 
     Parameters
     ----------

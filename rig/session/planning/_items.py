@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def describe_item(item: Item) -> dict[str, Any]:
-    """An item of the questionnaire as a desk is given it."""
+    """Return an item of the questionnaire as a desk is given it."""
     return {
         "name": item.name,
         "text": item.text,

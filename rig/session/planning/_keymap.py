@@ -51,7 +51,7 @@ class KeyMap:
 
     @classmethod
     def of(cls, keys: Keys) -> KeyMap:
-        """The map of a protocol.
+        """Return the map of a protocol.
 
         Raises
         ------
@@ -63,7 +63,7 @@ class KeyMap:
 
     @classmethod
     def from_mapping(cls, value: Mapping[str, Any]) -> KeyMap:
-        """The map of plain values (`rig.core.present.plain`)."""
+        """Return the map of plain values (`rig.core.present.plain`)."""
         return cls(dict(value["keys"]), bool(value["bell"]))
 
     def meaning(self, key: str) -> str:
@@ -74,12 +74,12 @@ class KeyMap:
         return next((meaning for meaning, known in self.keys.items() if known == key.lower()), "")
 
     def key_of(self, meaning: str) -> str:
-        """How a screen names the key for this."""
+        """Return how a screen names the key for this."""
         return self.keys.get(meaning, "")
 
     @property
     def verdicts(self) -> list[tuple[str, str]]:
-        """Key and verdict, in the order of `VERDICTS`."""
+        """Return the key and verdict, in the order of `VERDICTS`."""
         return [(self.keys[verdict], verdict) for verdict in VERDICTS]
 
 

@@ -107,7 +107,7 @@ def check_code(protocol: Protocol, code: str) -> None:
 
 
 def json_schema() -> dict[str, Any]:
-    """JSON schema of a protocol file, for editors that complete and check TOML (taplo, VS Code)."""
+    """Return JSON schema of a protocol file, for editors that complete and check TOML (taplo, VS Code)."""
     schema = {"$schema": DIALECT, **schema_of(Protocol)}
     _type_settings(schema["$defs"]["Search"])
     schema["$defs"]["Study"]["properties"]["preset"]["examples"] = list(presets.names())
@@ -121,7 +121,7 @@ def json_schema() -> dict[str, Any]:
 
 
 def _without_null(schema: Any) -> Any:
-    """The same for TOML, which has no null: what may be left out is left out."""
+    """Return the same for TOML, which has no null: what may be left out is left out."""
     if isinstance(schema, list):
         return [_without_null(one) for one in schema]
     if not isinstance(schema, dict):
@@ -150,7 +150,7 @@ def _type_settings(search: dict[str, Any]) -> None:
 
 
 def _check_table(table: dict[str, Any], motion: Motion | None) -> tuple[Protocol | None, list[Problem]]:
-    """Types and ranges of every key; rules between keys when those are right."""
+    """Return types and ranges of every key; rules between keys when those are right."""
     table = _with_names(_flat_changes(table))
     try:
         parsed = parse_table(PROTOCOL, table, motion)
@@ -170,7 +170,7 @@ def _check_table(table: dict[str, Any], motion: Motion | None) -> tuple[Protocol
 
 
 def _flat_changes(table: dict[str, Any]) -> dict[str, Any]:
-    """Changes by dotted key, whether or not the file has the keys in quotes."""
+    """Return changes by dotted key, whether or not the file has the keys in quotes."""
 
     def flat(section: Any) -> Any:
         if isinstance(section, dict) and isinstance(section.get("changes"), dict):
@@ -189,7 +189,7 @@ def _flat_changes(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_names(table: dict[str, Any]) -> dict[str, Any]:
-    """The names in one spelling; what has the wrong type is left for the check of types."""
+    """Return the names in one spelling; what has the wrong type is left for the check of types."""
 
     def spelt(value: Any) -> Any:
         if isinstance(value, list):

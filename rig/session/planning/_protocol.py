@@ -436,5 +436,5 @@ class Protocol:
         raise KeyError(name)
 
     def search_of(self, condition: Condition) -> Search:
-        """The search of a condition: its own, or the study's."""
+        """Return the search of a condition: its own, or the study's."""
         return condition.search or self.search

@@ -50,7 +50,7 @@ class Block:
 
 
 def schedule(protocol: Protocol, row: int) -> tuple[Block, ...]:
-    """Blocks of the session of one participant, practice first.
+    """Return blocks of the session of one participant, practice first.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def schedule(protocol: Protocol, row: int) -> tuple[Block, ...]:
 
 
 def rows_of(protocol: Protocol) -> int:
-    """Participants after whom the order has been through all its rows: 1 unless it is a Latin square."""
+    """Return participants after whom the order has been through all its rows: 1 unless it is a Latin square."""
     if protocol.order.kind != "latin-square":
         return 1
     if protocol.order.blocks == "condition":
@@ -109,14 +109,14 @@ def rule_of(protocol: Protocol, run: SearchRun) -> search.Rule:
 
 
 def asking_of(protocol: Protocol, run: SearchRun) -> search.Rule:
-    """The rule of a run with its catch trials, see `rule_of`."""
+    """Return the rule of a run with its catch trials, see `rule_of`."""
     if run.practice:
         return rule_of(protocol, run)
     return asking(protocol.search_of(protocol.condition_named(run.condition)), run.seed)
 
 
 def asking(wanted: Search, seed: int) -> search.Rule:
-    """The rule of a search with its catch trials, where it has any; see `rule`."""
+    """Return the rule of a search with its catch trials, where it has any; see `rule`."""
     own = rule(wanted, seed)
     if not wanted.catch_share:
         return own
@@ -134,7 +134,7 @@ def rule(wanted: Search, seed: int) -> search.Rule:
 
 
 def levels_of(wanted: Search) -> tuple[float, ...]:
-    """Stiffnesses that a search may ask for, rising; the last one does not exceed the highest."""
+    """Return stiffnesses that a search may ask for, rising; the last one does not exceed the highest."""
     steps = level_steps(wanted)
     if wanted.step is not None:
         values = (wanted.lowest + wanted.step * place for place in range(steps + 1))
@@ -144,7 +144,7 @@ def levels_of(wanted: Search) -> tuple[float, ...]:
 
 
 def level_steps(wanted: Search) -> int:
-    """Steps from the lowest level to the last one."""
+    """Return steps from the lowest level to the last one."""
     if wanted.step is not None:
         steps = (wanted.highest - wanted.lowest) / wanted.step
     else:
@@ -170,7 +170,7 @@ class InOrder:
 
 
 def williams(items: Sequence[T], row: int) -> tuple[T, ...]:
-    """A row of the Williams design of these items; rows repeat after n of them, 2 n where n is odd."""
+    """Return a row of the Williams design of these items; rows repeat after n of them, 2 n where n is odd."""
     n = len(items)
     row %= _rows(n)
     mirrored = n % 2 == 1 and row % 2 == 1  # in turns, so that half a cycle is balanced as well as can be
@@ -189,7 +189,7 @@ _Cell = tuple[tuple[str, float], int]  # condition and damping; repeat
 
 
 def _orders(protocol: Protocol, row: int) -> list[list[_Cell]]:
-    """Cells of each block, in their order."""
+    """Return cells of each block, in their order."""
     order, cells = protocol.order, cells_of(protocol)
     repeats = range(1, order.repeats + 1)
     if order.blocks == "condition":
@@ -231,7 +231,7 @@ def _fits(protocol: Protocol) -> dict[str, list[str]]:
 
 
 def _order(protocol: Protocol, what: str, items: Sequence[T], row: int) -> Sequence[T]:
-    """Items as the protocol wants them; `what` separates draws, `row` the rows of a square."""
+    """Return items as the protocol wants them; `what` separates draws, `row` the rows of a square."""
     seed = protocol.study.seed
     match protocol.order.kind:
         case "fixed":
@@ -243,7 +243,7 @@ def _order(protocol: Protocol, what: str, items: Sequence[T], row: int) -> Seque
 
 
 def _count_repeats(cells: Iterable[tuple[str, float]]) -> list[_Cell]:
-    """Repeats are numbered in the order in which they come."""
+    """Number the repeats in the order in which they come."""
     seen: dict[tuple[str, float], int] = {}
     counted = []
     for cell in cells:
@@ -268,7 +268,7 @@ def _practice(protocol: Protocol, row: int) -> list[Block]:
 
 
 def _draw(items: Sequence[T], key: str) -> list[T]:
-    """Items in an order that the key decides, each order as likely as another."""
+    """Return items in an order that the key decides, each order as likely as another."""
     # Drawn by hashing, not by a generator: the same order in every version of every library.
     places = sorted(range(len(items)), key=lambda place: _hash(f"{key}/{place}"))
     return [items[place] for place in places]

@@ -20,7 +20,7 @@ LONG = 10_000  # trials after which the heat has settled, or never will
 
 
 def cooling_s(heat: float, share: float, time_constant_s: float) -> float:
-    """How long a motor rests above this share of its budget until it is at `COOL_TO` of it (s)."""
+    """Return how long a motor rests above this share of its budget until it is at `COOL_TO` of it (s)."""
     return time_constant_s * math.log(heat / (COOL_TO * share))
 
 
@@ -69,7 +69,7 @@ class Taken:
     question: float
 
     def of_people(self, planned: TrialTimes) -> TrialTimes:
-        """Planned times of a trial with these for what people take."""
+        """Return planned times of a trial with these for what people take."""
         return replace(planned, ready=max(0.0, self.trial - planned.recorded), verdict=self.verdict)
 
 
@@ -107,7 +107,7 @@ class Heat:
 
 
 def trial_times(experiment: Experiment, *, ready_s: float = 0.0, verdict_s: float = 0.0) -> TrialTimes:
-    """Times of one trial.
+    """Return times of one trial.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def trial_times(experiment: Experiment, *, ready_s: float = 0.0, verdict_s: floa
 
 
 def heat_of(experiment: Experiment, times: TrialTimes, trials: int, share: float) -> Heat:
-    """Heat over so many trials that are all alike; `share` of the budget is where the motor has to cool."""
+    """Return the heat over so many trials that are all alike; `share` of the budget is where the motor has to cool."""
     limits = experiment.rig.limits
     load = min(push_at_rest(experiment), limits.effort) / limits.nominal_effort
     tau = limits.thermal_time_constant_s
@@ -159,7 +159,7 @@ def heat_of(experiment: Experiment, times: TrialTimes, trials: int, share: float
 
 
 def _push_s(experiment: Experiment) -> float:
-    """How long a hit pushes with all its effort (s): a person's hand has to get there first."""
+    """Return how long a hit pushes with all its effort (s): a person's hand has to get there first."""
     trial = experiment.trial
     return trial.hold_s or max(0.0, trial.duration_s - _reaching_s(experiment))
 

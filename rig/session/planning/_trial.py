@@ -138,13 +138,13 @@ class RecordedTrial(Presented, HitOutcome):
 
 
 def event_of(presented: Presented, hit: HitOutcome) -> dict[str, Any]:
-    """Content of a trial's event in the log."""
+    """Return the content of a trial's event in the log."""
     content: dict[str, Any] = plain({**vars(presented), **vars(hit)})
     return content
 
 
 def trial_of(content: Mapping[str, Any]) -> RecordedTrial:
-    """The trial of an event; `void` is true in one that was left out afterwards."""
+    """Return the trial of an event; `void` is true in one that was left out afterwards."""
     given = {one.name: content[one.name] for one in (*fields(Presented), *fields(HitOutcome))}
     given["condition"] = normalise(given["condition"])  # of a log before protocols were
     given["reasons"], given["outside"] = tuple(given["reasons"]), tuple(given["outside"])

@@ -65,12 +65,12 @@ class Ascending:
         check_whole("repeats", self.repeats, 1, 1000)
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
-        """The next level of the series, or the first one of the next."""
+        """Return the next level of the series, or the first one of the next."""
         places, step = self._places(answers)
         return None if len(places) == self.repeats else Probe(self.levels[step], track=len(places))
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Mean over the series that have ended, and Student's interval of it.
+        """Return the mean over the series that have ended, and Student's interval of it.
 
         It is infinite for a single series, and for series that scatter by no more than rounding to the levels makes;
         where all of these lie beyond the levels, the end of the levels is the bound.
@@ -111,7 +111,7 @@ class Ascending:
         return AscendingSeries(self.levels[max(place - 1, 0)], side)
 
     def _places(self, answers: Sequence[JudgedProbe]) -> tuple[list[int], int]:
-        """Stable levels of each series that has ended, and the step of the one that has not."""
+        """Return stable levels of each series that has ended, and the step of the one that has not."""
         places: list[int] = []
         step = 0
         for _, stable in verdicts_of(answers):

@@ -28,7 +28,7 @@ class LevelGrid:
         check_whole("repeats", self.repeats, 1, 1000)
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
-        """The next level of the order."""
+        """Return the next level of the order."""
         done = len(verdicts_of(answers))
         if done >= self.repeats * len(self.levels):
             return None
@@ -37,5 +37,5 @@ class LevelGrid:
         return Probe(self.levels[int(order[place])], track=block)
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """K50 of the psychometric function that the verdicts show."""
+        """Return K50 of the psychometric function that the verdicts show."""
         return posterior_estimate(tuple(self.levels), answers)

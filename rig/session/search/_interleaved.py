@@ -54,7 +54,7 @@ class Interleaved:
         return replace(one, start=one.levels[0]), replace(one, start=one.levels[-1])
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
-        """A draw among the tracks that have not ended; an answer without a verdict is asked again."""
+        """Return a draw among the tracks that have not ended; an answer without a verdict is asked again."""
         probes = [track.next(answers, number) for number, track in enumerate(self._tracks)]
         going = [probe for probe in probes if probe is not None]
         if not going:
@@ -65,7 +65,7 @@ class Interleaved:
         return going[int(drawn.integers(len(going)))]
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Mean of both tracks, and the interval that all verdicts together give."""
+        """Return the mean of both tracks, and the interval that all verdicts together give."""
         single = [
             track.estimate_of(
                 track.walk(verdicts_of(answers, number)), verdicts_of(answers, number), len(answers)

@@ -33,12 +33,12 @@ class Observer:
         return bool(drawn.random() < share_stable(stiffness, self.threshold, self.spread, self.lapse_rate))
 
     def level_of(self, share: float) -> float:
-        """Stiffness with this share of stable verdicts, lapses left aside."""
+        """Return the stiffness with this share of stable verdicts, lapses left aside."""
         return float(self.threshold + self.spread * np.log((1.0 - share) / share))
 
 
 def run(rule: Rule, observer: Observer, seed: int, most: int = 100_000) -> list[JudgedProbe]:
-    """Answers of an observer until the rule has enough, or `most` of them; the same seed gives the same."""
+    """Return answers of an observer until the rule has enough, or `most` of them; the same seed gives the same."""
     drawn = np.random.default_rng(seed)
     answers: list[JudgedProbe] = []
     while len(answers) < most and (probe := rule.next(answers)) is not None:

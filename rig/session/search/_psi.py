@@ -61,7 +61,7 @@ class Psi:
             )
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
-        """The level whose answer is expected to leave the least entropy of K50."""
+        """Return the level whose answer is expected to leave the least entropy of K50."""
         verdicts = verdicts_of(answers)
         if len(verdicts) >= self.hits or self._knows_enough(answers, len(verdicts)):
             return None
@@ -81,12 +81,12 @@ class Psi:
         return (estimate.high - estimate.low) / 2.0 <= self.enough * estimate.value
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Posterior median and interval of K50."""
+        """Return the posterior median and interval of K50."""
         return posterior_estimate(tuple(self.levels), answers)
 
 
 def posterior_estimate(levels: tuple[float, ...], answers: Sequence[JudgedProbe]) -> Estimate:
-    """K50 after any answers on these levels, see `rig.session.search._psychometric.locate`."""
+    """Return K50 after any answers on these levels, see `rig.session.search._psychometric.locate`."""
     verdicts = verdicts_of(answers)
     found = psychometric.locate(levels, verdicts)
     estimate = Estimate(
@@ -102,7 +102,7 @@ def posterior_estimate(levels: tuple[float, ...], answers: Sequence[JudgedProbe]
 
 
 def _entropy(joint: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Entropy that an answer leaves, weighted by how likely it is: rows of joint probabilities over K50."""
+    """Return the entropy that an answer leaves, weighted by how likely it is: rows of joint probabilities over K50."""
     likely = joint.sum(axis=1, keepdims=True)
     with np.errstate(divide="ignore", invalid="ignore"):
         terms = np.where(joint > 0.0, joint * np.log(joint / likely), 0.0)

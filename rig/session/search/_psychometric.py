@@ -47,7 +47,7 @@ class PsychometricGrid:
 
     @cached_property
     def edges(self) -> Floats:
-        """Ends of the ranges that the values of K50 stand for, shape (thresholds + 1,)."""
+        """Return ends of the ranges that the values of K50 stand for, shape (thresholds + 1,)."""
         # Flat over K50 where levels are a step apart, over log K50 where they are a ratio apart, from half a range
         # below them to half a range above: a limit is as likely between any two levels as between any other two.
         if _ratio_apart(self.levels):
@@ -78,7 +78,7 @@ class PsychometricGrid:
 
     @cached_property
     def logs(self) -> tuple[Floats, Floats]:
-        """Logarithms of the shares of stable and of other verdicts."""
+        """Return logarithms of the shares of stable and of other verdicts."""
         with np.errstate(divide="ignore"):
             return np.log(self.shares), np.log1p(-self.shares)
 
@@ -100,7 +100,7 @@ class PsychometricGrid:
         return np.asarray(weights / weights.sum())
 
     def quantiles(self, posterior: Floats, share: float, probabilities: Sequence[float]) -> Floats:
-        """Quantiles of the stiffness at which `share` of the verdicts are stable, lapses aside; none below zero.
+        """Return quantiles of the stiffness at which `share` of the verdicts are stable, lapses aside; none below zero.
 
         Each K50 of the grid counts as the range between its edges: that is not small against what some dozens of
         verdicts tell, and intervals between bare points would be too narrow.
@@ -115,7 +115,7 @@ class PsychometricGrid:
 
 @lru_cache(maxsize=16)
 def of_levels(levels: tuple[float, ...]) -> PsychometricGrid:
-    """The grid for these levels, made once."""
+    """Return the grid for these levels, made once."""
     return PsychometricGrid(levels)
 
 
@@ -177,7 +177,7 @@ def interval(
 
 
 def _edges(levels: Floats, least: float) -> Floats:
-    """Even ranges from half a range below the levels, or `least`, to half a range above."""
+    """Return even ranges from half a range below the levels, or `least`, to half a range above."""
     half = (levels[-1] - levels[0]) / 2.0
     low, high = max(levels[0] - half, least), levels[-1] + half
     wanted = math.ceil((high - low) / (FINENESS * np.diff(levels).min()))

@@ -127,7 +127,7 @@ def contradiction(value: float, low: float, high: float, verdicts: Sequence[tupl
 
 
 def verdicts_of(answers: Sequence[JudgedProbe], track: int | None = None) -> list[tuple[float, bool]]:
-    """Level and verdict of each answer that has one and is no catch trial; of one track, or of all."""
+    """Return the level and verdict of each answer that has one and is no catch trial; of one track, or of all."""
     return [
         (answer.probe.level, answer.stable)
         for answer in answers

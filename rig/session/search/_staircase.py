@@ -89,12 +89,12 @@ class Staircase:
         return float(0.5 ** (1.0 / self.stable_to_rise))
 
     def next(self, answers: Sequence[JudgedProbe], track: int = 0) -> Probe | None:
-        """The level where the track stands, or None when it has turned often enough."""
+        """Return the level where the track stands, or None when it has turned often enough."""
         walk = self.walk(verdicts_of(answers, track))
         return None if self.has_ended(walk) else Probe(self.levels[walk.place], track=track)
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Mean of the turns at the smallest step, and the interval that all verdicts together give."""
+        """Return the mean of the turns at the smallest step, and the interval that all verdicts together give."""
         verdicts = verdicts_of(answers, 0)
         return self.estimate_of(self.walk(verdicts), verdicts, len(answers))
 
@@ -122,7 +122,7 @@ class Staircase:
         return fine >= self.turns or walk.hits >= self.most or walk.pressed >= EDGE_VERDICTS
 
     def estimate_of(self, walk: _Walk, verdicts: Sequence[tuple[float, bool]], hits: int) -> Estimate:
-        """The limit that a walk shows."""
+        """Return the limit that a walk shows."""
         fine = [self.levels[place] for place, smallest in walk.turns if smallest]
         # An even number of turns: upper and lower ones alternate, and an odd one would pull the mean to its side.
         places = fine[len(fine) % 2 :] or [self.levels[place] for place, _ in walk.turns]

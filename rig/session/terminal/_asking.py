@@ -34,25 +34,25 @@ class AskingDesk(Desk):
         self._stop_asked = False
 
     @abstractmethod
-    def _say(self, kind: str, **content: Any) -> None:
+    def _send(self, kind: str, **content: Any) -> None:
         """Send a message: ``view`` or ``ask``."""
 
     @abstractmethod
     def _take(self, patience_s: float) -> Message | None:
-        """The next message, its ``kind`` in it, within so long (s); None for none."""
+        """Return the next message, its ``kind`` in it, within so long (s); None for none."""
 
     @abstractmethod
     def _check_there(self) -> None:
         """Raise `StoppedError` when the other end must be feared to be gone while a hit runs."""
 
-    def _renewed(self) -> bool:
+    def _is_renewed(self) -> bool:
         """Return True if the other end is a new one, which has received no question yet."""
         return False
 
     def show(self, view: DeskView) -> None:
         """Show how things stand; returns at once, also when who shows it hangs."""
         self._view = view
-        self._say("view", view=plain(view))
+        self._send("view", view=plain(view))
 
     def ask(self, question: Question) -> Reply:
         """Ask, and wait for the answer.
@@ -77,7 +77,7 @@ class AskingDesk(Desk):
                 if reply.action != "note":
                     self._question = None
                 return reply
-            if self._renewed():
+            if self._is_renewed():
                 self._put(question)
 
     def watch(self) -> Callable[[int, int], None] | None:
@@ -96,7 +96,7 @@ class AskingDesk(Desk):
         seconds = question.seconds
         if seconds:
             seconds = max(SHORTEST_S, seconds - (time.monotonic() - self._began_s))
-        self._say("ask", number=self._number, question=plain(replace(question, seconds=seconds)))
+        self._send("ask", number=self._number, question=plain(replace(question, seconds=seconds)))
 
     def _next(self, patience_s: float) -> Message | None:
         message = self._take(patience_s)
@@ -105,7 +105,7 @@ class AskingDesk(Desk):
         return message
 
     def _reply(self, message: Message, question: Question, took_s: float) -> Reply | None:
-        """The reply in a message; None when it is not one to this question."""
+        """Return the reply in a message; None when it is not one to this question."""
         # An answer names its question: one to an earlier question, or with an action that was not offered, is ignored.
         if message["kind"] != "reply" or message.get("number") != self._number:
             return None

@@ -133,7 +133,7 @@ class Child:
             self.kill()
 
     def complaint(self) -> str:
-        """The last line of what it wrote to standard error; empty when it wrote none."""
+        """Return the last line of what it wrote to standard error; empty when it wrote none."""
         length = os.fstat(self._complaints).st_size
         text = os.pread(self._complaints, 4096, max(0, length - 4096)).decode(errors="replace")
         lines = [line.strip() for line in text.splitlines() if line.strip()]
@@ -176,6 +176,6 @@ class Child:
 
 
 def _nameless() -> int:
-    """A file that goes with its descriptor."""
+    """Return a file that goes with its descriptor."""
     with tempfile.TemporaryFile(buffering=0) as file:
         return os.dup(file.fileno())

@@ -165,11 +165,11 @@ class Conversation:
         return self._mean(self.keymap.meaning(key), key)
 
     def line(self, text: str) -> list[Decision]:
-        """A line that was typed as a whole, where one is wanted."""
+        """Take a line that was typed as a whole, if one is wanted."""
         if self.entry is None:
             return []
         self.entry.text = "".join(one for one in text if one.isprintable())[:MOST_TEXT]
-        return self._typed(self.entry)
+        return self._finish_entry(self.entry)
 
     def _mean(self, meaning: str, key: str) -> list[Decision]:
         if meaning == "help":
@@ -221,7 +221,7 @@ class Conversation:
 
     def _type(self, key: str, entry: TextEntry) -> list[Decision]:
         if key == "enter":
-            return self._typed(entry)
+            return self._finish_entry(entry)
         if key == "escape":
             self.entry = None
         elif key == "backspace":
@@ -232,7 +232,7 @@ class Conversation:
             entry.text = (entry.text + (" " if key == STOP else key))[:MOST_TEXT]
         return []
 
-    def _typed(self, entry: TextEntry) -> list[Decision]:
+    def _finish_entry(self, entry: TextEntry) -> list[Decision]:
         text = entry.text.strip()
         if entry.purpose == "note":
             if text:
@@ -246,7 +246,7 @@ class Conversation:
         return self._answer(Answer("answer", value))
 
     def _answer_of(self, text: str) -> str | None:
-        """An answer to the item as the session takes it; None, with a notice, when it is not one."""
+        """Return an answer to the item as the session takes it; None, with a notice, when it is not one."""
         item = (self.question.item if self.question is not None else None) or {"kind": "text"}
         value = parse_answer(item, text)
         if value is None:

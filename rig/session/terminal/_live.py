@@ -61,7 +61,7 @@ class LiveLoop:
         self._ring: Ring | None = None
 
     def look(self) -> Snapshot | None:
-        """How it goes; None when no loop runs, or it has not seen a sample."""
+        """Return the newest rows in numbers; None when no loop runs, or it has no sample yet."""
         if self._ring is None:
             self._ring = running.memory_of(self._pid)
         if self._ring is None:
@@ -79,7 +79,7 @@ class LiveLoop:
 
 
 def snapshot_of(ring: Ring) -> Snapshot | None:
-    """How a run goes, by its newest rows; None before the first."""
+    """Return how a run goes, by its newest rows; None before the first."""
     head = ring.peek(HEAD)
     count = min(head, ROWS, ring.capacity // 4)
     if count == 0:

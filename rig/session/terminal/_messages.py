@@ -24,7 +24,7 @@ MOST_BYTES = 1 << 20  # of an unfinished line: more is not ours
 
 
 def line_of(kind: str, **content: Any) -> bytes:
-    """One message as it goes through the pipe."""
+    """Return one message as it goes through the pipe."""
     return json.dumps({"kind": kind, **content}).encode() + b"\n"
 
 

@@ -65,7 +65,7 @@ class PlainLines:
 
 
 def _common(before: tuple[str, ...], now: tuple[str, ...]) -> int:
-    """How many of the lines now were there before: the longest end of before that now begins with."""
+    """Return how many of the lines now were there before: the longest end of before that now begins with."""
     for length in range(min(len(before), len(now)), 0, -1):
         if before[-length:] == now[:length]:
             return length

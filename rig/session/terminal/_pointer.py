@@ -49,11 +49,11 @@ class Pointer:
             self._scale = dict(scale)
 
     def point(self, share: float, *, held: bool) -> None:
-        """The mouse is at a share of the screen's width."""
+        """Move the hand to a share of the screen's width; `held`: press with full force."""
         self._share, self._held = min(1.0, max(0.0, share)), held
 
     def key(self, name: str) -> bool:
-        """An arrow key; whether it was one."""
+        """Move the hand by an arrow key; return False for another key."""
         steps = KEYS.get(name)
         if steps is None:
             return False
@@ -67,7 +67,7 @@ class Pointer:
 
     @property
     def intention(self) -> tuple[float, float] | None:
-        """Position (rad or m) and press (N); None before a view gave start and wall."""
+        """Return the position (rad or m) and press (N); None before a view gave start and wall."""
         if "start" not in self._scale or "wall" not in self._scale:
             return None
         start, wall = float(self._scale["start"]), float(self._scale["wall"])

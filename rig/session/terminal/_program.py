@@ -35,7 +35,7 @@ LEFT = "the session's program has ended; continue with `rig session resume`\n"
 
 
 def main(arguments: list[str]) -> int:
-    """Be a console until the session says that it is over, or is gone."""
+    """Run the console until the session ends, or its program does; return the exit code."""
     from_session, to_session = (int(text) for text in arguments)
     for number in (signal.SIGINT, signal.SIGTSTP, signal.SIGTTOU, signal.SIGTTIN):
         signal.signal(number, signal.SIG_IGN)  # ^C is for the session's program, which ends this one
@@ -64,7 +64,7 @@ class _Console:
             if hand is None
             else SeatHand("keyboard", float(hand["press"]), SharedHand.create(Path(hand["path"])))
         )
-        self._seat = Seat(setup, self._say, self._hand)
+        self._seat = Seat(setup, self._send, self._hand)
         self._talk = self._seat.talk
         self._attributes = setup["attributes"]
         self._bell = self._talk.keymap.bell
@@ -74,7 +74,7 @@ class _Console:
         self._printer = PlainLines()
 
     def _setup(self) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-        """The first message, and what came with it."""
+        """Return the first message, and what came with it."""
         while True:
             data = os.read(self._from, READ_BYTES)
             if not data:
@@ -94,7 +94,7 @@ class _Console:
             self._talk.held.arrive(key, time.monotonic())
         try:
             for message in self._early:
-                self._hear(message)
+                self._handle_message(message)
             while not self._over:
                 if not self._round():
                     return GONE
@@ -109,9 +109,9 @@ class _Console:
             terminal.give_back(IN, before)
 
     def _round(self) -> bool:
-        """One look at everything; False when the terminal is gone."""
+        """Run one round; return False when the terminal is gone."""
         # Whatever stops the rounds (a stopped process, a terminal that takes no more output) ends a hit within seconds.
-        self._say("alive")
+        self._send("alive")
         wait = ROUND_S if self._talk.moving else QUIET_S
         if self._keyboard.waiting:
             wait = min(wait, max(0.0, self._read_s + ESCAPE_S - time.monotonic()))
@@ -124,7 +124,7 @@ class _Console:
             if not data:
                 raise BrokenPipeError
             for message in self._lines.feed(data):
-                self._hear(message)
+                self._handle_message(message)
         if self._keyboard.waiting and time.monotonic() - self._read_s >= ESCAPE_S:
             self._press(self._keyboard.flush())
         self._seat.look(time.monotonic())
@@ -132,8 +132,8 @@ class _Console:
             _write(line + "\n")
         return True
 
-    def _hear(self, message: dict[str, Any]) -> None:
-        if self._seat.hear(message["kind"], message, time.monotonic()) and self._bell:
+    def _handle_message(self, message: dict[str, Any]) -> None:
+        if self._seat.receive(message["kind"], message, time.monotonic()) and self._bell:
             _write("\a")
         self._over = self._over or message["kind"] == "end"
 
@@ -144,7 +144,7 @@ class _Console:
         except OSError:
             data = b""
         if not data:
-            self._say("gone", why="the terminal was closed")
+            self._send("gone", why="the terminal was closed")
             return False
         self._read_s = time.monotonic()
         self._press(self._keyboard.feed(data))
@@ -167,7 +167,7 @@ class _Console:
         elif key == STOP or len(key) == 1:
             _write(" " if key == STOP else key)
 
-    def _say(self, kind: str, **content: Any) -> None:
+    def _send(self, kind: str, **content: Any) -> None:
         os.write(self._to, line_of(kind, **content))  # short: a pipe takes it whole
 
 

@@ -95,7 +95,7 @@ class Seat:
         self.snapshot: Snapshot | None = None
         self.number = 0
 
-    def hear(self, kind: str, message: Mapping[str, Any], now_s: float) -> bool:
+    def receive(self, kind: str, message: Mapping[str, Any], now_s: float) -> bool:
         """Take a message of the session; return True if the bell should ring for it."""
         if kind == "view":
             before = self.talk.view.state
@@ -139,12 +139,12 @@ class Seat:
 
 
 def full_press(experiment: Mapping[str, Any]) -> float:
-    """How hard the hand of an experiment can press (N)."""
+    """Return how hard the hand of an experiment can press (N)."""
     return float(experiment.get("operator", {}).get("press", PRESS_N))
 
 
 def keymap_for(keys: Keys, hand: HandKind | None) -> KeyMap:
-    """The keys of a protocol; raises `ConfigError` for one that cannot be meant, or that moves the hand."""
+    """Return the keys of a protocol; raises `ConfigError` for one that cannot be meant, or that moves the hand."""
     keymap = KeyMap.of(keys)
     for meaning, key in keymap.keys.items() if hand == "keyboard" else ():
         if key in KEYS:

@@ -34,7 +34,7 @@ def from_plain(value: list[Any]) -> list[Any]:
 
 
 def take(descriptor: int, before: list[Any]) -> bytes:
-    """Keys one by one, without echo; returns what was typed earlier."""
+    """Switch to keys one by one, without echo; return what was typed earlier."""
     changed = [*before]
     # No ^S, which stops the output and so would hang the console.
     changed[_INPUT] &= ~(termios.IXON | termios.ICRNL)

@@ -84,7 +84,7 @@ def facts(view: DeskView) -> list[tuple[str, str]]:
 
 
 def gauges(view: DeskView, live: Snapshot | None) -> list[Gauge]:
-    """The live lines; dashes while no loop runs."""
+    """Return the live lines; dashes while no loop runs."""
     names = ("phase", "depth", "velocity", "effort", "round trip", "late, lost")
     if live is None:
         return [Gauge(name, None, "-") for name in names]
@@ -108,7 +108,7 @@ def gauges(view: DeskView, live: Snapshot | None) -> list[Gauge]:
 
 
 def effort(view: DeskView, live: Snapshot, name: str = "effort") -> Gauge:
-    """The effort: its share of the limit as a word for the blind, as a number for the others."""
+    """Return the effort: its share of the limit as a word for the blind, as a number for the others."""
     limit = abs(float(view.scale.get("effort_limit") or 0.0))
     share = live.peak_effort / limit if limit else 0.0
     # Where the operator must be blind to the wall, an effort is a word: as a number, next to the penetration, it would
@@ -157,7 +157,7 @@ def list_offered(talk: Conversation) -> list[tuple[str, str]]:
 
 
 def choices(talk: Conversation) -> str:
-    """Keys that answer what is asked."""
+    """Return keys that answer what is asked."""
     if talk.twice is not None:
         return f"[y] yes, or {talk.keymap.key_of(talk.twice)} again; any other key: no"
     return "  ".join(f"[{key}] {text}" for key, text in list_offered(talk))
@@ -178,7 +178,7 @@ def hand(talk: Conversation) -> str:
 
 
 def help_pairs(talk: Conversation, *, interrupts: bool = True) -> list[tuple[str, str]]:
-    """All keys and what they do; `interrupts`: also the kernel's of a terminal."""
+    """Return all keys and what they do; `interrupts`: also the kernel's of a terminal."""
     keymap = talk.keymap
     return [
         ("SPACE", "STOP: zero effort now"),

@@ -111,7 +111,7 @@ class ConsoleDesk(AskingDesk):
         self._inbox: SimpleQueue[tuple[Child, Message]] = SimpleQueue()
         self._restarts = 0
         self._closed = False
-        self._child = self._started()
+        self._child = self._start_child()
 
     @property
     def pid(self) -> int:
@@ -127,7 +127,7 @@ class ConsoleDesk(AskingDesk):
             if self._hand is not None:
                 self._hand.close()
 
-    def _say(self, kind: str, **content: Any) -> None:
+    def _send(self, kind: str, **content: Any) -> None:
         self._child.say(kind, **content)
 
     def _take(self, patience_s: float) -> Message | None:
@@ -156,7 +156,7 @@ class ConsoleDesk(AskingDesk):
                 remedy=REMEDY,
             )
 
-    def _renewed(self) -> bool:
+    def _is_renewed(self) -> bool:
         """Start a console anew that died, or hangs."""
         self._child.flush()
         renewed = self._child.dead or self._child.silent_s > (
@@ -166,7 +166,7 @@ class ConsoleDesk(AskingDesk):
             self._restart()
         return renewed
 
-    def _started(self) -> Child:
+    def _start_child(self) -> Child:
         return Child(self._place, self._before, self._setup, self._inbox)
 
     def _restart(self) -> None:
@@ -181,7 +181,7 @@ class ConsoleDesk(AskingDesk):
                 remedy=REMEDY,
             )
         self._restarts += 1
-        self._child = self._started()
+        self._child = self._start_child()
         if self._view is not None:
             self._child.say("view", view=plain_of(self._view))
 
@@ -189,7 +189,7 @@ class ConsoleDesk(AskingDesk):
 def at_console(
     *, hand: Literal["keyboard"] | None = None, place: Path = TERMINAL
 ) -> Callable[[Protocol, Mapping[str, Any], TrialRunner], Desk]:
-    """A console for `rig.session.engine._run.run_session`.
+    """Return a console for `rig.session.engine._run.run_session`.
 
     Parameters
     ----------

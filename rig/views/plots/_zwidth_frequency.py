@@ -68,7 +68,7 @@ def frequency_figure(
     search: bool = True,
     realisation: int = -1,
 ) -> Any:
-    """The figure of a map, see `draw_frequency_map`."""
+    """Return the figure of a map, see `draw_frequency_map`."""
     plan = found.plan
     count = len(plan.schemes)
     columns = min(count, COLUMNS if count <= COLUMNS**2 else COLUMNS + 1)
@@ -168,7 +168,7 @@ def _draw_search(axes: Any, dampings: Sequence[float], stiffnesses: Sequence[flo
 
 
 def _scale(values: Floats) -> tuple[float, float]:
-    """Colours from the smallest error to the largest; the largest few per cent share one."""
+    """Return colours from the smallest error to the largest; the largest few per cent share one."""
     finite = values[np.isfinite(values)]
     if len(finite) == 0:
         return 0.0, 1.0

@@ -58,7 +58,7 @@ def draw_penetration(axes: Any, outcomes: Sequence[SchemeImpacts], offset: int) 
 
 
 def _shown_s(outcomes: Sequence[SchemeImpacts]) -> float:
-    """How much of the time axis the impact takes: until the slowest has settled, and a bit."""
+    """Return how much of the time axis the impact takes: until the slowest has settled, and a bit."""
     settling = [impact.numbers.settling_s for outcome in outcomes for impact in outcome.impacts]
     slowest = max((LONGEST_S if s is None else s for s in settling), default=LONGEST_S)
     longest = max(float(impact.time_s[-1]) for outcome in outcomes for impact in outcome.impacts)

@@ -15,7 +15,7 @@ _SMALLEST, _LARGEST = 20.0, 180.0  # area of a marker (point²)
 
 @style.own_style()
 def design_figure(found: Design) -> Any:
-    """The figure of a design.
+    """Return the figure of a design.
 
     Left: peak of K and range of B of the schemes of the second round, the larger the marker the noisier at rest;
     filled are those of the front. Right: limits of K over B of the last round, with the band between encoder offsets.

@@ -130,7 +130,7 @@ def _trial(recording: Recording) -> tuple[NDArray[np.void], NDArray[np.float64]]
 
 
 def _contact(recording: Recording) -> NDArray[np.int64]:
-    """Rows of the trial proper in which the handle is in the wall."""
+    """Return rows of the trial proper in which the handle is in the wall."""
     rows = recording.rows
     return np.flatnonzero((rows["phase"] == Phase.TRIAL) & (rows["penetration"] > 0.0))
 
@@ -142,7 +142,7 @@ def _last_phase(recording: Recording) -> str:
 
 
 def _impact_end(recording: Recording, time_s: NDArray[np.float64]) -> float:
-    """How long the impact lasts (s): a bit longer than it took to settle, if it settled."""
+    """Return how long the impact lasts (s): a bit longer than it took to settle, if it settled."""
     verdict = (recording.trailer or {}).get("verdict") or {}
     settling_s = verdict.get("settling_s")
     wanted = LONGEST_IMPACT_S if settling_s is None else 1.5 * settling_s

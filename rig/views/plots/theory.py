@@ -18,7 +18,7 @@ CORNER = 1.5  # width and height of the right panel, in what passivity allows
 
 @style.own_style()
 def theory_figure(theory: Theory) -> Any:
-    """The figure of a result.
+    """Return the figure of a result.
 
     Solid lines are K_max of the linear loop, connected from the lowest stiffness; islands beyond are shaded. The right
     panel shows the corner in which the wall can be passive: below the dashed lines it is, lag and delay counted, and on

@@ -51,7 +51,7 @@ def zwidth_figure(
     theory: Mapping[int, Curve] | None = None,
     criteria: Sequence[str] = ("felt", "heard"),
 ) -> Any:
-    """The figure of a map, see `draw_zwidth`."""
+    """Return the figure of a map, see `draw_zwidth`."""
     experiment, dampings = found.plan.experiment, found.plan.dampings
     alone = len(dampings) == 1
     highest = max(b.highest for b in found.boundaries)
@@ -89,7 +89,7 @@ def zwidth_figure(
 
 @style.own_style()
 def kmax_figure(found: KMax, *, theory: Curve | None = None, paper: Mapping[str, Curve] | None = None) -> Any:
-    """The figure of limits over the rate, see `draw_kmax`."""
+    """Return the figure of limits over the rate, see `draw_kmax`."""
     experiment = found.map.plan.experiment
     figure = style.new_figure(7.0, 4.6)
     axes = figure.subplots()

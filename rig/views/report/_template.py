@@ -58,7 +58,7 @@ def _environment(*, html: bool) -> Any:
 
 
 def _in_a_line(value: Any) -> Any:
-    """A text of the user's without line ends: in a plain text they part the lines of the template."""
+    """Return a text of the user's without line ends: in a plain text they part the lines of the template."""
     return value.replace("\n", " ") if isinstance(value, str) else value
 
 

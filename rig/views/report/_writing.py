@@ -40,7 +40,7 @@ def three(value: float | None, digits: int = 3) -> str:
 
 
 def limit(value: float, capped: object) -> str:
-    """A limit; ``≥`` when the search ended before the wall did."""
+    """Return a limit; ``≥`` when the search ended before the wall did."""
     return f"{'≥ ' if capped else ''}{three(value)}"
 
 
@@ -50,12 +50,12 @@ def times(ratio: float | None) -> str:
 
 
 def step(ratio: float) -> str:
-    """How far two values of a ratio are apart: ``1.5 %``."""
+    """Return how far two values of a ratio are apart: ``1.5 %``."""
     return f"{100 * (ratio - 1):.2g} %"
 
 
 def change(ratio: float) -> str:
-    """A ratio as a change: ``−12 %``."""
+    """Return a ratio as a change: ``−12 %``."""
     return _minus(f"{100 * (ratio - 1):+.0f} %") if math.isfinite(ratio) else "from nothing"
 
 
@@ -70,12 +70,12 @@ def cell(value: Any) -> Any:
 
 
 def prefixed(names: Iterable[str], text: str) -> list[str]:
-    """Names with a text before each."""
+    """Return names with a text before each."""
     return [text + name for name in names]
 
 
 def suffixed(names: Iterable[str], text: str) -> list[str]:
-    """Names with a text after each."""
+    """Return names with a text after each."""
     return [name + text for name in names]
 
 
@@ -132,7 +132,7 @@ def clock(seconds: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A stretch of time in the two units that suit it."""
+    """Return a stretch of time in the two units that suit it."""
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s"
@@ -142,7 +142,7 @@ def duration(seconds: float) -> str:
 
 
 def counted(count: int, noun: str) -> str:
-    """A count and its noun: ``1 trial``, ``3 trials``."""
+    """Return a count and its noun: ``1 trial``, ``3 trials``."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
@@ -177,7 +177,7 @@ def listed(words: Iterable[Any], last: str = "and") -> str:
 
 
 def sentence(text: str) -> str:
-    """A clause as a sentence: a capital, and one full stop."""
+    """Return a clause as a sentence: a capital, and one full stop."""
     return f"{text[:1].upper()}{text[1:].rstrip('.')}." if text else ""
 
 

@@ -232,7 +232,7 @@ def test_nothing_of_a_blinded_loop_reaches_a_page(tmp_path: Path) -> None:
         shared.blinded = True
         asyncio.run(live.search())
         live.greet(cast("Client", one))
-        live._tell_state()
+        live._send_state()
         assert (one.followed, one.put_) == (None, "")
         assert one.newest["state"]["loop"] is None
         shared.blinded = False
@@ -243,7 +243,7 @@ def test_nothing_of_a_blinded_loop_reaches_a_page(tmp_path: Path) -> None:
         shared.blinded = True
         asyncio.run(live.search())
         live.greet(cast("Client", one))
-        live._tell_state()
+        live._send_state()
         assert (one.followed, one.put_, live._history.rows) == (None, "", 0)
         assert one.newest["state"]["loop"] is None
         with pytest.raises(ConfigError, match="no loop is running"):

@@ -216,7 +216,7 @@ def test_a_loop_that_cannot_be_read_costs_its_scope_and_no_server(
 
 
 @pytest.mark.parametrize(
-    "where", ["rig.extras.console.live.Live._tell_state", "rig.extras.console.view.View.frames"]
+    "where", ["rig.extras.console.live.Live._send_state", "rig.extras.console.view.View.frames"]
 )
 def test_a_defect_in_the_view_is_reported_and_ends_no_server(
     where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

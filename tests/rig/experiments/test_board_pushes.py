@@ -61,7 +61,7 @@ def board(**options: Any) -> tuple[FramedDevice, Watched]:
 def supervised(host: FramedDevice, way: Any, seconds: float) -> None:
     """Begin a push and only renew its lifetime: no STOP, whatever happens."""
     at = board_pushes._at_rest(host, X, 0)
-    host.configure(board_pushes._prepared(host, X, at, way, verified=True, zero=0).parameters)
+    host.configure(board_pushes._prepare_push(host, X, at, way, verified=True, zero=0).parameters)
     host.arm()
     host.supervise(seconds, round(1e6 * LIFETIME_S))
 
@@ -152,13 +152,13 @@ def test_a_handle_that_a_person_moves_before_the_push_gets_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     host, device = board()
-    own = board_pushes._prepared
+    own = board_pushes._prepare_push
 
     def pushed_by_a_hand(*given: Any, **named: Any) -> Any:
         device.hardware.external_effort = 0.05
         return own(*given, **named)
 
-    monkeypatch.setattr(board_pushes, "_prepared", pushed_by_a_hand)
+    monkeypatch.setattr(board_pushes, "_prepare_push", pushed_by_a_hand)
     with pytest.raises(IdentificationError, match="does not rest"):
         pulse(host, X, recording=tmp_path / "pulse.rigcap", verified=True, reference_count=0)
     assert not host.moved_as_described

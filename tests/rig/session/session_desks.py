@@ -251,7 +251,7 @@ class AtPage(Place):
         return asyncio.run_coroutine_threadsafe(work, self._loop).result(PATIENCE_S)
 
     async def receive(self, message: Any) -> bool:
-        return self.service.job_says(cast("Job", self.job), message)
+        return self.service.handle_job_message(cast("Job", self.job), message)
 
     def ask(self, do: str, client: FakeClient | None = None, **content: Any) -> Any:
         """A request of a page, as its socket brings it, and its answer, whenever it comes."""

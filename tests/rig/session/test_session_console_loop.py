@@ -82,10 +82,10 @@ def test_lines_come_ten_to_twenty_times_a_second_while_the_handle_moves(
         return []
 
     monkeypatch.setattr(one._printer, "lines", lines)
-    one._hear({"kind": "view", "view": plain(DeskView(state="hit"))})
+    one._handle_message({"kind": "view", "view": plain(DeskView(state="hit"))})
     if not moving:
         question = Question(kind="ready", text="ready?", actions=("go",))
-        one._hear({"kind": "ask", "number": 1, "question": plain(question)})
+        one._handle_message({"kind": "ask", "number": 1, "question": plain(question)})
     monkeypatch.setattr(program, "select", SimpleNamespace(select=wait))
     monkeypatch.setattr(program, "time", SimpleNamespace(monotonic=lambda: clock[0]))
     monkeypatch.setattr(one._seat.live, "look", look)

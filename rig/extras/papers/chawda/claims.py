@@ -29,7 +29,7 @@ def rulings(chawda: Chawda) -> dict[str, Ruling]:
         "levant-stiffer": _stiffer_levant(chawda),
         "levant-stiffer-below": _stiffer_below(chawda),
         "filter-holds": judge({"": drops[rigs.FILTERED] > rules.FILTER_HOLDS}, drop=drops[rigs.FILTERED]),
-        "levant-limited": _limited(chawda),
+        "levant-limited": _rule_limit(chawda),
         "sharp-drop": _sharp(chawda),
         "where-it-drops": rules.drops_at(
             {
@@ -147,7 +147,7 @@ def _stiffer_below(chawda: Chawda) -> Ruling:
     return found.having(**_beyond(chawda, names, rules.BETTER_UP_TO))
 
 
-def _limited(chawda: Chawda) -> Ruling:
+def _rule_limit(chawda: Chawda) -> Ruling:
     excited, hit = {}, {}
     for name in (rigs.FDM, rigs.LEVANT):
         values = [width.damping for width in chawda.widths(name) if math.isfinite(width.damping)]

@@ -22,18 +22,18 @@ from rig.extras.papers.rules import over
 
 
 def curve(chawda: Chawda, name: str) -> list[float]:
-    """Mean limits of one scheme of Fig. 3 over the dampings."""
+    """Return mean limits of one scheme of Fig. 3 over the dampings."""
     return [b.stiffness for b in chawda.hits.curve(chawda.hit_names.index(name), "felt")]
 
 
 def drops(chawda: Chawda) -> dict[str, float]:
-    """Where each Z-width of Fig. 3 drops below half of its peak for good; infinite where it does not."""
+    """Return where each Z-width of Fig. 3 drops below half of its peak for good; infinite where it does not."""
     dampings = chawda.scale.hit_dampings
     return {name: rules.find_drop(dampings, curve(chawda, name)) for name in chawda.hit_names}
 
 
 def over_filtered(chawda: Chawda, name: str, up_to: float = math.inf) -> list[float]:
-    """K over that of the filtered difference at each damping above 0, where not both are only caps."""
+    """Return K over that of the filtered difference at each damping above 0, where not both are only caps."""
     of, filtered = (chawda.hits.curve(chawda.hit_names.index(one), "felt") for one in (name, rigs.FILTERED))
     return [
         over(a.stiffness, b.stiffness)
@@ -43,7 +43,7 @@ def over_filtered(chawda: Chawda, name: str, up_to: float = math.inf) -> list[fl
 
 
 def akf_over_fdm(chawda: Chawda) -> dict[str, list[float]]:
-    """K of AKF over K of FDM+filter from `rules.LEAST_DAMPING` on: linear theory and hits at 1 kHz."""
+    """Return K of AKF over K of FDM+filter from `rules.LEAST_DAMPING` on: linear theory and hits at 1 kHz."""
     akf, fdm = (chawda.linear[name]["stable"] for name in (rigs.AKF, rigs.FDM))
     linear = [
         over(a, f)
@@ -78,13 +78,13 @@ def by_edge(chawda: Chawda) -> dict[float, list[tuple[bool, bool]]]:
 
 
 def closed_widths(chawda: Chawda, name: str) -> list[float]:
-    """Largest passive stiffness of the closed form over all dampings, by upper edge of the band."""
+    """Return the largest passive stiffness of the closed form over all dampings, by upper edge of the band."""
     return [max(of) for of in chawda.linear[name]["passive"]]
 
 
 @cache
 def mass_and_damping() -> tuple[float, float]:
-    """Mass and viscous damping of the paper's rig."""
+    """Return the mass and viscous damping of the paper's rig."""
     mechanics = presets.load(rigs.RIG).rig.mechanics
     return mechanics.motor_inertia + mechanics.link_inertia, mechanics.motor_damping + mechanics.link_damping
 
@@ -96,7 +96,7 @@ def floors() -> dict[float, float]:
 
 
 def edge_of(error: float) -> float:
-    """Upper edge (Hz) of the band in which the error without a wall is this large."""
+    """Return the upper edge (Hz) of the band in which the error without a wall is this large."""
     edges, (low, _) = np.arange(2.0, 1000.0), rigs.CONTROL_BAND
     errors = [fidelity_without_wall(*mass_and_damping(), (low, float(edge))) for edge in edges]
     return float(np.interp(error, errors, edges))
@@ -161,7 +161,7 @@ def common_gains(chawda: Chawda, reading: int = rigs.MAIN) -> dict[str, list[flo
 
 
 def common_gains_by_edge(chawda: Chawda) -> dict[float, dict[str, list[float]]]:
-    """The same for each upper edge of the band (Hz)."""
+    """Return the same for each upper edge of the band (Hz)."""
     main = rigs.READINGS[rigs.MAIN]
     return {
         high: common_gains(chawda, rigs.READINGS.index(replace(main, high_hz=high)))
@@ -170,14 +170,14 @@ def common_gains_by_edge(chawda: Chawda) -> dict[float, dict[str, list[float]]]:
 
 
 def common_error(chawda: Chawda, name: str) -> Spread:
-    """Mean error of one of three estimators at walls passive with all three, over measurements."""
+    """Return the mean error of one of three estimators at walls passive with all three, over measurements."""
     held = chawda.map.common(rigs.MAIN, [rigs.ESTIMATORS.index(one) for one in rigs.FILTERS])
     of = chawda.map.fidelity[:, rigs.MAIN, rigs.ESTIMATORS.index(name)]
     return Spread.of([float(one[held].mean()) for one in of] if held.any() and name in rigs.FILTERS else [])
 
 
 def errors_of_quarters(chawda: Chawda) -> dict[str, tuple[float, float]]:
-    """Mean fidelity error of the connected region in its softest and its stiffest quarter of walls."""
+    """Return the mean fidelity error of the connected region in its softest and its stiffest quarter of walls."""
     found = {}
     for number, name in enumerate(rigs.ESTIMATORS):
         held = chawda.map.common(rigs.MAIN, [number])
@@ -209,7 +209,7 @@ def at_softest_wall(chawda: Chawda) -> tuple[int, int]:
 
 
 def count_tuned(chawda: Chawda, name: str) -> int:
-    """How many numbers of an estimator were chosen."""
+    """Return how many numbers of an estimator were chosen."""
     controller = rigs.SCHEMES[name].applied(chawda.map.grid.experiment).controller
     return len(tuned_numbers(controller.estimator, controller.parameters))
 
@@ -220,7 +220,7 @@ def is_capped(widths: Sequence[FrequencyWidth], name: str) -> bool:
 
 
 def variant_widths(chawda: Chawda) -> dict[str, FrequencyWidth]:
-    """Levant's differentiator in other forms, by name."""
+    """Return Levant's differentiator in other forms, by name."""
     return {name: chawda.variants.width(0, 0, n) for n, name in enumerate(chawda.variant_names)}
 
 
@@ -260,7 +260,7 @@ def rank_schemes(found: Readings, reading: int) -> list[Ranked]:
 
 
 def _relative_error(found: Readings, reading: int, number: int, reference: int) -> Spread:
-    """Mean error over that of the reference at walls passive with both, by measurement."""
+    """Return the mean error over that of the reference at walls passive with both, by measurement."""
     ratios = []
     for m in range(found.grid.measurements):
         held = connected(found.passive[m, reading, number]) & connected(found.passive[m, reading, reference])

@@ -29,7 +29,7 @@ class LevantRegions:
     worst_case_mu2: Floats
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON; infinite ones become null there."""
+        """Return plain values, for JSON; infinite ones become null there."""
         return {
             "parameters": "alpha = mu1 * C, lambda = mu2 * sqrt(C)",
             "crossing": dict(zip(("mu1", "mu2"), regions.find_crossing(), strict=True)),

@@ -66,7 +66,7 @@ def linear(payload: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def constant(payload: Mapping[str, Any]) -> dict[str, float]:
-    """C of one hit of the paper's rig at 10 kHz, its velocity filtered, by the paper's way; and the true one."""
+    """Return C of one hit of the paper's rig at 10 kHz, its velocity filtered, by the paper's way; and the true one."""
     return identify_wall(payload["stiffness"], payload["damping"])
 
 
@@ -153,6 +153,6 @@ def _ideal(experiment: Experiment) -> Experiment:
 
 
 def fidelity_without_wall(mass: float, damping: float, band: tuple[float, float]) -> float:
-    """√mean(b² + (2π·m·f)²) over lines of 1 Hz in a band: the rms of |Z| of a bare rig."""
+    """Return √mean(b² + (2π·m·f)²) over lines of 1 Hz in a band: the rms of |Z| of a bare rig."""
     lines = np.arange(band[0], band[1] + 1.0)
     return float(np.sqrt(np.mean(damping**2 + (2.0 * np.pi * mass * lines) ** 2)))

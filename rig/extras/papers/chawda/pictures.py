@@ -155,7 +155,7 @@ def _linear_lines(axes: Any, chawda: Chawda, name: str) -> None:
 
 
 def _seen_mean(values: Any) -> Any:
-    """Mean over measurements of what is a number."""
+    """Return the mean over measurements of what is a number."""
     known = np.isfinite(values)
     total = np.where(known, values, 0.0).sum(axis=0)
     return np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)

@@ -41,12 +41,12 @@ class ExcitationGrid:
 
     @property
     def runs(self) -> int:
-        """How many times a rig is excited, if no guard ends a measurement early."""
+        """Return how many times a rig is excited, if no guard ends a measurement early."""
         walls = len(self.schemes) * len(self.stiffnesses) * len(self.dampings)
         return walls * self.experiment.excitation.realisations
 
     def part(self, weight: float = 1.0) -> Part:
-        """A task for each scheme and damping; weight is that of one run."""
+        """Return a task for each scheme and damping; weight is that of one run."""
         tasks = []
         for number, scheme in enumerate(self.schemes):
             applied = scheme.applied(config.excited(self.experiment))
@@ -82,7 +82,7 @@ def column(payload: Mapping[str, Any]) -> list[list[dict[str, Any]]]:
     for stiffness in payload["stiffnesses"]:
         row: list[dict[str, Any]] = []
         for measurement in range(payload["measurements"]):
-            runs = _excited(bench, stiffness, damping, range(measurement * each, (measurement + 1) * each))
+            runs = _excite(bench, stiffness, damping, range(measurement * each, (measurement + 1) * each))
             records = [run.record for run in runs if run.record is not None]
             if len(records) < len(runs):
                 row.append({"passive": "0" * len(readings), "fidelity": None, "residual": None})
@@ -100,8 +100,8 @@ def column(payload: Mapping[str, Any]) -> list[list[dict[str, Any]]]:
     return rows
 
 
-def _excited(bench: ExcitedRig, stiffness: float, damping: float, numbers: range) -> list[RealisationRun]:
-    """Realisations of one wall, up to the first that the guard ends."""
+def _excite(bench: ExcitedRig, stiffness: float, damping: float, numbers: range) -> list[RealisationRun]:
+    """Return realisations of one wall, up to the first that the guard ends."""
     runs: list[RealisationRun] = []
     for number in numbers:
         runs.append(bench.excite(stiffness, damping, number))
@@ -129,7 +129,7 @@ def read(
 
 
 def bands(readings: Sequence[Reading]) -> list[tuple[float, float]]:
-    """Lowest and highest line of the readings, each pair once, in their order."""
+    """Return the lowest and highest line of the readings, each pair once, in their order."""
     return list(dict.fromkeys((reading.low_hz, reading.high_hz) for reading in readings))
 
 
@@ -181,7 +181,7 @@ class Readings:
         )
 
     def width(self, measurement: int, reading: int, scheme: int) -> FrequencyWidth:
-        """Widths of one scheme by one measurement and reading."""
+        """Return widths of one scheme by one measurement and reading."""
         place = measurement, reading, scheme
         return FrequencyWidth.of(
             self.passive[place], self.fidelity[place], self.grid.stiffnesses, self.grid.dampings
@@ -192,12 +192,12 @@ class Readings:
         return [self.width(m, reading, scheme) for m in range(self.grid.measurements)]
 
     def common(self, reading: int, schemes: Sequence[int] | None = None) -> Flags:
-        """Walls that are passive with all schemes (or these) in every measurement: ``[damping, stiffness]``."""
+        """Return walls that are passive with all schemes (or these) in every measurement: ``[damping, stiffness]``."""
         chosen = range(len(self.grid.schemes)) if schemes is None else schemes
         return np.asarray(connected(self.passive[:, reading])[:, list(chosen)].all(axis=(0, 1)))
 
     def areas(self, reading: int, scheme: int) -> Spread:
-        """Area of the connected region under the edge, over measurements (N/m × N·s/m or the like)."""
+        """Return the area of the connected region under the edge, over measurements (N/m × N·s/m or the like)."""
         k, b = np.array((0.0, *self.grid.stiffnesses)), np.array(self.grid.dampings)
         held = connected(self.passive[:, reading, scheme]).sum(axis=-1)
         return Spread.of([float(np.trapezoid(k[row], b)) for row in held])

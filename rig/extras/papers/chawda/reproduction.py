@@ -57,7 +57,7 @@ class ChawdaPlan:
         self._grids = self._all_grids()
 
     def parts(self) -> dict[str, Part]:
-        """Everything that has to be computed."""
+        """Return everything that has to be computed."""
         parts = {name: grid.part(self._weight(name)) for name, grid in self._grids.items()}
         parts["hits"] = koul_parts.map_part(self._hits)
         parts["slow-hits"] = koul_parts.map_part(self._slow_hits)
@@ -90,7 +90,7 @@ class ChawdaPlan:
             constants=(self._nominal, *(done.one(f"constant/{stiffness:g}") for stiffness, _ in WALLS[1:])),
             hits=hits,
             hit_names=tuple(self._named_hits),
-            adjusted=_adjusted(hits, tuple(self._named_hits)),
+            adjusted=_choose_gains(hits, tuple(self._named_hits)),
             slow_hits=ZWidth.of(self._slow_hits, done.results["slow-hits"]),
             map=found["map"],
             read=read_all(found["map"]),
@@ -177,14 +177,14 @@ class ChawdaPlan:
         return [float(b) for b in np.linspace(0.0, 400.0, self._scale.theory_points)]
 
 
-def _adjusted(hits: ZWidth, names: tuple[str, ...]) -> str:
-    """Levant's gains whose Z-width has the largest area: what trying them on the rig would lead to."""
+def _choose_gains(hits: ZWidth, names: tuple[str, ...]) -> str:
+    """Return Levant's gains whose Z-width has the largest area: what trying them on the rig would lead to."""
     tried = [number for number, name in enumerate(names) if name != rigs.FILTERED]
     return names[max(tried, key=lambda number: hits.width(number, "felt").area)]
 
 
 def _impedances(scale: rigs.ChawdaScale) -> tuple[Any, ...]:
-    """The bare rig, and one wall under each estimator."""
+    """Return the bare rig, and one wall under each estimator."""
     rig = rigs.excited_rig(replace(scale, measurements=1))
     (bare,) = measure_impedance(rig, walls=[(0.0, 0.0)], schemes=[rigs.SCHEMES[rigs.FDM]])
     return (bare, *measure_impedance(rig, walls=[SHOWN_WALL], schemes=tuple(rigs.SCHEMES.values())))

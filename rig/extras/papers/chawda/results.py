@@ -91,22 +91,22 @@ class Chawda:
     dual_schemes: tuple[Scheme, ...]
 
     def widths(self, name: str, reading: int = rigs.MAIN) -> list[FrequencyWidth]:
-        """Widths of one of the four estimators, one for each measurement."""
+        """Return widths of one of the four estimators, one for each measurement."""
         return [of[name] for of in self.read[reading :: len(rigs.READINGS)]]
 
     def search(self, name: str, measurement: int = 0) -> GridSearch:
-        """The paper's boundary search in one measurement's map, by the main reading."""
+        """Return the paper's boundary search in one measurement's map, by the main reading."""
         grid = self.map.grid
         passive = self.map.passive[measurement, rigs.MAIN, list(rigs.SCHEMES).index(name)]
         return trace_grid(passive, grid.dampings, grid.stiffnesses)
 
     @property
     def figure_3(self) -> list[str]:
-        """The schemes that the paper has in Fig. 3."""
+        """Return the schemes that the paper has in Fig. 3."""
         return list(dict.fromkeys((rigs.FILTERED, rigs.HBA_SC, rigs.LFBA, self.adjusted)))
 
     def searches(self) -> list[BoundarySearch]:
-        """The boundary search in every map of the four estimators."""
+        """Return the boundary search in every map of the four estimators."""
         stiffnesses = self.map.grid.stiffnesses
         return [
             BoundarySearch(
@@ -122,18 +122,18 @@ class Chawda:
         ]
 
     def islands(self, name: str) -> list[int]:
-        """How many islands the map of an estimator has, by measurement."""
+        """Return how many islands the map of an estimator has, by measurement."""
         return [len(width.islands) for width in self.widths(name)]
 
     @property
     def runs(self) -> int:
-        """How many times a rig was excited."""
+        """Return how many times a rig was excited."""
         grids = (self.map, self.frictionless, self.variants, *self.dual.values())
         return sum(found.grid.runs for found in grids)
 
 
 def read_all(found: Readings) -> tuple[dict[str, FrequencyWidth], ...]:
-    """Widths of the four estimators by every reading of every measurement."""
+    """Return widths of the four estimators by every reading of every measurement."""
     grid = found.grid
     return tuple(
         {name: found.width(m, r, s) for s, name in enumerate(rigs.SCHEMES)}
@@ -143,7 +143,7 @@ def read_all(found: Readings) -> tuple[dict[str, FrequencyWidth], ...]:
 
 
 def spread(widths: Sequence[FrequencyWidth], name: str) -> Spread:
-    """One number of some widths, over measurements."""
+    """Return one number of some widths, over measurements."""
     return Spread.of([getattr(width, name) for width in widths])
 
 
@@ -184,7 +184,7 @@ def numbers(chawda: Chawda) -> dict[str, Any]:
 
 
 def _grid(found: Readings, names: Sequence[str]) -> dict[str, Any]:
-    """A grid by the main reading, measurement by measurement: verdicts as a row of digits for each damping."""
+    """Return a grid by the main reading, measurement by measurement: verdicts as a row of digits for each damping."""
     reading = _main(found)
     return {
         "stiffnesses": list(found.grid.stiffnesses),
@@ -208,7 +208,7 @@ def _grid(found: Readings, names: Sequence[str]) -> dict[str, Any]:
 
 
 def _mean(values: Any) -> Any:
-    """Mean over measurements, NaN where any is."""
+    """Return the mean over measurements, NaN where any is."""
     return np.mean(values, axis=0)
 
 

@@ -52,7 +52,7 @@ class Reading:
 
     @property
     def allowed(self) -> str:
-        """The phase that it allows, in words."""
+        """Return the phase that it allows, in words."""
         if not self.tolerance:
             return "strictly ±90°"
         unit = " standard deviations" if self.kind == "deviations" else "°"
@@ -173,7 +173,7 @@ class ChawdaScale:
 
     @property
     def rung(self) -> float:
-        """The ratio of two neighbouring stiffnesses of the maps."""
+        """Return the ratio of two neighbouring stiffnesses of the maps."""
         return self.stiffnesses[1] / self.stiffnesses[0]
 
 
@@ -235,7 +235,7 @@ QUICK = ChawdaScale(
 
 
 def excited_rig(scale: ChawdaScale, changes: Mapping[str, Any] | None = None) -> Experiment:
-    """The paper's rig with an excitation over the bands of every reading."""
+    """Return the paper's rig with an excitation over the bands of every reading."""
     excitation = {
         "excitation.low_hz": LOWEST_HZ[0],
         "excitation.high_hz": HIGHEST_LINE,
@@ -248,13 +248,13 @@ def excited_rig(scale: ChawdaScale, changes: Mapping[str, Any] | None = None) ->
 
 
 def pushed_rig(rate: int) -> Experiment:
-    """The paper's rig in automated wall hits at a rate."""
+    """Return the paper's rig in automated wall hits at a rate."""
     changes = {**PUSH, "verdict.lowpass_hz": LOWPASS_HZ[rate], "trial.seed": SEED}
     return config.override(presets.load(RIG), changes, "the reproduction")
 
 
 def dual_rig(preset: str, scale: ChawdaScale) -> Experiment:
-    """One of Koul's rigs, excited for a shorter time: it is light, so that it settles sooner."""
+    """Return one of Koul's rigs, excited for a shorter time: it is light, so that it settles sooner."""
     changes = {
         "excitation.low_hz": 2.0,
         "excitation.high_hz": 250.0,

@@ -35,7 +35,7 @@ def is_in_order(widths: Sequence[float]) -> bool:
 
 
 def stiffer(cases: Mapping[str, Sequence[float]], step: float = 1.0) -> Ruling:
-    """Ratios of two limits at several dampings, by case; `step` is the ratio of two rungs of the search."""
+    """Return ratios of two limits at several dampings, by case; `step` is the ratio of two rungs of the search."""
     held = {name: mostly_stiffer(values, step) for name, values in cases.items()}
     return judge(held, conditions=each(held), ratios=list(cases.items()))
 
@@ -46,14 +46,14 @@ def mostly_stiffer(ratios: Sequence[float], step: float = 1.0) -> bool:
 
 
 def mostly_larger(cases: Mapping[str, tuple[int, int]]) -> Ruling:
-    """How often one K-width is the larger of two, of how many readings that differ, by case."""
+    """Return how often one K-width is the larger of two, of how many readings that differ, by case."""
     held = {name: above >= MOST * differ for name, (above, differ) in cases.items() if differ}
     above, differ = (sum(count[i] for count in cases.values()) for i in (0, 1))
     return judge(held, above=above, differ=differ)
 
 
 def find_drop(dampings: Sequence[float], stiffnesses: Sequence[float]) -> float:
-    """Damping beyond its peak from which on a Z-width stays below half of the peak; infinite if it does not."""
+    """Return damping beyond its peak from which on a Z-width stays below half of the peak; infinite if it does not."""
     peak = max(stiffnesses)
     found = math.inf
     for damping, stiffness in zip(reversed(dampings), reversed(stiffnesses), strict=True):
@@ -64,18 +64,18 @@ def find_drop(dampings: Sequence[float], stiffnesses: Sequence[float]) -> float:
 
 
 def sharpness(stiffnesses: Sequence[float]) -> float:
-    """Largest fall from one damping to the next, as a ratio."""
+    """Return the largest fall from one damping to the next, as a ratio."""
     return max((over(high, low) for high, low in pairwise(stiffnesses)), default=1.0)
 
 
 def limited(ranges: Mapping[str, float], filtered: float) -> Ruling:
-    """Range of damping of Levant's differentiator, by case, against that of the filtered difference."""
+    """Return the range of damping of Levant's differentiator, by case, against that of the filtered difference."""
     cases = {name: value <= LIMITED * filtered for name, value in ranges.items()}
     return judge(cases, ranges=list(ranges.items()), filtered=filtered)
 
 
 def drops_at(drops: Mapping[str, tuple[float, float]], others: Sequence[float]) -> Ruling:
-    """Where Z-widths drop (ours, the paper's), and where they do over all gains that were tried."""
+    """Return where Z-widths drop (ours, the paper's), and where they do over all gains that were tried."""
     finite = [value for value in others if math.isfinite(value)]
     return judge(
         {name: within(value, target, NEAR_DROP) for name, (value, target) in drops.items()},
@@ -92,12 +92,12 @@ def near_table(ours: Mapping[str, float], paper: Mapping[str, float], step: floa
 
 
 def wider(ratios: Mapping[str, float], step: float = 1.0) -> Ruling:
-    """Simulated widths over the paper's measured ones, by estimator."""
+    """Return simulated widths over the paper's measured ones, by estimator."""
     return judge({name: r >= WIDER * step**0.5 for name, r in ratios.items()}, ratios=list(ratios.items()))
 
 
 def controlled(found: Mapping[str, float], theory: float) -> Ruling:
-    """Numbers that theory fixes."""
+    """Return numbers that theory fixes."""
     cases = {name: within(value, theory, 1.0 + SAME_CONTROL) for name, value in found.items()}
     return judge(cases, found=list(found.items()), theory=theory)
 
@@ -118,7 +118,7 @@ def lower(gains: Mapping[tuple[str, float], Sequence[float]]) -> Ruling:
 
 
 def traced(above: int, below: int, unseen: int, columns: int, **numbers: float) -> Ruling:
-    """Dampings at which the boundary search ends on an island, below the edge, or never comes to."""
+    """Return dampings at which the boundary search ends on an island, below the edge, or never comes to."""
     wrong = above + below + unseen
     return judge(
         {"": wrong <= (1.0 - TRACED) * columns}, above=above, below=below, unseen=unseen, columns=columns

@@ -46,7 +46,7 @@ Holds = bool | None  # None: the hit does not show it
 
 
 def cures(agrees: Callable[[Cure], bool]) -> tuple[Cure, ...]:
-    """Sets of the smallest size that make theory and hits agree when they are taken out; none if no set does."""
+    """Return sets of the smallest size that make theory and hits agree when they are taken out; none if no set does."""
     for size in range(1, len(FOUR) + 1):
         # All sets of one first, then of two: a larger set that contains a cure cures, too, and would name too much.
         found = tuple(taken for taken in combinations(FOUR, size) if agrees(taken))
@@ -56,7 +56,7 @@ def cures(agrees: Callable[[Cure], bool]) -> tuple[Cure, ...]:
 
 
 def cause_of(found: Sequence[Cure]) -> str:
-    """Which of `CAUSES` these cures stand for."""
+    """Return which of `CAUSES` these cures stand for."""
     if not found:
         return NONE
     # None of them is needed by itself.
@@ -67,7 +67,7 @@ def cause_of(found: Sequence[Cure]) -> str:
 
 
 def without(experiment: Experiment, taken: Iterable[str]) -> Experiment:
-    """The experiment on a rig without these of the four; `CONTACT` is a law's affair (`HitSimulator`)."""
+    """Return the experiment on a rig without these of the four; `CONTACT` is a law's affair (`HitSimulator`)."""
     rig, homing = experiment.rig, experiment.homing
     for one in taken:
         if one == FRICTION:
@@ -120,7 +120,7 @@ class _Column:
 
 
 def hit_column(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """One task of the sweep, JSON in and out: all walls of a scheme at a damping, the softest first."""
+    """Return one task of the sweep, JSON in and out: all walls of a scheme at a damping, the softest first."""
     experiments = [config.restore_experiment(one) for one in payload["experiments"]]
     column, first = _Column(experiments, payload["judged"]), experiments[0]
     rungs = StiffnessSearch(**payload["search"]).rungs

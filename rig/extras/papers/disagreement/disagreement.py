@@ -68,7 +68,7 @@ class DisagreementPlan:
 
     @cached_property
     def tasks(self) -> list[sweep.Task]:
-        """One for each scheme and damping.
+        """Return one for each scheme and damping.
 
         Raises `PlanError` for a wall of which linear theory says nothing, `NotLinearError` for a scheme of that kind.
         """
@@ -159,7 +159,7 @@ class ComparedWall:
 
     @classmethod
     def of(cls, row: Mapping[str, Any], scheme: int, damping: float, area: float) -> ComparedWall:
-        """The wall of a row of `rig.extras.papers.disagreement.ablation.hit_column`."""
+        """Return the wall of a row of `rig.extras.papers.disagreement.ablation.hit_column`."""
         found = None if row["cures"] is None else tuple(tuple(cure) for cure in row["cures"])
         return cls(
             scheme=scheme,
@@ -188,7 +188,7 @@ class CauseShare:
 
     @classmethod
     def of(cls, whole: Sequence[ComparedWall]) -> CauseShare:
-        """The part of these walls that differs."""
+        """Return the part of these walls that differs."""
         differing = [wall for wall in whole if wall.cause]
         return cls(share=_share(differing, whole), causes=_by(differing, lambda wall: wall.cause))
 
@@ -273,14 +273,15 @@ class Disagreement(Shown, Drawn):
 
     @reported
     def unknown(self) -> int:
-        """How many walls were left out, because their hits show nothing."""
+        """Return how many walls were left out, because their hits show nothing."""
         return sum(wall.holds is None for wall in self.walls)
 
     def brief(self) -> list[Item]:
-        """How much differs under each scheme, and what for."""
+        """Return how much differs under each scheme, and what for."""
         rows = [
             Row(
-                shares.label, f"{_percent(shares.differ.share)} of the plane: {_spoken(shares.differ.causes)}"
+                shares.label,
+                f"{_percent(shares.differ.share)} of the plane: {_phrase_causes(shares.differ.causes)}",
             )
             for shares in self.schemes
         ]
@@ -291,7 +292,7 @@ class Disagreement(Shown, Drawn):
         ]
 
     def detailed(self) -> list[Item]:
-        """Both ways to differ, in a table."""
+        """Return both ways to differ, in a table."""
         head = ("scheme", "what differs", "share", *CAUSES)
         rows = [
             ["" if number else shares.label, what, _percent(part.share), *_cells(part)]
@@ -307,18 +308,18 @@ class Disagreement(Shown, Drawn):
         return [self.brief()[0], Table(head, rows, words=2)]
 
     def table(self) -> Iterator[dict[str, Any]]:
-        """Every wall as a flat row."""
+        """Yield every wall as a flat row."""
         for wall in self.walls:
             row = asdict(wall) | {"scheme": self.plan.schemes[wall.scheme].text}
             yield row | {"linear": wall.linear, "cures": _sets(wall)}
 
     def units(self) -> dict[str, str]:
-        """Unit of each column of the table that has one."""
+        """Return the unit of each column of the table that has one."""
         motion = self.plan.experiment.rig.motion
         return {name: unit_of(name, motion) for name in ("stiffness", "damping")}
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON, without the single walls."""
+        """Return plain values, for JSON, without the single walls."""
         plan = self.plan
         return {
             "rig": plan.experiment.rig.name,
@@ -345,7 +346,7 @@ def _by(
     name: Callable[[ComparedWall], str],
     of: Sequence[ComparedWall] | None = None,
 ) -> dict[str, float]:
-    """Shares of what walls are called, the largest first."""
+    """Return shares of what walls are called, the largest first."""
     areas: dict[str, float] = {}
     for wall in walls:
         areas[name(wall)] = areas.get(name(wall), 0.0) + wall.area
@@ -365,7 +366,7 @@ def _cells(part: CauseShare) -> list[str]:
     return [_percent(part.causes[cause]) if cause in part.causes else "" for cause in CAUSES]
 
 
-def _spoken(causes: Mapping[str, float]) -> str:
+def _phrase_causes(causes: Mapping[str, float]) -> str:
     parts = ", ".join(f"{cause} {_percent(share)}" for cause, share in causes.items())
     return f": {parts}" if parts else ""
 

@@ -52,7 +52,7 @@ class Cycle:
 
     @classmethod
     def of(cls, motion: Floats, counts: Ints, rate_hz: float) -> Cycle:
-        """That of a motion (count) and the counts that it was read as."""
+        """Return that of a motion (count) and the counts that it was read as."""
         # Counted, not fitted: it is defined for a cycle whose phase wanders, as toggling between two ticks makes it,
         # where a line fitted over the whole time finds little.
         frequency = 0.5 * np.count_nonzero(np.diff(counts)) * rate_hz / len(counts)
@@ -81,7 +81,7 @@ class HeldWall:
 
     @reported
     def amplitude_error(self) -> float | None:
-        """Predicted over simulated amplitude, less one; None unless both have a cycle."""
+        """Return the predicted over simulated amplitude, less one; None unless both have a cycle."""
         return self.predicted.amplitude / self.simulated.amplitude - 1.0 if self._both else None
 
     @reported
@@ -104,7 +104,7 @@ class Errors:
 
     @classmethod
     def of(cls, walls: Sequence[HeldWall]) -> Errors:
-        """Errors of walls that have both cycles."""
+        """Return errors of walls that have both cycles."""
 
         def spread(errors: list[float]) -> tuple[float, float]:
             sizes = np.abs(errors)
@@ -251,7 +251,7 @@ def limit_cycles(
 
 
 def _walls(loop: theory.LinearLoop) -> list[tuple[float, float]]:
-    """The walls of this module under a scheme."""
+    """Return the walls of this module under a scheme."""
     lifted = theory.Lifted.of(loop)
     dampings = [share * theory.b_max(lifted).damping for share in DAMPINGS]
     limits = theory.k_max_curve(lifted, None, dampings)

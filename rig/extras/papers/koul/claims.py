@@ -57,7 +57,7 @@ def rulings(koul: Koul) -> dict[str, Ruling]:
 
 
 def by_cutoff(names: Sequence[str]) -> list[tuple[str, list[str]]]:
-    """Word lengths of some cases, gathered by cut-off; floating point by itself."""
+    """Return word lengths of some cases, gathered by cut-off; floating point by itself."""
     cutoffs: dict[str, list[str]] = {}
     for name in names:
         bits, _, cutoff = name.partition(" bits, ")
@@ -113,7 +113,7 @@ def _halves(koul: Koul) -> dict[tuple[str, str, str], float]:
 
 
 def _curves(koul: Koul, held: rigs.HeldRig, key: str) -> dict[str, rules.Curve]:
-    """Largest stiffness over damping, simulated by each criterion and by linear theory."""
+    """Return the largest stiffness over damping, simulated by each criterion and by linear theory."""
     found = koul.maps[held.name]
     simulated = {
         criterion: [(limit.damping, limit.stiffness) for limit in found.curve(NUMBERS[key], criterion)]

@@ -52,12 +52,12 @@ class Panel:
 
     @property
     def peaks(self) -> tuple[float, float, float]:
-        """Mean peak penetration for none, uniform and dual (counts)."""
+        """Return the mean peak penetration for none, uniform and dual (counts)."""
         none, uniform, dual = (self.comparison[name].numbers.peak for name in ("none", "uniform", "dual"))
         return none, uniform, dual
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
+        """Return plain values, for JSON."""
         return {
             "position_rate": self.position_rate,
             "arithmetic": self.arithmetic,
@@ -91,7 +91,7 @@ class WordLength:
 
 
 def koul_experiment(arithmetic: str = FLOAT, state_bits: int = STATE_BITS) -> Experiment:
-    """Rig, wall and dual-rate filter of figures 7 and 8, in `FLOAT` or `FIXED` point."""
+    """Return the rig, wall and dual-rate filter of figures 7 and 8, in `FLOAT` or `FIXED` point."""
     words = {"coefficient_bits": COEFFICIENT_BITS, "state_bits": state_bits, "rounding": ROUNDING}
     parameters = {"cutoff_hz": CUTOFF_HZ, **(words if arithmetic == FIXED else {})}
     changes = {
@@ -130,7 +130,7 @@ def koul_figure_7(
     position_rates: Sequence[int] = POSITION_RATES,
     offsets: Sequence[float] = OFFSETS,
 ) -> tuple[Panel, ...]:
-    """Depth of penetration after the first impact, at each position rate in floating and in fixed point.
+    """Return the depth of penetration after the first impact, at each position rate in floating and in fixed point.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def word_lengths(
 
 
 def _peak(experiment: Experiment, entry: Entry, offsets: Sequence[float]) -> float:
-    """Mean over the offsets of the deepest count of the first impact."""
+    """Return the mean over the offsets of the deepest count of the first impact."""
     short = config.override(experiment, {"trial.duration_s": FIRST_IMPACT_S, "verdict.tail_s": 0.02})
     applied = entry.applied(short)
     return float(np.mean([simulate(applied, START, offset)[2].counts.max() for offset in offsets]))

@@ -50,7 +50,7 @@ class Idea:
     changes: Mapping[str, Any] = field(default_factory=dict)
 
     def experiment(self) -> Experiment:
-        """The rig in the normal hand under the changes."""
+        """Return the rig in the normal hand under the changes."""
         return HeldRig(preset=self.preset, grip="normal").experiment(self.changes)
 
 
@@ -68,7 +68,7 @@ class Tried:
         return self.map.width(0, criterion)
 
     def area(self, criterion: str) -> float:
-        """Area under the limits of the map, closed by the end of the range of the softest wall."""
+        """Return the area under the limits of the map, closed by the end of the range of the softest wall."""
         holds = list(takewhile(lambda b: b.stiffness > 0.0, self.map.curve(0, criterion)))
         corners = [(b.damping, b.stiffness) for b in holds]
         end = self.ranges[criterion].damping
@@ -80,7 +80,7 @@ class Tried:
         return float(np.trapezoid(stiffnesses, dampings))
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
+        """Return plain values, for JSON."""
         found = self.map.as_mapping()["schemes"][0]
         return {
             "group": self.idea.group,
@@ -128,7 +128,7 @@ def direction(changes: Iterable[Change]) -> Literal["wider", "narrower", "same",
 
 
 def encoder_key(preset: str, scheme: str, lines: tuple[int, int]) -> str:
-    """Key of a scheme with an encoder of so many lines and decoding."""
+    """Return the key of a scheme with an encoder of so many lines and decoding."""
     if (preset, scheme, lines) == (COMPLIANT, "dual", USUAL_LINES):
         return REFERENCE
     return f"encoder-{preset}-{scheme}-{lines[0]}x{lines[1]}"
@@ -205,7 +205,7 @@ def _velocity_rates() -> list[Idea]:
 
 
 def _hertz(rate: str) -> str:
-    """A rate in the text form of a scheme, as a text has it: ``5 kHz``."""
+    """Return a rate in the text form of a scheme, as a text has it: ``5 kHz``."""
     return f"{rate.removesuffix('k')} {'k' if rate.endswith('k') else ''}Hz"
 
 

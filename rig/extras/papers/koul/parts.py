@@ -50,7 +50,7 @@ def series(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def map_part(plan: MapPlan) -> Part:
-    """The series of a map, weighed in hits of a 20 kHz rig."""
+    """Return the series of a map, weighed in hits of a 20 kHz rig."""
     rungs = len(plan.search.rungs)
     hits = {"grid": rungs, "ladder": 0.6 * rungs, "bisection": 4.0 + 2.0 * np.log2(rungs)}[plan.search.way]
     return [replace(task, work=series, weight=float(hits) * task.weight / 20_000) for task in plan.tasks]
@@ -219,7 +219,7 @@ LAGS_S = (3e-5, 3e-4)
 
 
 def random_plants(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Linear ranges of damping of schemes on some random plants, held or not: two masses and a lag."""
+    """Return linear ranges of damping of schemes on some random plants, held or not: two masses and a lag."""
     schemes = [Scheme.parse(text) for text in payload["schemes"]]
     base = config.rig_model(presets.load("koul-compliant").rig)
     return [_plant(base, schemes, payload, number) for number in payload["numbers"]]
@@ -248,7 +248,7 @@ def _log_uniform(random: np.random.Generator, low: float, high: float) -> float:
 
 
 def word_lengths(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Figures 7 and 8 for one number of state bits, at both readings of the uniform cut-off.
+    """Return figures 7 and 8 for one number of state bits, at both readings of the uniform cut-off.
 
     Peaks of figure 7 as `rig.extras.papers.koul.compare.word_lengths` has them, and under ``read`` the share of the
     true velocity that figure 8 shows: early and late in the impact, at 2 and at 20 kHz.

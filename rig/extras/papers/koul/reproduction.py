@@ -59,7 +59,7 @@ class KoulPlan:
         self._effect_maps = {name: self._effect_plan(x) for name, x in self._effects.items()}
 
     def parts(self) -> dict[str, Part]:
-        """Everything that has to be computed."""
+        """Return everything that has to be computed."""
         scale, parts = self._scale, {}
         for (preset, lag), plan in self._kmax.items():
             parts[f"kmax/{preset}/{lag}"] = koul_parts.map_part(plan)

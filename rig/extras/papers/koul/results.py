@@ -100,22 +100,22 @@ class Koul:
     hits: int
 
     def width(self, held: rigs.HeldRig, key: str, criterion: str = "any") -> Width:
-        """Summary of a map of Fig. 6, by key of the scheme."""
+        """Return the summary of a map of Fig. 6, by key of the scheme."""
         return self.maps[held.name].width(NUMBERS[key], criterion)
 
     def growth(self, preset: str) -> tuple[list[float | None], list[float]]:
-        """The last K_max over that at 20 kHz, with lag and without: simulated, and by linear theory."""
+        """Return the last K_max over that at 20 kHz, with lag and without: simulated, and by linear theory."""
         fast = self.scale.rates.index(rules.FAST_HZ)
         linear = [self.kmax_theory[preset, lag] for lag in rigs.LAGS]
         simulated = [self.kmax[preset, lag].saturation("any") for lag in rigs.LAGS]
         return simulated, [stiffness[-1] / stiffness[fast] for stiffness in linear]
 
     def by_preset(self) -> list[rigs.HeldRig]:
-        """Every rig in every hand, rig by rig."""
+        """Return every rig in every hand, rig by rig."""
         return sorted(rigs.HELD, key=lambda held: rigs.PRESETS.index(held.preset))
 
     def spread_of_hands(self) -> list[tuple[str, float, float]]:
-        """Lowest and highest peak of the dual-rate wall over who pushes, by preset."""
+        """Return the lowest and highest peak of the dual-rate wall over who pushes, by preset."""
         peaks = {
             p: [self.width(held, rigs.DUAL).stiffness_peak for held in rigs.HELD if held.preset == p]
             for p in rigs.PRESETS
@@ -123,7 +123,7 @@ class Koul:
         return [(preset, min(of), max(of)) for preset, of in peaks.items()]
 
     def ways(self) -> list[Way]:
-        """Ladder, bisection and grid through the map that has every wall."""
+        """Return the ladder, bisection and grid through the map that has every wall."""
         found = self.maps[rigs.MAIN[0].name]
         return [
             ways_of(found, key, number, criterion)
@@ -132,13 +132,13 @@ class Koul:
         ]
 
     def null_readings(self) -> tuple[int, float]:
-        """How many word lengths read nothing late in the impact at 20 kHz, and the most these read early."""
+        """Return how many word lengths read nothing late in the impact at 20 kHz, and the most these read early."""
         read = [word["read"][str(rules.FAST_HZ)] for word in self.words]
         null = [one["early"] for one in read if one["late"] <= rules.NULL]
         return len(null), max(null, default=0.0)
 
     def effect_ratios(self) -> list[OverLinear]:
-        """Limits over linear theory: without both, with friction, with the quantiser, with both."""
+        """Return limits over linear theory: without both, with friction, with the quantiser, with both."""
         linear = self.linear[rigs.MAIN[0].name]
         return [
             OverLinear(
@@ -149,7 +149,7 @@ class Koul:
         ]
 
     def plant_shares(self) -> dict[str, Any]:
-        """Ranges of damping on random plants: fast uniform over dual-rate, and where dual-rate is like slow."""
+        """Return ranges of damping on random plants: fast uniform over dual-rate, and where dual-rate is like slow."""
         ranges = np.array([plant["ranges"] for plant in self.plants])
         dual, fast, slow = (ranges[:, NUMBERS[key]] for key in (rigs.DUAL, rigs.FAST, rigs.SLOW))
         ratios = fast / np.maximum(dual, 1e-9)
@@ -166,7 +166,7 @@ class Koul:
         return Change.of(self.ideas[key], self.ideas[REFERENCE])
 
     def linear_change(self, key: str) -> dict[str, float]:
-        """The same of peak and range by linear theory; empty without one."""
+        """Return the same of peak and range by linear theory; empty without one."""
         new, old = self.ideas[key].linear, self.ideas[REFERENCE].linear
         return {name: over(new[name], old[name]) for name in ("peak", "range")} if new and old else {}
 
@@ -179,7 +179,7 @@ class Koul:
         return {one.idea.label: self.against(one.idea.key) for one in self.group(group)}
 
     def best(self, group: str) -> Best:
-        """The idea of one kind whose Z-width has the largest area, the paper's wall among them."""
+        """Return the idea of one kind whose Z-width has the largest area, the paper's wall among them."""
         tried, reference = self.group(group), self.ideas[REFERENCE]
         best = max([*tried, reference], key=lambda one: one.area("any"))
         return Best(
@@ -206,22 +206,22 @@ class Koul:
         return found
 
     def ranked(self) -> list[Tried]:
-        """Ideas by the area of their Z-width, then those on another rig."""
+        """Return ideas by the area of their Z-width, then those on another rig."""
         elsewhere = [t for t in self.ideas.values() if t.idea.preset != self.ideas[REFERENCE].idea.preset]
         return [*rank_ideas(self.ideas), *elsewhere]
 
     def highest_search(self) -> float:
-        """The highest stiffness that was tried with any idea."""
+        """Return the highest stiffness that was tried with any idea."""
         return max(tried.map.plan.search.highest for tried in self.ideas.values())
 
 
 def cutoff(word: Mapping[str, Any]) -> str:
-    """The cut-off of a uniform wall, like ``fs/20``."""
+    """Return the cut-off of a uniform wall, like ``fs/20``."""
     return f"fs/{1 / word['uniform_share']:g}"
 
 
 def word_name(word: Mapping[str, Any]) -> str:
-    """Word length and cut-off of a uniform wall."""
+    """Return the word length and cut-off of a uniform wall."""
     return f"{word['state_bits']} bits, {cutoff(word)}"
 
 

@@ -117,7 +117,7 @@ class HeldRig:
         return "automated" if self.grip is None else f"{self.grip} hand"
 
     def experiment(self, changes: Mapping[str, Any] | None = None) -> Experiment:
-        """The preset, held or pushed, under some changes."""
+        """Return the preset, held or pushed, under some changes."""
         # As in the paper, whose amplifier gives the stall torque: the limits for people would bound the walls instead.
         held = (
             PUSH

@@ -50,7 +50,7 @@ NULL, SEEN = 0.2, 0.5  # of the true velocity
 
 
 def rises(curves: Mapping[str, Sequence[float]], rates: Sequence[int], step: float = 1.0) -> Ruling:
-    """K_max over the rate, by rig."""
+    """Return K_max over the rate, by rig."""
     cases, ends = {}, []
     for name, stiffness in curves.items():
         by_rate = dict(zip(rates, stiffness, strict=True))
@@ -69,7 +69,7 @@ def _rising(stiffnesses: Sequence[float], step: float) -> bool:
 def levels_off(
     with_lag: Mapping[str, float | None], without_lag: Mapping[str, float | None], step: float = 1.0
 ) -> Ruling:
-    """K at 50 kHz over that at 20 kHz, with the electrical lag and without; None where a search hit its cap."""
+    """Return K at 50 kHz over that at 20 kHz, with the electrical lag and without; None where a search hit its cap."""
     found = judge(
         {name: r is not None and r <= LEVEL_OFF * step for name, r in with_lag.items()},
         ratios=[(name, ratio, without_lag[name]) for name, ratio in with_lag.items()],
@@ -86,34 +86,34 @@ def near(values: Mapping[str, float], target: float, factor: float, *, unfitted:
 
 
 def same(ratios: Mapping[str, float], linear: Mapping[str, float], step: float = 1.0) -> Ruling:
-    """Range of the dual-rate wall over that of the slow uniform one, simulated (`step` apart) and linear."""
+    """Return the range of the dual-rate wall over that of the slow uniform one, simulated (`step` apart) and linear."""
     cases = {name: within(ratio, 1.0, SAME_RANGE * step) for name, ratio in ratios.items()}
     cases |= {f"theory, {name}": within(ratio, 1.0, SAME_LINEAR) for name, ratio in linear.items()}
     return judge(cases, simulated=list(ratios.values()), linear=list(linear.values()))
 
 
 def same_of_plants(ranges: Sequence[tuple[float, float]]) -> Ruling:
-    """Ranges of the dual-rate and of the slow uniform wall on random plants."""
+    """Return ranges of the dual-rate and of the slow uniform wall on random plants."""
     return judge_share(
         sum(within(over(dual, slow), 1.0, SAME_LINEAR) for dual, slow in ranges), total=len(ranges)
     )
 
 
 def half(ratios: Mapping[tuple[str, str, str], float], step: float = 1.0) -> Ruling:
-    """Range of the fast uniform wall over that of the dual-rate one, by rig, cut-off and reading."""
+    """Return the range of the fast uniform wall over that of the dual-rate one, by rig, cut-off and reading."""
     cases = {case: HALF_LOW / step <= ratio <= HALF_HIGH * step for case, ratio in ratios.items()}
     return judge_settable(cases, [1], ratios=list(ratios.values()))
 
 
 def half_of_plants(ranges: Sequence[tuple[float, float]]) -> Ruling:
-    """Ranges of the fast uniform and the dual-rate wall on random plants, by linear theory."""
+    """Return ranges of the fast uniform and the dual-rate wall on random plants, by linear theory."""
     ratios = [over(fast, dual) for fast, dual in ranges]
     about = sum(HALF_LOW <= ratio <= HALF_HIGH for ratio in ratios) / len(ratios)
     return judge_share(sum(ratio <= HALF_HIGH for ratio in ratios), len(ratios), about=about)
 
 
 def higher_peak(ratios: Mapping[tuple[str, str, str, str], float], step: float = 1.0) -> Ruling:
-    """Peak of the dual-rate wall over that of the fast uniform one, by rig, hand, cut-off and criterion."""
+    """Return the peak of the dual-rate wall over that of the fast uniform one, by rig, hand, cut-off and criterion."""
     cases = {case: ratio >= HIGHER * step**0.5 for case, ratio in ratios.items()}
     groups: dict[str, list[bool]] = {}
     for (rig, _, cutoff, _), held in cases.items():
@@ -123,7 +123,7 @@ def higher_peak(ratios: Mapping[tuple[str, str, str, str], float], step: float =
 
 
 def loses(curves: Mapping[tuple[str, str, str], Curve], step: float = 1.0) -> Ruling:
-    """K over damping of the fast uniform wall, by rig, cut-off and reading: less as soon as damping is added."""
+    """Return K over damping of the fast uniform wall, by rig, cut-off and reading: less as soon as damping is added."""
     cases: dict[tuple[str, str, str], bool] = {}
     most: dict[tuple[str, str, str], float] = {}
     for case, curve in curves.items():
@@ -148,7 +148,7 @@ def first_rises(curves: Mapping[tuple[str, str], Curve], step: float = 1.0) -> R
 
 
 def lower_penetration(peaks: Mapping[str, tuple[float, float, float]]) -> Ruling:
-    """Peaks with no, uniform and dual-rate damping: dual-rate is the lowest, and clearly below none."""
+    """Return peaks with no, uniform and dual-rate damping: dual-rate is the lowest, and clearly below none."""
     cases = {
         name: dual <= LESS * none and dual <= LESS * uniform for name, (none, uniform, dual) in peaks.items()
     }
@@ -159,14 +159,14 @@ def lower_penetration(peaks: Mapping[str, tuple[float, float, float]]) -> Ruling
 
 
 def like_none(peaks: Mapping[str, tuple[float, float, float]]) -> Ruling:
-    """Peaks as above: the uniform wall goes as deep as the undamped one."""
+    """Return peaks as above: the uniform wall goes as deep as the undamped one."""
     ratios = {name: over(uniform, none) for name, (none, uniform, _) in peaks.items()}
     cases = {name: ratio >= LIKE_NONE for name, ratio in ratios.items()}
     return judge(cases, conditions=each(cases), ratios=ratios)
 
 
 def noisier(fast: Mapping[str, float], slow: float) -> Ruling:
-    """Noise of a count in the velocity at 20 kHz, by cut-off, and at 2 kHz (rad/s rms)."""
+    """Return the noise of a count in the velocity at 20 kHz, by cut-off, and at 2 kHz (rad/s rms)."""
     ratios = {name: over(noise, slow) for name, noise in fast.items()}
     return judge(
         {name: ratio >= NOISIER for name, ratio in ratios.items()},

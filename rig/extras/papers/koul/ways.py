@@ -99,7 +99,7 @@ def columns(found: ZWidth, scheme: int, criterion: str, *, offset: float | None 
 
 
 def _bisect(found: ZWidth, tried: Mapping[float, Passes], criterion: str) -> dict[float, Passes]:
-    """The rungs that a bisection would have visited."""
+    """Return the rungs that a bisection would have visited."""
     walk = replace(found.plan.search, way="bisection").walk([criterion])
     visited: dict[float, Passes] = {}
     try:
