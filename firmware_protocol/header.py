@@ -24,10 +24,12 @@ from firmware_protocol.replies import REMEMBERED
 from firmware_protocol.wire import FORMATS, wire_fields
 
 CORE = Path(__file__).with_name("firmware") / "core"
+# A byte that is no state's number.
 NO_TRANSITION = 0xFF
 
 _MADE = "/* Made by `python -m firmware_protocol.codegen` from the tables that run: do not edit. */"
 _ENTRY = struct.Struct("<HI")  # an entry of a parameter block: id, four bytes of value
+# CRC-32 of IEEE 802.3 with its bits reversed, as `zlib.crc32` computes it.
 _CRC_POLYNOMIAL = 0xEDB88320
 _BITS = {"u": "I", "i": "i", "f": "f"}
 _KINDS = {"u": "HR_UNSIGNED", "i": "HR_SIGNED", "f": "HR_FLOAT"}

@@ -56,16 +56,14 @@ def main(obj: object = None) -> None:
 
 
 def _flush(code: int) -> int:
-    """Write what is still buffered, and return the exit code: 74 where a good run could not write all of it.
-
-    The interpreter tries again at its end, and would complain and exit with 120 whatever the command returned. So what
-    nothing takes goes to the null device.
-    """
+    """Write what is still buffered, and return the exit code: 74 where a good run could not write all of it."""
     for stream in (sys.stdout, sys.stderr):
         try:
             if stream is not None:
                 stream.flush()
         except OSError as error:
+            # The interpreter tries again at its end, and would complain and exit with 120 whatever the command
+            # returned: what nothing takes goes to the null device.
             null = os.open(os.devnull, os.O_WRONLY)
             os.dup2(null, stream.fileno())
             os.close(null)

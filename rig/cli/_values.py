@@ -59,6 +59,7 @@ class FrequencyBand(click.ParamType):  # type: ignore[type-arg]  # as above
         try:
             low, high = (float(part) for part in value.split(":"))
         except ValueError:
+            # Not a number: no comparison below holds, so that one message covers text and range.
             low = high = math.nan
         if not 0.0 < low <= high < math.inf:
             raise ConfigError(
@@ -74,6 +75,7 @@ def paths(incomplete: str, endings: tuple[str, ...]) -> Iterator[str]:
     before = f"{place}/" if "/" in incomplete else ""
     try:
         entries = sorted(Path(before or ".").expanduser().iterdir())
+    # A shell asks for completions while a path is half typed: such a directory often does not exist.
     except OSError:
         return
     for entry in entries:

@@ -60,6 +60,7 @@ class Dialogue:
         try:
             return place, maps.map_on_rig(self._plan, place, session)
         except RigError as error:
+            # An error with a recording names its file itself.
             if error.recording is None and (place / maps.RECORDINGS).exists():
                 click.echo(f"rig: the hits so far are in {place / maps.RECORDINGS}", err=True)
             raise

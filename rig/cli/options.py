@@ -103,6 +103,7 @@ class Hertz(click.ParamType):  # type: ignore[type-arg]  # click before 8.4 cann
         try:
             rate, _ = parse_rates(value)
         except ConfigError:
+            # Below every allowed range: the message below covers what is no number, too.
             rate = 0
         if "/" in value or not self._lowest <= rate <= self._highest:
             self.fail(

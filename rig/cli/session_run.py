@@ -254,6 +254,7 @@ def show(directory: Path, with_log: bool, unblind: bool, as_json: bool) -> None:
     try:
         state, events = session_state(directory)
     except DamagedLineError as error:
+        # A damaged log still shows the events before the damage: the operator needs them to decide on a repair.
         if not error.events:
             raise
         damage, events = error, list(error.events)

@@ -26,6 +26,7 @@ Floats = NDArray[np.float64]
 WALL: Mapping[str, Any] = asdict(Wall(stiffness=300.0, damping=0.5))
 TICK_S = 1.0 / 20_000
 DEPTH, SPEED = 0.01, 0.5  # of the motions: rad and rad/s, or m and m/s
+# 5e-324 is the smallest subnormal double: its square and its ratio to 1e6 are exactly 0.
 EXTREMES = (0.0, 5e-324, 1e-12, 1.0, 1e3, 1e6)
 TICKS = 400
 _CYCLE = np.sin(np.pi * np.arange(TICKS + 1) / TICKS) ** 2  # into the wall and out again

@@ -133,6 +133,7 @@ class UsbPort:
         except BlockingIOError:
             return b""
         except OSError:
+            # As an end of file: the host is gone either way.
             data = b""
         self.unplugged = not data
         return data

@@ -204,6 +204,7 @@ def _range(experiment: Experiment, scheme: Scheme) -> float:
     try:
         return theory.b_max(experiment, scheme).damping
     except ConfigError:
+        # The theory is linear: for an estimator that is not, that of a finite difference with a filter stands in.
         return theory.b_max(experiment, _with_estimator(scheme, _LINEAR)).damping
 
 

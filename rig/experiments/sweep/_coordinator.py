@@ -221,6 +221,7 @@ class Coordinator:
         except BaseException as error:
             self.interruption = before or error
             if not isinstance(error, KeyboardInterrupt):
+                # A watcher that fails once fails at every look: the run then ends without one.
                 self._watch = None
             return before is not None
         return False
@@ -239,6 +240,7 @@ class Coordinator:
         try:
             report: Done | Failure = future.result()
         except BaseException as error:
+            # `perform` returns the errors of a task: what is raised here is the executor's own, such as a lost worker.
             report = self._executor.explain(error)
         if isinstance(report, Failure):
             found = (index if report.of_task else -1, report)

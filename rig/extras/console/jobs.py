@@ -122,6 +122,7 @@ def _message(line: bytes) -> dict[str, Any] | None:
     """Return the message in a line; None for other output, such as that of a library."""
     try:
         found = json.loads(line)
+    # Lists within lists, a few kilobytes of brackets, exhaust the parser's recursion.
     except (ValueError, RecursionError):
         return None
     return found if isinstance(found, dict) and isinstance(found.get("say"), str) else None

@@ -149,6 +149,7 @@ class Live(Service):
             if followed.changed():
                 self._send_loop()
         except Exception:
+            # Not searched for again, or the same defect would come back four times a second.
             self._unreadable = (followed.pid, followed.since)
             self._withhold()
             raise

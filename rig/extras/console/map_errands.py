@@ -39,6 +39,7 @@ def _changed_s(path: Path) -> float:
     try:
         return (path / maps.JOURNAL).stat().st_mtime
     except OSError:
+        # Its journal is not written yet, or was moved away meanwhile: the oldest in the list.
         return 0.0
 
 

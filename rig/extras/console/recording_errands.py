@@ -74,6 +74,7 @@ def _entry(path: Path, changed_ns: int) -> dict[str, Any]:
             raise ConfigError("it is a symbolic link", remedy="put the recording itself here")
         return {**facts, **_settings(open_facts(path))}
     except UnicodeEncodeError:
+        # JSON carries no lone surrogates: the page shows such a name with escapes, and cannot ask for it.
         name = path.name.encode("utf-8", "backslashreplace").decode()
         return {**facts, "name": name, "problem": "its name is not valid UTF-8; rename it"}
     except RigError as error:

@@ -175,6 +175,7 @@ def json_of(text: str | bytes) -> dict[str, Any]:
     """Return the object that a message holds; an empty one where it holds none."""
     try:
         value = json.loads(text)
+    # Lists within lists, a few kilobytes of brackets, exhaust the parser's recursion.
     except (ValueError, RecursionError):
         return {}
     return value if isinstance(value, dict) else {}

@@ -39,6 +39,7 @@ class Talk:
             with self._lock:
                 os.write(1, line)
         except OSError:
+            # The pipe is closed. The job learns it at its next report, where it can stop in order.
             self._gone.set()
 
     def progress(self, **content: Any) -> None:

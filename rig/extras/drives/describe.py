@@ -14,6 +14,7 @@ if sys.platform == "linux":
 
 assert sys.platform == "linux"
 
+# A quadrature encoder's counts are four per line; a drive reports counts alone.
 DECODING = 4
 EFFORT = 0.3  # N·m that is given at most, to start with
 SPEED = 20.0  # rad/s that ends a run, to start with

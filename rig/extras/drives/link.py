@@ -77,6 +77,7 @@ class BridgeLink(DescriptorLink):
                     )
                 )  # fmt: skip
             except BaseException:
+                # The other end is the child's; without an error `super().__init__` takes this one over.
                 ours.close()
                 raise
         ours.setblocking(False)

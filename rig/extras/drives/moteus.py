@@ -28,6 +28,7 @@ if sys.platform == "linux":
 assert sys.platform == "linux"
 
 SENDER = 0x10  # ours, see moteus.h
+# Bit 15 of the identifier asks the drive for an answer; its sender is in bits 8 to 14.
 REPLY = 0x8000
 REGISTER_MAP = 5
 LISTEN_S = 0.05  # for others on the bus, before the first frame

@@ -11,6 +11,7 @@ from typing import Any
 
 from rig.core.errors import ConfigError
 
+# The narrowest of many readings counts: one that was interrupted between the two clocks is wide.
 TRIES = 101
 _QUIET = "[log]\nlevel = -2\n"  # errors alone, on a terminal that shows other things
 _CONFIGURATIONS = (

@@ -172,6 +172,7 @@ def conduct(
             pass
     except (KeyboardInterrupt, StoppedError) as stop:
         why = stop.message if isinstance(stop, StoppedError) else "interrupted"
+        # The disk may be what failed: the error that ended the session is the one to see.
         with suppress(RecordingError):
             engine.record("stopped", reason=why)
         raise

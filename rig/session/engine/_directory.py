@@ -139,6 +139,7 @@ def begin(
         )
         return Session(directory=directory, log=log, state=SessionState.of(log.events), clock=clock)
     except BaseException:
+        # An open log locks its directory against the next attempt.
         log.close()
         raise
 

@@ -264,6 +264,7 @@ class DeviceRunner:
             left = result.recorded
             self.messages += [text for text in result.messages if text not in self.messages]
         except Exception as survived:
+            # A run that ended early left a recording: it is logged as a trial all the same.
             recorded = left_by(survived)
             if recorded is None:
                 raise

@@ -92,6 +92,7 @@ class SessionLog:
             if not self.events:
                 self._file.sync_name()
         except BaseException:
+            # The lock must go with the failure; nothing was written that could need a sync.
             self._file.close(sync=False)
             raise
 

@@ -181,6 +181,7 @@ def _settings_there(study: Path, code: str) -> dict[str, dict[str, Any]]:
             try:
                 found |= _read_settings(read(path))
             except (RigError, KeyError, TypeError, ValueError):
+                # Another version's or a damaged log of another participant must not stop this session.
                 continue
     return found
 

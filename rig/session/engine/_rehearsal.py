@@ -86,6 +86,7 @@ def thresholds_of(given: Iterable[str]) -> dict[str, float]:
         try:
             found[name] = float(value)
         except ValueError:
+            # As if nothing were given: one message for both wrong forms.
             equals = ""
         if not name or not equals:
             raise ConfigError(

@@ -48,6 +48,7 @@ def _read_finished(protocol: Protocol, path: Path) -> Sequence[Event]:
         events = read(path)
         state = SessionState.of(events)
     except (RigError, KeyError, TypeError, ValueError):
+        # These times only improve an estimate: a session that cannot be read is left out.
         return ()
     same = _trial_timing(state.protocol) == _trial_timing(protocol)
     return events if state.ended is not None and state.rehearsal is None and same else ()

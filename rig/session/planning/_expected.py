@@ -105,6 +105,7 @@ def expected_limits(
             hand: [k_max_curve(loop, None, dampings) for loop in of_hand]
             for hand, of_hand in loops.by_hand.items()
         }
+    # No theory for this experiment: the expected limit is then anywhere in the range, and the note says why.
     except ConfigError as error:
         return {damping: Expected(by_hand={}, limit=unknown, note=error.message) for damping in dampings}
     found = {}

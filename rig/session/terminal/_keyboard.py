@@ -82,6 +82,8 @@ def _character(data: bytes) -> tuple[int, str]:
     try:
         text = data[:length].decode()
     except UnicodeDecodeError:
+        # Wait only for what can still become a character: 0xC0 and 0xC1 begin none, and a byte that continues none
+        # would hold up all later keys.
         short = len(data) < length and lead >= 0xC2 and all(byte & 0xC0 == 0x80 for byte in data[1:])
         return (0, "") if short else (1, "")
     # Any blank of Unicode (an input method, AltGr) is space too.

@@ -44,6 +44,7 @@ class MessageReader:
                 value = json.loads(line)
             except ValueError:  # also of bytes that are not UTF-8
                 continue
+            # Lists within lists, a few kilobytes of brackets, exhaust the parser's recursion.
             except RecursionError:
                 continue
             if isinstance(value, dict) and isinstance(value.get("kind"), str):

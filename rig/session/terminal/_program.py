@@ -100,6 +100,7 @@ class _Console:
                     return GONE
             return 0
         except BrokenPipeError:
+            # The program that conducts has died; without this line its person would face a screen that stopped.
             _write(LEFT)
             raise
         finally:
@@ -142,6 +143,7 @@ class _Console:
         try:
             data = os.read(IN, READ_BYTES)
         except OSError:
+            # EIO: this terminal hung up, or it is not its foreground any more.
             data = b""
         if not data:
             self._send("gone", why="the terminal was closed")
