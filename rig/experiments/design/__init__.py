@@ -1,18 +1,9 @@
 """Which rates, estimator and filter suit a rig: a search through a listed set of schemes, for stated wishes.
 
-First all of the set by linear theory, with delay; then simulated hits of the best, on coarse rungs first, halved from
-round to round; then the one that is recommended again, on encoder offsets and seeds that the search did not see, and on
-rigs that differ from the described one.
-
-* `rules`: what is measured, and what best, no worse and margin mean; written before any result
-* `listing`: the listed set, and what link and board allow of it
-* `paths`: noise, fidelity and cost of a velocity path, without a hit
-* `linear`: the listed set by linear theory
-* `rounds`: maps of a few walls of many schemes as one sweep
-* `margin`: the recommended scheme on other rigs and in other hands
-* `whole`: all of the listed set against the schemes of a rig's own paper
-* `result`: what comes out
-* `search`: all of it in order
+First all of the set by linear theory, with delay (`_linear`); then simulated hits of the best, on coarse rungs first,
+halved from round to round (`_rounds`); then the one that is recommended again, on encoder offsets and seeds that the
+search did not see, and on rigs that differ from the described one (`_margin`). What is measured, and what best, no
+worse and margin mean, was written before any result (`_rules`).
 
 `rig design` and ``rig.design`` call it, and pictures draw the result. It must not move a rig: of a device that is named
 it measures the link alone.

@@ -232,7 +232,7 @@ class _TuningWalk:
         try:
             velocity = estimates(self.case, Variant(self.estimator.name, settings))
         except ConfigError:
-            # A point that cannot be realised is worse than any other, and the search goes on from the rest.
+            # A point that cannot be realised is worse than any other, and the search continues from the rest.
             return math.inf
         found = self.objective(self.case, velocity)
         return found if math.isfinite(found) else math.inf

@@ -2,13 +2,8 @@
 
     results = sweep.run([sweep.Task("a", function_of_a_module, {"x": 1})], journal=Path("journal"))
 
-* `tasks`: running tasks to their results
-* `coordinator`: hands tasks out, keeps what comes back, counts
-* `executors`, `cluster`: threads here, a Dask cluster elsewhere
-* `journal`: what is done, on disk
-
-Maps, designs, papers and the console run their tasks with it. It must not import an experiment or a
-result: a task is any function of a module.
+Maps, designs, papers and the console run their tasks with it. It must not import an experiment or a result: a task is
+any function of a module.
 """
 
 from rig.experiments.sweep._coordinator import Progress, Task

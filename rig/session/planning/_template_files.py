@@ -63,6 +63,6 @@ def write_template(name: str, path: Path) -> Path | None:
                 json.dump(json_schema(), file, indent=1, ensure_ascii=False)
                 file.write("\n")
         except FileExistsError:
-            # An earlier template left its schema, or somebody edits it: it stays.
+            # An earlier template left its schema, or its user changed it: it stays.
             return None
     return beside
