@@ -1,10 +1,8 @@
 """Commands: arguments, presentation, nothing else.
 
-Errors of `rig.core.errors` become one clear line and their exit code, never a traceback; set ``RIG_DEBUG=1`` to
-see where an unexpected one comes from.
-
-`rig.__main__` calls it, and the builder of documents walks its commands. It must not compute a result or command a
-device itself: a command calls a function of another room and shows what it returns.
+Errors of `rig.core.errors` become one clear line and their exit code, never a traceback; set ``RIG_DEBUG=1`` to see
+where an unexpected one comes from. `rig.__main__` calls it, and the builder of documents walks its commands. It must
+not compute a result or command a device itself: a command calls a function of another room and shows what it returns.
 """
 
 from __future__ import annotations

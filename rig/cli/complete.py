@@ -1,10 +1,8 @@
 """Answers to a shell's requests for completion.
 
-A shell must not wait, and most commands import numpy and a compiler. So their names, options and kinds of values stand
-in files named ``completion.json`` (`rig.cli.completion_table` writes them), and of these a tree of empty commands is
-made, on which click completes.
-
-`rig.__main__` calls it before anything else is loaded. It must not import a command.
+A shell must not wait, and most commands import numpy and a compiler: answers come from files named ``completion.json``
+(`rig.cli.completion_table` writes them). `rig.__main__` calls it before anything else is loaded. It must not import a
+command.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """The site of documents, built by Sphinx from the sources in ``rig/docs`` and from the tables that run.
 
-Sphinx executes the gallery, so it runs in a process of its own, on a copy of the sources: nothing is written into the
-installed package, and nothing is asked of a network.
-
-`rig serve docs` and `rig.docs.made` call it. It must not import Sphinx into this process.
+Sphinx executes the gallery, so it runs in a process of its own, on a copy of the sources. `rig serve docs` and
+`rig.docs.made` call it. It must not import Sphinx into this process.
 """
 
 from __future__ import annotations

@@ -1,11 +1,8 @@
 """Checks that a wall may run at its rate, with its loop, on a device: the same for `rig doctor`, gate and `rig hit`.
 
 Every caller of `rig.experiments.hits.hit.hit` passes `admit`, behind which nothing but a trial stands between a wall
-and a motor: checks of the run and the device, the arming gate of the measured link, and before a person the torque
-pulse.
-
-`rig hit`, the console, sessions and `rig.testing` pass it. It must not run the trial itself, and must not move anything
-but for that pulse.
+and a motor: `rig hit`, the console, sessions and `rig.testing`. It must not run the trial itself, and must not move
+anything but for the torque pulse before a person.
 """
 
 from __future__ import annotations

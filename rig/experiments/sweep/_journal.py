@@ -5,13 +5,8 @@ One file of lines (`rig.recording.lines`), one for each entry, appended and neve
     first   : {"sweep": 1, "work": …, "version": …, "tasks": …, "plan": SHA-256 of work, version and tasks, "first": …}
     others  : {"key": …, "result": …}, one for each task done, in the order in which they were done
 
-A journal belongs to one version of the sources: results of two versions are never mixed.
-
-A line whose CRC is wrong is as if it had never been written: its task is run again. Floats are written with the
-shortest digits that read back to the same bits; what is not finite is ``NaN``, ``Infinity`` and ``-Infinity``, as
-Python spells it in JSON.
-
-A process that dies loses nothing that was appended; a power cut at most what came after the last sync.
+A line whose CRC is wrong is as if it had never been written: its task is run again. A process that dies loses nothing
+that was appended; a power cut at most what came after the last sync.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """The wall of a running loop, changed while a hand feels it.
 
-What may change is the wall: stiffness, damping, place, and how it pulls and damps. The change passes the same checks as
-an experiment before it starts, the arming gate's included, becomes the same numbers (`rig.config.controller`), and
-reaches the loop through its mailbox as one set: wall position, then the parameters of the law. The loop takes it over
-while the handle is outside the wall, so that no effort jumps.
+The change passes the same checks as an experiment before it starts, the arming gate's included, and reaches the loop
+through its mailbox as one set, which it takes over while the handle is outside the wall, so that no effort jumps.
 
 `rig set` and the console call it. It must not write a parameter into the loop's memory but through the mailbox, nor
 post one that a check refused.

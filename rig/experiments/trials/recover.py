@@ -1,10 +1,7 @@
 """After a crash: find the captures that were not sealed, report what was lost, and seal them.
 
-A capture that is still being written is left alone: its writer holds a lock on it, and a loop in real time names its
-recording in its shared memory until it has sealed it. Nothing is overwritten, and a capture goes only after its sealed
-file has been read back and is equal (`rig.recording.seal`).
-
-`rig recording recover` calls it. It must not remove a capture itself: sealing does, after its comparison.
+A capture whose writer holds a lock on it, or that a running loop names, is left alone. `rig recording recover` calls
+it. It must not remove a capture itself: sealing does, after its comparison (`rig.recording.seal`).
 """
 
 from __future__ import annotations

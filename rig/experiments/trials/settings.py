@@ -1,10 +1,8 @@
 """The keys of an experiment that people set by a name of their own, where a whole key would be too much to write.
 
-Type, range, unit and meaning are those of the key (`rig.config._table`). Any other key is reached by ``changes``, which
-has whole keys. A help text here makes an option of commands.
-
-Commands, the functions of `rig.experiments.lab` and `rig.experiments.measure`, and requests take their settings from
-it. It must not state a type, a range or a unit of its own.
+Any other key is reached by ``changes``, which has whole keys. Commands, the functions of `rig.experiments.lab` and
+`rig.experiments.measure`, and requests take their settings from it. It must not state a type, a range or a unit of its
+own.
 """
 
 from __future__ import annotations

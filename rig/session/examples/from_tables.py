@@ -3,10 +3,9 @@
     rig session analyse sessions/study --output out
     python from_tables.py out
 
-Copy it into a notebook and change it. It reads ``runs`` and ``agreement`` and computes, for the limits by the search
-rule: means over participants, paired differences with Holm's correction, the mixed model, and Cohen's kappa. It leaves
-out what the analysis decides beside these: limits beyond the levels, too few participants, covariates that cannot be
-separated from the conditions.
+It computes, for the limits by the search rule: means over participants, paired differences with Holm's correction, the
+mixed model, and Cohen's kappa. It leaves out what the analysis decides beside these: limits beyond the levels, too few
+participants, covariates that cannot be separated from the conditions.
 """
 
 from __future__ import annotations

@@ -1,10 +1,6 @@
 """What a protocol file may say: an experiment with people, as sections with types, ranges and meanings.
 
-A protocol says what is compared (conditions), how the limit of each is searched, in which order, who may see what, when
-people rest, and when it ends. The physics (rig, trial, thresholds) is that of an experiment file, which the protocol
-names and changes by dotted keys. `rig.session.planning._load` reads and checks, `rig.session.planning._schedule` makes
-the order.
-
+The physics (rig, trial, thresholds) is that of an experiment file, which the protocol names and changes by dotted keys.
 Stiffness, damping, effort and speed are in the units of the rig's motion (`rig.core.sample.unit_of`).
 """
 

@@ -1,17 +1,12 @@
 """Search rules: which stiffness a person is to judge next, and where the limit lies.
 
-A rule is a value. It is asked with all answers so far and says the next probe, or that it has enough; it keeps nothing
-itself, so a session's log is all that is needed to continue after a crash, and any other rule can be applied to the
-same answers afterwards.
-
     rule = search.make("staircase", levels=range(100, 900, 25), seed=7)
     probe = rule.next(answers)          # None when it has enough
     estimate = rule.estimate(answers)   # with an interval
 
-Sessions ask the rules, and the analysis of finished sessions fits their psychometric function. Nothing here presents
-a wall, reads a log or draws a random number without a given seed.
-
-Verdicts are about walls: `stable` or not. Along rising stiffness the share of stable verdicts falls from one to zero.
+A rule is a value: it is asked with all answers so far and keeps nothing itself. Sessions ask the rules, and the
+analysis of finished sessions fits their psychometric function. Nothing here presents a wall, reads a log or draws a
+random number without a given seed.
 """
 
 from __future__ import annotations

@@ -1,8 +1,5 @@
 """A person at a terminal: the session's side of the console.
 
-A console that sends no message for two seconds ends a hit by the stop word; a console that died is started again with
-the same question.
-
 `rig session run` calls it. It must not decide what a trial is or write to the session's directory: that is the runner's
 (`rig.session.engine`).
 """
