@@ -60,6 +60,7 @@ def test_tune_writes_a_fragment_that_an_experiment_can_use(run: Any, recording: 
     assert config.load_experiment(tmp_path / "mine.toml").controller.parameters == tuned
 
 
+@pytest.mark.exhaustive("tests/system/test_commands.py::test_a_good_run_ends_with_0_as_json_and_as_text")
 def test_an_estimator_is_exported_with_the_recording_it_was_tuned_on(run: Any, tmp_path: Path) -> None:
     wall = ("--estimator", "kalman", "--set", "controller.parameters.gain=steady")
     recorded = json.loads(run("hit", "--rig", "koul-rigid", *HIT, *wall)[1])["hits"][0]["recording"]

@@ -13,6 +13,7 @@ if numba.config.DISABLE_JIT:
     pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
 
+@pytest.mark.exhaustive("tests/system/test_commands.py::test_a_good_run_ends_with_0_as_json_and_as_text")
 def test_the_file_can_be_hit_and_identified_again(run: Any, tmp_path: Path) -> None:
     assert run("identify", "--rig", "chawda-linear", "--realisations", 2, "-o", "a.toml", "--no-plot")[0] == 0
     assert run("experiment", "plan", "a.toml")[0] == 0
