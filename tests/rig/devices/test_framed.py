@@ -97,19 +97,12 @@ class Answering:
         pass
 
 
-def silent(*directions: Any) -> Any:
-    return Faults(
-        frames=tuple(
-            FrameFault(kind=FaultKind.SILENCE, direction=d, frame=0) for d in directions or Direction
-        )
-    )
-
-
 # ---------------------------------------------------------------------- retries
 
 
 def test_a_request_without_reply_is_sent_four_times_and_the_link_is_lost() -> None:
-    _, wire, device = make(faults=silent())
+    silence = [FrameFault(kind=FaultKind.SILENCE, direction=direction, frame=0) for direction in Direction]
+    _, wire, device = make(faults=Faults(frames=tuple(silence)))
     with pytest.raises(LinkLostError, match="no reply to Identify") as caught:
         device.identify()
     times_ms = [time_ns / 1e6 for time_ns, _ in wire.sent]
@@ -146,18 +139,7 @@ def test_a_late_answer_to_an_earlier_step_is_not_taken_for_the_answer() -> None:
 
     def answer(request: Any) -> Any:
         if isinstance(request, m.Identify):
-            packed = dictionaries.encode(DICTIONARY)
-            piece = packed[request.offset : request.offset + 30]
-            identity = m.Identity(
-                request.nonce,
-                0,
-                State.IDENTIFIED,
-                dictionaries.dictionary_hash(packed),
-                len(packed),
-                request.offset,
-                piece,
-            )
-            return frame_of(identity)
+            return identity_of(request, dictionaries.encode(DICTIONARY))
         if isinstance(request, m.SetBegin | m.SetChunk):
             offset = getattr(request, "offset", 0)
             ack = frame_of(m.Ack(request.nonce, type_id_of(type(request)), 0, offset, 0, 0))
@@ -187,17 +169,21 @@ def another_major(request: Any) -> Any:
     return frame_of(m.Identity(request.nonce, 0, 1, 7, 10, 0, b"0123456789"), major=m.MAJOR + 1)
 
 
-def garbage(request: Any) -> Any:
-    packed = b"this is no dictionary"
+def identity_of(request: Any, packed: bytes, number: int | None = None) -> Any:
+    """Return the requested page of a dictionary, under its hash or another number."""
+    number = dictionaries.dictionary_hash(packed) if number is None else number
+    piece = packed[request.offset : request.offset + 30]
     return frame_of(
-        m.Identity(request.nonce, 0, 1, dictionaries.dictionary_hash(packed), len(packed), 0, packed)
+        m.Identity(request.nonce, 0, State.IDENTIFIED, number, len(packed), request.offset, piece)
     )
 
 
+def garbage(request: Any) -> Any:
+    return identity_of(request, b"this is no dictionary")
+
+
 def wrong_hash(request: Any) -> Any:
-    packed = dictionaries.encode(DICTIONARY)
-    piece = packed[request.offset : request.offset + 30]
-    return frame_of(m.Identity(request.nonce, 0, 1, 7, len(packed), request.offset, piece))
+    return identity_of(request, dictionaries.encode(DICTIONARY), 7)
 
 
 def changing(request: Any) -> Any:
