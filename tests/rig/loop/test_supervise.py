@@ -63,6 +63,13 @@ def ran(
     return thread, thread.end()
 
 
+def silent_behind(counts: Sequence[int], *rest: Any, **options: Any) -> BatchDevice:
+    """Return a device that sends these counts, and nothing behind them."""
+    device = BatchDevice(counts, *rest, **options)
+    device.at[len(counts)] = lambda: setattr(device, "silent", True)
+    return device
+
+
 def rows_of(thread: LoopThread) -> np.ndarray:
     return thread.ring.rows[: thread.ring.get(control_words.HEAD)]
 
@@ -113,8 +120,7 @@ def test_the_rows_are_those_of_a_loop_on_the_host(layout: int) -> None:
     counts = taps(400)
     bundle = controlled()
     expected = by_the_host(counts, controlled())
-    device = BatchDevice(counts, expected["current_sent"].tolist(), layout=layout)
-    device.at[400] = lambda: setattr(device, "silent", True)
+    device = silent_behind(counts, expected["current_sent"].tolist(), layout=layout)
     thread, end = ran(device, bundle)
     rows = rows_of(thread)[:400]
     assert end.reason == EndReason.LINK_SILENT
@@ -133,8 +139,7 @@ def test_the_rows_are_those_of_a_loop_on_the_host(layout: int) -> None:
 
 
 def test_the_host_sends_in_time_and_compares_the_clocks() -> None:
-    device = BatchDevice(taps(300))
-    device.at[300] = lambda: setattr(device, "silent", True)
+    device = silent_behind(taps(300))
     thread, end = ran(device, exchange_every_ns=20 * PERIOD_NS)
     supervising = [at for at, c in device.heard if isinstance(c, m.Command) and c.mode == m.Mode.SUPERVISE]
     assert supervising[0] == 0, "the device sends nothing before"
@@ -146,9 +151,8 @@ def test_the_host_sends_in_time_and_compares_the_clocks() -> None:
 
 def test_columns_that_a_batch_lacks_come_from_the_newest_state() -> None:
     """STATEs at 100, 105, …; each batch of five begins there."""
-    device = BatchDevice([0] * 60, states_every=5)
+    device = silent_behind([0] * 60, states_every=5)
     device.at[12] = lambda: setattr(device, "limits", int(LimitFlag.SPEED))  # in the STATE of sample 115
-    device.at[60] = lambda: setattr(device, "silent", True)
     thread, _ = ran(device)
     rows = rows_of(thread)
     assert rows["limits"][rows["sample_index"] < 115].max() == 0
@@ -196,8 +200,7 @@ def test_a_fault_of_a_frame_is_a_counted_gap_and_never_a_wrong_row(
         late, held[:] = list(held), []
         return [frame, *late]
 
-    device = BatchDevice(counts, mangle=mangle)
-    device.at[200] = lambda: setattr(device, "silent", True)
+    device = silent_behind(counts, mangle=mangle)
     bundle = controlled()
     thread, end = ran(device, bundle)
     rows = rows_of(thread)
@@ -230,8 +233,7 @@ def test_under_any_faults_of_frames_each_row_is_its_sample(
     def mangle(number: int, frame: bytes) -> list[bytes]:
         return MANGLED[struck[number]]([], frame) if number in struck else [frame]
 
-    device = BatchDevice(counts, mangle=mangle, samples=samples, first_index=first_index)
-    device.at[400] = lambda: setattr(device, "silent", True)
+    device = silent_behind(counts, mangle=mangle, samples=samples, first_index=first_index)
     thread, end = ran(device, batch_samples=samples, lost_after_ns=1000 * PERIOD_NS)
     rows = rows_of(thread)
     place = rows["sample_index"] - first_index
@@ -246,8 +248,7 @@ def test_under_any_faults_of_frames_each_row_is_its_sample(
 
 def test_ticks_that_the_device_missed_are_gaps_too() -> None:
     counts = taps(100)
-    device = BatchDevice(counts, missing=[20, 21, 22, 50])
-    device.at[100] = lambda: setattr(device, "silent", True)
+    device = silent_behind(counts, missing=[20, 21, 22, 50])
     thread, end = ran(device)
     rows = rows_of(thread)
     assert rows["elapsed_ticks"][[20, 47]].tolist() == [4, 2]
@@ -259,9 +260,8 @@ def test_ticks_that_the_device_missed_are_gaps_too() -> None:
 
 @pytest.mark.parametrize("first_index", [2**32 - 7, 2**32 - 1, 0])
 def test_index_and_time_continue_behind_32_bits(first_index: Any) -> None:
-    device = BatchDevice(taps(50), first_index=first_index)
+    device = silent_behind(taps(50), first_index=first_index)
     device._next_ns = 268_435_456_000 - 9 * PERIOD_NS  # nine ticks before the clock wraps
-    device.at[50] = lambda: setattr(device, "silent", True)
     device.clock.sleep_until(device._next_ns - 1)
     thread, _ = ran(device)
     rows = rows_of(thread)
@@ -270,8 +270,7 @@ def test_index_and_time_continue_behind_32_bits(first_index: Any) -> None:
 
 
 def test_the_period_need_not_be_a_whole_number_of_the_devices_units() -> None:
-    device = BatchDevice([0] * 90, period_ns=333_333, samples=15)
-    device.at[90] = lambda: setattr(device, "silent", True)
+    device = silent_behind([0] * 90, period_ns=333_333, samples=15)
     thread, _ = ran(device, period_ns=333_333, batch_samples=15)
     time = rows_of(thread)["device_time"]
     assert np.abs(time - time[0] - np.arange(90) * 1e9 / 3000).max() < 200
@@ -389,8 +388,7 @@ def apart(changes: dict[int, int]) -> SupervisedThread:
     currents = by_the_host(counts, controlled())["current_sent"]
     for tick, amount in changes.items():
         currents[tick] += amount
-    device = BatchDevice(counts, currents.tolist())
-    device.at[400] = lambda: setattr(device, "silent", True)
+    device = silent_behind(counts, currents.tolist())
     return ran(device)[0]
 
 
@@ -410,10 +408,9 @@ def test_an_active_limit_excludes_a_sample_from_the_comparison() -> None:
     counts = taps(400)
     currents = by_the_host(counts, controlled())["current_sent"]
     currents[200:220] = 0
-    device = BatchDevice(counts, currents.tolist())
+    device = silent_behind(counts, currents.tolist())
     for tick in range(199, 222):
         device.at[tick] = lambda: setattr(device, "limits", int(LimitFlag.RAMPING))
-    device.at[400] = lambda: setattr(device, "silent", True)
     found = ran(device)[0].agreement()
     assert (found.differing, found.beyond) == (0, 0)
     assert 20 <= found.excluded <= 40
@@ -424,8 +421,9 @@ def test_after_a_gap_nothing_is_compared_until_the_estimators_have_forgotten_it(
     """The device saw what the host did not: for a while their velocities are apart."""
     counts = taps(2000)
     currents = by_the_host(counts, controlled())["current_sent"].tolist()
-    device = BatchDevice(counts, currents, mangle=lambda number, frame: [] if 20 <= number < 24 else [frame])
-    device.at[2000] = lambda: setattr(device, "silent", True)
+    device = silent_behind(
+        counts, currents, mangle=lambda number, frame: [] if 20 <= number < 24 else [frame]
+    )
     thread, _ = ran(device)
     rows = rows_of(thread)
     found = thread.agreement()
