@@ -633,16 +633,16 @@ def test_a_table_of_confusions_says_what_its_interval_is_over_and_who_is_in_it(
     assert {(row["bound"], row["beyond"]) for row in differences} == {("", 0)}
 
 
-def test_the_command_writes_beside_the_sessions_and_prints_what_matters(study: Path) -> None:
-    printed = CliRunner().invoke(rig, ["session", "analyse", str(study), "--no-report"])
+def test_the_command_writes_beside_the_sessions(
+    study: Path, found: StudyAnalysis, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["session", "analyse", str(study), "--no-report", "--json", "--measure", "k50-person"]
+    printed = CliRunner().invoke(rig, command)
     assert printed.exit_code == 0, printed.output
-    for text in ("A study: 4 participants", "dual − uniform", "two classes", "Slopes along the session"):
-        assert text in printed.output
-    assert (study / "analysis" / "runs.csv").is_file()
-    how = ["--no-report", "--json", "--measure", "k50-person", "-o", str(study / "analysis")]
-    again = CliRunner().invoke(rig, ["session", "analyse", str(study), *how])
-    assert again.exit_code == 0, again.output
-    result = json.loads(again.stdout)
-    assert result["measure"] == "K50 person"
-    assert Path(result["tables"]["kmax.csv"]).is_file()
-    assert len(result["runs"]) == 24
+    result = json.loads(printed.stdout)
+    assert (result["measure"], len(result["runs"])) == ("K50 person", 24)
+    assert Path(result["tables"]["kmax.csv"]) == study / "analysis" / "kmax.csv"
+    show(found)
+    text = capsys.readouterr().out
+    for part in ("A study: 4 participants", "dual − uniform", "two classes", "Slopes along the session"):
+        assert part in text

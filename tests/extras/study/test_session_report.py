@@ -507,9 +507,6 @@ def test_a_study_beyond_the_levels_has_bounds_and_no_tests(tmp_path: Path) -> No
     ]
     assert len(triangles) == 6  # five people and their mean
     assert "No model for censored values (Tobit) was used" in text
-    for draw in pictures(found).values():
-        figure = draw(found)
-        figure.get_layout_engine().execute(figure)
 
 
 def test_where_the_mean_over_dampings_is_a_bound_the_summary_has_each_damping(found: Any) -> None:
