@@ -146,11 +146,11 @@ def test_a_hand_taken_over_by_the_operator_needs_another_device(monkeypatch: pyt
     closed = []
 
     @contextmanager
-    def open_device(url: Any, model: Any, **options: Any) -> Iterator[Any]:
+    def open_for_run(url: Any, model: Any, **options: Any) -> Iterator[Any]:
         yield SimpleNamespace(url=url)
         closed.append(url)
 
-    monkeypatch.setattr(hits, "open_device", open_device)
+    monkeypatch.setattr(hits, "open_for_run", open_for_run)
     runner = DeviceRunner(realtime=True)
     scripted = runner._device(held, {})
     assert runner._device(held, {}) is scripted
