@@ -34,7 +34,9 @@ LIFETIME_PERIODS = 5
 CONFIRM_S = 1.0
 SHORTEST_LIFETIME_S, LONGEST_LIFETIME_S = 0.003, 0.02
 SUPERVISE_LIFETIME_S = 0.02  # of a command to a law on the device; the host repeats it every 5 ms
-FEWEST_PERIODS = 2  # a loop that needs more than the longest lifetime for these is too slow, and refused
+# A command holds for at least so many ticks, however slow the loop. A loop for which these exceed the longest lifetime
+# is too slow, and refused.
+FEWEST_PERIODS = 2
 I16_MAXIMUM = 32767
 
 

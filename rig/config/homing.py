@@ -15,7 +15,8 @@ import numpy as np
 
 from rig.config._sections import Experiment
 
-ABOVE_FRICTION = 1.25  # over what friction, weight and cogging can hold: tolerance and effort leave so much
+# Margin of tolerance and effort over what friction, weight and cogging can hold.
+ABOVE_FRICTION = 1.25
 # Share of the way to the wall that may separate start and home: at most, and as designed.
 LARGEST_SHARE, USUAL_SHARE = 0.75, 0.25
 USUAL_CUTOFF = 0.1  # of a velocity filter without a described cut-off, over its rate

@@ -1,7 +1,6 @@
 """A sampling scheme: how often position and velocity are sampled, and what estimates the velocity.
 
-Maps, theory and comparisons differ from one experiment in nothing but schemes (and walls), so a scheme is a value
-of its own, with a text form for the command line::
+It has a text form for the command line::
 
     dual:20k/2k                        position at 20 kHz, velocity at 2 kHz, the experiment's own estimator
     uniform:20k                        both at 20 kHz
@@ -9,10 +8,8 @@ of its own, with a text form for the command line::
     uniform:20k,cutoff_hz=1000         settings of the estimator
     dual:20k/2k,prediction=extrapolate,slow_velocity_rate=500,slow_below=0.1
 
-Unless a scheme states its cut-off, a filter keeps its share of the velocity rate: an experiment with a cut-off of
-200 Hz at 2 kHz has 2 kHz at 20 kHz. Koul et al. compare their schemes so (200 Hz at 2 kHz, "10 % Nyquist" for other
-rates), which is why it is the default; it compares rates and filters at once. With `controller.scheme_cutoff` = "same"
-all schemes have the experiment's cut-off, and differ in their rates alone. `describe_cutoffs` says where they differ.
+Unless a scheme states its cut-off, a filter keeps its share of the velocity rate: 200 Hz at 2 kHz become 2 kHz at 20
+kHz, as Koul et al. compare their schemes. With `controller.scheme_cutoff` = "same" all have the experiment's cut-off.
 
 Theory, maps, comparisons, the design, sessions and the console call it. Nothing here runs a scheme or judges one.
 """

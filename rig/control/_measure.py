@@ -378,8 +378,7 @@ def _felt(position: Floats, velocity: Floats, settings: Records, sections: Float
     s = settings[0]
     ticks, rate_hz = position.shape[0], 1.0 / s["tick_s"]
     begin = max(0, ticks - s["tail_ticks"])
-    # An even extension, as `scipy.signal.sosfiltfilt` with padtype="even": an odd one makes a step of a ripple far
-    # above the band.
+    # Even, as `scipy.signal.sosfiltfilt` with padtype="even": an odd one makes a step of ripple above the band.
     pad = min(s["pad_ticks"], ticks - 1)
     first, end = max(-pad, begin - s["lead_ticks"]), ticks + pad
     b0, b1, b2, a1, a2 = sections[_BAND]

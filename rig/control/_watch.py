@@ -38,8 +38,7 @@ TRAVEL, TRAVEL_COUNTS = 0.25, 1.5  # of the handle: share of what the verdict ca
 def add_energy(before: float, effort: float, travel: float, free: bool) -> float:
     """Return the energy (J) that the motor has given after a travel (rad or m) under an effort (N·m or N)."""
     # The effort is the one that was sent: where it acts d ticks later, the sum is off by effort times the travel in d
-    # ticks. A sampled wall leaks as well: a count that is left and entered again gives stiffness times the count
-    # squared.
+    # ticks. A sampled wall leaks: a count that is left and entered again gives stiffness times the count squared.
     given = before + effort * travel
     # In free space a wall stores nothing: energy that damping dissipated must be no credit for the next contact.
     return max(given, 0.0) if free else given

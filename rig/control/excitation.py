@@ -4,14 +4,12 @@
     multisine.crest_factor, multisine.peak
     effort = multisine.period(16_000, offset=0.5)  # one period, at the middle of each step
 
-A multisine repeats exactly, so whole periods of it need no window: every line of the answer stands in one bin of a
-discrete Fourier transform, and what stands between the lines is not the answer (`rig.analysis.impedance`). Schroeder's
-phases give a small crest factor; random ones, a new draw for each realisation, turn what friction distorts from a bias
-that looks like impedance into a scatter that averages out.
+A multisine repeats exactly, so whole periods of it need no window (`rig.analysis.impedance`). Schroeder's phases give a
+small crest factor; random ones, drawn anew for each realisation, turn friction's distortion from a bias that looks like
+impedance into a scatter that averages out. Efforts are in N·m or N, times in s, frequencies in Hz.
 
-Efforts are in N·m or N, times in s, frequencies in Hz. No simulation and no clock here.
-
-Identification, measurements of impedance and excited laws (`rig.control.bilateral`) call it.
+Identification, measurements of impedance and excited laws (`rig.control.bilateral`) call it. It must not simulate or
+read a clock.
 """
 
 from __future__ import annotations

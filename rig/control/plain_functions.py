@@ -220,7 +220,8 @@ def _compile(
         with interrupts_later():
             load_implementations()
             dispatcher.compile(tuple(others.get(argument, numba.float64) for argument in arguments))
-    except Exception as error:  # whatever the compiler, or what it looks up for the function, raises
+    # Any exception: numba documents none, and a name that the function uses is evaluated here.
+    except Exception as error:
         reason, remedy = _reason(str(error), form, seen, kept)
         line = _line(str(error), function)
         raise ConfigError(

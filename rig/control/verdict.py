@@ -14,17 +14,9 @@ one that was set, or saturation without motion. Losses before the contact are co
 wall was left in the tail, or the ripple grows, or the motor saturates while a threshold is exceeded. *Limit cycle*: not
 unstable, but felt, heard or moved is above its threshold. *Stable*: none of them.
 
-A person may leave the wall too early. That differs from a wall that ejects the handle by what comes before and after:
-an unstable wall oscillates first, and a hand that pushes comes back. So where a person hits, a wall that was left in
-the tail or before it, and not touched again, makes the trial invalid if the stay before lasted a period of the high
-pass (a bounce is shorter) and was neither heard nor moved above the thresholds in a tail that ends with it, until such
-a period before its end. Whatever bounces, or buzzed before it left, is unstable, also where the hand stays away: to
-repeat such a trial would throw an unstable wall away. So does a hand that comes back in the tail: stay out.
-
-A velocity from counts has a floor: one toggling count of size Δ at f Hz is a square wave whose fundamental
-reads 2√2·f·Δ rms, and each of its odd harmonics in the band as much again. It is reported for the frequency at which
-the count toggles in the tail (`rig.control._measure`), and when it exceeds the threshold *felt* is not measurable and
-is ignored.
+Where a person hits, a wall that was left for good makes the trial invalid if the stay before lasted a period of the
+high pass and was calm until such a period before its end; otherwise it is unstable. A velocity from counts has a floor,
+that of one toggling count: where it exceeds the threshold, *felt* is not measurable and is ignored.
 
 Trials, maps, sessions, the console and the analysis of studies use it. It must not open a recording or filter a signal:
 it decides on numbers alone.
@@ -180,7 +172,8 @@ EXCEEDED = Objection.FELT | Objection.HEARD | Objection.MOVED
 UNSTABLE = Objection.EXITS | Objection.GROWS | Objection.SATURATES | Objection.THROWN
 INVALID = Objection(Objection.EXITS - 1) | Objection.LEFT | Objection.CURRENT  # all before, and the last two
 KINDS = (Kind.STABLE, Kind.LIMIT_CYCLE, Kind.UNSTABLE, Kind.INVALID)  # by the codes of `kinds`
-TOGGLES = 64  # changes of the count between two neighbours: a reach has hundreds, a tremor some ten a second
+# Changes of the count between two neighbours: a dead channel has hundreds in a reach, tremor some ten a second.
+TOGGLES = 64
 CRITERIA = ("felt", "heard", "any")  # what may end a Z-width, besides instability
 _EXCEEDED_BY = dict(zip(CRITERIA, (Objection.FELT, Objection.HEARD, EXCEEDED), strict=True))
 
@@ -203,6 +196,9 @@ def objections(numbers: Numbers, thresholds: Thresholds) -> Any:
     measured = n["tail_begins_s"] >= 0.0
     # `^ True` and not `~` or `not`: it negates Python's bool and numpy's arrays alike.
     gone = touched & (stayed ^ True)
+    # A person may leave the wall too early; an unstable wall oscillates first, and a hand that pushes comes back. A
+    # wall that bounces, or buzzed before it was left, is unstable also if the hand stays away: to repeat such trials
+    # would discard unstable walls.
     calm = (
         (n["stay_ticks"] > 0)
         & (n["heard_in_stay"] <= thresholds.heard_effort)

@@ -47,9 +47,11 @@ EXCHANGE = np.dtype(
     [(name, "<i8") for name in ("host_sent", "device_received", "device_sent", "host_received")]
 )
 
-STAMP_NS = 125  # two units of the device's clock (1/16 µs): what a difference of its stamps may be off
+# Two units of the device's clock (1/16 µs): each stamp of a difference is cut to a unit.
+STAMP_NS = 125
 LAST_NS = 1 << 59  # sums and differences of stamps below this stay within 64 bits
-CUT_NS = 31.25  # its stamps are cut to a unit, not rounded: half a unit, which no averaging removes
+# Half a unit: stamps are cut to units, not rounded, a bias that no averaging removes.
+CUT_NS = 31.25
 DRIFT_PRIOR_PPM = 100.0  # two ordinary crystals
 IMPOSSIBLE_PPM = 10_000.0  # the worst oscillator of a microcontroller is an RC one, 1 %
 SHARE_PRIOR = 0.29  # standard deviation of a share that lies evenly in −½ … ½
@@ -108,8 +110,7 @@ class ClockFit:
 
     def host_of(self, device_ns: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the host time of device times (ns); whole nanoseconds are kept however long the device has been up."""
-        # Whole numbers, and only the small drift part in floats: after 104 days 2^53 ns, the last exact float, is
-        # passed.
+        # Whole numbers, and floats for the small drift part alone: 2^53 ns, the last exact float, are 104 days.
         since: _Ints = np.asarray(device_ns, np.int64) - self.reference_ns
         return since + (self.reference_ns + self.offset_ns) + _round(since, self.drift_ppm * 1e-6)
 

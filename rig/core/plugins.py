@@ -56,7 +56,8 @@ def find_plugins(group: str, built_in: Container[str]) -> list[EntryPoint]:
     return [point for point in _find_plugins(entry_points, group) if point.name not in built_in]
 
 
-@cache  # it looks through every installed package, which costs milliseconds, for each scheme and each check
+# Cached: it reads the metadata of every installed package, some milliseconds for each scheme and each check.
+@cache
 def _find_plugins(find: Callable[..., Any], group: str) -> tuple[EntryPoint, ...]:
     return tuple(sorted(find(group=group), key=lambda point: str(point.name)))
 

@@ -10,27 +10,23 @@ import gc
 import os
 
 OFTEN = 2_000  # new objects, which take below 1 ms
-SELDOM = 300_000  # new objects: more than a command makes before it ends, far less memory than numba takes
+# New objects between two garbage collections: more than a command makes before it ends.
+SELDOM = 300_000
 
 
 def begin() -> None:
-    """Set up the garbage collector, and the backend of pictures, before anything is loaded.
-
-    A notebook's backend in MPLBACKEND would keep matplotlib from loading where that notebook is not installed.
-
-    Loaded modules live as long as the program. Collecting them again after each 700 new objects, and once more at the
-    end, took a fifth of the 0.67 s of `rig experiment plan`.
-    """
+    """Set up the garbage collector, and the backend of pictures, before anything is loaded."""
+    # A notebook's backend in MPLBACKEND would keep matplotlib from loading where that notebook is not installed.
     os.environ["MPLBACKEND"] = "agg"
+    # Loaded modules live as long as the program: to collect them after each 700 new objects, and at the end, took a
+    # fifth of the 0.67 s of `rig experiment plan`.
     gc.set_threshold(SELDOM)
     atexit.register(gc.freeze)
 
 
 def stay() -> None:
-    """Collect garbage often and little, in a program that has loaded what it needs and answers from now on.
-
-    `SELDOM` objects took 30 to 135 ms at once, while a flood of connections made them: STOP waited as long.
-    """
+    """Collect garbage often and little, in a program that has loaded what it needs and answers from now on."""
+    # With SELDOM, a flood of connections made collections of 30 to 135 ms, for which STOP had to wait.
     gc.collect()
     gc.freeze()
     gc.set_threshold(OFTEN)

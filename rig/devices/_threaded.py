@@ -32,7 +32,7 @@ class ThreadedLine:
         self._reader = threading.Thread(target=self._fetch, name="rig-reader", daemon=True)
 
     def start(self) -> None:
-        """Begin to read."""
+        """Start the thread that reads the port into a buffer."""
         self._reader.start()
 
     def receive(self) -> bytes:
@@ -44,7 +44,7 @@ class ThreadedLine:
         raise NotImplementedError
 
     def _fetch(self) -> None:
-        """Read until closed or broken."""
+        """Read until the port is closed or fails, and store the error."""
         while not self._closing:
             data, error = b"", 0
             try:

@@ -18,7 +18,8 @@ assert sys.platform == "linux"
 # linux/tty_flags.h and linux/serial.h; `flags` is the fifth int of struct serial_struct, which is 72 bytes long
 ASYNC_LOW_LATENCY = 1 << 13
 _SERIAL_INTS, _FLAGS = 32, 4
-_TIOCGEXCL = 0x80045440  # asm-generic/ioctls.h; elsewhere the call is unknown, and so is the answer
+# asm-generic/ioctls.h. Architectures with other numbers refuse the call: not known.
+_TIOCGEXCL = 0x80045440
 _CFLAG, _CC = 2, 6  # places in the list that termios.tcgetattr returns
 _DTR_RTS = termios.TIOCM_DTR | termios.TIOCM_RTS
 
@@ -43,8 +44,7 @@ def set_low_latency(descriptor: int) -> bool | None:
     settings = _serial_struct(descriptor)
     if settings is None:
         return None
-    # An FTDI adapter waits up to 16 ms for more bytes otherwise. Read back below: a driver may accept the ioctl and do
-    # nothing.
+    # An FTDI adapter waits up to 16 ms for more bytes otherwise. Read back: a driver may accept this and do nothing.
     settings[_FLAGS] |= ASYNC_LOW_LATENCY
     with suppress(OSError):
         fcntl.ioctl(descriptor, termios.TIOCSSERIAL, settings)

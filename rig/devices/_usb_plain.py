@@ -31,7 +31,7 @@ class PlainTransfers(ThreadedLine):
         self.start()
 
     def receive(self) -> bytes:
-        """Read one packet."""
+        """Read one packet; empty if none arrives in time."""
         try:
             return bytes(self._device.read(self._in, self._packet, round(WAIT_S * 1e3)))
         except usb.core.USBTimeoutError:

@@ -56,7 +56,7 @@ class FirmwareFacts:
     settings: Mapping[str, SettingValue]
 
     def rows(self) -> list[Row]:
-        """Return it for people."""
+        """Return the facts as rows to print."""
         kind = "simulated" if self.simulated else ""
         law = {0: "none: the law runs on the host", 1: "in integers", 2: "in integers and in float32"}
         return [
@@ -180,7 +180,7 @@ class DeviceFacts(FirmwareFacts):
         )
 
     def rows(self) -> list[Row]:
-        """Return it for people."""
+        """Return the facts as rows to print."""
         return [
             Row("url", self.url),
             *super().rows(),

@@ -25,7 +25,8 @@ class Direction(Enum):
     TO_DEVICE = "to device"
     TO_HOST = "to host"
 
-    __hash__ = object.__hash__  # that of Enum is written in Python, and a line looks up six for each frame
+    # Enum's own hash is written in Python, and a simulated line looks up six members for each frame.
+    __hash__ = object.__hash__
 
 
 class FaultKind(Enum):

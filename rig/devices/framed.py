@@ -33,7 +33,8 @@ from rig.core.clock_fit import EXCHANGE, ClockFit, fit_clock
 from rig.core.errors import DeviceRefusedError, IncompatibleDeviceError, LinkLostError
 from rig.devices.device import Link
 
-SUPERVISE_EVERY_S = 0.005  # a quarter of the time that a law on the device continues without a command
+# A quarter of the time that a law on the device continues without a command: single losses do not end it.
+SUPERVISE_EVERY_S = 0.005
 MOST_NS = (1 << 63) - 1  # what a stamp holds: 292 years
 EXCHANGES = 8  # of the clock, by default
 DRIFT_EXCHANGES, DRIFT_S = 20, 1.0  # of the clock, where its drift is wanted
@@ -368,8 +369,7 @@ class FramedDevice:
         tick_ps = round(self.dictionary.time_unit_ns * 1000)
         start_ns = self.link.clock.now_ns()
         for number, row in enumerate(stamps):
-            # At odd distances: multiples of the golden ratio modulo 1 hit the frames of a bus and the ticks of a device
-            # at every phase.
+            # At odd distances: multiples of the golden ratio modulo 1 meet ticks and bus frames at every phase.
             place = (number + number * GOLDEN % 1.0) / max(1, exchanges - 1)
             self._listen_until(start_ns + round(min(1.0, place) * over_s * 1e9))
             reply = self._ask(m.GetTime(self._next_nonce(), self.link.clock.now_ns()), m.Time)

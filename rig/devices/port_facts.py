@@ -23,7 +23,8 @@ if sys.platform == "linux":
     from rig.devices import _tty as tty
 
 FTDI_VENDOR = "0403"
-LONGEST_LATENCY_MS = 1  # of an FTDI adapter: time for which it holds received bytes to pass on more at once
+# An FTDI adapter holds received bytes for its latency timer (16 ms by default) to pass on more at once.
+LONGEST_LATENCY_MS = 1
 NO_TIMER_DRIVERS = frozenset({"cdc_acm"})  # the board itself decides when a packet leaves
 WHY = "a port that holds bytes back delays every command; one that others can open loses some"
 _PSEUDO = ("/dev/pts/", "/dev/pty")

@@ -61,7 +61,7 @@ class UsbDevice:
 
     @property
     def url(self) -> str:
-        """Return how to open it."""
+        """Return the URL that opens this device."""
         number = f"/{self.serial}" if self.serial else ""
         return DeviceUrl.of("usb", f"{self.vid:04x}:{self.pid:04x}{number}").text
 

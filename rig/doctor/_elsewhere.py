@@ -9,7 +9,7 @@ from rig.realtime.scheduling import RealtimeRequest
 
 
 def machine_checks(host: RealtimeRequest | None = None) -> list[Check]:
-    """As `rig.doctor._machine.machine_checks`."""
+    """Return the checks of a machine that is not Linux, as `rig.doctor._machine.machine_checks`."""
     return [_real_time()]
 
 

@@ -35,8 +35,7 @@ from rig.doctor.late_loops import LateLoops, loop_delay_ticks, unstable_hands
 from rig.doctor.predicted import homing_checks
 from rig.realtime.scheduling import obtained
 
-# Share of a command's lifetime that the link may take there and back: a slower one would make the device drop the wall
-# in the middle of a contact.
+# Share of a command's lifetime for both ways of the link: a slower one would drop the wall during a contact.
 LIFETIME_SHARE = 0.5
 LOST_SHARE = 0.001  # of the requests: a loop loses one command in a thousand without effect
 SHORTEST_S, LONGEST_S = 1.0, 4.0  # of a measurement before arming; as long as bounding p99.9 takes
@@ -174,8 +173,7 @@ def _short(number: int, bounded: float) -> Check:
 @question("execution")
 def _execution(experiment: Experiment) -> Check:
     """Report the wall's stability under a whole tick of delay, where the device runs the law."""
-    # The device answers within the tick, two thirds of one at its highest rate, or it reports missed ticks: the gate
-    # itself counts no delay.
+    # The device answers within two thirds of a tick at most, or reports missed ticks: the gate counts no delay.
     wall = experiment.wall
     late = LateLoops.of(experiment, 1).radius(wall.stiffness, wall.damping)
     text = "the law runs on the device within a tick; with a full tick of delay this wall would be"

@@ -26,7 +26,7 @@ def ticks_late(late_s: float, rate: float, pacing: str = "device") -> int:
 
 
 def ticks_text(number: int) -> str:
-    """``1 tick``, ``2 ticks``."""
+    """Return a number of ticks in words: ``1 tick``, ``2 ticks``."""
     return f"{number} tick{'' if number == 1 else 's'}"
 
 

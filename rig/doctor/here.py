@@ -36,7 +36,7 @@ class Here:
     simulated: tuple[str, ...]
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plain values, for JSON."""
+        """Return the examination as plain values, for JSON."""
         return {
             "backends": [{**asdict(one), "broken": broken} for one, broken in self.backends],
             "ports": self.ports,

@@ -35,7 +35,8 @@ __all__ = [
 ]
 
 SECONDS = 2.0
-QUARTERS = 4  # a bad moment is not a bad machine: what counts is what each quarter of the measurement loses
+# Judged by the losses in each quarter of the measurement: one bad moment is not a slow machine.
+QUARTERS = 4
 SLOWEST_HZ = 100  # below this rate no wall feels stiff
 
 

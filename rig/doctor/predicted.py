@@ -39,7 +39,8 @@ __all__ = [
 
 SPARE = 1.1  # of a named value over the least or below the largest one that works
 SETTLES = 10.0  # time constants after which the homing servo is at rest
-LEAST_MARGIN = math.radians(2.0)  # of homing: with 1.5° counts kept the handle of a random rig moving
+# Least phase margin of homing: with 1.5° single counts kept the handle of a randomly generated rig moving.
+LEAST_MARGIN = math.radians(2.0)
 COUNT_SPEED_SHARE = 0.5  # of the speed limit, as which one count may read where a change is named
 QUIET_SHARE = 0.9  # of a window's ticks in which a current must be above the noise to be compared
 
@@ -193,7 +194,8 @@ def _homing_offset(x: Experiment, ticks: int) -> Check:
     if tolerance <= largest:
         return finding("homing offset", True, text)
     nearest = servos.nearest_tolerance(x)
-    if ABOVE_FRICTION * offset <= largest:  # the servo continues to its start, but the trial may begin before
+    # The servo reaches the start all the same, but the trial may begin before it does: a warning.
+    if ABOVE_FRICTION * offset <= largest:
         tighter = {"homing.tolerance_counts": nearest} if nearest < x.homing.tolerance_counts else {}
         return finding("homing offset", not tighter, text, tighter, otherwise=Outcome.WARNING)
     changes: dict[str, float] = {}

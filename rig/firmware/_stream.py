@@ -9,7 +9,8 @@ from rig.core.answers import ok, question, refused
 from rig.core.check import Check
 
 STREAM_SHARE = 0.9  # of the ticks must be received: the rest is beginning and end
-LOAD_LIMIT = 0.8  # of a period: a tick that takes longer leaves nothing for what the check does not run
+# Share of a period. A longer tick leaves no time for faults and transactions, which this check does not run.
+LOAD_LIMIT = 0.8
 
 
 @question("stream")

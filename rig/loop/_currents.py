@@ -72,7 +72,8 @@ def compare_command(buffers: Buffers, memory: Any) -> None:
 def compare_measured(buffers: Buffers, memory: Any, elapsed: int) -> None:
     """Mark a tick that ends a window in which the measured current followed the active one, or did not."""
     words, state = buffers.currents, buffers.state
-    if words[CURRENT.ticks] == 0:  # this rig has no current sensor, or no expected current is configured
+    # A rig without a current sensor, or without an expected current: nothing was configured.
+    if words[CURRENT.ticks] == 0:
         return
     if elapsed != 1:
         resume(words, state[STATE.current_measured])

@@ -2,9 +2,8 @@
 
 Python encodes a posted set (`update_of`) for the loop, which owns the link: the set for the host's law, and the same
 wall as a parameter block of the device. The loop sends the block as a transaction (SET_BEGIN, SET_CHUNKs, SET_COMMIT;
-see `firmware_protocol.transaction`), and repeats it when the device finds the handle inside a wall. The last answer
-names the sample from which the new wall is active: from there the host's law uses it too. So samples wait while a
-SET_COMMIT is unanswered.
+see `firmware_protocol.transaction`), and repeats it when the device finds the handle inside a wall. The last reply
+names the sample from which the new wall is active, for the host's law too: until then samples wait.
 
 The newest update counts: one that waits for free space is replaced, one that is being sent is not.
 """

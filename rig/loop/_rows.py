@@ -28,9 +28,11 @@ from rig.realtime.codec import STATE
 from rig.realtime.kernel import kernel
 from rig.realtime.system import monotonic_now, sleep_until
 
-DRIFT_PPM = 100  # the host's grid may stretch by this much against the device's: two ordinary crystals
+# Two ordinary crystals differ by at most this: so much the host's grid may stretch against the device's.
+DRIFT_PPM = 100
 ROOM_POLL_NS = 50_000
-YOUNGER = 1 << 24  # ticks of the device's clock by which an edge may be younger than its sample: a second
+# An edge may be younger than its sample by this (device ticks, a second): a STATE is made later than its sample.
+YOUNGER = 1 << 24
 FLAG_LATE, FLAG_GAP = int(RowFlag.LATE), int(RowFlag.GAP)
 
 
@@ -42,8 +44,7 @@ def behind_grid(settings: Any, progress: Any, sample_index: int, ticks: int, rec
     """
     p = progress[0]
     offset = received_ns - sample_index * settings[0]["period_ns"]
-    # The earliest receipt may age: two ordinary crystals drift apart, and a minimum for ever would call all late one
-    # day.
+    # The earliest receipt ages: crystals drift apart, and a minimum for ever would call all ticks late one day.
     stretched = p["earliest"] + ticks * settings[0]["period_ns"] * DRIFT_PPM // 1_000_000
     p["earliest"] = min(offset, stretched)
     return int(offset - p["earliest"])

@@ -50,8 +50,7 @@ class MonotonicClock:
 
     def now_ns(self) -> int:
         """Return the present monotonic time (ns)."""
-        # On Linux this is CLOCK_MONOTONIC, as in compiled code. `time.monotonic` of Windows has steps of 16 ms (<
-        # 3.13).
+        # On Linux CLOCK_MONOTONIC. `time.monotonic` of Windows has steps of 16 ms before Python 3.13.
         return time.perf_counter_ns()
 
     def sleep_until(self, deadline_ns: int) -> None:

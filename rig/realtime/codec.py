@@ -65,8 +65,7 @@ def _layout(cls: type) -> Ints:
     return np.array(rows, dtype=np.int64)
 
 
-# Tables come from the annotations of messages.py at import, so that the bytes are described once; the compiler takes
-# them as constants.
+# Tables come from the annotations of messages.py at import, so that the bytes are described once.
 COMMAND = field_indices("Command")
 STATE = field_indices("State")
 GET_TIME = field_indices("GetTime")

@@ -116,8 +116,7 @@ def _common(nrt: bool) -> _Common:
 @cache
 def load_implementations() -> None:
     """Let numba load what its compiler needs, without scipy.linalg."""
-    # numba imports a BLAS there for ``numpy.cov``, which takes longer than all the rest. A third party's kernel that
-    # uses it imports it then.
+    # numba imports a BLAS there for ``numpy.cov``, which takes longer than all the rest.
     linalg = import_module("numba.np.linalg")
     ask = linalg.ensure_blas
     linalg.ensure_blas = lambda: None  # type: ignore[attr-defined]
@@ -222,7 +221,8 @@ class KernelCache(caching.FunctionCache):  # type: ignore[misc]
     def alone(self) -> Iterator[None]:
         """Let other processes wait with this kernel, and find it in the cache then, instead of compiling it too."""
         with contextlib.ExitStack() as held:
-            with contextlib.suppress(OSError):  # without write access or locks, every process compiles
+            # Without write access or locks every process compiles by itself: slower, but not wrong.
+            with contextlib.suppress(OSError):
                 place = Path(self._cache_path)
                 place.mkdir(exist_ok=True)
                 file = held.enter_context(open(place / f"{self._impl.filename_base}.lock", "ab"))

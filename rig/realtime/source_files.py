@@ -1,10 +1,7 @@
 """The Python files of this project, and those on which compiled code depends.
 
-A kernel freezes what it finds when it is compiled: the code of the helpers that it calls and the constants
-(flags, phases, offsets of a message) of every module that it names. So machine code is fresh only while no file
-changed that holds a kernel or that such a file imports, directly or not. Editing anything else compiles nothing.
-
-Read as text, without importing anything, and quickly: each process asks when it starts.
+A kernel freezes the code of its helpers and the constants of every module that it names: machine code is fresh only
+while no file changed that holds a kernel or that such a file imports, directly or not.
 
 The cache of machine code, sweeps, sessions and papers call it. It must not import a file that it examines.
 """

@@ -99,7 +99,8 @@ class _Hook:
         self._handler = address_of(_on_signal, _HANDLER_SIGNATURE)
         self.table = int(_on_signal(0, 0, 0))
         self._displaced: dict[int, _Action] = {}
-        self._known = {_SIG_DFL}  # handlers that stood there before this one, and therefore do not call it
+        # Handlers that were installed before this one: they do not call it, so it must be placed before them again.
+        self._known = {_SIG_DFL}
         self._libc = ctypes.CDLL(None)
 
     def place(self) -> None:

@@ -79,7 +79,8 @@ def make_directories(directory: Path) -> None:
         while not there.is_dir() and there != there.parent:
             missing.append(there)
             there = there.parent
-        sync_directory(there.parent)  # it may be the last thing that a process made before it died
+        # Another process may have made this directory and died before it synced the name.
+        sync_directory(there.parent)
         for one in reversed(missing):
             one.mkdir(exist_ok=True)
             sync_directory(one.parent)

@@ -38,7 +38,8 @@ from rig.recording.files import disk_error, plain_errors, sync_directory
 
 FLUSH_S = 0.25
 SYNC_NS = 500_000_000
-AT_RISK_S = 1.0  # of a run in real time, when the power goes: flushed and synced with the next block but two
+# A power cut may cost this: a flush each 0.25 s, and a sync with a flush 0.5 s after the last one.
+AT_RISK_S = 1.0
 POLL_NS = 2_000_000
 POLL_VIRTUAL_NS = 1_000_000
 PATIENCE = 1000  # attempts to write to a descriptor that accepts nothing

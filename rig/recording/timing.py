@@ -190,8 +190,7 @@ def ledger(rows: NDArray[np.void], fit: ClockFit | None, period_ns: float, loop:
 
 def device_times(device_time: NDArray[np.int64], fit: ClockFit, near_host_ns: int) -> NDArray[np.int64]:
     """Return the device times of rows on the scale of the clock exchanges (ns)."""
-    # A STATE has 32 bits of the device's clock: rows count from an unknown multiple of 268 s, which the first receipt
-    # gives.
+    # A STATE has 32 bits of the device's clock: the first receipt gives the multiple of 268 s to add.
     wraps = round((int(fit.device_of(np.array([near_host_ns]))[0]) - int(device_time[0])) / WRAP_NS)
     return device_time + wraps * WRAP_NS
 

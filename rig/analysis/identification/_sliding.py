@@ -6,9 +6,9 @@ viscous damping. A constant external effort (weight, a bent cable) adds to one l
 sliding cannot separate it from friction that differs by direction: `coulomb` is half of up + down, `bias` half of
 up − down, and only the two levels are measured.
 
-The mean over a piece of a stroke is one point, where the servo has reached the speed of the stroke. Friction varies
-with position, and with a coarse encoder the servo's effort ripples, so the scatter of the points about the line is what
-the intervals come from. Pieces of one stroke err together: they count as one.
+The mean over a piece of a stroke is one point. Friction varies with position, and with a coarse encoder the servo's
+effort ripples: intervals come from the scatter of the points about the line. Pieces of one stroke err together and
+count as one.
 """
 
 from __future__ import annotations

@@ -150,7 +150,8 @@ def needed_per_damping(loop: LinearLoop, rig: Damping, *, late: bool = True, neg
     `negative` asks for a wall of negative damping.
     """
     sign = -1.0 if negative else 1.0
-    theta, best = _phases(), -sign / rig.slow  # of slow motion, whose velocity every estimator knows
+    # Slow motion needs this much of any estimator: it reads the velocity exactly.
+    theta, best = _phases(), -sign / rig.slow
     for _ in range(REFINEMENTS):
         values = Waves.of(loop, theta, rig, late=late).needed(sign)
         worst = int(np.argmax(values))

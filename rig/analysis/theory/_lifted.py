@@ -31,7 +31,8 @@ from rig.core.model import Matrix, Operator
 Vector = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-BLOCK = 1 << 16  # numbers in a stack of matrices: a processor's cache holds them, however many walls
+# Numbers in a stack of matrices: half a megabyte, which a processor's cache holds, however many walls there are.
+BLOCK = 1 << 16
 POWERS = 4  # of Φ that are looked at before its eigenvalues, each the 16th of the one before
 CLEAR = 2.0  # how far from 1 a power must be to tell
 HOPELESS = np.finfo(np.float64).max ** 0.25  # stands for what overflowed within a period

@@ -187,8 +187,7 @@ def as_lifted(
 def stiffnesses(lifted: Lifted, damping: float) -> Vector:
     """Return the stiffnesses of a scan for dampings up to this one, from the lowest up in equal ratios."""
     loop = lifted.loop
-    # Up to where the motor alone would oscillate at half the position rate, or what damping could allow if that is
-    # more.
+    # Up to where the motor alone would oscillate at half the position rate, or to what damping could allow.
     motor = loop.subject.model.mechanics.motor_inertia * (math.pi / loop.tick_s) ** 2
     damped = 4.0 * (loop.subject.damping + abs(damping)) / loop.tick_s
     lowest = _lowest_stiffness(lifted)

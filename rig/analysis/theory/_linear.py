@@ -1,11 +1,9 @@
 """Any linear estimator as a discrete state space, found by watching it: probe, check that it is linear, realise.
 
-The theory must not know a formula for each member of the family, third parties' included. So the compiled update
-itself is fed with counts. After it has settled at rest it gets an impulse of many counts, and its answer h is the
-Markov parameters of a state space (A, B, C, D). Three checks decide whether that is all there is to it: the answer
-to an impulse of another size, from another place and at a later time is the same (scale and shift), and the answer to a
-random walk with leaps is its convolution with h (superposition). What adapts its window, has a noise band, rounds
-inside or reads the times of edges fails one of them and is refused by name.
+The compiled update itself is fed with counts, so that third parties' estimators need no formula. Settled at rest, it
+gets an impulse of many counts; its response h is the Markov parameters of a state space (A, B, C, D). It must respond
+alike to an impulse of another size, place and time, and to a random walk with leaps by its convolution with h. An
+estimator that adapts its window, has a noise band, rounds inside or reads edge times fails and is refused by name.
 
 The realisation is that of Ho and Kalman by a singular value decomposition (Juang and Pappa 1985, "ERA"). Rows and
 columns of the Hankel matrix are thinned towards the far end of h: a low pass at a hundredth of the rate rings for a
@@ -108,7 +106,8 @@ def realise(
     return found
 
 
-@lru_cache(maxsize=256)  # a session's conditions, hands and delays ask for the same few again and again
+# Cached: a session's conditions, hands and delays request the same few estimators repeatedly.
+@lru_cache(maxsize=256)
 def _find_realisation(
     estimator: Estimator, settings: tuple[tuple[str, float | str], ...], period_s: float, resolution: float
 ) -> Realisation | str:

@@ -6,10 +6,8 @@ that may pull, τ = −(K·θ + B·v). Hits on koul-compliant, koul-rigid and ch
 kHz, B = 0, a normal hand) are stable up to 1.1 to 2.5 times this K_max, and without friction up to 0.4 to 0.9 times.
 The quantum takes 30 to 50 % off the range of damping of a dual-rate wall and nearly all of a uniform 20 kHz one's.
 
-Cogging enters by its slope, a stiffness of the motor's side: the loop is asked at the place where it is stiffest and at
-the one where it is softest, of all from the wall to the end of the window. Ripple is no part of the loop here: it makes
-K and B 1 ± r times as large, which is to be compared with the margin to the limit (`rig experiment plan` says how
-much).
+Cogging enters by its slope, a stiffness of the motor's side, where it is stiffest and softest from the wall to the end
+of the window. Ripple is not included: it makes K and B 1 ± r times as large (`rig experiment plan` reports how much).
 """
 
 from __future__ import annotations

@@ -36,12 +36,14 @@ def update(
     slope = fdm.update(count, edge_age_s, elapsed_ticks, state_f, state_i, parameters)
     out = slope
     for _ in range(min(elapsed_ticks, LONGEST_GAP)):
-        s1, s2 = state_f[S1], state_f[S2]  # the first section by itself: most filters have no other
+        # The first section outside of the loop: most filters have no other.
+        s1, s2 = state_f[S1], state_f[S2]
         out = parameters[B0] * slope + s1
         state_f[S1] = parameters[B1] * slope - parameters[A1] * out + s2
         state_f[S2] = parameters[B2] * slope - parameters[A2] * out
         p, s = SECTION, STATES
-        while p + A2 < parameters.shape[0]:  # a range would divide, which costs as much as a section
+        # Not a range with a step, whose length numba finds by a division that costs as much as a section.
+        while p + A2 < parameters.shape[0]:
             value = out
             out = parameters[p + B0] * value + state_f[s + S1]
             state_f[s + S1] = parameters[p + B1] * value - parameters[p + A1] * out + state_f[s + S2]

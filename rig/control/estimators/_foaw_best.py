@@ -23,7 +23,8 @@ from rig.realtime.kernel import kernel
 from rig.realtime.plugs import ESTIMATOR_SIGNATURE
 
 ANCHOR = foaw.OWN_PARAMETERS  # parameters
-RISE, SPAN = 0, foaw.LONGEST + 1  # state_f: the window laid out flat, so that the band test is one loop
+# state_f: the window copied from the ring in order, so that the band test is one loop without a modulo.
+RISE, SPAN = 0, foaw.LONGEST + 1
 
 ANCHORS = ("lsq", "last", "literal")
 LSQ, LITERAL = ANCHORS.index("lsq"), ANCHORS.index("literal")
@@ -38,7 +39,8 @@ def update(
     position, period = state_i[COUNTS + newest], state_i[PERIODS + newest]
     band, limit, anchor = parameters[BAND], int(parameters[LIMIT]), int(parameters[ANCHOR])
     stop_first = parameters[STOP] == STOP_FIRST
-    first = 0 if anchor == LSQ else 1  # equation (5) tests i = 1…n: the newest sample only where it can fail
+    # Equation (5) tests i = 1…n. The newest sample (0) lies on the line unless that is the least-squares one.
+    first = 0 if anchor == LSQ else 1
     state_f[RISE], state_f[SPAN] = 0.0, 0.0
     sum_rise, sum_span, sum_product, sum_square = 0.0, 0.0, 0.0, 0.0
     best, window = 0.0, 0

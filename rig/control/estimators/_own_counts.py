@@ -21,7 +21,8 @@ LARGEST_COUNT = 2.0**62
 # age of an edge that was never seen: the longest that the wire's 32-bit time can express
 OLDEST_EDGE_S = 134.0
 NARROW_BYTES = 2  # integers of so few bytes are those of a counter of that width
-LEAST_JUMP = 127  # counts in a sample that may be a wrap: half of the narrowest counter that is common
+# Counts in a sample that may be a wrap: half the range of an 8-bit counter, the narrowest in use.
+LEAST_JUMP = 127
 
 SHOWN = 5  # indices of missing values in a message
 

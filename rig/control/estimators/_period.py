@@ -38,7 +38,8 @@ from rig.realtime.plugs import ESTIMATOR_SIGNATURE
 
 EDGE_TIME_S = 62.5e-9  # step of the edge time on the wire: an age may look too long by so much
 OLDEST_EDGE_S = 134.0  # what the wire's 32-bit time can say; also stands for an age that is no number
-GRACE = 0.01  # periods: an edge so shortly after the previous sample is the one that that sample saw
+# Periods. An edge so shortly after the previous sample is the same as in that sample: both times are rounded.
+GRACE = 0.01
 
 GAP = COMMON  # parameters: widest gap between two lines (counts)
 # state_i: the last edge's boundary and direction

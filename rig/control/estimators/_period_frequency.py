@@ -5,8 +5,8 @@ began, `window_s` ago. At speed that is a frequency: many counts over a time tha
 encoder lines (edges p counts out of place) cost no more than 2p·Δ/window_s. At low speed edges are further apart than
 the window, and it is period counting.
 
-The window costs half its length in delay, like any mean. A reversal begins a new one, for it would otherwise be seen
-late, and so does an edge whose boundary is unknown. Between edges the estimate is held, within (1 + unevenness)·Δ/a.
+The window costs half its length in delay. A reversal begins a new one, and so does an edge whose boundary is unknown.
+Between edges the estimate is held, within (1 + unevenness)·Δ/a.
 
 Source: Ohmae et al. 1982 (a gate time and the rest until the next edge; here both ends lie on edges).
 """

@@ -4,17 +4,8 @@
         ...
         realtime.enter_thread()                  # in the loop's own thread: policy, processor, stack
 
-* `realtime`: the context and what it reports
-* `memory`, `idle`: locked pages, and processors kept from deep sleep; of the process, counted
-* `thread`: policy, processor and timer slack of the calling thread, and its stack
-* `rights`, `refusals`: what this process may do, and what would get it granted
-* `facts`: what the kernel reports about itself
-* `calls`: the C library
-
-Nothing here loads numba. Off Linux nothing is asked for (`elsewhere`).
-
-The loop, trials, `rig.doctor`, `rig serve rig` and the simulated drives request it. It must not keep what it obtained
-after the context ends.
+The loop, trials, `rig.doctor`, `rig serve rig` and the simulated drives request it. It must not load numba, or keep
+what it obtained after the context ends. Off Linux nothing is requested (`elsewhere`).
 """
 
 import sys

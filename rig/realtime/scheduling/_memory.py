@@ -50,8 +50,7 @@ class _Lock:
             self._users -= 1
             if self._users == 0 and self._before is not None:
                 calls.unlock_all()
-                # munlockall takes back the program's own locks too. Ranges that are unmapped by now are refused:
-                # correct.
+                # munlockall takes back the program's own locks too. Ranges that are unmapped by now are refused.
                 for pages in self._before:
                     calls.lock_range(pages.start, pages.end - pages.start, on_fault=pages.on_fault)
 

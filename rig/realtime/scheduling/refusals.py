@@ -33,7 +33,8 @@ RULES_COMMAND = (
     " && sudo udevadm control --reload && sudo udevadm trigger"
 )
 LOG_IN_AGAIN = "run, then log in again: "
-ROOM = 256 * 2**20  # bytes that a run may still map; beyond its limit the kernel refuses memory altogether
+# Bytes that a run may still map: at the limit of locked memory the kernel refuses every further allocation.
+ROOM = 256 * 2**20
 _MIB = 2**20
 # Names of the checks, here and in `rig doctor`.
 PRIORITY, PROCESSOR = "real-time priority", "processor"
