@@ -13,7 +13,7 @@ from rig import config
 from rig.firmware.tick_budget import INTEGERS, TICKS
 from tests.firmware import cortex
 from tests.firmware.cortex_library import CortexLibrary, build
-from tests.firmware.law.law_design import FIXED, FLOAT, parameters_of
+from tests.firmware.law.law_design import FIXED, FLOAT, values_of
 from tests.firmware.law.law_rigs import DUAL, SHORT, UNIFORM, controller_of, experiment_of
 from tests.firmware.supervised import Board
 from tests.firmware.test_core_law import run_values
@@ -71,16 +71,17 @@ def test_a_tick_stays_within_its_budget(image: cortex.Image) -> None:
             continue
         name, settings, arithmetic = laws[law]
         experiment = experiment_of(name, settings, SCHEMES[scheme], SHORT)
-        p = parameters_of(controller_of(experiment), arithmetic)
-        p.home_minimum, p.home_maximum, p.home_target = -100, 100, -20 << 24
-        p.settle_ticks, p.trial_ticks, p.release_ticks = 5, 150, 40
-        p.fixed_wall.speed_limit, p.wall.speed_limit = 2**31 - 1, 1e9
-        counts = p.sense * np.concatenate(
+        values = values_of(controller_of(experiment), arithmetic) | {
+            "home_minimum": -100, "home_maximum": 100, "home_target": -20, "home_target_fraction": 0,
+            "settle_ticks": 5, "trial_ticks": 150, "release_ticks": 40,
+        }  # fmt: skip
+        values |= {"fixed_speed_limit": 2**31 - 1} if arithmetic == FIXED else {"float_speed_limit": 1e9}
+        counts = np.concatenate(
             [np.full(30, -20), np.arange(-20, 40), np.arange(40, -20, -1), np.full(60, 9)]
         )
         library = CortexLibrary(image)
         board = Board(library, config.rig_model(experiment))
-        board.begin(**run_values(p, position_rate=int(experiment.controller.position_rate)))
+        board.begin(**run_values(values, position_rate=int(experiment.controller.position_rate)))
         board.run(counts.tolist())
         assert board.core.status.fault == 0
         currents = [sample.commanded for sample in board.fed]

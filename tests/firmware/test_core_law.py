@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Mapping
 from typing import Any
 
 import pytest
@@ -10,19 +11,19 @@ import pytest
 from firmware_protocol import messages as m
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, LimitFlag, Status
+from firmware_protocol.law_parameters import LAW_PARAMETERS
 from firmware_protocol.messages import Mode
 from firmware_protocol.packing import unpack_fault_entries
 from firmware_protocol.parameter import Value
-from firmware_protocol.parameters import BY_ID, BY_NAME, encode_block
+from firmware_protocol.parameters import BY_ID, BY_NAME, LIVE, encode_block
 from firmware_protocol.transfer import set_parameters
 from rig import config
 from rig.core.sample import Phase
 from tests.conformance.host import RUN_PARAMETERS
 from tests.conformance.tiers import first_by_default
-from tests.firmware.law.law_design import FIXED, FLOAT, parameters_of
+from tests.firmware.law.law_design import FIXED, FLOAT, structure_of, values_of
 from tests.firmware.law.law_library import LawLibrary, Parameters
 from tests.firmware.law.law_rigs import DUAL, SHORT, START, UNIFORM, controller_of, experiment_of
-from tests.firmware.law.law_wire import live_values, wire_values
 from tests.firmware.supervised import RATE, Board, Rig, Sample
 
 TRIAL, INSIDE = 2, 4  # enum hr_sync
@@ -31,34 +32,28 @@ MOST_TICKS = 10_000
 OWN: dict[str, dict[str, float | str]] = {"kalman": {"gain": "steady"}}
 
 
-def push(**changes: Any) -> ctypes.Structure:
+def push(**changes: Value) -> dict[str, Value]:
     """Return a law in integers without homing: a constant push, a wall at count 100, no damping."""
-    p = Parameters(
-        arithmetic=FIXED, sense=1, window_minimum=-(10**6), window_maximum=10**6, home_minimum=-(10**6),
-        home_maximum=10**6, current_limit=500, velocity_divider=1, slow_multiple=1, home_timeout_ticks=U32,
-        trial_ticks=U32, release_ticks=1, home_step=2**30,
-    )  # fmt: skip
-    p.biquad.b0, p.biquad.coefficient_bits, p.biquad.word_bits, p.biquad.state_bits = 1, 0, 32, 0
-    w = p.fixed_wall
-    w.shift, w.home_shift, w.side, w.direction = 16, 1, 1, 1
-    w.surface, w.stiffness, w.constant = (
-        100 * 256,
-        10 * 2**16 // 256,
-        50 * 2**16,
-    )  # 10 quanta a count; 50 quanta
-    w.trial_slew = w.homing_slew = w.speed_limit = w.slow_speed = 2**31 - 1
-    for name, value in changes.items():
-        owner, _, field = name.rpartition("__")
-        setattr(getattr(p, owner) if owner else p, field, value)
-    return p
+    values: dict[str, Value] = {parameter.name: parameter.default for parameter in LAW_PARAMETERS} | {
+        "law": 1, "reference_count": 0, "current_limit": 500, "wall_side": 1,
+        "law_window_minimum": -(10**6), "law_window_maximum": 10**6,
+        "home_minimum": -(10**6), "home_maximum": 10**6, "home_step": 2**30, "home_timeout_ticks": U32,
+        "velocity_divider": 1, "slow_multiple": 1, "trial_ticks": U32, "release_ticks": 1,
+        "biquad_b0": 1, "biquad_coefficient_bits": 0, "biquad_word_bits": 32, "biquad_state_bits": 0,
+        "fixed_shift": 16, "fixed_home_shift": 1, "fixed_surface": 100 * 256,
+        "fixed_stiffness": 10 * 2**16 // 256, "fixed_constant_low": 50 * 2**16,  # 10 quanta a count; 50 quanta
+    }  # fmt: skip
+    bounds = ("fixed_trial_slew", "fixed_homing_slew", "fixed_speed_limit", "fixed_slow_speed")
+    return values | dict.fromkeys(bounds, 2**31 - 1) | changes
 
 
-def run_values(p: ctypes.Structure, **more: Value) -> dict[str, Value]:
-    return {**RUN_PARAMETERS, "continuous_current": 500, **wire_values(p), **more}
+def run_values(values: Mapping[str, Value], **more: Value) -> dict[str, Value]:
+    return {**RUN_PARAMETERS, "continuous_current": 500, **values, **more}
 
 
-def expected(law: LawLibrary, p: ctypes.Structure, samples: list[Sample]) -> list[int]:
+def expected(law: LawLibrary, values: Mapping[str, Value], samples: list[Sample]) -> list[int]:
     """Return the currents of the law alone for the counts of samples; gaps are missed ticks."""
+    p = structure_of(values, 1)
     state, before, currents = law.reset(p), None, []
     for sample in samples:
         elapsed = 1 if before is None else (sample.index - before) & U32
@@ -95,9 +90,9 @@ def content(structure: Any, prefix: str = "") -> dict[str, Any]:
 def test_a_law_in_float_arrives_as_it_was_designed(
     library: ctypes.CDLL, estimator: str, scheme: dict[str, object]
 ) -> None:
-    p = parameters_of(controller_of(experiment_of(estimator, OWN.get(estimator, {}), scheme), -77))
-    seen = law_of(Board(library).begin(**run_values(p)))
-    ours, theirs = content(seen), content(p)
+    values = values_of(controller_of(experiment_of(estimator, OWN.get(estimator, {}), scheme), -77))
+    p = structure_of(values, 1)
+    ours, theirs = content(law_of(Board(library).begin(**run_values(values)))), content(p)
     skipped = {name for name in theirs if name.startswith(("fixed_wall", "biquad", "excitation"))}
     skipped |= {name for name in theirs if name.startswith("low_pass.") and p.low_pass.sections == 0}
     skipped |= {f"low_pass.section[{n}].order" for n in range(p.low_pass.sections, 4)} | {"foaw.limit"}
@@ -109,9 +104,9 @@ def test_a_law_in_float_arrives_as_it_was_designed(
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_law_in_integers_arrives_as_it_was_designed(library: ctypes.CDLL, sign: int) -> None:
     experiment = experiment_of("fdm-butterworth-fixed", {}, DUAL, {"rig.encoder.sign": sign})
-    p = parameters_of(controller_of(experiment, reference_count=1234), FIXED)
-    board = Board(library, config.rig_model(experiment)).begin(**run_values(p))
-    ours, theirs = content(law_of(board)), content(p)
+    values = values_of(controller_of(experiment, reference_count=1234), FIXED)
+    board = Board(library, config.rig_model(experiment)).begin(**run_values(values))
+    ours, theirs = content(law_of(board)), content(structure_of(values, sign))
     names = [
         name
         for name in theirs
@@ -152,7 +147,7 @@ def test_a_law_that_cannot_run_is_refused_and_nothing_changes(
 
 
 def test_a_foaw_band_that_is_too_wide_is_refused(library: ctypes.CDLL) -> None:
-    p = parameters_of(controller_of(experiment_of("foaw-best", {}, DUAL)))
+    p = values_of(controller_of(experiment_of("foaw-best", {}, DUAL)))
     board = Board(library).begin(**run_values(p))
     board.disarm()
     ack = board.configure(foaw_band=2**30)
@@ -190,9 +185,9 @@ def test_a_supervised_hit_is_the_hit_of_the_law_alone(
     experiment = experiment_of(
         estimator, OWN.get(estimator, {}), scheme, SHORT, {"trial.start": START - 0.002}
     )
-    p = parameters_of(controller_of(experiment), arithmetic)
+    p = values_of(controller_of(experiment), arithmetic)
     rig = Rig(library, config.rig_model(experiment), initial_position=START)
-    limits = dict.fromkeys(("current_limit", "continuous_current"), p.current_limit)
+    limits = dict.fromkeys(("current_limit", "continuous_current"), p["current_limit"])
     rig.begin(**run_values(p, position_rate=20_000, **limits))
     for _ in range(MOST_TICKS):
         rig.supervise()
@@ -210,21 +205,18 @@ def test_a_supervised_hit_is_the_hit_of_the_law_alone(
 # ---------------------------------------------------------------------- excitation
 
 
-def multisine() -> ctypes.Structure:
+def multisine() -> dict[str, Value]:
     """A law whose motor plays 20 lines over 700 ticks, some 200 quanta at most."""
-    p = push(fixed_wall__constant=0)
-    for name, value in {"lines": 20, "first": 3, "step": 5, "period": 700, "ramp": 90, "seed": 99}.items():
-        setattr(p.excitation, name, value)
-    p.excitation.amplitude, p.excitation.bits = 30 << 16, 6
-    return p
+    lines = {"lines": 20, "first": 3, "step": 5, "period": 700, "ramp": 90, "seed": 99}
+    lines |= {"amplitude": 30 << 16, "bits": 6, "phases": 0}
+    return push(fixed_constant_low=0, **{f"excitation_{name}": value for name, value in lines.items()})
 
 
 @pytest.mark.parametrize("phases", [0, 1])
 def test_an_excitation_is_played_from_the_table_that_the_device_worked_out(
     library: ctypes.CDLL, law: LawLibrary, phases: int
 ) -> None:
-    p = multisine()
-    p.excitation.phases = phases
+    p = multisine() | {"excitation_phases": phases}
     board = Board(library)
     board.prepare(**run_values(p))
     while (status := board.arm().status) == Status.NOT_READY:
@@ -250,15 +242,13 @@ def test_a_device_says_when_it_is_not_ready_and_then_it_is(library: ctypes.CDLL)
     board.prepare(**run_values(multisine(), ramp_us=5_000))
     assert board.arm().status == Status.OK  # the same table, and it is still there
     board.disarm()
-    other = multisine()
-    other.excitation.seed += 1
-    board.prepare(**run_values(other))
+    board.prepare(**run_values(multisine() | {"excitation_seed": 100}))
     assert board.arm().status == Status.NOT_READY
     board.prepare(**run_values(push()))
     assert board.arm().status == Status.OK
 
 
-@pytest.mark.parametrize("name", [name for name, _ in Parameters().excitation._fields_])
+@pytest.mark.parametrize("name", [f"excitation_{name}" for name, _ in Parameters().excitation._fields_])
 def test_another_excitation_is_worked_out_anew_whatever_differs(library: ctypes.CDLL, name: str) -> None:
     board = Board(library)
     p = multisine()
@@ -266,8 +256,7 @@ def test_another_excitation_is_worked_out_anew_whatever_differs(library: ctypes.
     while board.arm().status == Status.NOT_READY:
         board.tick()
     board.disarm()
-    setattr(p.excitation, name, getattr(p.excitation, name) + 1)
-    board.prepare(**run_values(p))
+    board.prepare(**run_values(p | {name: p[name] + 1}))
     assert board.arm().status == Status.NOT_READY
 
 
@@ -306,7 +295,7 @@ def test_no_current_flows_before_the_first_supervision(library: ctypes.CDLL) -> 
 
 
 def test_missed_ticks_have_passed_for_the_law_too(library: ctypes.CDLL, law: LawLibrary) -> None:
-    p = push(fixed_wall__damping=2**16, velocity_divider=4, trial_ticks=60)
+    p = push(fixed_damping=2**16, velocity_divider=4, trial_ticks=60)
     board = Board(library).begin(**run_values(p))
     for step in range(80):
         if step % 9 == 5:
@@ -359,7 +348,7 @@ def test_the_lifetime_of_supervision_is_capped(library: ctypes.CDLL) -> None:
 
 
 def test_limits_act_on_the_law_too(library: ctypes.CDLL) -> None:
-    board = Board(library).begin(**run_values(push(fixed_wall__constant=300 * 2**16), slew_limit=7))
+    board = Board(library).begin(**run_values(push(fixed_constant_low=300 * 2**16), slew_limit=7))
     board.run([0] * 10)
     board.command(Mode.STOP)
     assert [sample.commanded for sample in board.samples] == [0, 0, *range(7, 57, 7)][:10]
@@ -401,9 +390,9 @@ def test_finished_law_gives_no_current_and_sends_its_samples(library: ctypes.CDL
 @pytest.mark.parametrize(
     ("changes", "counts"),
     [
-        ({"window_maximum": 50}, [0, 0, 40, 51]),
+        ({"law_window_maximum": 50}, [0, 0, 40, 51]),
         ({"home_timeout_ticks": 3, "home_minimum": 5, "home_maximum": 5}, [0] * 8),
-        ({"fixed_wall__speed_limit": 9}, [0, 0, 0, 10]),
+        ({"fixed_speed_limit": 9}, [0, 0, 0, 10]),
     ],
     ids=["window", "homing", "speed"],
 )
@@ -418,9 +407,12 @@ def test_a_law_that_gives_up_is_done_without_a_fault(
 
 
 def test_a_current_that_is_no_number_is_a_fault(library: ctypes.CDLL) -> None:
-    p = parameters_of(controller_of(experiment_of("fdm-butterworth", {}, UNIFORM)))
-    p.settle_ticks, p.low_pass.section[0].inner = 0, 2.0**30  # a filter that runs away
-    p.low_pass.section[0].band = 2.0**30
+    p = values_of(controller_of(experiment_of("fdm-butterworth", {}, UNIFORM)))
+    p |= {
+        "settle_ticks": 0,
+        "low_pass_inner_1": 2.0**30,
+        "low_pass_band_1": 2.0**30,
+    }  # a filter that runs away
     board = Board(library).begin(**run_values(p, current_limit=500))
     for step in range(40):
         board.run([step % 2])
@@ -521,18 +513,18 @@ def test_a_wall_changes_at_the_tick_that_the_answer_names(
     library: ctypes.CDLL, law: LawLibrary, arithmetic: int
 ) -> None:
     first, second = (
-        parameters_of(controller_of(experiment_of("fdm-butterworth-fixed", {}, DUAL, changes)), arithmetic)
+        values_of(controller_of(experiment_of("fdm-butterworth-fixed", {}, DUAL, changes)), arithmetic)
         for changes in ({}, {"wall.stiffness": 200.0, "wall.damping": 0.1})
     )
-    first.settle_ticks = second.settle_ticks = 0
-    surface = first.wall.surface_whole if arithmetic == FLOAT else first.fixed_wall.surface // 256
+    first["settle_ticks"] = 0
+    surface = first["float_surface"] if arithmetic == FLOAT else first["fixed_surface"] // 256
     board = Board(library).begin(**run_values(first, current_limit=500, speed_limit=2**32 - 1))
     p = law_of(board)
-    home = first.home_target // 2**24
+    home = first["home_target"]
     there = [*range(home, surface + 40, 3)]
     board.run([home] * 30 + there + there[::-1])
     crc = board.crc
-    ack = board.configure(**live_values(second))
+    ack = board.configure(**{name: second[name] for name in second.keys() & LIVE})
     assert ack.status == Status.OK
     assert ack.crc != crc
     board.run(there + there[::-1])
@@ -636,6 +628,7 @@ def test_a_wall_changes_piece_by_piece_while_the_law_runs_on(library: ctypes.CDL
     assert 20 < len(board.fed) < 50
     board.run([110] * 5)
     board.command(Mode.STOP)
+    p = structure_of(p, 1)
     other, state, currents = law_of(board), law.reset(p), []
     for sample in board.samples:
         if sample.index == ack.sample_index:

@@ -1,4 +1,7 @@
-"""From the parameters that a host sends to the structure of the law in C, and what tests need of their design."""
+"""From the parameters that a host sends to the structure of the law in C.
+
+Written from the table and law.h, not from the firmware that reads the parameters, so that the two check each other.
+"""
 
 from __future__ import annotations
 
@@ -33,19 +36,24 @@ _SAME = [
 ]  # fmt: skip
 
 
-def parameters_of(controller: ControllerState, arithmetic: int = FLOAT) -> ct.Structure:
-    """Parameters of the C law for a controller."""
+def values_of(controller: ControllerState, arithmetic: int = FLOAT) -> dict[str, Value]:
+    """Return the parameters that a host sends for a controller."""
     c = controller.control[0]
-    values = device_law.law_parameters(controller, ARITHMETICS[arithmetic])
-    values |= {
+    limits = {
         "reference_count": int(c["reference_count"]),
         "current_limit": round(c["effort_limit"] / c["effort_quantum"]),
     }
-    return structure_of(values, sense=1 if c["resolution"] > 0.0 else -1)
+    return device_law.law_parameters(controller, ARITHMETICS[arithmetic]) | limits
+
+
+def parameters_of(controller: ControllerState, arithmetic: int = FLOAT) -> ct.Structure:
+    """Return the structure of the C law for a controller."""
+    sense = 1 if controller.control[0]["resolution"] > 0.0 else -1
+    return structure_of(values_of(controller, arithmetic), sense)
 
 
 def structure_of(values: Mapping[str, Value], sense: int) -> ct.Structure:
-    """Structure of the law for parameters as a device has them; `sense` is that of its encoder."""
+    """Return the structure of the law for parameters; `sense` is that of the encoder."""
     v: dict[str, Any] = {parameter.name: parameter.default for parameter in LAW_PARAMETERS} | dict(values)
     p = Parameters(
         arithmetic=v["law"] - 1,
