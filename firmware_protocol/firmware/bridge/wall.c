@@ -32,7 +32,7 @@ bool wall_now(const struct wall_scales *scales, struct device *device, int16_t g
     if (!device_is_armed(device) || !device_runs_law(device) || law->arithmetic != LAW_ELSEWHERE
         || (limits->flags & HR_LIMIT_HOLD_TO_RUN_RELEASED) || !wall_of_law(scales, law, device->rate, wall))
         return false;
-    const int16_t left = limits_confirmed(limits, watchdog_faded(&device->watchdog, device->due, INT16_MAX));
+    const int16_t left = limits_fade(limits, watchdog_fade(&device->watchdog, device->due, INT16_MAX));
     const float share = share_of_phase(&device->renderer.state, law) * (float)left / (float)INT16_MAX;
     if (given >= limit || given <= -limit)
         limits->flags |= HR_LIMIT_CURRENT;

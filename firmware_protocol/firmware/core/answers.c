@@ -358,7 +358,7 @@ static void acknowledge(struct device *device, const uint8_t *raw, size_t count,
         remember(device, &ack, session);
     send_ack(device, &ack);
     if (verdict->kind == VERDICT_REQUEST && ack.status == HR_STATUS_OK)
-        connection_answered(&device->connection, type, session);
+        connection_advance(&device->connection, type, session);
 }
 
 static void answer_live_change(struct device *device)
@@ -427,7 +427,7 @@ void answer(struct device *device, const uint8_t *raw, size_t count, const struc
     while (device_is_changing(device))
         answer_more(device);
     if (verdict->kind == VERDICT_REQUEST && send_reply(device, raw))
-        connection_answered(&device->connection, raw[HR_AT_HEADER_TYPE_ID], raw[HR_AT_HEADER_SESSION]);
+        connection_advance(&device->connection, raw[HR_AT_HEADER_TYPE_ID], raw[HR_AT_HEADER_SESSION]);
     else
         acknowledge(device, raw, count, verdict);
 }

@@ -37,7 +37,7 @@ static bool is_in_table_range(const struct hr_parameter *parameter, uint32_t val
     return is_between((enum hr_kind)parameter->kind, parameter->minimum, value, parameter->maximum);
 }
 
-static struct refusal refused(enum hr_status status, uint16_t detail)
+static struct refusal refuse(enum hr_status status, uint16_t detail)
 {
     const struct refusal refusal = {status, detail};
     return refusal;
@@ -83,11 +83,11 @@ struct refusal configuration_take(struct candidate *candidate, const uint8_t *en
     const uint32_t value = get_u32(entry + 2);
     const size_t index = index_of(id, candidate->index);
     if (index == HR_PARAMETERS)
-        return refused(HR_STATUS_UNKNOWN_PARAMETER, id);
+        return refuse(HR_STATUS_UNKNOWN_PARAMETER, id);
     if (id <= candidate->previous)
-        return refused(HR_STATUS_BAD_ORDER, id);
+        return refuse(HR_STATUS_BAD_ORDER, id);
     if (!is_in_table_range(&hr_parameters[index], value))
-        return refused(HR_STATUS_OUT_OF_RANGE, id);
+        return refuse(HR_STATUS_OUT_OF_RANGE, id);
     candidate->previous = id;
     candidate->index = index;
     /* One zero only: -0.0 would be another block with the same meaning. */
@@ -106,7 +106,7 @@ static struct refusal check_board(const struct board *board, const uint32_t *val
         const uint32_t value = values[narrower->parameter];
         if (given[narrower->parameter]
             && !is_between((enum hr_kind)parameter->kind, narrower->minimum, value, narrower->maximum))
-            return refused(HR_STATUS_OUT_OF_RANGE, parameter->id);
+            return refuse(HR_STATUS_OUT_OF_RANGE, parameter->id);
     }
     return ACCEPTED;
 }
@@ -114,7 +114,7 @@ static struct refusal check_board(const struct board *board, const uint32_t *val
 static struct refusal check_together(const uint32_t *values)
 {
     if (signed_32(values[HR_PARAMETER_WINDOW_MINIMUM]) > signed_32(values[HR_PARAMETER_WINDOW_MAXIMUM]))
-        return refused(HR_STATUS_INCONSISTENT, hr_parameters[HR_PARAMETER_WINDOW_MAXIMUM].id);
+        return refuse(HR_STATUS_INCONSISTENT, hr_parameters[HR_PARAMETER_WINDOW_MAXIMUM].id);
     return ACCEPTED;
 }
 
@@ -137,7 +137,7 @@ struct refusal configuration_check(struct candidate *candidate, const struct boa
     if (refusal.status != HR_STATUS_OK)
         return refusal;
     if (armed && grave < HR_PARAMETERS)
-        return refused(HR_STATUS_NOT_LIVE, hr_parameters[grave].id);
+        return refuse(HR_STATUS_NOT_LIVE, hr_parameters[grave].id);
     return check_together(candidate->values);
 }
 
@@ -146,7 +146,7 @@ struct refusal configuration_read(const struct configuration *configuration, con
 {
     configuration_begin(configuration, candidate);
     if (count % HR_PARAMETER_BYTES != 0)
-        return refused(HR_STATUS_BAD_LENGTH, 0);
+        return refuse(HR_STATUS_BAD_LENGTH, 0);
     for (size_t at = 0; at < count; at += HR_PARAMETER_BYTES) {
         const struct refusal refusal = configuration_take(candidate, block + at);
         if (refusal.status != HR_STATUS_OK)

@@ -145,7 +145,7 @@ struct verdict connection_judge(struct connection *connection, const uint8_t *ra
     return judge_request(connection, index, raw, count);
 }
 
-void connection_answered(struct connection *connection, uint8_t type, uint8_t session)
+void connection_advance(struct connection *connection, uint8_t type, uint8_t session)
 {
     if (type == HR_TYPE_ARM)
         open_session(connection, session);

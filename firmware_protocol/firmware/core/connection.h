@@ -41,7 +41,7 @@ void connection_reset(struct connection *connection);
 struct verdict connection_judge(struct connection *connection, const uint8_t *raw, size_t count);
 
 /* Change the state after a request that was granted, by the table. `session` is that of its header. */
-void connection_answered(struct connection *connection, uint8_t type, uint8_t session);
+void connection_advance(struct connection *connection, uint8_t type, uint8_t session);
 
 /* Latch FAULT. The session stays, so that STATE frames still reach the host that runs it. */
 void connection_fault(struct connection *connection);

@@ -44,7 +44,7 @@ static uint32_t size_of(int32_t value)
 }
 
 /* How far two currents (1/16384 quantum) are apart, to the nearest quantum. */
-static uint32_t apart(int32_t a, int32_t b)
+static uint32_t distance_of(int32_t a, int32_t b)
 {
     const uint32_t size = a > b ? (uint32_t)a - (uint32_t)b : (uint32_t)b - (uint32_t)a;
     return (size + CURRENT_UNIT / 2u) / CURRENT_UNIT;
@@ -61,11 +61,11 @@ static int32_t most(int32_t a, int32_t b)
 }
 
 /* How far a current is from zero beyond the further of two others on its side. */
-static uint32_t beyond(int32_t current, int32_t low, int32_t other_low, int32_t high, int32_t other_high)
+static uint32_t excess_of(int32_t current, int32_t low, int32_t other_low, int32_t high, int32_t other_high)
 {
     if (current > 0)
-        return current > high && current > other_high ? apart(current, most(0, most(high, other_high))) : 0;
-    return current < low && current < other_low ? apart(current, least(0, least(low, other_low))) : 0;
+        return current > high && current > other_high ? distance_of(current, most(0, most(high, other_high))) : 0;
+    return current < low && current < other_low ? distance_of(current, least(0, least(low, other_low))) : 0;
 }
 
 /* To the nearest whole number, halves away from zero. */
@@ -122,18 +122,18 @@ void current_forget(struct current_check *check)
     check->awaited = (uint16_t)(check->line.reach + (check->back_emf != 0 ? 1u : 0u));
 }
 
-static int32_t clipped(int32_t value, int32_t most)
+static int32_t clip(int32_t value, int32_t most)
 {
     return value > most ? most : value < -most ? -most : value;
 }
 
-int16_t current_zeroed(struct current_check *check, int16_t measured, bool off)
+int16_t current_subtract_zero(struct current_check *check, int16_t measured, bool off)
 {
     if (off) {
         const int32_t step = (measured * ZERO_UNIT - check->zero) / ZERO_TICKS;
-        check->zero = clipped(check->zero + step, check->largest_zero);
+        check->zero = clip(check->zero + step, check->largest_zero);
     }
-    return (int16_t)clipped(measured - whole(check->zero, ZERO_UNIT), INT16_MAX);
+    return (int16_t)clip(measured - whole(check->zero, ZERO_UNIT), INT16_MAX);
 }
 
 /* A share (1/65536) of a difference, rounded down: 25 cycles a tick less on a Cortex-M0+ than towards zero. */
@@ -204,7 +204,7 @@ bool current_disagrees(struct current_check *check, int32_t count, int16_t activ
         slow_high = follow(&check->slow_high, high, check->slow_decay) - expected;
     }
     int32_t left = measured * CURRENT_UNIT - expected;
-    const uint32_t here = apart(left, 0);
+    const uint32_t here = distance_of(left, 0);
     check->largest = here > check->largest ? here : check->largest;
     if (check->back_emf != 0) {
         const int32_t moving = back_emf(check, count);
@@ -216,8 +216,8 @@ bool current_disagrees(struct current_check *check, int32_t count, int16_t activ
         quick_high = delays ? follow(&check->quick_high_left, quick_high, check->speed_decay) : quick_low;
         slow_high = delays ? follow(&check->slow_high_left, slow_high, check->speed_decay) : slow_low;
     }
-    check->difference += beyond(left, quick_low, slow_low, quick_high, slow_high);
-    check->sum += apart(expected, 0);
+    check->difference += excess_of(left, quick_low, slow_low, quick_high, slow_high);
+    check->sum += distance_of(expected, 0);
     if (++check->passed < check->ticks)
         return false;
     const uint32_t spike = check->largest > check->last_largest ? check->largest : check->last_largest;

@@ -41,7 +41,7 @@ void current_configure(struct current_check *check, const struct board *board, u
 void current_forget(struct current_check *check);
 
 /* Return a measured current less the sensor's zero (quanta). While the amplifier is off, the zero follows the current. */
-int16_t current_zeroed(struct current_check *check, int16_t measured, bool off);
+int16_t current_subtract_zero(struct current_check *check, int16_t measured, bool off);
 
 /* Take one tick: the count at its end, the current that was set, the one that was measured at the end (quanta). True at
  * the end of a window in which the two disagree. */

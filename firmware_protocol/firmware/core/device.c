@@ -217,8 +217,8 @@ bool device_runs_law(const struct device *device)
 static int16_t wanted_current(struct device *device)
 {
     if (device_runs_law(device))
-        return watchdog_faded(&device->watchdog, device->due, device->renderer.current);
-    return watchdog_wanted(&device->watchdog, device->due, device->limits.current);
+        return watchdog_fade(&device->watchdog, device->due, device->renderer.current);
+    return watchdog_choose(&device->watchdog, device->due, device->limits.current);
 }
 
 /* Current for the coming tick of an armed device. */
@@ -333,7 +333,7 @@ void device_sample(struct device *device)
     tick->entry.count = device->count;
     tick->entry.current_commanded = device->driven;
     tick->entry.current_measured =
-        current_zeroed(&device->current, hal->measured_current(hal->context), !device_is_armed(device));
+        current_subtract_zero(&device->current, hal->measured_current(hal->context), !device_is_armed(device));
     thermal_update(&device->thermal, tick->entry.current_measured);
     uint32_t bits = faults_of(device, &tick->entry);
     tick->entry.limits = device->limits.flags | device->monitor.flags;
@@ -354,7 +354,7 @@ static uint32_t edge_time(const struct device *device)
     return (uint32_t)(device->time - (age < HR_OLDEST_EDGE ? age : HR_OLDEST_EDGE));
 }
 
-static uint16_t saturated(uint32_t number)
+static uint16_t saturate(uint32_t number)
 {
     return (uint16_t)(number < UINT16_MAX ? number : UINT16_MAX);
 }
@@ -385,8 +385,8 @@ static void make_state(struct device *device)
     put_u16(raw + HR_AT_STATE_CURRENT_COMMANDED, (uint16_t)tick->current_commanded);
     put_u16(raw + HR_AT_STATE_LIMITS, device->limits_acted);
     put_u16(raw + HR_AT_STATE_FAULT, device->faults.latched);
-    put_u16(raw + HR_AT_STATE_EXECUTION_TIME, saturated(device->worst_execution_time));
-    put_u16(raw + HR_AT_STATE_MISSED_TICKS, saturated(device->missed_ticks));
+    put_u16(raw + HR_AT_STATE_EXECUTION_TIME, saturate(device->worst_execution_time));
+    put_u16(raw + HR_AT_STATE_MISSED_TICKS, saturate(device->missed_ticks));
     raw[HR_AT_STATE_STATE] = device->connection.state;
     raw[HR_AT_STATE_INPUTS] = pins(device);
     raw[HR_AT_STATE_PHASE] = device->renderer.phase;

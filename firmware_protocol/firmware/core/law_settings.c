@@ -182,8 +182,8 @@ static bool is_rendered(const uint32_t *values, const struct hal *hal, const law
            || (hal->renders != NULL && hal->renders(hal->context, law, values[HR_PARAMETER_POSITION_RATE]));
 }
 
-static struct refusal judged(law_verdict verdict, const uint32_t *values, const struct hal *hal,
-                             const law_parameters *law)
+static struct refusal refusal_of(law_verdict verdict, const uint32_t *values, const struct hal *hal,
+                                 const law_parameters *law)
 {
     const struct refusal accepted = {HR_STATUS_OK, 0};
     if (verdict == LAW_GOOD && !is_rendered(values, hal, law))
@@ -195,7 +195,7 @@ struct refusal law_settings_read_wall(const uint32_t *values, const struct hal *
 {
     read_live_float(values, &law->wall);
     read_live_fixed(values, &law->fixed_wall);
-    return judged(law_check_wall(law), values, hal, law);
+    return refusal_of(law_check_wall(law), values, hal, law);
 }
 
 static int32_t arithmetic_of(uint32_t choice)
@@ -227,5 +227,5 @@ struct refusal law_settings_read(const uint32_t *values, const struct board *boa
     read_float_wall(values, &law->wall);
     read_fixed_wall(values, law->sense, &law->fixed_wall);
     read_excitation(values, &law->excitation);
-    return judged(law_check(law), values, hal, law);
+    return refusal_of(law_check(law), values, hal, law);
 }

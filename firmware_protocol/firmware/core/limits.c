@@ -29,7 +29,7 @@ void limits_pass(struct limits *limits, int32_t count)
 /* With two channels a dead encoder cannot be distinguished from a hand that holds still. If one channel is dead, the other
  * toggles the count between two neighbouring values for any motion. Therefore an effort that lasts longer than any trial,
  * with the count on two neighbouring values, fades out; it returns when the hand has left the wall. */
-int16_t limits_confirmed(struct limits *limits, int16_t wanted)
+int16_t limits_fade(struct limits *limits, int16_t wanted)
 {
     if ((wanted == 0 && !limits->beside) || limits->confirm == 0)
         limits->unmoved = 0;
@@ -53,7 +53,7 @@ static int32_t clip(struct limits *limits, int32_t value, int32_t limit, uint16_
 
 int16_t limits_apply(struct limits *limits, const struct thermal *thermal, int16_t wanted)
 {
-    int32_t current = clip(limits, limits_confirmed(limits, wanted), limits->largest, HR_LIMIT_CURRENT);
+    int32_t current = clip(limits, limits_fade(limits, wanted), limits->largest, HR_LIMIT_CURRENT);
     if (thermal_is_spent(thermal))
         current = clip(limits, current, limits->continuous, HR_LIMIT_THERMAL);
     current = limits->current + clip(limits, current - limits->current, limits->slew, HR_LIMIT_SLEW);

@@ -36,7 +36,7 @@ void limits_pass(struct limits *limits, int32_t count);
 int16_t limits_apply(struct limits *limits, const struct thermal *thermal, int16_t wanted);
 
 /* Return the wanted current, faded if the position has not been confirmed. */
-int16_t limits_confirmed(struct limits *limits, int16_t wanted);
+int16_t limits_fade(struct limits *limits, int16_t wanted);
 
 /* Zero at once, regardless of the slew limit. */
 void limits_cut(struct limits *limits);

@@ -26,7 +26,7 @@ void thermal_configure(struct thermal *thermal, uint16_t continuous_current, flo
 }
 
 /* Of 96 bits of a product those above `shift`; rounded down. */
-static uint64_t scaled(uint64_t value, uint32_t mantissa, uint8_t shift)
+static uint64_t scale(uint64_t value, uint32_t mantissa, uint8_t shift)
 {
     const uint64_t low = wide_product((uint32_t)(value & UINT32_MAX), mantissa);
     const uint64_t high = wide_product((uint32_t)(value >> 32), mantissa) + (low >> 32);
@@ -38,7 +38,7 @@ void thermal_update(struct thermal *thermal, int16_t measured)
     const int32_t square = (int32_t)measured * measured;
     const uint64_t aim = (uint64_t)square << FRACTION_BITS;
     if (aim >= thermal->heat)
-        thermal->heat += scaled(aim - thermal->heat, thermal->decay, thermal->shift);
+        thermal->heat += scale(aim - thermal->heat, thermal->decay, thermal->shift);
     else
-        thermal->heat -= scaled(thermal->heat - aim, thermal->decay, thermal->shift);
+        thermal->heat -= scale(thermal->heat - aim, thermal->decay, thermal->shift);
 }

@@ -40,7 +40,7 @@ static int16_t share(int16_t current, uint32_t left, uint32_t ramp)
     return (int16_t)(current < 0 ? -(int32_t)quotient : (int32_t)quotient);
 }
 
-int16_t watchdog_wanted(struct watchdog *watchdog, uint64_t until, int16_t active)
+int16_t watchdog_choose(struct watchdog *watchdog, uint64_t until, int16_t active)
 {
     if (until <= watchdog->expires) {
         watchdog->applied = true;
@@ -58,7 +58,7 @@ int16_t watchdog_wanted(struct watchdog *watchdog, uint64_t until, int16_t activ
     return share(watchdog->from, (uint32_t)(end - until), watchdog->ramp);
 }
 
-int16_t watchdog_faded(struct watchdog *watchdog, uint64_t until, int16_t current)
+int16_t watchdog_fade(struct watchdog *watchdog, uint64_t until, int16_t current)
 {
     if (until <= watchdog->expires)
         return current;

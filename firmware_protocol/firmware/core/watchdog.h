@@ -22,9 +22,9 @@ void watchdog_idle(struct watchdog *watchdog, uint64_t now);
 void watchdog_feed(struct watchdog *watchdog, uint64_t now, int16_t current, uint32_t lifetime, uint32_t ramp);
 
 /* The current for a tick that ends at `until`, when `active` flowed in the last one. */
-int16_t watchdog_wanted(struct watchdog *watchdog, uint64_t until, int16_t active);
+int16_t watchdog_choose(struct watchdog *watchdog, uint64_t until, int16_t active);
 
 /* The same for a law that the command supervises and that wants `current` now. */
-int16_t watchdog_faded(struct watchdog *watchdog, uint64_t until, int16_t current);
+int16_t watchdog_fade(struct watchdog *watchdog, uint64_t until, int16_t current);
 
 #endif

@@ -105,7 +105,7 @@ static int32_t run_of_lines(const law_excitation_work *w, uint32_t lines)
 }
 
 /* Amplitude * sum of cosines in the table's format, to the nearest; a table that is too small for it saturates. */
-static int16_t rounded(const law_excitation_work *w)
+static int16_t round_sum(const law_excitation_work *w)
 {
     const uint32_t shift = (uint32_t)LAW_COSINE_BITS + (uint32_t)LAW_LINE_BITS - w->p.bits;
     const int64_t value = ((w->sum * (int64_t)w->p.amplitude >> (shift - 1)) + 1) >> 1;
@@ -123,7 +123,7 @@ bool law_excitation_continue(law_excitation_work *w, uint32_t cosines)
         w->line += lines;
         cosines -= lines;
         if (w->line == p->lines) {
-            w->table[w->tick++] = rounded(w);
+            w->table[w->tick++] = round_sum(w);
             w->line = 0;
             w->sum = 0;
             add_turn(&w->first, &w->first_rest, w->first_turn, w->first_turn_rest, p->period);

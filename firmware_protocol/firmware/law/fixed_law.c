@@ -31,7 +31,7 @@ static uint32_t multiple(const law_state *s, const law_parameters *p)
 }
 
 /* An effort in quanta * 2^from, at another binary point and rounded down; its value must fit there. */
-static int64_t rescaled(int64_t effort, int32_t from, int32_t to)
+static int64_t rescale(int64_t effort, int32_t from, int32_t to)
 {
     return from >= to ? law_shift(effort, from - to) : effort * ((int64_t)1 << (to - from));
 }
@@ -135,7 +135,7 @@ void law_fixed_tick(law_state *s, const law_parameters *p, const law_input *in, 
         if (depth > 0 || p->bilateral)
             effort -= law_with_sign(reaction(p, depth, velocity, &flags), w->side);
         if (p->excitation.lines > 0)
-            effort += rescaled(law_excitation_run(&s->excitation, &p->excitation, elapsed), LAW_LINE_BITS, shift);
+            effort += rescale(law_excitation_run(&s->excitation, &p->excitation, elapsed), LAW_LINE_BITS, shift);
         if (phase == LAW_RELEASE)
             effort = law_part(effort, release_share(s, p->release_ticks, elapsed));
     } else if (law_is_homing(phase)) {
@@ -150,7 +150,7 @@ void law_fixed_tick(law_state *s, const law_parameters *p, const law_input *in, 
     } else {
         if (shift < LAW_SLEW_BITS)
             effort = law_at_most(effort, INT64_C(1) << 32); /* still beyond any limit, and it can be scaled up */
-        out->current = guarded(s, p, law_to_32(rescaled(effort, shift, LAW_SLEW_BITS)), elapsed, &flags);
+        out->current = guarded(s, p, law_to_32(rescale(effort, shift, LAW_SLEW_BITS)), elapsed, &flags);
     }
     s->flags = flags;
     out->flags = flags;

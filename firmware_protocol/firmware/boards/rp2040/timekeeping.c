@@ -41,7 +41,7 @@ void time_start(void)
 }
 
 /* Modulo 2³²: the moment near 16 times the microseconds that has the fine count's 16 bits. */
-static uint32_t joined(uint32_t fine, uint32_t coarse)
+static uint32_t join_counts(uint32_t fine, uint32_t coarse)
 {
     const uint32_t about = coarse * 16u + clock.offset;
     return about + (uint32_t)(int16_t)(uint16_t)(fine - about);
@@ -55,7 +55,7 @@ uint64_t time_now(void)
 
 void time_look(void)
 {
-    clock.now += joined(PWM_COUNTER(TIME_SLICE), REGISTER(TIMER_RAW_LOW)) - (uint32_t)clock.now;
+    clock.now += join_counts(PWM_COUNTER(TIME_SLICE), REGISTER(TIMER_RAW_LOW)) - (uint32_t)clock.now;
 }
 
 uint64_t time_of(uint32_t fine, uint32_t coarse)

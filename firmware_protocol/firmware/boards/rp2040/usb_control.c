@@ -262,7 +262,7 @@ static bool to_us(struct usb_control *control, const struct usb_setup *setup)
            setup->index == USB_MICROSOFT_INDEX && send(control, setup, text.bytes, text.count);
 }
 
-static bool answered(struct usb_control *control, const struct usb_setup *setup, enum usb_effect *effect)
+static bool answer_request(struct usb_control *control, const struct usb_setup *setup, enum usb_effect *effect)
 {
     switch (setup->kind & ~IN) {
     case TO_DEVICE:
@@ -314,7 +314,7 @@ enum usb_effect control_setup(struct usb_control *control)
     control->acknowledges = false;
     control->address = 0;
     control->toggle = 1;
-    if (!answered(control, &setup, &effect)) {
+    if (!answer_request(control, &setup, &effect)) {
         control->address = 0;
         stall(control);
     }
