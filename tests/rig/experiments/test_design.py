@@ -180,7 +180,7 @@ def test_a_place_behind_a_bridge_is_late_by_its_drive_too(monkeypatch: pytest.Mo
     carries = SimpleNamespace(bytes_per_second=None, clock=SimpleNamespace(virtual=False))
     says = SimpleNamespace(position_rate_maximum=2500, parameter=lambda name: None)
     opened = nullcontext(SimpleNamespace(dictionary=says, link=carries))
-    monkeypatch.setattr(device, "open_device", lambda *given, **more: opened)
+    monkeypatch.setattr(device, "open_for_run", lambda *given, **more: opened)
     monkeypatch.setattr(device, "measured_once", lambda *given: link(0.4e-3, drive={"p999_us": 1300.0}))
     (found,) = device.places_of("moteus:///dev/made-up", X)
     assert found.delay_ticks(X, 1000) == 2
