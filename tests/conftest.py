@@ -105,7 +105,7 @@ class LastFirst:
         report = yield
         if isinstance(collector, pytest.Directory):
             for file in reversed(report.result):
-                with suppress(Exception, pytest.skip.Exception):  # told when it is collected
+                with suppress(Exception, pytest.skip.Exception):  # reported when it is collected
                     _ = getattr(file, "obj", None)
         return report
 
@@ -159,7 +159,7 @@ class Memory:
 
 @pytest.fixture(autouse=True, scope="session")
 def _no_disk_is_waited_for() -> Generator[None]:
-    """Nobody cuts the power: of what is synced, and when, tests keep count themselves.
+    """The power is not cut: of what is synced, and when, tests keep count themselves.
 
     Else a run would sync nine thousand times, for 2 to 3 ms each.
     """
@@ -210,7 +210,7 @@ def _skipping_without_compiler() -> Generator[None, object, object]:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Keep with each report what its test put up with."""
+    """Keep with each report what its test tolerated."""
     report = yield
     report.user_properties += tolerance.taken()
     return report

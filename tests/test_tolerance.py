@@ -1,4 +1,4 @@
-"""What a real-time test puts up with reaches the summary, through workers too, and is counted by test and reason."""
+"""What a real-time test tolerates reaches the summary, through workers too, and is counted by test and reason."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_of_time(number):
         tolerated(TimeoutError("no answer"))
 
 def test_that_never_began():
-    too_busy("nobody there")
+    too_busy("no device")
 
 def test_that_shows_all():
     pass
@@ -43,11 +43,11 @@ def test_what_is_tolerated_is_counted_and_printed(
     found.assert_outcomes(passed=4, skipped=1)
     summary = found.stdout.str().partition("tolerated on this machine")[2]
     assert "2 × test_some.py::test_of_time: TimeoutError: no answer" in summary
-    assert "1 × test_some.py::test_that_never_began: nobody there" in summary
+    assert "1 × test_some.py::test_that_never_began: no device" in summary
     assert "test_that_shows_all" not in summary
 
 
-def test_a_lost_device_is_told_with_its_place_in_the_run() -> None:
+def test_a_lost_device_is_reported_with_its_place_in_the_run() -> None:
     rows = np.zeros(3, [("phase", "u1"), ("device_time", "<i8")])
     rows["device_time"] = [0, 1_000_000, 42_000_000]
     rows["phase"] = Phase.HOMING

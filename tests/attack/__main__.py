@@ -42,7 +42,7 @@ class Worker:
 
     def __init__(self, area: str, seed: int) -> None:
         self._place = tempfile.TemporaryDirectory(prefix=f"attack-{area}-", ignore_cleanup_errors=True)
-        self._said = tempfile.TemporaryFile()  # noqa: SIM115  (as long as the process)
+        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115  (as long as the process)
         command = [
             *isolation(),
             sys.executable,
@@ -55,7 +55,7 @@ class Worker:
         pipes: dict[str, Any] = {
             "stdin": subprocess.PIPE,
             "stdout": subprocess.PIPE,
-            "stderr": self._said,
+            "stderr": self._stderr,
             "cwd": ROOT,
         }
         self._context = started(*command, text=True, bufsize=1, **pipes)
@@ -80,14 +80,14 @@ class Worker:
         return answer
 
     def _last_words(self) -> str:
-        self._said.seek(0, 2)
-        self._said.seek(max(0, self._said.tell() - 2000))
-        return self._said.read().decode("utf-8", "replace")
+        self._stderr.seek(0, 2)
+        self._stderr.seek(max(0, self._stderr.tell() - 2000))
+        return self._stderr.read().decode("utf-8", "replace")
 
     def close(self) -> None:
         """End it, and all that it started."""
         self._context.__exit__(None, None, None)
-        self._said.close()
+        self._stderr.close()
         self._place.cleanup()
 
 
@@ -104,7 +104,7 @@ def worker_of(area: str, seed: int) -> Iterator[list[Worker]]:
 def attack(area: str, seed: int, report: AreaReport, cases: range, seconds: float, most_bytes: float) -> None:
     """Run cases of an area until the time is over, enough bytes have gone in, or there are no more."""
     with worker_of(area, seed) as workers:
-        begun = said = time.monotonic()
+        begun = printed = time.monotonic()
         for case in cases:
             answer = workers[0].run(case)
             report.add(answer)
@@ -112,8 +112,8 @@ def attack(area: str, seed: int, report: AreaReport, cases: range, seconds: floa
             if answer.get("gone"):
                 workers[0].close()
                 workers[0] = Worker(area, seed)
-            if time.monotonic() - said > PROGRESS_S:
-                said = time.monotonic()
+            if time.monotonic() - printed > PROGRESS_S:
+                printed = time.monotonic()
                 print(f"{area}: {report.tries} tries, {len(report.failures)} failures", file=sys.stderr)
             full = report.figures["bytes"] >= most_bytes
             if report.seconds >= seconds or full or len(report.failures) >= FAILURES_MOST:

@@ -43,7 +43,7 @@ class Outcome:
     figures
         What it did, to be summed: bytes, ticks, ticks_armed, runs, kills, …
     known
-        Names of findings that are expected until somebody mends them.
+        Names of findings that are expected until they are fixed.
     skipped
         What this machine did not permit.
     """
@@ -73,7 +73,7 @@ def chance_of(seed: int, area: str, case: int) -> random.Random:
 def isolation() -> tuple[str, ...]:
     """Command that gives a program processes and mounts of its own; empty where this user may not.
 
-    In them a `rig stop` finds no loop of anybody else, a full disk is nobody else's, and all dies with the first.
+    In them a `rig stop` finds no other loop, a full disk belongs to it alone, and all dies with the first.
     """
     for command in (NAMESPACES, (NAMESPACES[0], "--user", "--map-root-user", *NAMESPACES[1:])):
         try:

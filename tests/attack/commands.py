@@ -51,7 +51,7 @@ class Ended:
 
 def main_of(arguments: Sequence[str]) -> int:
     """Run a command line as `rig` does; its exit code."""
-    from rig.__main__ import main  # noqa: PLC0415  (after the fork of whoever has imported it)
+    from rig.__main__ import main  # noqa: PLC0415  (after the fork of the process that has imported it)
 
     sys.argv = ["rig", *arguments]
     try:
@@ -119,15 +119,17 @@ def waited(child: int, directory: Path, patience_s: float) -> Ended:
         if interrupted and now - interrupted > GRACE_S:
             os.killpg(child, signal.SIGKILL)
             os.waitpid(child, 0)
-            require(False, "does not end, and does not hear Ctrl-C", said(directory, "err")[-1500:])
+            require(False, "does not end, and ignores Ctrl-C", read_output(directory, "err")[-1500:])
         time.sleep(LOOK_S)
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(child, signal.SIGKILL)
     code = os.waitstatus_to_exitcode(status)
-    return Ended(code, said(directory, "out"), said(directory, "err"), bool(interrupted), now - begun)
+    return Ended(
+        code, read_output(directory, "out"), read_output(directory, "err"), bool(interrupted), now - begun
+    )
 
 
-def said(directory: Path, name: str) -> str:
+def read_output(directory: Path, name: str) -> str:
     """What a command has written to its output."""
     path = directory.parent / f"{directory.name}.{name}"
     return path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""

@@ -26,7 +26,7 @@ from tests.attack.area import Outcome, isolation, mounted, require
 from tests.attack.commands import ROOT, documented
 from tests.conformance.started import die_with_parent
 
-NOBODY = 65534
+UNPRIVILEGED = 65534
 CASE_S = 120.0
 BRIEF = ("--duration", "0.3", "--set", "verdict.tail_s=0.1", "--set", "trial.release_s=0.02")
 COMMANDS = {
@@ -64,7 +64,7 @@ class Start:
     environment: dict[str, str] = field(default_factory=dict)
     without: tuple[str, ...] = ()  # variables
     limits: dict[int, int] = field(default_factory=dict)
-    nobody: bool = False
+    unprivileged: bool = False
     streams: dict[str, Any] = field(default_factory=dict)
     closed: tuple[int, ...] = ()  # descriptors
     program: tuple[str, ...] = ("-m", "rig")
@@ -73,10 +73,10 @@ class Start:
         """In the child, before the program."""
         for descriptor in self.closed:
             os.close(descriptor)
-        if self.nobody:
+        if self.unprivileged:
             os.setgroups([])
-            os.setgid(NOBODY)
-            os.setuid(NOBODY)
+            os.setgid(UNPRIVILEGED)
+            os.setuid(UNPRIVILEGED)
         for limit, value in self.limits.items():
             resource.setrlimit(limit, (value, value))
         die_with_parent()  # after the change of user, which undoes it
@@ -143,10 +143,10 @@ class Environment:
         )
 
     def _check(self, ended: subprocess.CompletedProcess[str], what: str) -> None:
-        said = (ended.stderr or "") + (ended.stdout or "")
-        require(ended.returncode in self._codes, what, "ends with", ended.returncode, said[-1500:])
+        output = (ended.stderr or "") + (ended.stdout or "")
+        require(ended.returncode in self._codes, what, "ends with", ended.returncode, output[-1500:])
         for word in ("Traceback (most recent", "internal error", "Exception ignored in"):
-            require(word not in said, what, "says", said[-1500:])
+            require(word not in output, what, "prints", output[-1500:])
 
     def _check_recordings(self, here: Path) -> None:
         """What was sealed reads, whatever came later."""
@@ -156,24 +156,24 @@ class Environment:
             if path.parent.name == "recordings":
                 require(len(open_recording(path)) > 0, path, "is empty")
 
-    def cache_of_nobody(self) -> str:
-        """Compiled kernels that belong to nobody, so that nothing has to be compiled."""
+    def cache_of_another_user(self) -> str:
+        """Compiled kernels that belong to another user, so that nothing has to be compiled."""
         if os.getuid() != 0 or "--user" in isolation():
             raise Skip("needs root")
-        if not _runs_as_nobody():
-            raise Skip("nobody may not run this interpreter")
+        if not _runs_without_privileges():
+            raise Skip("a user without privileges may not run this interpreter")
         if self._cache is None:
             self._cache = self._place / "cache"
             shutil.copytree(cache_root(), self._cache, ignore=_others)
-            subprocess.run(["chown", "-R", f"{NOBODY}:{NOBODY}", str(self._cache)], check=True)
+            subprocess.run(["chown", "-R", f"{UNPRIVILEGED}:{UNPRIVILEGED}", str(self._cache)], check=True)
         return str(self._cache)
 
 
 @cache
-def _runs_as_nobody() -> bool:
+def _runs_without_privileges() -> bool:
     try:
         done = subprocess.run(
-            [sys.executable, "-c", "import rig"], cwd=ROOT, user=NOBODY, group=NOBODY, extra_groups=[],
+            [sys.executable, "-c", "import rig"], cwd=ROOT, user=UNPRIVILEGED, group=UNPRIVILEGED, extra_groups=[],
             capture_output=True, check=False,
         )  # fmt: skip
     except OSError:
@@ -199,14 +199,14 @@ def kind(name: str) -> Callable[[Callable[..., Iterator[Start]]], None]:
     return enter
 
 
-@kind("read-only directory of somebody else")
+@kind("read-only directory of another user")
 def _read_only(area: Environment, here: Path, chance: random.Random) -> Iterator[Start]:
     environment = {
-        "HAPTIC_RIG_CACHE": area.cache_of_nobody(),
+        "HAPTIC_RIG_CACHE": area.cache_of_another_user(),
         "HOME": chance.choice(("/nonexistent", str(here))),
     }
     os.chmod(here, 0o555)
-    yield Start(environment, nobody=True)
+    yield Start(environment, unprivileged=True)
     os.chmod(here, 0o755)
 
 
@@ -305,7 +305,7 @@ def _no_rights(area: Environment, here: Path, chance: random.Random) -> Iterator
     }
     os.chmod(here, 0o777)
     if chance.random() < 0.5:
-        yield Start({"HAPTIC_RIG_CACHE": area.cache_of_nobody()}, limits=limits, nobody=True)
+        yield Start({"HAPTIC_RIG_CACHE": area.cache_of_another_user()}, limits=limits, unprivileged=True)
     else:
         yield Start(limits=limits)
 

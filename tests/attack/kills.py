@@ -89,11 +89,11 @@ class Kills:
         return outcome
 
     def _of(self, name: str) -> tuple[Ended, Path]:
-        """What a command gives that nobody kills, and where."""
+        """Result of a command that is not killed, and where."""
         if name not in self._whole:
             directory = self._place / f"whole-{name}"
             directory.mkdir()
-            run(COMMANDS[name], directory, 600.0)  # compiles what there is to compile
+            run(COMMANDS[name], directory, 600.0)  # compiles everything that it needs
             shutil.rmtree(directory)
             directory.mkdir()
             ended = run(COMMANDS[name], directory, 600.0)
@@ -119,7 +119,7 @@ class Kills:
         return Outcome(Counter({"kills": int(killed), f"kills of {name}": int(killed), "runs": 1}))
 
     def _check_recovery(self, here: Path, whole: Path) -> None:
-        """All captures can be sealed, and have the first rows of those that nobody killed.
+        """All captures can be sealed, and have the first rows of those that were not killed.
 
         One in whose header the kill came is named: nothing had moved. One that was sealed and not yet removed goes.
         """

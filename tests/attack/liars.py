@@ -51,7 +51,7 @@ TICKS = 450  # about what a run takes
 ANSWERS_MOST = 20_000  # of one run: a host that asks for ever is a finding
 U16, U32, I16 = 0xFFFF, 0xFFFFFFFF, 0x7FFF
 
-Lie = Callable[[m.State, int, random.Random], m.State]  # STATE, how many it has told lies in, chance
+Lie = Callable[[m.State, int, random.Random], m.State]  # STATE, in how many it has lied, chance
 
 
 def _wrapped(value: int, bits: int) -> int:
@@ -61,8 +61,8 @@ def _wrapped(value: int, bits: int) -> int:
 def _frozen(name: str) -> Lie:
     kept: dict[int, int] = {}
 
-    def lie(state: m.State, told: int, chance: random.Random) -> m.State:
-        if told == 0:
+    def lie(state: m.State, lies: int, chance: random.Random) -> m.State:
+        if lies == 0:
             kept[0] = getattr(state, name)
         return replace(state, **{name: kept[0]})
 
@@ -71,50 +71,50 @@ def _frozen(name: str) -> Lie:
 
 def _changed(name: str, change: Callable[[int, int], int]) -> Callable[[], Lie]:
     """Lie by a function of the true value and of how many lies there were."""
-    return lambda: lambda state, told, chance: replace(state, **{name: change(getattr(state, name), told)})
+    return lambda: lambda state, lies, chance: replace(state, **{name: change(getattr(state, name), lies)})
 
 
-# Name → what makes a lie. Each contradicts something else that the host is told, or that it has sent.
+# Name → what makes a lie. Each contradicts something else that the host receives, or that it has sent.
 CONTRADICTIONS: dict[str, Callable[[], Lie]] = {
-    "measured current: none": _changed("current_measured", lambda true, told: 0),
-    "measured current: opposite": _changed("current_measured", lambda true, told: max(-I16, -true)),
+    "measured current: none": _changed("current_measured", lambda true, lies: 0),
+    "measured current: opposite": _changed("current_measured", lambda true, lies: max(-I16, -true)),
     "measured current: threefold": _changed(
-        "current_measured", lambda true, told: max(-I16, min(I16, 3 * true))
+        "current_measured", lambda true, lies: max(-I16, min(I16, 3 * true))
     ),
     "measured current: frozen": lambda: _frozen("current_measured"),
-    "active current: none": _changed("current_commanded", lambda true, told: 0),
-    "active current: opposite": _changed("current_commanded", lambda true, told: max(-I16, -true)),
-    "active current: half": _changed("current_commanded", lambda true, told: true // 2),
-    "device time: a second ahead": _changed("device_time", lambda true, told: (true + 16_000_000) & U32),
-    "device time: a second back": _changed("device_time", lambda true, told: (true - 16_000_000) & U32),
+    "active current: none": _changed("current_commanded", lambda true, lies: 0),
+    "active current: opposite": _changed("current_commanded", lambda true, lies: max(-I16, -true)),
+    "active current: half": _changed("current_commanded", lambda true, lies: true // 2),
+    "device time: a second ahead": _changed("device_time", lambda true, lies: (true + 16_000_000) & U32),
+    "device time: a second back": _changed("device_time", lambda true, lies: (true - 16_000_000) & U32),
     "device time: frozen": lambda: _frozen("device_time"),
-    "device time: twice as fast": _changed("device_time", lambda true, told: (true + told * 16_000) & U32),
-    "sample index: a thousand ahead": _changed("sample_index", lambda true, told: (true + 1_000) & U32),
+    "device time: twice as fast": _changed("device_time", lambda true, lies: (true + lies * 16_000) & U32),
+    "sample index: a thousand ahead": _changed("sample_index", lambda true, lies: (true + 1_000) & U32),
     "sample index: two billion ahead": _changed(
-        "sample_index", lambda true, told: (true + 2_000_000_000) & U32
+        "sample_index", lambda true, lies: (true + 2_000_000_000) & U32
     ),
-    "sample index: a thousand back": _changed("sample_index", lambda true, told: (true - 1_000) & U32),
+    "sample index: a thousand back": _changed("sample_index", lambda true, lies: (true - 1_000) & U32),
     "sample index: frozen": lambda: _frozen("sample_index"),
-    "sample index: every second": _changed("sample_index", lambda true, told: (2 * true) & U32),
-    "count: jumps far": _changed("count", lambda true, told: _wrapped(true + 1_000_000, 32)),
-    "count: jumps to the end": _changed("count", lambda true, told: -(1 << 31)),
-    "count: shakes": _changed("count", lambda true, told: _wrapped(true + (40 if told % 2 else -40), 32)),
+    "sample index: every second": _changed("sample_index", lambda true, lies: (2 * true) & U32),
+    "count: jumps far": _changed("count", lambda true, lies: _wrapped(true + 1_000_000, 32)),
+    "count: jumps to the end": _changed("count", lambda true, lies: -(1 << 31)),
+    "count: shakes": _changed("count", lambda true, lies: _wrapped(true + (40 if lies % 2 else -40), 32)),
     "count: frozen": lambda: _frozen("count"),
-    "edge time: ahead of the sample": _changed("edge_time", lambda true, told: (true + 160_000_000) & U32),
-    "limits: all": _changed("limits", lambda true, told: U16),
-    "limits: ramping": _changed("limits", lambda true, told: int(LimitFlag.RAMPING)),
-    "fault: one that nobody knows": _changed("fault", lambda true, told: 37),
-    "fault: over-speed, but it runs": _changed("fault", lambda true, told: 2),
-    "state: fault without a fault": _changed("state", lambda true, told: int(State.FAULT)),
-    "state: not armed": _changed("state", lambda true, told: int(State.CONFIGURED)),
-    "state: boot": _changed("state", lambda true, told: int(State.BOOT)),
-    "state: one that does not exist": _changed("state", lambda true, told: 200),
+    "edge time: ahead of the sample": _changed("edge_time", lambda true, lies: (true + 160_000_000) & U32),
+    "limits: all": _changed("limits", lambda true, lies: U16),
+    "limits: ramping": _changed("limits", lambda true, lies: int(LimitFlag.RAMPING)),
+    "fault: an unknown one": _changed("fault", lambda true, lies: 37),
+    "fault: over-speed, but it runs": _changed("fault", lambda true, lies: 2),
+    "state: fault without a fault": _changed("state", lambda true, lies: int(State.FAULT)),
+    "state: not armed": _changed("state", lambda true, lies: int(State.CONFIGURED)),
+    "state: boot": _changed("state", lambda true, lies: int(State.BOOT)),
+    "state: one that does not exist": _changed("state", lambda true, lies: 200),
     "inputs: emergency stop, but it runs": _changed(
-        "inputs", lambda true, told: true | int(Input.EMERGENCY_STOP)
+        "inputs", lambda true, lies: true | int(Input.EMERGENCY_STOP)
     ),
-    "command: none yet": _changed("command_age", lambda true, told: U16),
-    "command: another sequence": _changed("command_sequence", lambda true, told: (true + 30_000) & U16),
-    "missed ticks: many": _changed("missed_ticks", lambda true, told: U16),
+    "command: none yet": _changed("command_age", lambda true, lies: U16),
+    "command: another sequence": _changed("command_sequence", lambda true, lies: (true + 30_000) & U16),
+    "missed ticks: many": _changed("missed_ticks", lambda true, lies: U16),
 }
 KNOWN = {"count: frozen": "a hand that holds still looks like that on two single-ended channels"}
 
@@ -166,34 +166,34 @@ class Liar(SimulatedDevice):
     def __init__(self, script: Script, chance: random.Random) -> None:
         super().__init__(MODEL, initial_position=START)
         self._script, self._chance = script, chance
-        self._seen = self._told = self._answers = 0
+        self._seen = self._lies = self._answers = 0
         if script.dictionary is not None:
             packed = dictionaries.encode(replace(self._dictionary, **script.dictionary))
             self._configuration._packed = packed
             self._configuration.hash = dictionaries.dictionary_hash(packed)
-            self._told = 1
+            self._lies = 1
 
     @property
     def lied(self) -> int:
         """Lies so far."""
-        return self._told
+        return self._lies
 
     def tick(self) -> bytes:
-        said = super().tick()
-        if not said or not self.connection.session:
-            return said
+        sent = super().tick()
+        if not sent or not self.connection.session:
+            return sent
         self._seen += 1
         script = self._script
-        if self._seen <= script.after or self._told >= script.lasts:
-            return said
-        return self._frames(said, self._lied)
+        if self._seen <= script.after or self._lies >= script.lasts:
+            return sent
+        return self._frames(sent, self._lied)
 
     def receive(self, data: bytes, *, received_at: int | None = None) -> bytes:
-        said = super().receive(data, received_at=received_at)
-        self._answers += bool(said)
+        sent = super().receive(data, received_at=received_at)
+        self._answers += bool(sent)
         if self._answers > ANSWERS_MOST:
             raise EndlessError
-        return self._frames(said, self._handle_answer) if said and self._script.answer else said
+        return self._frames(sent, self._handle_answer) if sent and self._script.answer else sent
 
     def _command(self, command: m.Command, sequence: int) -> None:
         if not self._script.looks:
@@ -201,8 +201,8 @@ class Liar(SimulatedDevice):
             command = replace(command, state_sequence=newest)
         super()._command(command, sequence)
 
-    def _frames(self, said: bytes, change: Callable[[Message], Message]) -> bytes:
-        return b"".join(self._frame(raw, change) for raw in raw_frames(said))
+    def _frames(self, sent: bytes, change: Callable[[Message], Message]) -> bytes:
+        return b"".join(self._frame(raw, change) for raw in raw_frames(sent))
 
     def _frame(self, raw: bytes, change: Callable[[Message], Message]) -> bytes:
         major, type_id, flags, session, sequence = HEADER.unpack_from(raw)
@@ -214,15 +214,15 @@ class Liar(SimulatedDevice):
     def _lied(self, message: Message) -> Message:
         if not isinstance(message, m.State) or self._script.lie is None:
             return message
-        changed = self._script.lie(message, self._told, self._chance)
-        self._told += 1
+        changed = self._script.lie(message, self._lies, self._chance)
+        self._lies += 1
         return changed
 
     def _handle_answer(self, message: Message) -> Message:
         script = self._script
         if type(message) is not script.answer or self._chance.random() > script.share:
             return message
-        self._told += 1
+        self._lies += 1
         return replace(message, **{script.field: _other(message, script.field, self._chance)})  # type: ignore[type-var]
 
 
@@ -275,7 +275,7 @@ class Liars:
             state_fields = [field.name for field in fields(m.State)]
             chosen = chance.sample(state_fields, chance.randrange(1, 4))
 
-            def anything(state: m.State, told: int, chance: random.Random) -> m.State:
+            def anything(state: m.State, lies: int, chance: random.Random) -> m.State:
                 return replace(state, **{name: _other(state, name, chance) for name in chosen})
 
             return f"STATE {chosen}", Script(
@@ -286,7 +286,7 @@ class Liars:
             return f"dictionary {dictionary}", Script(after=1 << 30, dictionary=dictionary)
         if chance.random() < 0.1:
             session, sequence = chance.choice(((1, 0), (0, 1), (0, 32_768), (0, 65_535)))
-            honest: Lie = lambda state, told, chance: state  # noqa: E731
+            honest: Lie = lambda state, lies, chance: state  # noqa: E731
             return "header", Script(after=after, lie=honest, session=session, sequence=sequence)
         if chance.random() < 0.2:
             return self._delayed(chance)

@@ -34,7 +34,7 @@ WORDS = (
     "1_0", "٣", "1,5", "0x10", "true", "None", "--", "-", "=", "k=v", "wall.stiffness=nan",
     "wall.stiffness=1e400", "rig.encoder=3", "a.b.c=1", "trial=[]", "[", "{}", "1:2", "2:1", "0:0:0", ":",
     "1:2:3:4", "a" * 5000, "\udcff\udcfe", "\u202e", "%s%n%d", "\n", "\t", "sim://", "sim://koul-rigid",
-    "sim://nobody", "sim://?seed=x", "sim://?clock_ppm=nan", "serial://", "serial://missing", "usb://",
+    "sim://nowhere", "sim://?seed=x", "sim://?clock_ppm=nan", "serial://", "serial://missing", "usb://",
     "usb://zz:zz", "http://x", "://", "tcp://", "uniform:0", "uniform:1k", "dual:1k", "dual:1k/0", "1k/3k",
     "20k/2k",
 )  # fmt: skip
@@ -106,21 +106,21 @@ class Options:
                 resource.setrlimit(limit, value)
 
     def _arguments(self, command: click.Command, chance: random.Random) -> list[str]:
-        said: list[str] = []
+        words: list[str] = []
         context = click.Context(command)
         options = [one for one in command.get_params(context) if isinstance(one, click.Option)]
         chosen = chance.sample(options, min(len(options), chance.choice((0, 1, 1, 2, 3))))
         for option in [*(one for one in options if one.required and one not in chosen), *chosen]:
-            said.append(chance.choice(option.opts + option.secondary_opts))
+            words.append(chance.choice(option.opts + option.secondary_opts))
             if not option.is_flag and not option.count:
-                said += [_value(option, chance) for _ in range(max(1, option.nargs))]
+                words += [_value(option, chance) for _ in range(max(1, option.nargs))]
         for argument in command.params:
             if isinstance(argument, click.Argument) and (argument.required or chance.random() < 0.5):
                 count = chance.randrange(1, 4) if argument.nargs == -1 else argument.nargs
-                said += [_value(argument, chance) for _ in range(count)]
+                words += [_value(argument, chance) for _ in range(count)]
         if chance.random() < 0.05:
-            said += [chance.choice(WORDS)]
-        return said
+            words += [chance.choice(WORDS)]
+        return words
 
 
 def _value(parameter: click.Parameter, chance: random.Random) -> str:

@@ -46,7 +46,7 @@ class Talk(Pair):
         self.chance = chance
         self.bytes = 0
         self.sent = bytearray()  # to the device
-        self.told_host = bytearray()
+        self.sent_to_host = bytearray()
 
     def over_the_line(self, frames: bytes, sent: bytearray) -> bytes:
         """What comes out at the other end; strangers speak between the frames."""
@@ -71,7 +71,7 @@ class Talk(Pair):
         session = chance.randrange(1, 256) if cls is m.Arm else None
         with suppress(LocalProtocolError):  # the state forbids it
             frame = host.send(any_message(chance, [cls]), session=session)
-        answers = self.heard(frame)
+        answers = self.answers_of(frame)
         if device.session and chance.random() < 0.5:
             with suppress(LocalProtocolError):
                 answers += device.send(state_message(device.state, chance.randrange(4)))
@@ -79,10 +79,10 @@ class Talk(Pair):
             device.fault()
         elif chance.random() < 0.001:
             device.reset()
-        self.told(self.over_the_line(answers, self.told_host))
+        self.deliver(self.over_the_line(answers, self.sent_to_host))
 
-    def heard(self, frame: bytes) -> bytes:
-        """What the device answers to what comes of a frame; it may move only by what has come."""
+    def answers_of(self, frame: bytes) -> bytes:
+        """Return what the device answers to a damaged frame; it may move only by what arrived."""
         before = self.device.state
         came = self.over_the_line(frame, self.sent)
         status = Status.OK if self.chance.random() < 0.9 else Status.OUT_OF_RANGE
@@ -95,7 +95,7 @@ class Talk(Pair):
         )
         return answers
 
-    def told(self, data: bytes) -> None:
+    def deliver(self, data: bytes) -> None:
         """Let the host hear it: events, or the peer's blame."""
         host = self.host
         host.receive_data(data)
@@ -134,7 +134,7 @@ def _armed_by(data: bytes | bytearray, session: int) -> bool:
 
 
 class Protocol:
-    """Conversations over a bad line; what they said is decoded once more by both codecs."""
+    """Conversations over a bad line; their bytes are decoded once more by both codecs."""
 
     def __init__(self, place: Path) -> None:
         self._raw = np.zeros(codec.RAW_BYTES, np.uint8)
@@ -150,7 +150,7 @@ class Protocol:
             talk.step()
             armed += talk.device.state in (State.ARMED, State.RUNNING)
         talk.check_bounds()
-        pieces = bytes(talk.sent + talk.told_host).split(b"\0")[:_COUNTED_PIECES]
+        pieces = bytes(talk.sent + talk.sent_to_host).split(b"\0")[:_COUNTED_PIECES]
         pieces += [chance.randbytes(chance.randrange(270)).replace(b"\0", b"\1") for _ in range(4)]
         for piece in pieces:
             self._compare(piece)
@@ -199,7 +199,7 @@ class Protocol:
 
 
 def _expected(cls: type[Message], raw: bytes) -> Any:
-    """The message, or the code of the compiled decoders for why there is none."""
+    """The message, or the code of the compiled decoders for its refusal."""
     if raw[0] != MAJOR:
         return codec.FOREIGN_MAJOR
     if raw[1] != LAYOUT_OF[cls].type_id:

@@ -50,16 +50,16 @@ class AreaReport:
         sums = ", ".join(
             f"{value:,} {what.replace('_', ' ')}" for what, value in sorted(self.figures.items())
         )
-        said = [
+        lines = [
             f"{name}: {self.tries} tries in {self.seconds:.0f} s, {len(self.failures)} failures"
             + (f"; {sums}" if sums else "")
         ]
-        said += [f"  {what} {value:,.3g}" for what, value in self.shares().items()]
-        said += [f"  known: {what} ({times} times)" for what, times in sorted(self.known.items())]
-        said += [f"  skipped: {what} ({times} times)" for what, times in sorted(self.skipped.items())]
+        lines += [f"  {what} {value:,.3g}" for what, value in self.shares().items()]
+        lines += [f"  known: {what} ({times} times)" for what, times in sorted(self.known.items())]
+        lines += [f"  skipped: {what} ({times} times)" for what, times in sorted(self.skipped.items())]
         for case, what in self.failures.items():
-            said += [f"  FAILED: --only {name} --seed {seed} --case {case}", *_indented(what[:SHOWN])]
-        return said
+            lines += [f"  FAILED: --only {name} --seed {seed} --case {case}", *_indented(what[:SHOWN])]
+        return lines
 
 
 def _indented(text: str) -> list[str]:

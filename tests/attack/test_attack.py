@@ -62,8 +62,8 @@ def test_a_report_for_machines_has_its_figures_by_name() -> None:
     report = AreaReport()
     report.add({"case": 0, "figures": {"runs": 1}, "known": {"a lie": 2}})
     report.add({"case": 1, "figures": {"runs": 1}, "failure": "what"})
-    told = json.loads(json.dumps(report.as_mapping()))
-    assert (told["figures"], told["known"], told["failures"]) == ({"runs": 2}, {"a lie": 2}, {"1": "what"})
+    read = json.loads(json.dumps(report.as_mapping()))
+    assert (read["figures"], read["known"], read["failures"]) == ({"runs": 2}, {"a lie": 2}, {"1": "what"})
 
 
 def test_a_case_is_the_same_each_time_and_unlike_the_others() -> None:

@@ -4,13 +4,13 @@
     python tests/benchmarks/console.py --minutes 30          as many pairs as half an hour has room for
 
 Each pair is one hit with a console that four pages look through, one of which reads nothing, and one hit without, in
-turn; every second pair the other way round, so that a machine that becomes busier counts for neither. Told: rows that
-the console did not see, rows and samples that the loop lost, and the 99.9th percentile of the ticks' lateness: the
+turn; every second pair the other way round, so that a machine that becomes busier counts for neither. Printed: rows
+that the console did not see, rows and samples that the loop lost, and the 99.9th percentile of the ticks' lateness: the
 median difference of the pairs with its interval (pairs drawn anew, 95 %), how much a hit differs from the next one
-without any console, and how many pairs would tell a tenth of what there is without one. An interval with zero in it
+without any console, and how many pairs would show a tenth of the value without one. An interval with zero in it
 shows no cost, and excludes none below its upper end. Then STOP, fifty times: from the page's word to the loop's stop
 word, through a console that shows a loop at 10 kHz. The last line is JSON. No browser is among the pages: what a page
-in one costs and takes, `console_page.py` tells.
+in one costs and takes, `console_page.py` measures.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def arguments() -> argparse.Namespace:
 
 
 def look(line: Any, place: str, pid: int) -> None:
-    """A console and its pages, in a process of their own, each time that they are asked for; tells the rows unseen."""
+    """Serve a console and its pages in a process of their own, on request; return the rows unseen."""
     from tests.conformance.console import served  # noqa: PLC0415
 
     async def once() -> None:
@@ -87,13 +87,13 @@ def look(line: Any, place: str, pid: int) -> None:
 
 
 @contextmanager
-def pages_beside(line: Any, told: dict[str, Any]) -> Iterator[None]:
-    """With a console and its pages; afterwards `told` has what they saw."""
+def pages_beside(line: Any, found: dict[str, Any]) -> Iterator[None]:
+    """With a console and its pages; afterwards `found` has what they saw."""
     line.send("look")
     line.recv()
     yield
     line.send("end")
-    told |= line.recv()
+    found |= line.recv()
 
 
 def hit(changes: dict[str, Any], seconds: float, place: Path) -> dict[str, float]:
@@ -118,11 +118,11 @@ def pair(
     changes: dict[str, Any], seconds: float, place: Path, line: Any, *, console_first: bool
 ) -> dict[str, Any]:
     """One hit without a console, one with."""
-    told: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     for beside in (console_first, not console_first):
-        with pages_beside(line, told) if beside else nullcontext():
-            told["with" if beside else "without"] = hit(changes, seconds, place)
-    return told
+        with pages_beside(line, results) if beside else nullcontext():
+            results["with" if beside else "without"] = hit(changes, seconds, place)
+    return results
 
 
 def pairs_of(changes: dict[str, Any], options: argparse.Namespace, place: Path) -> list[dict[str, Any]]:
@@ -199,11 +199,11 @@ async def stops(place: Path) -> list[float]:
 def main() -> int:
     """Measure, and tell."""
     options = arguments()
-    told: dict[str, Any] = {"pages": PAGES, "load": os.getloadavg()[0]}
+    results: dict[str, Any] = {"pages": PAGES, "load": os.getloadavg()[0]}
     with tempfile.TemporaryDirectory() as directory:
         place = Path(directory)
         for name, changes in LOOPS.items():
-            told[name] = found = concluded(pairs_of(changes, options, place))
+            results[name] = found = concluded(pairs_of(changes, options, place))
             low, high = found["interval_us"]
             cost = (
                 "shows a cost"
@@ -216,12 +216,12 @@ def main() -> int:
                 flush=True,
             )
         took = sorted(asyncio.run(stops(place)))
-    told["stop_ms"] = {
+    results["stop_ms"] = {
         "median": statistics.median(took),
         "p90": took[int(0.9 * len(took))],
         "longest": took[-1],
     }
-    print(json.dumps(told))
+    print(json.dumps(results))
     return 0
 
 

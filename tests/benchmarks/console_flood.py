@@ -75,7 +75,7 @@ def flood(address: str, load: tuple[bool, bytes, bytes], rate: float, seconds: f
     os.nice(-os.nice(0))
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     upgrades, first, ever = load
-    said = (HEAD.format(address).encode() if upgrades else b"") + first
+    request = (HEAD.format(address).encode() if upgrades else b"") + first
     more = ever * (65536 // len(ever)) if ever else b""
     host, _, port = address.partition(":")
     kept: deque[socket.socket] = deque()
@@ -90,7 +90,7 @@ def flood(address: str, load: tuple[bool, bytes, bytes], rate: float, seconds: f
             )  # over loopback it is there at once, or the server takes no more now
             tried += 1
             with suppress(OSError):
-                one.send(said or b"G")
+                one.send(request or b"G")
                 opened += 1
             kept.append(one)
             if len(kept) > KEPT:
@@ -129,12 +129,12 @@ def measured(load: Any, options: argparse.Namespace, place: str) -> dict[str, fl
     console = multiprocessing.Process(target=serve, args=(theirs, place), daemon=True)
     console.start()
     address, token = ours.recv()
-    heard, tells = multiprocessing.Pipe()
-    arguments = (address, load, options.rate, options.seconds + 1.0, tells)
+    results, sender = multiprocessing.Pipe()
+    arguments = (address, load, options.rate, options.seconds + 1.0, sender)
     attacker = multiprocessing.Process(target=flood, args=arguments, daemon=True)
     begin = attacker.start if load is not None else lambda: None
     took = sorted(asyncio.run(stops(address, token, options.seconds, begin)))
-    tried, opened = (0.0, 0.0) if load is None else heard.recv()
+    tried, opened = (0.0, 0.0) if load is None else results.recv()
     ours.send("end")
     memory = ours.recv()
     console.join()

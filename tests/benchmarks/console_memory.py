@@ -5,10 +5,10 @@
 
 A loop that is turned by hand leaves all rows of that time, in runs of 100 s, and a simulated hand its motions. Server
 and page take them in as in real time, only faster: the server looks at the loop 240 times a second, the browser draws
-as often as it can; how many frames the machine had time for is told. Between two looks somebody goes through the views:
+as often as it can; how many frames the machine had time for is printed. Between two looks the views are visited:
 a recording and a map that have just come are opened (the oldest ones go, so that lists stay as long), the devices are
 looked at, and now and then a hit is run and judged. Eight times a minute the page collects its garbage, and memory is
-read: resident pages of the server with its errands, the page's heap with its arrays, and its nodes. Told is each by
+read: resident pages of the server with its errands, the page's heap with its arrays, and its nodes. Each is printed by
 time, and by how much it grows in ten hours, once the first eighth has passed: a slope that no single value moves (Theil
 and Sen), with its interval at 95 %. The last line is JSON; the exit code is 0 when the upper end of none is beyond
 `MOST`.
@@ -51,7 +51,7 @@ if __name__ == "__main__":
 RATE_HZ = 1000
 RUN_S = 100.0
 TABLE = 100_000  # rows that come again and again
-FASTER = 4  # that the server looks at a loop, and tells how it stands
+FASTER = 4  # that the server looks at a loop, and reports its state
 LOOK_S = 7.5
 KEPT = 20  # recordings and maps in their lists
 HIT_EACH = 8  # visits
@@ -64,7 +64,8 @@ live.FRAME_S, live.STATE_S, live.SEARCH_S = (one / {faster} for one in (live.FRA
 main()
 """
 COUNTS = (
-    "rigConsole.heard = 0; rigConsole.scope.link.addEventListener('frame', () => { rigConsole.heard++; })"
+    "rigConsole.framesSeen = 0; "
+    "rigConsole.scope.link.addEventListener('frame', () => { rigConsole.framesSeen++; })"
 )
 UNCHAINED = ("--disable-frame-rate-limit", "--disable-gpu-vsync")
 
@@ -94,7 +95,7 @@ class Day:
     done, runs
         Rows and runs so far.
     ring
-        Of the run that goes on.
+        Of the run in progress.
     """
 
     def __init__(self, speed: float, hand: SharedHand, rate_hz: int = RATE_HZ, run_s: float = RUN_S) -> None:
@@ -117,7 +118,7 @@ class Day:
         self.done = self.runs = self._left = 0
         self._began = time.monotonic()
 
-    def go_on(self) -> None:
+    def continue_run(self) -> None:
         """Leave the rows that are due."""
         due = int((time.monotonic() - self._began) * self._speed * self._rate_hz)
         while self.done < due:
@@ -162,7 +163,7 @@ class Day:
 
 
 class Visits:
-    """Somebody who goes through the page's views, where something has come each time."""
+    """A user who visits the page's views, where something has come each time."""
 
     def __init__(self, page: Any, place: Path) -> None:
         from tests.conformance.maps import short_map  # noqa: PLC0415
@@ -269,7 +270,7 @@ async def watch(options: argparse.Namespace, place: Path) -> tuple[list[Look], d
             day = Day(speed, SharedHand.open(hand))
             due, visit = LOOK_S, None
             while day.done < options.hours * 3600 * RATE_HZ:
-                day.go_on()
+                day.continue_run()
                 await asyncio.sleep(0.004)
                 if day.done / RATE_HZ / speed >= due and (visit is None or visit.done()):
                     due += LOOK_S
@@ -280,9 +281,9 @@ async def watch(options: argparse.Namespace, place: Path) -> tuple[list[Look], d
                     visit = asyncio.create_task(visits.go_through())
             if visit is not None:
                 await visit
-            heard, drawn = await page.evaluate("[rigConsole.heard, rigConsole.scope.drawn.frames]")
+            frames, drawn = await page.evaluate("[rigConsole.framesSeen, rigConsole.scope.drawn.frames]")
             day.close()
-    counts = {"rows": day.done, "runs": day.runs, "frames": heard, "drawn": drawn}
+    counts = {"rows": day.done, "runs": day.runs, "frames": frames, "drawn": drawn}
     return looks, {**counts, "visits": visits.made - KEPT, "hits": visits.hits}
 
 
@@ -303,16 +304,16 @@ def main() -> int:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as directory:
         looks, counts = asyncio.run(watch(options, Path(directory)))
-    told: dict[str, Any] = {"hours": options.hours, "minutes": options.minutes, **counts}
+    summary: dict[str, Any] = {"hours": options.hours, "minutes": options.minutes, **counts}
     looks = looks[len(looks) // 8 :]
     for name in MOST:
         values, hours = ([getattr(one, which) for one in looks] for which in (name, "hours"))
         slope = theilslopes(values, hours)
         grows, *interval = (round(10.0 * one, 3) for one in (slope.slope, slope.low_slope, slope.high_slope))
-        told[name] = {"median": statistics.median(values), "in_ten_hours": grows, "interval": interval}
-    told["flat"] = all(told[name]["interval"][1] <= most for name, most in MOST.items())
-    print(json.dumps(told))
-    return 0 if told["flat"] else 1
+        summary[name] = {"median": statistics.median(values), "in_ten_hours": grows, "interval": interval}
+    summary["flat"] = all(summary[name]["interval"][1] <= most for name, most in MOST.items())
+    print(json.dumps(summary))
+    return 0 if summary["flat"] else 1
 
 
 if __name__ == "__main__":

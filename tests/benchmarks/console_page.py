@@ -58,7 +58,7 @@ async def turn(day: Any, seconds: float) -> None:
     """Leave rows for so long."""
     until = time.monotonic() + seconds
     while time.monotonic() < until:
-        day.go_on()
+        day.continue_run()
         await asyncio.sleep(0.002)
 
 
@@ -105,7 +105,7 @@ def main() -> int:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as directory:
         ages, stops, frames = asyncio.run(measured(options.seconds, Path(directory)))
-    told = {
+    summary = {
         "row_to_pixel_ms": float(np.median(ages)),
         "row_to_pixel_p99_ms": float(np.percentile(ages, 99)),
         "stop_ms": float(np.median(stops)),
@@ -113,8 +113,8 @@ def main() -> int:
         "frames_a_second": frames / options.seconds,
         "load": os.getloadavg()[0],
     }
-    within = all(told[name] <= most for name, most in MARKS.items())
-    print(json.dumps({**told, "within": within}))
+    within = all(summary[name] <= most for name, most in MARKS.items())
+    print(json.dumps({**summary, "within": within}))
     return 0 if within else 1
 
 

@@ -107,7 +107,7 @@ class Case:
 class Found:
     """What became of one trial."""
 
-    alarm: bool  # the currents were said to disagree
+    alarm: bool  # the currents were reported to disagree
     over: bool  # over-current
     seconds: float | None  # from when a break could be seen to the end; None: it could not
     observed: bool
@@ -131,19 +131,19 @@ def trial(experiment: Any, share: float, seed: int, broken: dict[str, float] | N
             setattr(device.hardware, name, value)
 
     link = MemoryLink(device, Faults(device=(Happening(at, act),) if broken else ()))
-    said = ""
+    message = ""
     with TemporaryDirectory() as directory:
         path = Path(directory) / "trial.rigcap"
         try:
             with FramedDevice(link) as framed:
                 trial_on(framed, experiment, path, seed=seed, sealed=False)
         except RigError as error:
-            said = error.message
+            message = error.message
         rows = open_recording(path).rows
     proper = np.flatnonzero(rows["phase"] == Phase.TRIAL)
     return Found(
-        alarm=any(text in said for text in ALARMS),
-        over=Fault.OVER_CURRENT.text in said,
+        alarm=any(text in message for text in ALARMS),
+        over=Fault.OVER_CURRENT.text in message,
         seconds=seen_for(rows, model, experiment.controller.position_rate, broken, at) if broken else None,
         observed=bool((rows["flags"][proper] & RowFlag.CURRENT_FOLLOWS).any()),
         trial=range(proper[0], proper[-1]) if len(proper) else range(0),

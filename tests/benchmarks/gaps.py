@@ -36,7 +36,7 @@ rates, by length, differ least.
 
 **Limits**: of each part, the longest gap and the largest rate of losses or late ticks that are harmless, and all those
 tried below them; a rate is rounded down to the next of 1, 2, 5 · 10ⁿ. A part in which everything that was tried is
-harmless has no limit: what is lost there is counted and told.
+harmless has no limit: what is lost there is counted and printed.
 """
 
 from __future__ import annotations

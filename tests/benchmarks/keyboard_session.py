@@ -2,12 +2,12 @@
 
     python tests/benchmarks/keyboard_session.py                          template first-steps, 20 trials
     python tests/benchmarks/keyboard_session.py --scheme uniform:500     on a machine that does not keep 1 kHz
-    python tests/benchmarks/keyboard_session.py --reaction 0.8           of somebody who is in no hurry
+    python tests/benchmarks/keyboard_session.py --reaction 0.8           of a person in no hurry
     python tests/benchmarks/keyboard_session.py --template compare-estimators --trials 40
 
 The script is operator and participant of ``rig session run --hand keyboard`` in a pseudo-terminal. It reads the lines:
 at *ready?* it presses the go key, at *go* it waits for its reaction time and presses *end*, which takes the hand into
-the wall; it gives the program's own verdict, and goes on after whatever else it is asked. The last line is one JSON
+the wall; it gives the program's own verdict, and continues after every other question. The last line is one JSON
 object; the exit code is 0 when at most one trial in twenty was invalid, which a quiet machine should reach. Machine and
 load stand beside the result: gaps and late ticks of a busy one are counted apart, and are no fault of the session's.
 """
@@ -124,7 +124,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         directory = options.output or Path(name)
         directory.mkdir(parents=True, exist_ok=True)
-        code, said, trials = session(options, directory)
+        code, output, trials = session(options, directory)
     invalid = [one for one in trials if one["automatic"] == "invalid"]
     for one in invalid:
         print(
@@ -143,7 +143,7 @@ def main() -> int:
         "processors": os.cpu_count(),
     }
     if code:
-        print(said, file=sys.stderr)
+        print(output, file=sys.stderr)
     print(f"{len(invalid)} of {len(trials)} trials invalid ({share:.0%}); allowed: {ALLOWED:.0%}")
     print(json.dumps(summary))
     return 0 if code == 0 and trials and share <= ALLOWED else 1

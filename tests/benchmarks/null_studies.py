@@ -1,4 +1,4 @@
-"""How often the mixed model finds a difference where there is none, by its exact likelihood in a balanced study.
+"""How often the mixed model finds a difference that does not exist, by its exact likelihood in a balanced study.
 
     python -m tests.benchmarks.null_studies            # what `rig/session/README.md` says of likelihood ratios
     python -m tests.benchmarks.null_studies 8          # with so many participants alone
@@ -70,7 +70,7 @@ def _contrasts(count: int) -> Floats:
 
 
 def fit(values: dict[Stratum, Floats], without: Sequence[Stratum] = (), *, reml: bool = False) -> Fit:
-    """Largest likelihood of variances that are none below zero, with means in all strata but some."""
+    """Largest likelihood of variances of which no one is below zero, with means in all strata but some."""
     squares, sizes = np.zeros(4), np.zeros(4)
     for place, stratum in enumerate(STRATA):
         of = values[stratum]

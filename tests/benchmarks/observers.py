@@ -31,7 +31,7 @@ REGENERATE = "python -m tests.benchmarks.observers"
 
 LEVELS = tuple(float(level) for level in range(100, 825, 25))
 THRESHOLD, OFF_LATTICE = 430.0, 12.5  # K50, and half a step about it
-BEYOND = 1.2 * LEVELS[-1]  # K50 of somebody whose limit no level reaches
+BEYOND = 1.2 * LEVELS[-1]  # K50 of a person whose limit no level reaches
 LAPSE_RATES = (0.0, 0.02, 0.05)
 SPREADS = (5.0, 15.0, 40.0)
 GRADUAL = (80.0, 120.0)  # spreads of observers whose verdicts change over half of the levels and more

@@ -1,4 +1,4 @@
-"""Does a hit do what its plan says? Random rigs that somebody might build, each planned and then hit in simulation.
+"""Does a hit do what its plan says? Random rigs that a lab might build, each planned and then hit in simulation.
 
     python -m tests.benchmarks.plausible_rigs              # 400 rigs and the table; some minutes
     python -m tests.benchmarks.plausible_rigs --rigs 50 --first 1000

@@ -5,7 +5,7 @@
     python -m tests.benchmarks.pulses --loop device   # pushes of the board: the firmware's law
 
 Each trial is four pushes in virtual time over the byte link, from a place of its own in the window and in an encoder
-cell, of a rig whose current nobody measures. The rule was written before the results: no sound rig is refused; a dead
+cell, of a rig whose current is not measured. The rule was written before the results: no sound rig is refused; a dead
 or reversed motor, a reversed, frozen or half-dead encoder and a scale (motor or encoder) that is off by two or more is
 refused in every trial, with the right check named; friction twice as large is no refusal.
 """
@@ -104,11 +104,11 @@ class TickByTick(FirmwareDevice):
     """The firmware by its parts: a compiled run of ticks would pass an encoder by that is not the true one."""
 
     def run(self, until_ns: int, most: int, *, enough: int = 1) -> tuple[bytes, int]:
-        said, ticks = b"", 0
-        while ticks < most and len(said) < enough and self.next_tick_ns <= until_ns:
-            said += self.tick()
+        named, ticks = b"", 0
+        while ticks < most and len(named) < enough and self.next_tick_ns <= until_ns:
+            named += self.tick()
             ticks += 1
-        return said, ticks
+        return named, ticks
 
     def stand_before(self, hardware: Hardware) -> None:
         """Have another rig than the one that it was built for."""
@@ -126,8 +126,8 @@ def faulty(experiment: Experiment, fault: Fault, at: float) -> FramedDevice:
         device = TickByTick(sound, initial_position=at)
         device.stand_before(Hardware(fault.model(sound), 1_000, seed=0, initial_position=at))
     else:
-        told = simulated.describe(sound, sound.name, 1_000, 50_000)
-        with patch.object(simulated, "describe", lambda *_: told):
+        described = simulated.describe(sound, sound.name, 1_000, 50_000)
+        with patch.object(simulated, "describe", lambda *_: described):
             device = SimulatedDevice(fault.model(sound), initial_position=at)
     if counts:
         device.hardware.__class__ = Counting
@@ -173,15 +173,16 @@ def main() -> None:
             files = [Path(directory) / f"{name}-{what}-{n}.rigcap" for n in range(trials)]
             found = [says(experiment, fault, at, file) for at, file in zip(places, files, strict=True)]
             right = sum(
-                said == "ok" if fault.named is None else fault.named in said.split(", ") for said, _ in found
+                named == "ok" if fault.named is None else fault.named in named.split(", ")
+                for named, _ in found
             )
             missed += trials - right
             scales = [scale for _, scale in found]
-            said = "; ".join(
+            named = "; ".join(
                 f"{count} × {text}" for text, count in Counter(text for text, _ in found).items()
             )
             sizes = f"{np.nanmin(scales):.2f}–{np.nanmax(scales):.2f}"
-            print(f"| {name} | {what} | {right}/{trials} | {said} | {sizes} |", flush=True)
+            print(f"| {name} | {what} | {right}/{trials} | {named} | {sizes} |", flush=True)
     print(f"{missed} trials against the rule")
 
 

@@ -388,8 +388,8 @@ def main() -> int:
             found = device_run(options, directory, watch)
     if options.url is not None and watch.totals:
         print(beside_the_goal(options, watch.totals))
-    said = {name: str(value) if isinstance(value, Path) else value for name, value in vars(options).items()}
-    summary = {"asked": said, **found, **watch.totals}
+    chosen = {name: str(value) if isinstance(value, Path) else value for name, value in vars(options).items()}
+    summary = {"asked": chosen, **found, **watch.totals}
     print(json.dumps(summary))
     return 0 if found["end"] in ("STOPPED", "FINISHED") and found.get("rows_lost") == 0 else 1
 

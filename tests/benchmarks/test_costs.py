@@ -99,7 +99,7 @@ def test_the_signals_of_a_trial_cost_less_than_a_copy_of_its_rows() -> None:
 
 
 @pytest.mark.parametrize("what", ["clock fit", "latency ledger"])
-def test_what_is_made_of_a_whole_session_grows_with_its_length_not_with_its_square(what: str) -> None:
+def test_work_on_a_whole_session_grows_with_its_length_not_with_its_square(what: str) -> None:
     few, many = 2_000, 20_000
 
     def of_exchanges(count: int) -> Callable[[], object]:

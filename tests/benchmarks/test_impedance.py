@@ -120,7 +120,7 @@ def test_an_inner_step_is_far_quicker_than_one_of_mujoco() -> None:
     assert ratio > 10.0
 
 
-def test_what_each_estimator_costs_and_what_the_estimate_adds() -> None:
+def test_cost_of_each_estimator_and_of_the_estimate() -> None:
     """Printed, not asserted: CPU of one realisation of 6 s, of its estimate, and the goal for 5 s."""
     for name in ESTIMATORS:
         bench = ExcitedRig(Scheme.parse(f"uniform:1k,estimator={name}").applied(CHAWDA))

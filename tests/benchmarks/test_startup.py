@@ -43,7 +43,7 @@ def bare() -> Any:
         ("rig --help", ["-m", "rig", "--help"], 15.0),
     ],
 )
-def test_what_must_be_quick_stays_near_a_bare_interpreter(
+def test_quick_commands_stay_near_a_bare_interpreter(
     name: str, command: list[str], most: float, bare: Any
 ) -> None:
     seconds = best_of(7, [sys.executable, *command])
@@ -184,8 +184,9 @@ def test_a_stop_reaches_the_loop_almost_as_soon_as_an_interpreter_starts() -> No
                 stop.append(time.perf_counter() - started)
                 ring.put(control_words.LOOP_DONE, 1)
             assert process.returncode == 0
-    said, nothing = statistics.median(stop), statistics.median(bare)
+    stopping, nothing = statistics.median(stop), statistics.median(bare)
     print(
-        f"\nrig stop: {1e3 * said:.0f} ms to the stop word (goal 50), {said / nothing:.1f} × python -c pass (goal 2.5)"
+        f"\nrig stop: {1e3 * stopping:.0f} ms to the stop word (goal 50), "
+        f"{stopping / nothing:.1f} × python -c pass (goal 2.5)"
     )
-    assert said < 2.5 * nothing
+    assert stopping < 2.5 * nothing

@@ -36,7 +36,7 @@ GOAL_US = 250.0
 
 
 def hits() -> Any:
-    """A hit of 1 s that rings and goes on buzzing: columns of the states of a sweep, and counts."""
+    """A hit of 1 s that rings and continues to buzz: columns of the states of a sweep, and counts."""
     states = np.zeros((RATE, 8))
     bounce = 1e-2 * np.exp(-TIME / 0.05) * np.sin(2 * np.pi * 60 * TIME)
     states[:, 2] = np.where(TIME < 0.03, -1e-2, 2e-3 + bounce) + 2e-4 * np.sin(2 * np.pi * 45 * TIME)

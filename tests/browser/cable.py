@@ -1,4 +1,4 @@
-"""A connection that can be cut as by somebody who trips over it: both ends go on, and hear of nothing."""
+"""A connection that can be cut as if a person tripped over it: both ends stay open and receive nothing."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ SCOPE = "rigConsole.scope"
 MACHINE_S = 1.0  # for its processes to get their turn
 BUSY = [
     f"ended: {why}" for why in ("link silent", "device fault", "stopped")
-]  # the last: a page that was not heard of
+]  # the last: a page that no message reached
 
 
 def recorded(place: Path) -> Recording:
@@ -68,9 +68,9 @@ def drag(page: Any, to: float = 0.6) -> None:
         page.wait_for_timeout(20)
     there = page.locator("#state", has_text=re.compile("inside the wall|ended: "))
     there.wait_for()
-    if (told := there.inner_text()) in BUSY:
-        too_busy(told)
-    assert "inside the wall" in told
+    if (text := there.inner_text()) in BUSY:
+        too_busy(text)
+    assert "inside the wall" in text
 
 
 def check_stopped(place: Path, since_ns: int | None = None, within_s: float = 0.0) -> None:
@@ -234,7 +234,7 @@ def test_whatever_ends_the_page_ends_what_it_moves(
 def test_a_connection_that_is_cut_ends_what_its_page_moves(
     cable: Any, open_page: Any, tmp_path: Path
 ) -> None:
-    """Neither end is told: the page still shows the newest state, and its STOP goes nowhere."""
+    """Neither end is notified: the page still shows the newest state, and its STOP goes nowhere."""
     page = open_page(cable.url)
     drag(page)
     since_ns = time.monotonic_ns()
@@ -257,7 +257,7 @@ def test_two_pages_one_operator_and_names_as_text(console: Any, open_page: Any, 
     assert one.evaluate("window.hit") is None
 
 
-def test_what_is_consented_to_at_the_terminal_stands_on_the_page(terminal: Any, open_page: Any) -> None:
+def test_consent_given_at_the_terminal_stands_on_the_page(terminal: Any, open_page: Any) -> None:
     console, person = terminal
     page = open_page(console.url)
     page.get_by_label("Device", exact=True).fill("serial:///dev/no-such-rig")
@@ -271,8 +271,8 @@ def test_what_is_consented_to_at_the_terminal_stands_on_the_page(terminal: Any, 
     page.locator("#notice", has_text="was not armed").wait_for()
     assert asked.is_hidden()
     console.terminate()
-    told = console.stdout.read()
-    assert all(line in told for line in lines), told
+    text = console.stdout.read()
+    assert all(line in text for line in lines), text
 
 
 def test_keyboard_alone_moves_the_handle(console_page: Any) -> None:

@@ -25,13 +25,13 @@ def test_a_map_fills_in_and_a_click_on_a_cell_opens_that_hit(console_page: Any, 
     canvas = page.locator("canvas.plane")
     canvas.focus()
     page.keyboard.press("ArrowUp")
-    said = page.locator(".map p[role=status]").first
-    softest = said.inner_text()
+    status = page.locator(".map p[role=status]").first
+    softest = status.inner_text()
     assert re.match(
         r"K 20 N·m/rad, B 0 N·m·s/rad · zero at 0.1 count · stable; passes: felt, heard, any", softest
     )
     page.keyboard.press("ArrowUp")
-    assert said.inner_text() != softest
+    assert status.inner_text() != softest
     page.keyboard.press("Enter")
     page.get_by_role("heading", name=re.compile(r"^koul-compliant-K21\.2-B0-\w+\.parquet$")).wait_for(
         timeout=COMPILING_MS

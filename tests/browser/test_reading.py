@@ -1,4 +1,4 @@
-"""The page for who does not see it, does not point, or sees little contrast: names, what is said, keys, colours."""
+"""The page without sight, without a mouse and with little contrast: names, spoken text, keys, colours."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ def view(page: Any, name: str) -> None:
 def check_readable(page: Any) -> None:
     """Every text stands out from its ground, and every control says its name."""
     assert page.evaluate(FAINT) == []
-    told = page.locator("body").aria_snapshot()
-    assert UNNAMED.findall(told) == [], told
+    snapshot = page.locator("body").aria_snapshot()
+    assert UNNAMED.findall(snapshot) == [], snapshot
 
 
 def tab_to(page: Any, element: Any) -> None:
@@ -89,7 +89,7 @@ def test_keys_alone_hit_a_wall_read_it_and_open_its_recording(console_page: Any,
     page.keyboard.press("Enter")
     page.get_by_role("status").filter(has=page.locator(".verdict")).wait_for()
     state = page.locator("#state[role=status]")
-    assert state.inner_text().startswith("ended: "), "states are told where they are said aloud"
+    assert state.inner_text().startswith("ended: "), "states stand where they are read aloud"
 
     tab_to(page, page.get_by_role("button", name="Pause"))
     page.keyboard.press("Enter")

@@ -31,7 +31,7 @@ def test_a_recording_is_found_opened_replayed_drawn_exported_and_kept_in_the_tra
     rows = page.locator(".found tbody tr")
     rows.nth(1).wait_for(timeout=WAIT_MS)
     assert NAME.removesuffix(".parquet") in page.locator(".found").inner_text()
-    assert page.locator(".found img").count() == 0, "a name that would be markup is none"
+    assert page.locator(".found img").count() == 0, "a name that would be markup is text"
     page.get_by_role("searchbox").fill("koul-compliant butterworth")
     rows.nth(1).wait_for(state="detached")
     page.get_by_role("button", name="one", exact=True).click()

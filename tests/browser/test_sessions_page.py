@@ -56,10 +56,10 @@ def press_the_wall(page: Any) -> None:
 
 
 def test_a_short_blind_session_by_keys(console_page: Any, tmp_path: Path) -> None:
-    page, told = console_page, list[Any]()
+    page, frames = console_page, list[Any]()
 
     def keep(frame: str | bytes) -> None:
-        told.append(frame)
+        frames.append(frame)
 
     (tmp_path / "blind.toml").write_text(PROTOCOL.format(duration_s=5.0, reach_s=1.0, rate=250))
     page.on("websocket", lambda socket: socket.on("framereceived", keep))
@@ -81,7 +81,7 @@ def test_a_short_blind_session_by_keys(console_page: Any, tmp_path: Path) -> Non
         check_readable(one)
     page.bring_to_front()
     free = page.locator("#operate:enabled")
-    until(page, free.is_visible, "nobody who operates, since the page was reloaded")
+    until(page, free.is_visible, "no operator, since the page was reloaded")
 
     for _ in range(QUESTIONS):
         press_the_wall(page)
@@ -121,7 +121,7 @@ def test_a_short_blind_session_by_keys(console_page: Any, tmp_path: Path) -> Non
     assert [one.content["reason"] for one in events(tmp_path, "ended")] == ["complete"]
     assert [one.content["verdict"] for one in events(tmp_path, "judged")] == ["buzz", "buzz"]
     assert events(tmp_path, "answered")[0].content["answer"] == 5
-    shown = "\n".join(one if isinstance(one, str) else one.decode("latin-1") for one in told)
+    shown = "\n".join(one if isinstance(one, str) else one.decode("latin-1") for one in frames)
     assert "How tired?" in shown
     for secret in SECRETS:
         assert secret not in shown, secret

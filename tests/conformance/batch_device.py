@@ -72,7 +72,7 @@ class BatchDevice:
         self.faults_at: dict[int, int] = {}  # played tick → fault
         self.at: dict[int, Callable[[], None]] = {}  # played tick → what happens then
         self.command_sequence = 0
-        self.heard: list[tuple[int, m.Message]] = []
+        self.received: list[tuple[int, m.Message]] = []
         self.arrived = b""
         self.error = 0
         self.write_error = 0
@@ -176,7 +176,7 @@ class BatchDevice:
         self._check(self.write_error)
         header, message = unpack(decode_frame(data[:-1]))
         assert header.session == self.session
-        self.heard.append((self.clock.now_ns(), message))
+        self.received.append((self.clock.now_ns(), message))
         if isinstance(message, m.Command):
             self._command(header.sequence, message)
         elif self.answers:
@@ -228,8 +228,8 @@ class BatchDevice:
         self._arrive(encode_frame(pack(message, session=self.session)))
 
     def commands(self) -> list[m.Command]:
-        """COMMANDs heard, in order."""
-        return [message for _, message in self.heard if isinstance(message, m.Command)]
+        """COMMANDs received, in order."""
+        return [message for _, message in self.received if isinstance(message, m.Command)]
 
     def failure(self) -> None:
         """Nothing breaks in here."""

@@ -1,7 +1,7 @@
 """A bridge in virtual time: a simulated drive behind a line that takes its time, a host at the other end.
 
 `Bridged` is a `rig.devices.device.Link`, so that a host of the tests and `FramedDevice` talk to it. What goes wrong is
-said by the number of a line, to the drive or from it.
+sent with the number of a line, to the drive or from it.
 """
 
 from __future__ import annotations
@@ -72,17 +72,17 @@ class MemoryBus:
 
     def __init__(self, drive: Simulated) -> None:
         self.drive = drive
-        self.heard: list[CanFrame] = []  # that wait, of others too
-        self.said = 0
+        self.waiting: list[CanFrame] = []  # that wait, of others too
+        self.sent = 0
 
     def send(self, frame: CanFrame) -> None:
-        self.said += 1
-        told = self.drive.run(self.drive.ticks + self.drive.rate_hz // 1000)
-        told += self.drive.receive(Frame(frame.id, frame.data, remote=frame.remote))
-        self.heard += [CanFrame(one.identifier, one.data) for one in told]
+        self.sent += 1
+        replies = self.drive.run(self.drive.ticks + self.drive.rate_hz // 1000)
+        replies += self.drive.receive(Frame(frame.id, frame.data, remote=frame.remote))
+        self.waiting += [CanFrame(one.identifier, one.data) for one in replies]
 
     def receive(self, timeout_s: float) -> CanFrame | None:
-        return self.heard.pop(0) if self.heard else None
+        return self.waiting.pop(0) if self.waiting else None
 
     def close(self) -> None:
         pass
@@ -237,20 +237,20 @@ class Bridged:
         self._events: list[tuple[int, int, Way, bytes]] = []
         self._number = 0
         self._at_ns = 0  # to which the world has come
-        self._said = b""  # and not yet read by a loop
-        self._unheard: list[bytes] = []  # of the drive, while nobody listens
+        self._sent = b""  # and not yet read by a loop
+        self._undelivered: list[bytes] = []  # of the drive, while the bridge is not listening
         self._failure: BaseException | None = None
         self.bridge.start(0)
 
     # ------------------------------------------------------------------ a link
 
     def read(self, timeout_s: float) -> bytes:
-        """Let time pass until the bridge has said something."""
+        """Let time pass until the bridge has sent something."""
         end_ns = self.clock.now_ns() + round(timeout_s * 1e9)
-        said, self._said = self._said, b""
-        while not (said := said + self.bridge.to_host()) and self.clock.now_ns() < end_ns:
+        sent, self._sent = self._sent, b""
+        while not (sent := sent + self.bridge.to_host()) and self.clock.now_ns() < end_ns:
             self.step(end_ns)
-        return said
+        return sent
 
     def write(self, data: bytes) -> None:
         """Hand it in, now: the host may have let time pass by its clock alone."""
@@ -268,14 +268,14 @@ class Bridged:
         self._failure = self._failure or failure
 
     def _wait(self, deadline_ns: int) -> bool:
-        self._said += self.bridge.to_host()
-        while not self._said and self.clock.now_ns() < deadline_ns:
+        self._sent += self.bridge.to_host()
+        while not self._sent and self.clock.now_ns() < deadline_ns:
             self.step(deadline_ns)
-            self._said = self.bridge.to_host()
-        return bool(self._said)
+            self._sent = self.bridge.to_host()
+        return bool(self._sent)
 
     def _read_now(self, size: int) -> bytes:
-        data, self._said = self._said[:size], self._said[size:]
+        data, self._sent = self._sent[:size], self._sent[size:]
         return data
 
     def failure(self) -> BaseException | None:
@@ -300,13 +300,13 @@ class Bridged:
             self.step(end_ns)
 
     def sleep(self, seconds: float) -> None:
-        """Let the bridge's computer stand still; what came meanwhile is heard afterwards."""
+        """Let the bridge's computer stand still; what came meanwhile is received afterwards."""
         self.alive = False
         self.run(seconds)
         self.alive = True
-        for line in self._unheard:
+        for line in self._undelivered:
             self._to_drive(self.bridge.receive_bus(line, self._now))
-        self._unheard.clear()
+        self._undelivered.clear()
 
     def step(self, end_ns: int) -> None:
         """Go to what happens next, and let it."""
@@ -323,7 +323,7 @@ class Bridged:
             elif self.alive:
                 self._to_drive(self.bridge.receive_bus(line, self._now))
             else:
-                self._unheard.append(line)
+                self._undelivered.append(line)
         if self.alive:
             self._to_drive(self.bridge.receive_host(b"", self._now))
         if self.alive and self.bridge.due <= self._now:
@@ -336,10 +336,10 @@ class Bridged:
             return otherwise_ns
         return math.ceil((due - self._began) / self._ticks_per_ns)
 
-    def _to_drive(self, said: bytes) -> None:
+    def _to_drive(self, sent: bytes) -> None:
         size = CLASSIC_BYTES if self.far.name == "odrive" else FD_BYTES
-        frames = range(0, len(said), size) if self.on_a_bus else ()
-        for line in [said[at : at + size] for at in frames] or said.splitlines(keepends=True):
+        frames = range(0, len(sent), size) if self.on_a_bus else ()
+        for line in [sent[at : at + size] for at in frames] or sent.splitlines(keepends=True):
             self._send("to drive", line)
 
     def _from_drive(self, frames: list[Frame]) -> None:
@@ -356,8 +356,8 @@ class Bridged:
             heapq.heappush(self._events, (self._at_ns + self.travel_ns, self._number, way, line))
 
     def _arrives(self, line: bytes) -> None:
-        frame, said = self.adapter.open(from_wire(line) if self.on_a_bus else line)
-        for one in said:
+        frame, sent = self.adapter.open(from_wire(line) if self.on_a_bus else line)
+        for one in sent:
             self._send("from drive", one)
         if frame is not None:
             self._from_drive(self.drive.receive(frame))
@@ -380,7 +380,7 @@ class Bridged:
 
 
 def plain_drive() -> FittedDrive:
-    """A drive that nobody was asked about."""
+    """A drive that has not been asked for."""
     return FittedDrive(
         kind="moteus",
         firmware="moteus",

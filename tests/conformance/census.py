@@ -113,13 +113,13 @@ def marked(mark: str, variable: str = MARK) -> dict[int, str]:
     for name in _listed("/proc"):
         if not name.isdecimal():
             continue
-        with suppress(OSError):  # it ended, or belongs to somebody else
+        with suppress(OSError):  # it ended, or belongs to another user
             directory = Path("/proc") / name
             environment = (directory / "environ").read_bytes().split(b"\0")
             if f"{variable}={mark}".encode() in environment:
                 of = [entry for entry in environment if entry.startswith(b"PYTEST_CURRENT_TEST=")]
-                said = (directory / "cmdline").read_bytes().replace(b"\0", b" ") + b" ".join(of)
-                found[int(name)] = said.decode("utf-8", "replace")
+                text = (directory / "cmdline").read_bytes().replace(b"\0", b" ") + b" ".join(of)
+                found[int(name)] = text.decode("utf-8", "replace")
     return found
 
 

@@ -24,11 +24,11 @@ PATIENCE_S = 60.0  # machine code may have to be made first, beside other work
 
 
 class Page:
-    """The socket of a page or a participant's screen, and what it has been told."""
+    """The socket of a page or a participant's screen, and the messages that it has received."""
 
     def __init__(self, socket: ClientConnection) -> None:
         self.socket = socket
-        self.told: list[dict[str, Any]] = []
+        self.messages: list[dict[str, Any]] = []
         self.frames: list[dict[str, Any]] = []
         self.closed: ConnectionClosed | None = None
         self._number = 0
@@ -49,11 +49,11 @@ class Page:
                 (length,) = struct.unpack_from("<I", data)
                 self.frames.append(json.loads(data[4 : 4 + length]) | {"bytes": len(data)})
             else:
-                self.told.append(json.loads(data))
+                self.messages.append(json.loads(data))
             self._news.set()
 
     async def until(self, found: Callable[[Page], Any]) -> Any:
-        """Wait until something has been told."""
+        """Wait until a message has been received."""
         async with asyncio.timeout(PATIENCE_S):
             while not (result := found(self)):
                 if self.closed is not None:
@@ -76,11 +76,11 @@ class Page:
 
     def answer(self, number: int) -> dict[str, Any] | None:
         """The answer to a request, once it is there."""
-        return next((one for one in self.told if one["say"] == "answer" and one["to"] == number), None)
+        return next((one for one in self.messages if one["say"] == "answer" and one["to"] == number), None)
 
     def newest(self, say: str) -> dict[str, Any] | None:
-        """What was told last of a kind."""
-        return next((one for one in reversed(self.told) if one["say"] == say), None)
+        """Return the last message of a kind, None without one."""
+        return next((one for one in reversed(self.messages) if one["say"] == say), None)
 
 
 class Served:

@@ -1,4 +1,4 @@
-"""What every device must do, whoever built it: the conformance suite of the far end, over its link.
+"""What every device must do: the conformance suite of the far end, over its link.
 
 `check_device` asks through a real link and knows the far end by its answers alone. The twin, its process, the
 firmware and a real rig run it alike; a rig on a bench must be free to move by a few counts.
@@ -26,7 +26,7 @@ MakeLink = Callable[[], Link]
 
 
 def check_device(make_device_connection: MakeLink, *, starts_in_boot: bool = True) -> None:
-    """Run all checks; each asks `make_device_connection()` for a link to a device that nobody has armed.
+    """Run all checks; each asks `make_device_connection()` for a link to a device that is not armed.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def check_device(make_device_connection: MakeLink, *, starts_in_boot: bool = Tru
         _answers_what_it_does_not_know,
         _survives_noise,
         _executes_once,
-        _tells_the_time,
+        _check_time,
     ]
     for check in [_refuses_to_arm_unhomed, *checks] if starts_in_boot else checks:
         link = make_device_connection()
@@ -88,7 +88,7 @@ def _runs_through_the_states(host: Host) -> None:
 
 def _refuses_to_arm_unhomed(host: Host) -> None:
     host.identify()
-    host.believe(State.CONFIGURED)
+    host.expect_state(State.CONFIGURED)
     assert host.arm(1, 0).status == Status.BAD_STATE
     unhomed = {name: value for name, value in RUN_PARAMETERS.items() if name != "reference_count"}
     ack = host.configure(**unhomed)
@@ -245,7 +245,7 @@ def _executes_once(host: Host) -> None:
     assert host.disarm().status == Status.OK
 
 
-def _tells_the_time(host: Host) -> None:
+def _check_time(host: Host) -> None:
     host.identify()
     earlier = 0
     for host_sent in (0, 1, 2**64 - 1):

@@ -82,10 +82,10 @@ class Moteus:
     def console(self, line: str) -> str:
         """Say a line at the console; what it answers."""
         self.send(bytes((0x40, 1, len(line) + 1)) + line.encode() + b"\n", 0x0001)
-        said = b""
+        text = b""
         while (answer := self.send(bytes((0x42, 1, 60)))) is not None and answer[2]:
-            said += answer[3:]
-        return said.decode()
+            text += answer[3:]
+        return text.decode()
 
     @property
     def command(self) -> float:
@@ -137,7 +137,7 @@ class Wire:
 
     Attributes
     ----------
-    said
+    text
         What the drive has put on it, with the time (ns).
     pulled
         Whether it was unplugged.

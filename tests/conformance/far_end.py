@@ -178,16 +178,16 @@ class WatchedDevice(SimulatedDevice):
 
     def tick(self) -> bytes:
         before = abs(self.current)
-        said = super().tick()
+        sent = super().tick()
         if self.board.rules[AT.ramping] and abs(self.current) > before:
             self.witness.rises += 1
         self.witness.see_tick(self.connection.state, self.current, self.fault)
         self.witness.write(self.connection.state, self.current, self.fault, self.connection.statistics)
-        return said
+        return sent
 
 
 class WatchedFirmware(FirmwareDevice):
-    """The firmware with its witness. (That a ramp only falls is not asked: the law behind it goes on.)"""
+    """The firmware with its witness. (That a ramp only falls is not checked: the law behind it continues.)"""
 
     def __init__(self, model: RigModel, witness: np.ndarray, script: Script, **options: Any) -> None:
         super().__init__(model, **options)
@@ -288,7 +288,7 @@ class PluggedPort:
     def __init__(self, port: DevicePort, clock: PatientClock) -> None:
         self._port = port
         self._clock = clock
-        self._heard = b""
+        self._received = b""
 
     def loop_port(self) -> LoopPort:
         """Return them."""
@@ -296,11 +296,11 @@ class PluggedPort:
         return self._clock.loop_port(**plugs._asdict())
 
     def _wait(self, deadline_ns: int) -> bool:
-        self._heard = self._heard or self._port.read(deadline_ns)
-        return bool(self._heard)
+        self._received = self._received or self._port.read(deadline_ns)
+        return bool(self._received)
 
     def _read(self, size: int) -> bytes:
-        data, self._heard = self._heard[:size], self._heard[size:]
+        data, self._received = self._received[:size], self._received[size:]
         return data
 
 
@@ -434,8 +434,8 @@ class FarEnd:
         """Stop the process, as a debugger or a frozen computer does."""
         os.kill(self.process.pid, signal.SIGSTOP)
 
-    def go_on(self) -> None:
-        """Let it go on."""
+    def resume(self) -> None:
+        """Let the process continue."""
         os.kill(self.process.pid, signal.SIGCONT)
 
     def kill(self) -> None:
@@ -463,13 +463,13 @@ class FarEnd:
     def close(self) -> None:
         """End the process."""
         if self.process.is_alive():
-            self.go_on()
+            self.resume()
             self.process.terminate()
             self.process.join(WAIT_S)
         if self.process.is_alive():
             self.kill()
         self.process.close()
-        self._witness = self._witness.copy()  # the file goes, what it said stays
+        self._witness = self._witness.copy()  # the file goes, its content stays
 
 
 class HostProcess:
@@ -496,7 +496,7 @@ class HostProcess:
             os.kill(self.process.pid, number)
 
     def ended(self) -> str:
-        """Wait for the end: the class of its error, "" without one, "killed" when it said nothing."""
+        """Wait for the end: the class of its error, "" without one, "killed" when it sent nothing."""
         self.process.join(WAIT_S)
         assert not self.process.is_alive(), "the host does not end"
         try:
@@ -515,10 +515,10 @@ class HostProcess:
 
 def _run_host(url: str, experiment: Any, recording: Path, pipe: Any) -> None:
     die_with_parent()
-    said = ""
+    name = ""
     try:
         with patient_host(), open_device(url) as device:
             trial_on(device, experiment=experiment, recording=recording, verified=True, seed=0, sealed=False)
     except RigError as error:
-        said = type(error).__name__
-    pipe.send(said)
+        name = type(error).__name__
+    pipe.send(name)

@@ -18,7 +18,7 @@ def need_compiler() -> None:
 
 
 def hide_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Be a machine without a C compiler, whose library nobody has opened before."""
+    """Be a machine without a C compiler, whose library has not been opened before."""
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setattr(c_library, "COMPILERS", ())
     monkeypatch.setattr(c_library, "ZIG", "no compiler")

@@ -34,11 +34,11 @@ def blocks(page: Path) -> list[Block]:
     text = page.read_text(encoding="utf-8")
     for_all = _PAGE.search(text)
     found = []
-    for mark, said, language, code in _BLOCK.findall(text):
-        reason = {"not run": said, "command": f".ci/run runs it: {said}"}.get(mark, "")
+    for mark, note, language, code in _BLOCK.findall(text):
+        reason = {"not run": note, "command": f".ci/run runs it: {note}"}.get(mark, "")
         if language == "sh" and for_all is not None:
             reason = for_all[1]
-        found.append(Block(language, code, reason, said if mark == "file" else ""))
+        found.append(Block(language, code, reason, note if mark == "file" else ""))
     return found
 
 

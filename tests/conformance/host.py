@@ -126,7 +126,7 @@ class Host:
         ack: m.Ack = self.ask(m.Disarm(self.nonce(), int(m.DisarmFlag.CLEAR_FAULT) if clear_fault else 0))
         return ack
 
-    def believe(self, state: State) -> None:
+    def expect_state(self, state: State) -> None:
         """Take the device to be in another state, as a host does that lost track."""
         self.connection.state = state
 
@@ -143,7 +143,7 @@ class Host:
     ) -> None:
         """Send a COMMAND that answers the newest STATE; a fault of the device does not deter this host."""
         if self.connection.state is State.FAULT:
-            self.believe(State.RUNNING)
+            self.expect_state(State.RUNNING)
         answers = self.sequences[-1] if self.sequences else 0
         self.send(m.Command(answers, lifetime_us, int(mode), flags, current))
 

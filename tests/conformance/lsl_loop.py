@@ -23,35 +23,35 @@ INFO = {
 
 
 class HandTurnedLoop:
-    """The ring of a loop that ticks each millisecond; `told` is all rows that it has left."""
+    """The ring of a loop that ticks each millisecond; `published` is all rows that it has left."""
 
     def __init__(
         self, capacity: int = 64, *, shared: bool = False, info: dict[str, Any] | None = None
     ) -> None:
         self.ring = Ring.allocate(capacity, info=INFO if info is None else info, shared=shared)
-        self.told = np.zeros(0, ROW)
+        self.published = np.zeros(0, ROW)
 
     def leave(self, count: int, **columns: Any) -> None:
         """Leave rows; columns are single values or one for each row."""
         rows = np.zeros(count, ROW)
-        number = len(self.told) + np.arange(count)
+        number = len(self.published) + np.arange(count)
         rows["tick"], rows["sample_index"] = number, 100 + number
         rows["device_time"] = 1_000_000 * (100 + number)
         rows["received_at"] = rows["device_time"] + OFFSET_NS + 400_000
         for name in ("position", "velocity", "penetration", "effort_sent", "effort_applied"):
-            rows[name] = np.random.default_rng(len(self.told)).normal(size=count)
+            rows[name] = np.random.default_rng(len(self.published)).normal(size=count)
         for name, values in columns.items():
             rows[name] = values
         for row in rows:
             head = self.ring.get(control_words.HEAD)
             self.ring.rows[head % self.ring.capacity] = row
             self.ring.put(control_words.HEAD, head + 1)
-        self.told = np.concatenate((self.told, rows))
+        self.published = np.concatenate((self.published, rows))
 
     def compare_clocks(self, *, late_ns: int = 0) -> None:
         """Do what `rig.loop._exchange` does with an answer that comes `late_ns` later than usual."""
         done = self.ring.get(control_words.EXCHANGES)
-        device = 1_000_000 * (100 + len(self.told))
+        device = 1_000_000 * (100 + len(self.published))
         host = device + OFFSET_NS
         for i, stamp in enumerate((host - WAY_NS, device, device, host + WAY_NS + late_ns)):
             self.ring.put(control_words.CLOCK + 4 * (done % 2) + i, stamp)

@@ -1,7 +1,7 @@
 """What every format of a recording must keep, as a function of a factory.
 
 A new format begins by calling `check_recording_format` with a function that writes a recording somewhere and
-one that reads it back. What a format cannot do is said in its `Limits`, not skipped.
+one that reads it back. What a format cannot do is listed in its `Limits`, not skipped.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A recorder between a loop that never waits and a disk that does: what arrives, what is counted as lost.
 
-The disk is a pipe whose reader, a process of its own, pauses when told to, checks every block that it gets and keeps
+The disk is a pipe whose reader, a process of its own, pauses on request, checks every block that it gets and keeps
 none; so ten minutes need no more room than ten seconds. The loop is a compiled producer on the grid of its rate, which
 drops rows into a full ring as the real one does. Meanwhile Python holds its lock for as long as the disk pauses.
 """

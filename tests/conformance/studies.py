@@ -34,7 +34,7 @@ VERSIONS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Person:
-    """Somebody with known limits: K50 by condition and damping, and what automatic verdicts make of the same walls.
+    """A simulated person with known limits: K50 by condition and damping, and the automatic verdicts on the same walls.
 
     `drift` is added to K50 for each trial of the session. `invalid` is the share of hits that say nothing; `unsure`
     that of trials after which they cannot say. `automatic` shifts the automatic verdict's limit against the person's.
@@ -124,7 +124,7 @@ class Sitting:
         return True
 
     def run(self, trials: int = 10_000) -> None:
-        """Go on until the end, or until there are so many trials more, judged."""
+        """Continue until the end, or until there are so many trials more, judged."""
         most = len(self.state.trials) + trials
         while not (len(self.state.trials) >= most and not isinstance(self.state.next(), DoJudge)):
             if not self.step():

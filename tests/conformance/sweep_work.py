@@ -85,7 +85,7 @@ def open_one_and_wait_for_another(payload: Payload) -> str:
 
 
 def wait_for_ever(payload: Payload) -> None:
-    """No result ever comes of this."""
+    """This never gives a result."""
     threading.Event().wait()
 
 

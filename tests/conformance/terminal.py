@@ -153,7 +153,7 @@ class Terminal:
             try:
                 data = os.read(self.master, 65536)
             except OSError:
-                time.sleep(0.01)  # nobody has the other end open now
+                time.sleep(0.01)  # the other end is not open now
                 continue
             with self._changed:
                 self.printed += decoder.decode(data).replace("\r", "")

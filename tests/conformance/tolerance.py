@@ -1,7 +1,7 @@
-"""What real-time tests put up with on a busy machine: counted, and printed at the end of the run.
+"""What real-time tests tolerate on a busy machine: counted, and printed at the end of the run.
 
-A run that lost its link because nobody had time for it is safe and recorded, but shows nothing else. The test says so
-here instead of passing in silence, and the summary shows how much of a run was such.
+A run that lost its link because the machine had no time for it is safe and recorded, but shows nothing else. The test
+reports that here instead of passing in silence, and the summary shows how much of a run was such.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _in_this_test: list[str] = []
 
 
 def tolerated(what: object) -> None:
-    """Note that the test in progress puts up with this: an error, or a sentence."""
+    """Note that the test in progress tolerates this: an error, or a sentence."""
     _in_this_test.append(f"{type(what).__name__}: {what}" if isinstance(what, Exception) else str(what))
 
 
@@ -59,7 +59,7 @@ def taken() -> list[tuple[str, str]]:
 
 
 def summary(reports: Iterable[pytest.TestReport]) -> list[str]:
-    """Return a line for each test that put up with something, most first; none when all showed what they are for."""
+    """Return a line for each test that tolerated something, most first; none when all showed what they are for."""
     counts = Counter(
         (report.nodeid.partition("[")[0], what.partition(";")[0])
         for report in reports

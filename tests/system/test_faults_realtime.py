@@ -195,7 +195,7 @@ def test_a_device_that_dies_or_stands_still_is_a_lost_link_and_ramps_when_it_run
 
     trial = bench.run(device, progress=strike)
     if device.process.is_alive():
-        device.go_on()
+        device.resume()
         trial.check(LinkLostError, replays=False)
     assert isinstance(trial.error, LinkLostError)
     assert trial.error.remedy

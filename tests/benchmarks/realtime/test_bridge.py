@@ -64,7 +64,7 @@ def by_a_client(
 
 
 def by_the_bridge(line: int, rate: int, seconds: float = SECONDS, *, as_a_board: bool = False) -> BridgeFacts:
-    """What the bridge saw in as many periods, with nobody at its other end."""
+    """What the bridge saw in as many periods, with its other end unused."""
     bridge = Bridge(bridged_rig(), plain_drive(), checksum=False, rate=rate)
     host, other = os.openpty()
     ear, mouth = os.pipe()

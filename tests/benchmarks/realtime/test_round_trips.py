@@ -7,7 +7,7 @@ frame and reads as many bytes as a STATE has: it neither checks nor computes any
 
 They take turns; the median of the ratios counts, and a link that misses the mark may try again, because a neighbour
 on the machine can spoil a second. With SCHED_FIFO at both ends where that is granted. On a loaded machine the bytes
-of a terminal are moved by a kernel thread of ordinary priority, whoever reads them: that ratio is shown only.
+of a terminal are moved by a kernel thread of ordinary priority, for every reader: that ratio is shown only.
 
 Loop and client both wait with a bound of `SHORTEST_WAIT_NS` (a stop must be seen within a tick). On a virtual machine
 setting a timer so near costs several µs for each trip, which plain Python, with a second of patience, does not pay.

@@ -168,7 +168,7 @@ def command_frame(sequence: int) -> bytes:
 
 
 def loop_settings(rate: int, **changes: Any) -> LoopSettings:
-    """What the loop is told at this rate (Hz), unless told otherwise."""
+    """Settings of the loop at this rate (Hz), where a benchmark gives no others."""
     usual: dict[str, Any] = {
         "period_ns": 1_000_000_000 // rate,
         "session": SESSION,
@@ -217,15 +217,15 @@ def running_loop(
 ) -> Iterator[LoopThread]:
     """Run the shipped loop until the context ends, as `trials.trial` does, scheduled as far as is granted.
 
-    It must have run without an error then, and stopped because it was told to.
+    It must have run without an error then, and stopped on request.
     """
     with (
         obtained(Host(realtime="try", priority=PRIORITY, cpu=cpu)) as realtime,
         stop_on_signals() as signals,
     ):
         requests = {"stop_requests": address(), "stop_requests_before": signals.series.since}
-        told = loop_settings(rate, **requests, **settings)
-        loop = LoopThread(link, pushing_for_ever(rate), told, ring, realtime=realtime)
+        given = loop_settings(rate, **requests, **settings)
+        loop = LoopThread(link, pushing_for_ever(rate), given, ring, realtime=realtime)
         loop.start()
         try:
             yield loop

@@ -64,7 +64,7 @@ async def over(page: Page) -> None:
 def phase(page: Page) -> str:
     state = page.newest("state")
     loop = None if state is None else state["loop"]
-    failed = [one["told"] for one in page.told if one["say"] == "job" and one["told"]["say"] == "failed"]
+    failed = [one["told"] for one in page.messages if one["say"] == "job" and one["told"]["say"] == "failed"]
     if failed:
         pytest.fail(f"the run did not begin: {failed[0]}")
     return "" if loop is None or loop["ended"] else str(loop["phase"])

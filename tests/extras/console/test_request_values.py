@@ -93,7 +93,7 @@ def test_no_value_in_a_request_is_a_defect(tmp_path: Path, monkeypatch: pytest.M
                     )
                     if "report it" in str((answer.get("error") or {}).get("remedy")):
                         defects[do, content[:200]] = answer["error"]["error"]
-                    page.told.clear()
+                    page.messages.clear()
             assert number > 100
 
     asyncio.run(whole())

@@ -458,7 +458,7 @@ def test_a_participants_screen_receives_what_it_shows_and_nothing_else(tmp_path:
                     loop.leave(100)
                     await asyncio.sleep(0.01)
                 await page.until(lambda page: sum(f["points"] * f["step"] for f in page.frames) >= 2000 - 2)
-                assert {one["say"] for one in screen.told} == {"participant", "answer"}
+                assert {one["say"] for one in screen.messages} == {"participant", "answer"}
                 assert screen.frames == []
                 assert screen.newest("participant") == {"say": "participant", "runs": False}
             for path in ("/live", "/live?x", "/participant", "/participant?x"):
@@ -589,7 +589,9 @@ def test_a_page_that_reads_nothing_takes_no_more_memory(
             assert len(client._replies) <= MOST_REPLIES
         async with console.page("a-page-that-reads") as page:
             clients[1].put_newest({"say": "state", "loop": {"values": {"velocity": float("nan")}}})
-            state = await page.until(lambda page: next((one for one in page.told if one.get("loop")), None))
+            state = await page.until(
+                lambda page: next((one for one in page.messages if one.get("loop")), None)
+            )
             assert state["loop"]["values"]["velocity"] is None, "what a browser reads"
 
     play(tmp_path, scenario)

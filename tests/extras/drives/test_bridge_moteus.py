@@ -113,10 +113,10 @@ def test_another_id_on_the_bus() -> None:
 
 def test_a_second_master_is_found_before_the_first_frame_is_sent() -> None:
     bus = MemoryBus(moteus())
-    bus.heard.append(CanFrame(0x8001, b"\x11\x00"))
+    bus.waiting.append(CanFrame(0x8001, b"\x11\x00"))
     with pytest.raises(DeviceRefusedError, match="second bus master"):
         find(MoteusConversation(bus, 1), 1)
-    assert bus.said == 0
+    assert bus.sent == 0
 
 
 @pytest.mark.parametrize(("mode", "says"), [(10, "position"), (12, "zero velocity"), (15, "brake")])

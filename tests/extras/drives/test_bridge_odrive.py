@@ -146,10 +146,10 @@ def test_another_node_on_the_bus() -> None:
 
 def test_a_second_master_is_found_before_the_first_frame_is_sent() -> None:
     bus = MemoryBus(drive_with())
-    bus.heard.append(CanFrame(CanSimpleCommand.SET_INPUT_TORQUE, bytes(4)))
+    bus.waiting.append(CanFrame(CanSimpleCommand.SET_INPUT_TORQUE, bytes(4)))
     with pytest.raises(DeviceRefusedError, match="second bus master"):
         odrive.find(odrive.OdriveConversation(bus, 0, endpoints()))
-    assert bus.said == 0
+    assert bus.sent == 0
 
 
 def test_a_drive_under_another_host_or_stopped_with_an_error_is_refused() -> None:

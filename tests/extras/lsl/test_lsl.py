@@ -149,9 +149,9 @@ def test_inlets_receive_every_row_at_its_time_and_what_a_session_marks(
     marks.push("verdict", verdict="buzz")
     inlets.pull_until("verdict")
     loop.ring.close()
-    wanted = np.stack([loop.told[channel].astype(float) for channel in CHANNELS], axis=1)
+    wanted = np.stack([loop.published[channel].astype(float) for channel in CHANNELS], axis=1)
     assert np.array_equal(np.array(inlets.values), wanted)
-    expected_s = (loop.told["device_time"] + OFFSET_NS) * 1e-9 + offset_s
+    expected_s = (loop.published["device_time"] + OFFSET_NS) * 1e-9 + offset_s
     assert np.abs(np.array(inlets.stamps) - expected_s).max() < 1e-8
     at = {content["mark"]: (stamp, content) for stamp, content in inlets.markers}
     assert at["begins"] == (pytest.approx(1.000000007 + offset_s, abs=1e-8), {"mark": "begins", "trial": 7})

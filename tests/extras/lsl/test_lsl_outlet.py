@@ -44,14 +44,16 @@ def test_every_row_is_seen_once_and_in_order_or_counted_as_lost(pieces: list[int
         ticks = chunk.rows["tick"].tolist()
         whole = count < capacity  # of a full ring, the oldest may be about to be written over
         assert (follower.lost == lost) == whole
-        assert ticks == list(range(len(loop.told) - len(ticks), len(loop.told))), "the newest, without a gap"
+        assert ticks == list(range(len(loop.published) - len(ticks), len(loop.published))), (
+            "the newest, without a gap"
+        )
         assert chunk.times_ns.tolist() == (chunk.rows["device_time"] + OFFSET_NS).tolist()
         seen += ticks
     loop.end()
     last = follower.poll()
     assert follower.ended
     assert len(last.rows) == 0
-    assert len(seen) == follower.rows == len(loop.told) - follower.lost
+    assert len(seen) == follower.rows == len(loop.published) - follower.lost
     assert contents(last)[-1] == {
         "mark": "end",
         **({"tick": seen[-1], "device_time": 1_000_000 * (100 + seen[-1])} if seen else {}),
@@ -79,10 +81,10 @@ def test_markers_are_at_the_samples_in_which_things_begin_across_chunks_too() ->
         loop.compare_clocks()
         follower, markers = Follower(loop.ring), []
         for size in steps:
-            at = slice(len(loop.told), len(loop.told) + size)
+            at = slice(len(loop.published), len(loop.published) + size)
             loop.leave(size, phase=phases[at], flags=inside[at])
             markers += follower.poll().markers
-        chunks.append(Chunk(loop.told, loop.told["device_time"], markers))
+        chunks.append(Chunk(loop.published, loop.published["device_time"], markers))
     for chunk in chunks:
         at = {
             tick: int(time) for tick, time in zip(chunk.rows["tick"], chunk.times_ns + OFFSET_NS, strict=True)
@@ -206,7 +208,7 @@ def test_without_a_comparison_of_clocks_times_are_receipts_after_a_while(
     assert len(follower.poll().rows) == 0, "it waits for one"
     monkeypatch.setattr(follow, "HOLD_S", 0.0)
     chunk = follower.poll()
-    assert chunk.times_ns.tolist() == loop.told["received_at"].tolist()
+    assert chunk.times_ns.tolist() == loop.published["received_at"].tolist()
     assert next(one for one in contents(chunk) if one["mark"] == "clock")["bound_s"] is None
 
 
@@ -221,7 +223,7 @@ def test_times_never_run_backwards_when_the_clocks_are_known_better() -> None:
         follower.poll()
     loop.leave(12)
     after = follower.poll().times_ns
-    truth = loop.told["device_time"] + OFFSET_NS
+    truth = loop.published["device_time"] + OFFSET_NS
     assert before[0] - truth[0] > 5_000_000, "the first exchange misled it"
     assert (np.diff(np.concatenate((before, after))) >= 0).all()
     assert abs(after[-1] - truth[-1]) < 100_000

@@ -141,12 +141,12 @@ def test_the_rows_are_those_of_a_loop_on_the_host(layout: int) -> None:
 def test_the_host_sends_in_time_and_compares_the_clocks() -> None:
     device = silent_behind(taps(300))
     thread, end = ran(device, exchange_every_ns=20 * PERIOD_NS)
-    supervising = [at for at, c in device.heard if isinstance(c, m.Command) and c.mode == m.Mode.SUPERVISE]
+    supervising = [at for at, c in device.received if isinstance(c, m.Command) and c.mode == m.Mode.SUPERVISE]
     assert supervising[0] == 0, "the device sends nothing before"
     assert set(np.diff(supervising)) == {5_000_000}
     assert end.counters["commands"] == len(supervising)
     assert end.counters["exchanges"] == len(thread.exchanges()) >= 14
-    assert thread.handover()["nonce"] == sum(isinstance(c, m.GetTime) for _, c in device.heard)
+    assert thread.handover()["nonce"] == sum(isinstance(c, m.GetTime) for _, c in device.received)
 
 
 def test_columns_that_a_batch_lacks_come_from_the_newest_state() -> None:
@@ -311,7 +311,7 @@ def test_the_stop_word_stops_and_samples_on_the_link_are_stored() -> None:
     device.at[42] = lambda: memory.put(control_words.STOP, 1)
     thread, end = ran(device, memory=memory)
     assert end.reason == EndReason.STOPPED
-    stopped = next(at for at, c in device.heard if isinstance(c, m.Command) and c.mode == m.Mode.STOP)
+    stopped = next(at for at, c in device.received if isinstance(c, m.Command) and c.mode == m.Mode.STOP)
     assert stopped <= 48 * PERIOD_NS, "within the time between two commands"
     rows = rows_of(thread)
     assert len(rows) == device.played, "also the samples of the frame that was not full"
@@ -527,7 +527,7 @@ def test_a_device_that_finds_the_handle_inside_is_asked_again() -> None:
     run.run()
     assert len(run.device.commits) == 1
     assert [one["number"] for one in run.thread.parameter_sets()] == [1]
-    nonces = {c.nonce for _, c in run.device.heard if isinstance(c, m.SetCommit)}
+    nonces = {c.nonce for _, c in run.device.received if isinstance(c, m.SetCommit)}
     assert len(nonces) == 4, "each time a new conversation"
 
 
