@@ -76,8 +76,11 @@ _LATER = {
 }  # fmt: skip
 
 
-def __getattr__(name: str) -> Any:
-    for module, found in _LATER.items():
-        if name in found:
-            return getattr(import_module(module), name)
-    raise AttributeError(f"module 'rig.control.estimators' has no attribute {name!r}")
+# Hidden from mypy, which would accept every name of a module that has one: a renamed function was imported in vain.
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> Any:
+        for module, found in _LATER.items():
+            if name in found:
+                return getattr(import_module(module), name)
+        raise AttributeError(f"module 'rig.control.estimators' has no attribute {name!r}")
