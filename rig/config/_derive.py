@@ -10,7 +10,9 @@ from rig.config._problems import Problem, config_error, did_you_mean
 from rig.config._sections import Experiment, Rig
 from rig.config._table import shown
 from rig.control import estimators, laws
+from rig.control.estimators import Prepared, Setting
 from rig.control.verdict import Thresholds
+from rig.core.board import moved_mechanics
 from rig.core.errors import ConfigError
 from rig.core.model import OperatorReach, RigModel
 
@@ -177,11 +179,22 @@ def check_plugins(experiment: Experiment, source: str) -> None:
         raise config_error(problems, source)
     resolution = experiment.rig.encoder.sign * experiment.rig.encoder.resolution
     try:
-        estimator = estimators.get(controller.estimator)
-        estimator.prepare(controller.parameters, resolution, 1.0 / controller.velocity_rate)
+        prepare_estimator(experiment, resolution, 1.0 / controller.velocity_rate)
     except ConfigError as error:
         problem = Problem("controller.parameters", "", error.message, error.remedy)
         raise config_error([problem], source) from None
+
+
+def prepare_estimator(experiment: Experiment, resolution: float, period_s: float) -> Prepared:
+    """Prepare the estimator of an experiment; settings of the rig that it does not give come from its mechanics.
+
+    Raises `ConfigError` as `Estimator.prepare`.
+    """
+    estimator = estimators.get(experiment.controller.estimator)
+    known = [one for one in estimator.settings if isinstance(one, Setting) and one.rig]
+    mechanics = moved_mechanics(rig_model(experiment)) if known else None
+    of_the_rig = {one.name: getattr(mechanics, one.rig) for one in known}
+    return estimator.prepare({**of_the_rig, **experiment.controller.parameters}, resolution, period_s)
 
 
 def _unknown(key: str, name: str, known: Sequence[str]) -> list[Problem]:

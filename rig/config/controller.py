@@ -19,11 +19,11 @@ import numpy as np
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME
 from rig.config import device_law
-from rig.config._derive import free_s, motor_push, push_s, rig_model, verdict_thresholds
+from rig.config._derive import free_s, motor_push, prepare_estimator, push_s, rig_model, verdict_thresholds
 from rig.config._sections import OSCILLATIONS, Experiment
 from rig.config.homing import home_tolerance
 from rig.config.prepared_run import LawOnDevice, PreparedRun
-from rig.control import cogging, estimators, friction, laws
+from rig.control import cogging, friction, laws
 from rig.control.laws import Law
 from rig.control.step import CONTROL, TRAVEL, TRAVEL_COUNTS, UNMOVED_SPEED, ControllerState, new_memory
 from rig.core.board import moved_mechanics
@@ -149,11 +149,10 @@ def for_experiment(
     }
     for name, value in values.items():
         control[name] = value
-    estimator = estimators.get(rates.estimator)
     return ControllerState(
         control=control,
         memory=new_memory(),
-        estimator=estimator.prepare(rates.parameters, delta, tick_s * divider),
+        estimator=prepare_estimator(experiment, delta, tick_s * divider),
         law=_law(experiment, law or laws.get(wall.law)).prepare({**asdict(wall), "tick_s": tick_s}),
     )
 

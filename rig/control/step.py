@@ -5,7 +5,8 @@ The order of one tick is normative:
 1. the count becomes a position, and the watch looks at what the last effort did on the way to it
    (`rig.control._watch`);
 2. penetration = side · (position − wall), inside iff above zero, no half-count correction;
-3. when the sample index enters a new velocity period, the estimator runs, inside and outside the wall;
+3. when the sample index enters a new velocity period, the estimator runs, inside and outside the wall, with
+   the mean of the effort that was active since its last run;
 4. the law gives the wall's reaction from this tick's penetration and the held velocity;
 5. the other sources are added: constant effort or homing servo;
 6. the guard limits the sum once;
@@ -142,6 +143,7 @@ MEMORY = np.dtype(
         ("velocity_sampled", "<f8"),  # the estimate itself
         ("velocity_slope", "<f8"),  # its change per tick between the last two samples
         ("velocity_ticks", "<i8"),  # ticks since the last velocity sample
+        ("effort_sum", "<f8"),  # effort active in each of these ticks, added up
         ("window", "<i8"),  # velocity periods that the estimate spans
         ("limited_effort", "<f8"),  # last effort before rounding, which the slew limit starts from
         ("energy", "<f8"),  # that the motor has given in the trial (J)
@@ -498,8 +500,10 @@ def _guard_effort(control: Any, memory: Any, wanted: float, elapsed_ticks: int) 
     return int(quanta)
 
 
-@kernel(types.int64(CONTROLLER_TYPE, types.int64, types.float64, types.int64), inline=True)
-def step(controller: ControllerArguments, count: int, edge_age_s: float, elapsed_ticks: int) -> int:
+@kernel(types.int64(CONTROLLER_TYPE, types.int64, types.float64, types.int64, types.int64), inline=True)
+def step(
+    controller: ControllerArguments, count: int, edge_age_s: float, elapsed_ticks: int, current_active: int
+) -> int:
     """Run the law for one fresh sample.
 
     Parameters
@@ -512,6 +516,8 @@ def step(controller: ControllerArguments, count: int, edge_age_s: float, elapsed
         Age of the last encoder edge at the sample (s).
     elapsed_ticks
         Samples since the previous call, 1 when none was lost.
+    current_active
+        Current that was active on the device when the sample was taken (quanta). It stands for all elapsed ticks.
 
     Returns
     -------
@@ -534,6 +540,7 @@ def step(controller: ControllerArguments, count: int, edge_age_s: float, elapsed
         m["flags"] |= INSIDE
 
     m["velocity_ticks"] += elapsed_ticks
+    m["effort_sum"] += current_active * c["effort_quantum"] * elapsed_ticks
     slow = abs(m["velocity_sampled"]) < c["slow_speed"] and m["velocity_period"] >= 0
     # The estimator runs outside the wall too: resetting it there changes the first peak by a fifth.
     due_period = m["velocity_period"] + (c["slow_multiple"] if slow else 1)
@@ -545,6 +552,7 @@ def step(controller: ControllerArguments, count: int, edge_age_s: float, elapsed
             count,
             edge_age_s,
             elapsed_periods,
+            m["effort_sum"] / m["velocity_ticks"],
             controller.estimator_f,
             controller.estimator_i,
             controller.estimator_parameters,
@@ -552,6 +560,7 @@ def step(controller: ControllerArguments, count: int, edge_age_s: float, elapsed
         m["velocity_slope"] = (sampled - m["velocity_sampled"]) / m["velocity_ticks"]
         m["velocity_sampled"] = sampled
         m["velocity_ticks"] = 0
+        m["effort_sum"] = 0.0
         m["window"] = controller.estimator_i[WINDOW]
         m["flags"] |= VELOCITY_UPDATED
     m["velocity"] = m["velocity_sampled"]

@@ -180,7 +180,7 @@ def run(
         received_ns = p["read_at"]
         renew_parameters(controller, shared, buffers, tick)
         edge_age_s = edge_age_ns(buffers.progress, state, settings) * 1e-9
-        current = step(controller, state[STATE.count], edge_age_s, elapsed)
+        current = step(controller, state[STATE.count], edge_age_s, elapsed, state[STATE.current_commanded])
         # The law took too long and the caller has given up waiting.
         if load_word(words + WORD * control_words.STOP) == control_words.ABANDONED:
             store_word(words + WORD * control_words.END_REASON, STOPPED)

@@ -216,7 +216,7 @@ def _run_law(
         if v["step"] == GRANTED and sample[INDEX] >= v["change_at"]:
             begin_set(controller, buffers, tick, words)
             v["step"] = IDLE
-        current = step(controller, sample[COUNT], 0.0, elapsed)
+        current = step(controller, sample[COUNT], 0.0, elapsed, sample[CURRENT])
         # The caller has given up waiting.
         if load_word(words + WORD * control_words.STOP) == control_words.ABANDONED:
             return _ABANDONED

@@ -37,6 +37,12 @@ def replay_rows(controller: ControllerArguments, recorded: Any, replayed: Any, s
         while due < len(sets) and sets[due, 0] <= source["tick"]:
             activate(controller, sets[due, 1:])
             due += 1
-        step(controller, source["count"], source["edge_age"] * 1e-9, source["elapsed_ticks"])
+        step(
+            controller,
+            source["count"],
+            source["edge_age"] * 1e-9,
+            source["elapsed_ticks"],
+            source["current_applied"],
+        )
         show_law(replayed, i, controller.memory)
         replayed[i]["flags"] |= source["flags"] & _LOOPS

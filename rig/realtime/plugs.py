@@ -18,11 +18,13 @@ from numba import types
 _floats = types.float64[::1]
 _ints = types.int64[::1]
 
-# Estimator: (count, edge_age_s, elapsed_ticks, state_f, state_i, parameters) -> velocity in position units
-# per second. Called once for each velocity sample; elapsed_ticks counts velocity periods since the previous
-# call (1 when none is lost). parameters[0] is the resolution, parameters[1] the velocity period in s, the
-# rest belongs to the estimator.
-ESTIMATOR_SIGNATURE = types.float64(types.int64, types.float64, types.int64, _floats, _ints, _floats)
+# Estimator: (count, edge_age_s, elapsed_ticks, effort, state_f, state_i, parameters) -> velocity in position
+# units per second. Called once for each velocity sample; elapsed_ticks counts velocity periods since the
+# previous call (1 when none is lost); effort is the mean of what the motor applied since then (N·m or N).
+# parameters[0] is the resolution, parameters[1] the velocity period in s, the rest belongs to the estimator.
+ESTIMATOR_SIGNATURE = types.float64(
+    types.int64, types.float64, types.int64, types.float64, _floats, _ints, _floats
+)
 ESTIMATOR = types.FunctionType(ESTIMATOR_SIGNATURE)
 EstimatorPlug = Annotated[Any, ESTIMATOR]  # of a group (`rig.realtime.groups`)
 

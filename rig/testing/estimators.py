@@ -42,7 +42,10 @@ def velocities(
     if ages is None:
         ages = edge_ages(counts, steps, float(prepared.parameters[PERIOD]))
     return np.array(
-        [update(index(c), age, index(n), *memory) for c, age, n in zip(counts, ages, steps, strict=True)],
+        [
+            update(index(c), age, index(n), 0.0, *memory)
+            for c, age, n in zip(counts, ages, steps, strict=True)
+        ],
         dtype=np.float64,
     )
 

@@ -71,7 +71,7 @@ def excite(
     for k in range(withheld.shape[0]):
         units = min(state[plant.edge_age] * UNITS_PER_SECOND, float(OLDEST_EDGE))
         edge_age_ns = int(np.rint(units)) * NS_NUMERATOR // NS_DENOMINATOR
-        step(controller, count, edge_age_ns * 1e-9, 1)
+        step(controller, count, edge_age_ns * 1e-9, 1, m["current_sent"])
         if m["phase"] != TRIAL:
             return k
         effort = m["effort_sent"]

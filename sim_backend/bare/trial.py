@@ -31,7 +31,7 @@ _LATE, _GAP = int(RowFlag.LATE), int(RowFlag.GAP)
 
 @group
 class Trace(NamedTuple):
-    """What happened in each tick: plant state at the sample, count, phase, current commanded in answer, row flags.
+    """What happened in each tick: plant state, count, phase, active and commanded current, row flags.
 
     Of a sample that the law never saw the phase is `UNSEEN`, and it has no flags.
     """
@@ -39,6 +39,7 @@ class Trace(NamedTuple):
     states: FloatRows
     counts: Ints
     phases: Ints
+    active: Ints
     currents: Ints
     flags: Ints
 
@@ -85,6 +86,7 @@ def run_ticks(
         for i in range(len(state)):  # a slice would be an array to count references to
             trace.states[k, i] = state[i]
         trace.counts[k] = count
+        trace.active[k] = m["current_sent"]  # as the STATE of this sample shows it: of the command before
         trace.phases[k], trace.flags[k] = UNSEEN, 0
         age = ages[k] if k < len(ages) else 0
         sample = k - age
@@ -100,7 +102,9 @@ def run_ticks(
                 float(OLDEST_EDGE),
             )
             edge_age_ns = int(np.rint(units)) * NS_NUMERATOR // NS_DENOMINATOR
-            current = step(controller, trace.counts[sample], edge_age_ns * 1e-9, elapsed)
+            current = step(
+                controller, trace.counts[sample], edge_age_ns * 1e-9, elapsed, trace.active[sample]
+            )
             ends = m["phase"] == DONE
             trace.phases[sample] = m["phase"]
             # With DONE the loop sends STOP in place of the law's current.

@@ -22,10 +22,10 @@ void run(update_t *update, const int64_t *counts, int64_t n, double *f, int64_t 
     { \
         return name##_(count, edge_age_s, elapsed, f, i, p); \
     } \
-    double plug_##name(int64_t count, double edge_age_s, int64_t elapsed, \
+    double plug_##name(int64_t count, double edge_age_s, int64_t elapsed, double effort, \
         ARRAY(double, f), ARRAY(int64_t, i), ARRAY(double, p)) \
     { \
-        UNUSED(f), UNUSED(i), UNUSED(p); \
+        UNUSED(f), UNUSED(i), UNUSED(p), (void)effort; \
         return name##_(count, edge_age_s, elapsed, f, i, p); \
     } \
     static inline double name##_(int64_t count, double edge_age_s, int64_t elapsed, double *f, int64_t *i, const double *p)

@@ -78,16 +78,17 @@ def counts() -> Any:
 
 def in_the_loop(update: Any, state_f: Any, state_i: Any, parameters: Any, counts: Any, out: Any) -> Any:
     """A run from a fresh memory through the plug type, as a function without arguments."""
-    ages, elapsed, windows = (
+    ages, elapsed, efforts, windows = (
         np.zeros(len(counts)),
         np.ones(len(counts), np.int64),
+        np.zeros(len(counts)),
         np.zeros(len(counts), np.int64),
     )
 
     def go() -> None:
         state_f[:] = 0.0
         state_i[:] = 0
-        update_all(update, counts, ages, elapsed, state_f, state_i, parameters, out, windows)
+        update_all(update, counts, ages, elapsed, efforts, state_f, state_i, parameters, out, windows)
 
     return go
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+# Settings without a default, which an experiment takes from its rig.
+REQUIRED: dict[str, dict[str, float | str]] = {"disturbance": {"inertia": 0.5}}
+
 KNOWN_LIMITS: dict[str, dict[str, Any]] = {
     "fdm-butterworth-fixed": {"linear": False},  # it rounds
     "period": {"linear": False},  # going back over an edge is no distance, whatever counts say
@@ -13,4 +16,5 @@ KNOWN_LIMITS: dict[str, dict[str, Any]] = {
     "levant": {"linear": False},  # its gains are an acceleration: scale C with the motion
     "foaw-levant": {"linear": False},
     "optimal": {"linear": False},
+    "disturbance": {"settings": REQUIRED["disturbance"]},
 }

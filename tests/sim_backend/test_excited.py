@@ -81,7 +81,7 @@ def test_it_is_the_plant_and_the_law_stepped_by_hand(name: str, delay: int, cogg
     other.memory["phase"], other.memory["phase_ticks"] = int(Phase.TRIAL), -1
     for k in range(400):
         assert (run.counts[k], run.position[k]) == (count, state[plant.handle_position])
-        step(other.arguments(), count, 1e-3, 1)
+        step(other.arguments(), count, 1e-3, 1, 0)
         memory = other.memory[0]
         assert run.withheld[k] == memory["effort_sent"] - memory["effort_wanted"]
         for _ in range(ratio):

@@ -48,8 +48,8 @@ def over_the_wire(experiment: Any, path: Any, url: str = "sim://") -> Any:
 @pytest.mark.parametrize("name", first_by_default(presets.names(), 2))
 @pytest.mark.parametrize(
     "changes",
-    [{}, {"controller.estimator": "fdm"}, HELD, {**HELD, "operator.grip": "firm", "trial.seed": 3}],
-    ids=["filtered", "raw", "held", "held firmly"],
+    [{}, {"controller.estimator": "disturbance"}, HELD, {**HELD, "operator.grip": "firm", "trial.seed": 3}],
+    ids=["filtered", "effort known", "held", "held firmly"],
 )
 def test_the_trajectory_over_the_byte_link_is_that_of_a_trial_without_bytes(
     name: Any, changes: Any, tmp_path: Path

@@ -35,7 +35,7 @@ COGS = {
         ("koul-compliant", HELD),
         ("koul-compliant", COGS),
         ("chawda-linear", HELD | COGS),
-        ("koul-rigid", {"controller.velocity_rate": 20000, "controller.estimator": "fdm"}),
+        ("koul-rigid", {"controller.velocity_rate": 20000, "controller.estimator": "disturbance"}),
         ("koul-rigid", HELD | {"rig.encoder.sign": -1, "wall.stiffness": 600.0}),
         ("chawda-linear", {"rig.simulation.computation_delay_ticks": 2}),
     ],

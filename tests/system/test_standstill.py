@@ -62,7 +62,7 @@ def run(
             read = dead(count)
             inside = x.wall.side * state[plant.handle_position] >= wall
         speeds.append(abs(state[plant.handle_position + 1]))
-        current = step(arguments, read(count), 0.0, 1)
+        current = step(arguments, read(count), 0.0, 1, 0)
         phases.add(Phase(memory["phase"]))
     return Ran(np.array(speeds), RowFlag(int(memory["flags"])), frozenset(phases), current, inside)
 
@@ -163,7 +163,7 @@ def test_ticks_whose_sample_was_lost_are_not_counted() -> None:
     x = presets.load("koul-compliant")
     law = controller.for_experiment(x, current_quantum_a=x.rig.amplifier.current_quantum_a)
     for _ in range(4):
-        step(law.arguments(), 0, 0.0, 1600)  # 80 ms
+        step(law.arguments(), 0, 0.0, 1600, 0)  # 80 ms
     assert Phase(law.memory[0]["phase"]) is Phase.HOMING
     assert abs(law.memory[0]["effort_sent"]) > law.control[0]["held_effort"]
     assert not law.memory[0]["flags"] & RowFlag.UNMOVED

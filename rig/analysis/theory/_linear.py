@@ -94,7 +94,14 @@ def realise(
     NotLinearError
         An estimator that is not linear.
     """
-    found = _find_realisation(estimators.get(name), tuple(settings.items()), period_s, resolution)
+    estimator = estimators.get(name)
+    if estimator.uses_effort:
+        raise NotLinearError(
+            f"estimator {name} has no linear theory here: its estimate depends on the motor's effort too",
+            reason="its estimate depends on the motor's effort, which this theory does not contain",
+            remedy="simulate it, or use an estimator of the counts alone, such as fdm-butterworth or tracking",
+        )
+    found = _find_realisation(estimator, tuple(settings.items()), period_s, resolution)
     if isinstance(found, str):
         settings_text = ", ".join(f"{key} = {value}" for key, value in settings.items())
         raise NotLinearError(

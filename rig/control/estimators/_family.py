@@ -21,6 +21,8 @@ BUILT_IN = {
     "levant": "rig.control.estimators._levant",
     "foaw-levant": "rig.control.estimators._hybrid",
     "optimal": "rig.control.estimators._optimal",
+    "tracking": "rig.control.estimators._tracking",
+    "disturbance": "rig.control.estimators._disturbance",
 }
 
 

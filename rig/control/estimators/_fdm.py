@@ -23,7 +23,13 @@ def count_difference(newer: int, older: int) -> int:
 
 @kernel(ESTIMATOR_SIGNATURE, no_refcount=True)
 def update(
-    count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
+    count: int,
+    edge_age_s: float,
+    elapsed_ticks: int,
+    effort: float,
+    state_f: Floats,
+    state_i: Ints,
+    parameters: Floats,
 ) -> float:
     """Return the velocity over the elapsed periods; zero for the first sample, which has no predecessor."""
     if state_i[STARTED] == 0:

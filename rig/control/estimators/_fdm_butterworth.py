@@ -30,10 +30,16 @@ LONGEST_GAP = 1000  # after more lost periods the filter has settled whatever th
 
 @kernel(ESTIMATOR_SIGNATURE, no_refcount=True)
 def update(
-    count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
+    count: int,
+    edge_age_s: float,
+    elapsed_ticks: int,
+    effort: float,
+    state_f: Floats,
+    state_i: Ints,
+    parameters: Floats,
 ) -> float:
     """Return the filtered velocity; over a gap the filter runs once for each lost period on the mean slope."""
-    slope = fdm.update(count, edge_age_s, elapsed_ticks, state_f, state_i, parameters)
+    slope = fdm.update(count, edge_age_s, elapsed_ticks, effort, state_f, state_i, parameters)
     out = slope
     for _ in range(min(elapsed_ticks, LONGEST_GAP)):
         # The first section outside of the loop: most filters have no other.

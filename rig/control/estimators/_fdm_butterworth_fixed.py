@@ -47,7 +47,13 @@ NUMERATORS = ("unit-gain", "nearest")
 
 @kernel(ESTIMATOR_SIGNATURE, no_refcount=True)
 def update(
-    count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
+    count: int,
+    edge_age_s: float,
+    elapsed_ticks: int,
+    effort: float,
+    state_f: Floats,
+    state_i: Ints,
+    parameters: Floats,
 ) -> float:
     """Return the filtered velocity; over a gap the filter runs once for each lost period on the mean slope."""
     if state_i[fdm.STARTED] == 0:

@@ -19,7 +19,13 @@ from rig.realtime.plugs import ESTIMATOR_SIGNATURE
 
 @kernel(ESTIMATOR_SIGNATURE, no_refcount=True)
 def update(
-    count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
+    count: int,
+    edge_age_s: float,
+    elapsed_ticks: int,
+    effort: float,
+    state_f: Floats,
+    state_i: Ints,
+    parameters: Floats,
 ) -> float:
     """Return slope of the longest accepted chord; zero for the first sample. The chord of two samples always passes."""
     newest = foaw.remember(count, elapsed_ticks, state_i)

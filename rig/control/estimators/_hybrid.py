@@ -36,12 +36,18 @@ FAST, SLOW, BOUND = OUTPUT + 1, OUTPUT + 2, OUTPUT + 3
 
 @kernel(ESTIMATOR_SIGNATURE, no_refcount=True)
 def update(
-    count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
+    count: int,
+    edge_age_s: float,
+    elapsed_ticks: int,
+    effort: float,
+    state_f: Floats,
+    state_i: Ints,
+    parameters: Floats,
 ) -> float:
     """Return the weighted velocity; WINDOW is that of FOAW, which decided the weight."""
     started = state_i[foaw.SAMPLES] > 0
     moved = count_difference(count, state_i[foaw.PREVIOUS])
-    straight = foaw_end.update(count, edge_age_s, elapsed_ticks, state_f, state_i, parameters)
+    straight = foaw_end.update(count, edge_age_s, elapsed_ticks, effort, state_f, state_i, parameters)
     if not started:
         return 0.0
     # Both always run, so that neither starts in the middle of an impact.

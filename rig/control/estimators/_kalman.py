@@ -164,7 +164,13 @@ def _gain(
 
 @kernel(ESTIMATOR_SIGNATURE, no_refcount=True)
 def update(
-    count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
+    count: int,
+    edge_age_s: float,
+    elapsed_ticks: int,
+    effort: float,
+    state_f: Floats,
+    state_i: Ints,
+    parameters: Floats,
 ) -> float:
     """Return the velocity after this sample; zero for the first one. A gap is predicted over, with one update."""
     # The position is stored less the newest count, so that large counts cost no digits.
@@ -302,4 +308,5 @@ ESTIMATOR = Estimator(
         Setting("forgetting", 0.95, 0.0, 1.0, "1", 'weight ρ of the past for fading = "stf"'),
     ),
     design=design,
+    position=OFFSET,
 )

@@ -60,7 +60,13 @@ def _noise(state_f: Floats, samples: int, bend: float) -> float:
 
 @kernel(ESTIMATOR_SIGNATURE, no_refcount=True)
 def update(
-    count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
+    count: int,
+    edge_age_s: float,
+    elapsed_ticks: int,
+    effort: float,
+    state_f: Floats,
+    state_i: Ints,
+    parameters: Floats,
 ) -> float:
     """Return slope of the chosen chord; zero for the first sample. Samples beyond the longest chord are forgotten."""
     newest = foaw.remember(count, elapsed_ticks, state_i)

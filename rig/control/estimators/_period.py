@@ -94,7 +94,13 @@ def window(span: float, age: float, period_s: float) -> int:
 
 @kernel(ESTIMATOR_SIGNATURE, no_refcount=True)
 def update(
-    count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
+    count: int,
+    edge_age_s: float,
+    elapsed_ticks: int,
+    effort: float,
+    state_f: Floats,
+    state_i: Ints,
+    parameters: Floats,
 ) -> float:
     """Return the slope between the last two edges, but no faster than the silence since the last one allows."""
     period_s, age = parameters[PERIOD], plausible_age(edge_age_s)

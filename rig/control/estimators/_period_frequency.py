@@ -51,7 +51,13 @@ AGES = period.FLOATS  # state_f: and its age then (s)
 
 @kernel(ESTIMATOR_SIGNATURE, no_refcount=True)
 def update(
-    count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
+    count: int,
+    edge_age_s: float,
+    elapsed_ticks: int,
+    effort: float,
+    state_f: Floats,
+    state_i: Ints,
+    parameters: Floats,
 ) -> float:
     """Return the slope from the edge before the window to the last one, but no faster than the silence since allows."""
     period_s, age = parameters[PERIOD], plausible_age(edge_age_s)

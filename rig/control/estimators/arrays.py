@@ -29,7 +29,7 @@ from rig.control.estimators._own_counts import (
     unwrap,
     whole_numbers,
 )
-from rig.control.estimators.estimator import WINDOW, Floats, Ints, Prepared
+from rig.control.estimators.estimator import WINDOW, Estimator, Floats, Ints, Prepared
 from rig.core.errors import ConfigError
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import ESTIMATOR
@@ -79,6 +79,7 @@ def estimate(
     edge_time: ArrayLike | None = None,
     elapsed: ArrayLike | None = None,
     width: Any = None,  # an int; `**parameters` of a caller would not type-check beside it
+    effort: ArrayLike | None = None,
     **parameters: float | str,
 ) -> Floats:
     """Return the velocity at each sample, by the named estimator, as it would have come out of the loop.
@@ -103,6 +104,9 @@ def estimate(
     width
         Bits of the counter. Not needed for a counter of 32 bits or one that does not wrap, nor for arrays of 8 or 16
         bit integers, which are taken as counters of that width.
+    effort
+        Mean effort of the motor from the sample before to each sample (N·m or N), shape (n,). Required by an estimator
+        that uses it, ignored by the others.
     **parameters
         Settings of the estimator; those left out take their default.
 
@@ -131,6 +135,7 @@ def estimate(
         edge_time=edge_time,
         elapsed=elapsed,
         width=width,
+        effort=effort,
         **parameters,
     )[0]
 
@@ -144,11 +149,14 @@ def estimate_with_window(
     edge_time: ArrayLike | None = None,
     elapsed: ArrayLike | None = None,
     width: Any = None,  # an int; `**parameters` of a caller would not type-check beside it
+    effort: ArrayLike | None = None,
     **parameters: float | str,
 ) -> tuple[Floats, Ints]:
     """Return the velocities of `estimate`, and how many velocity periods each of them spans (int64, shape (n,))."""
     arrays = own_inputs(counts, dt, resolution=resolution, edge_time=edge_time, elapsed=elapsed, width=width)
-    return run(family.get(name).prepare(parameters, resolution, dt), *arrays)
+    estimator = family.get(name)
+    applied = _efforts(estimator, effort, len(arrays[0]))
+    return run(estimator.prepare(parameters, resolution, dt), *arrays, applied)
 
 
 def own_inputs(
@@ -220,20 +228,46 @@ def _counts_and_steps(
     return held, steps
 
 
-def run(prepared: Prepared, counts: Ints, edge_age_s: Floats, elapsed: Ints) -> tuple[Floats, Ints]:
-    """Run a prepared estimator, whose memory changes, over the arrays of `inputs`: velocities and windows."""
+def _efforts(estimator: Estimator, effort: ArrayLike | None, samples: int) -> Floats | None:
+    """Check the efforts that are passed to an estimator."""
+    if effort is None:
+        if estimator.uses_effort:
+            raise ConfigError(
+                f"estimator {estimator.name} needs the effort of the motor",
+                remedy="give effort=, a value for each count (N·m or N), or choose an estimator of counts alone",
+            )
+        return None
+    applied = real_numbers(effort, "effort", "N·m or N")
+    if applied.shape != (samples,):
+        raise ConfigError(
+            f"{samples} counts, but effort has shape {applied.shape}", remedy="give one value for each count"
+        )
+    if not np.isfinite(applied).all():
+        raise ConfigError("effort has values that are not finite", remedy="give finite numbers in N·m or N")
+    return applied
+
+
+def run(
+    prepared: Prepared, counts: Ints, edge_age_s: Floats, elapsed: Ints, effort: Floats | None = None
+) -> tuple[Floats, Ints]:
+    """Run a prepared estimator, whose memory changes, over the arrays of `inputs`: velocities and windows.
+
+    `effort` is the mean effort since the sample before (N·m or N), one value for each count; without it all are zero.
+    """
     velocities, windows = np.empty(len(counts)), np.empty(len(counts), np.int64)
     memory = (prepared.state_f, prepared.state_i, prepared.parameters)
-    update_all(prepared.estimator.update, counts, edge_age_s, elapsed, *memory, velocities, windows)
+    applied = np.zeros(len(counts)) if effort is None else effort
+    update_all(prepared.estimator.update, counts, edge_age_s, elapsed, applied, *memory, velocities, windows)
     return velocities, windows
 
 
-@kernel(types.void(ESTIMATOR, _INTS, _FLOATS, _INTS, _FLOATS, _INTS, _FLOATS, _FLOATS, _INTS))
+@kernel(types.void(ESTIMATOR, _INTS, _FLOATS, _INTS, _FLOATS, _FLOATS, _INTS, _FLOATS, _FLOATS, _INTS))
 def update_all(
     update: Any,
     counts: Ints,
     edge_age_s: Floats,
     elapsed: Ints,
+    effort: Floats,
     state_f: Floats,
     state_i: Ints,
     parameters: Floats,
@@ -242,7 +276,7 @@ def update_all(
 ) -> None:
     """Call the update once for each sample; all arrays but the memory have the length of `counts`."""
     for k in range(len(counts)):
-        velocities[k] = update(counts[k], edge_age_s[k], elapsed[k], state_f, state_i, parameters)
+        velocities[k] = update(counts[k], edge_age_s[k], elapsed[k], effort[k], state_f, state_i, parameters)
         windows[k] = state_i[WINDOW]
 
 

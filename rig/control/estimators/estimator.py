@@ -29,7 +29,10 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """A number that a user may choose: default (None: must be given), range, unit and meaning."""
+    """A number that a user may choose: default (None: must be given), range, unit and meaning.
+
+    `rig` names the property of `rig.core.board.MovedMechanics` that an experiment takes where the setting is not given.
+    """
 
     name: str
     default: float | None
@@ -37,6 +40,7 @@ class Setting:
     maximum: float
     unit: str
     meaning: str
+    rig: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +60,8 @@ class Estimator(Shown):
     `design(settings, resolution, period_s)` returns the numbers that follow the two common parameters; it
     raises `ConfigError` when they cannot be realised at that period. `update` has the signature
     `rig.realtime.plugs.ESTIMATOR_SIGNATURE`. `floats` and `ints` are the sizes of its memory; `ints` counts WINDOW.
+    `uses_effort` says that it reads the effort, so that without it there is no estimate; `position` is the place in its
+    floats of the estimated position less the newest count (counts), None for one that estimates no position.
     """
 
     name: str
@@ -66,6 +72,8 @@ class Estimator(Shown):
     ints: int
     settings: tuple[Setting | Choice, ...] = ()
     design: Callable[[Mapping[str, Any], float, float], list[float]] = field(default=lambda s, r, p: [])
+    uses_effort: bool = False
+    position: int | None = None
 
     def brief(self) -> list[Item]:
         """Return name, summary and settings, for people."""

@@ -29,11 +29,12 @@ _FORM = Form(
         "travel": ("way since the sample before (rad or m)", f"moved * parameters[{RESOLUTION}]"),
         "elapsed_s": ("time since then (s)", f"elapsed_ticks * parameters[{PERIOD}]"),
         "edge_age_s": ("time since the last encoder edge (s)", "edge_age_s"),
+        "effort": ("mean effort of the motor since the sample before (N·m or N)", "effort"),
     },
     given=("resolution", "period_s"),  # parameters[RESOLUTION], parameters[PERIOD]
     memory="state_f[:{count}]",
     around=f"""
-def estimator(count, edge_age_s, elapsed_ticks, state_f, state_i, parameters):
+def estimator(count, edge_age_s, elapsed_ticks, effort, state_f, state_i, parameters):
     moved = count_difference(count, state_i[{PREVIOUS}])
     state_i[{PREVIOUS}] = count
     if state_i[{STARTED}] == 0:
@@ -56,8 +57,9 @@ def estimator(
     """Make a velocity estimator of a plain function, compiled here and now.
 
     The function returns the velocity (rad/s or m/s). It names what it needs: ``travel`` since the sample before (rad or
-    m), ``elapsed_s`` since then, ``edge_age_s`` (since the last encoder edge), ``memory`` and ``p``, which has
-    ``p.resolution`` (one count; its sign is the encoder's) and ``p.period_s`` beside the estimator's own.
+    m), ``elapsed_s`` since then, ``edge_age_s`` (since the last encoder edge), ``effort`` (mean of the motor's effort
+    since the sample before, N·m or N), ``memory`` and ``p``, which has ``p.resolution`` (one count; its sign is the
+    encoder's) and ``p.period_s`` beside the estimator's own.
 
     Parameters
     ----------

@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
-from rig.config import Experiment, controller
+from rig.config import Experiment, controller, prepare_estimator
 from rig.config.schemes import Scheme
-from rig.control import estimators
 from rig.core.check import refused
 from rig.core.errors import ConfigError
 from rig.doctor.gate_result import ticks_late
@@ -131,9 +130,9 @@ class Candidate:
 
     def law(self, experiment: Experiment) -> tuple[Any, ...]:
         """Return all that decides the law: loop, delay (ticks), rates (Hz), estimator, prediction, parameters."""
-        own = self.applied(experiment).controller
-        estimator, resolution = estimators.get(own.estimator), experiment.rig.encoder.resolution
-        numbers = estimator.prepare(own.parameters, resolution, 1.0 / own.velocity_rate).parameters.tolist()
+        applied, resolution = self.applied(experiment), experiment.rig.encoder.resolution
+        own = applied.controller
+        numbers = prepare_estimator(applied, resolution, 1.0 / own.velocity_rate).parameters.tolist()
         adaptive = (own.slow_below, own.slow_velocity_rate) if own.slow_below > 0.0 else None
         rates = own.position_rate, own.velocity_rate
         return (self.loop, self.delay_ticks, *rates, own.estimator, own.prediction, adaptive, *numbers)

@@ -57,7 +57,7 @@ def test_a_tick_equals_the_hosts(law: Any, name: Any, scheme: Any) -> None:
     names = ("flags", "phase", "limited_effort", "current_sent")
     rows = []
     for sample in table:
-        step(arguments, int(sample["count"]), 0.0, int(sample["elapsed_ticks"]))
+        step(arguments, int(sample["count"]), 0.0, int(sample["elapsed_ticks"]), 0)
         rows.append([host.memory[name][0] for name in names])
     flags, phases, limited, currents = np.array(rows).T
     limited /= host.control["effort_quantum"][0]
@@ -146,7 +146,7 @@ def test_every_option_and_limit_is_the_hosts(law: Any) -> None:
         ours = law.run(p, table)
         arguments = host.arguments()
         for sample, tick in zip(table, ours, strict=True):
-            quanta = step(arguments, int(sample["count"]), 0.0, int(sample["elapsed_ticks"]))
+            quanta = step(arguments, int(sample["count"]), 0.0, int(sample["elapsed_ticks"]), 0)
             m = host.memory[0]
             assert tick["phase"] == m["phase"], seed
             assert (int(tick["flags"]) ^ int(m["flags"])) & ~RowFlag.CLAMPED == 0, seed

@@ -17,6 +17,7 @@ from rig.control.estimators.arrays import OLDEST_EDGE_S, inputs
 from rig.control.estimators.estimator import WINDOW
 from rig.core.errors import ConfigError
 from sim_backend.mechanics.sensors import encoder_count
+from tests.conformance.estimator import REQUIRED
 
 GUIDE = Path(estimators.__file__).with_name("README.md")
 DT, DELTA = 5e-4, 1e-5
@@ -69,18 +70,23 @@ def test_a_position_of_another_type_is_refused(positions: Any, message: str) -> 
 
 @pytest.mark.parametrize("name", estimators.names())
 def test_an_array_gives_the_bits_of_the_update_called_sample_by_sample(name: Any) -> None:
-    counts, prepared = lively(), estimators.get(name).prepare({}, DELTA, DT)
+    counts, required = lively(), REQUIRED.get(name, {})
+    prepared = estimators.get(name).prepare(required, DELTA, DT)
+    efforts = np.sin(np.arange(len(counts)))
     whole, age, elapsed = inputs(counts, DT)
     memory = (prepared.state_f, prepared.state_i, prepared.parameters)
     expected, windows = [], []
-    for count, edge_age, n in zip(whole.tolist(), age.tolist(), elapsed.tolist(), strict=True):
-        expected.append(prepared.estimator.update(count, edge_age, n, *memory))
+    for count, edge_age, n, effort in zip(
+        whole.tolist(), age.tolist(), elapsed.tolist(), efforts.tolist(), strict=True
+    ):
+        expected.append(prepared.estimator.update(count, edge_age, n, effort, *memory))
         windows.append(prepared.state_i[WINDOW])
-    velocity, window = estimate_with_window(name, counts, DT, resolution=DELTA)
+    given: Any = {"resolution": DELTA, "effort": efforts, **required}
+    velocity, window = estimate_with_window(name, counts, DT, **given)
     assert velocity.tolist() == expected
     assert window.tolist() == windows
     assert velocity[0] == 0.0
-    assert estimate(name, counts, DT, resolution=DELTA).tolist() == expected
+    assert estimate(name, counts, DT, **given).tolist() == expected
 
 
 def test_settings_reach_the_estimator() -> None:

@@ -20,6 +20,7 @@ from rig.core.errors import ConfigError, RecordingError
 from rig.core.sample import Phase, RowFlag
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import ESTIMATOR_SIGNATURE, LAW_SIGNATURE
+from tests.conformance.estimator import REQUIRED
 
 ROOT = Path(__file__).parents[3]
 DELTA = 1e-6  # 1 µm
@@ -60,6 +61,7 @@ class Tick:
         skip_homing: bool = True,
         **changes: Any,
     ) -> None:
+        self.active = 0  # current that the device reports as active (quanta)
         control = np.zeros(1, CONTROL)
         for name, value in {**PLAIN, **changes}.items():
             control[name] = value
@@ -69,13 +71,16 @@ class Tick:
         family = estimators.get(estimator) if isinstance(estimator, str) else estimator
         period_s = c["tick_s"] * c["velocity_divider"]
         self.controller = ControllerState(
-            control, new_memory(), family.prepare({}, float(c["resolution"]), period_s), kind.prepare(section)
+            control,
+            new_memory(),
+            family.prepare(REQUIRED.get(family.name, {}), float(c["resolution"]), period_s),
+            kind.prepare(section),
         )
         if skip_homing:
             self.controller.memory["phase"] = Phase.TRIAL
 
     def __call__(self, count: int, elapsed: int = 1) -> int:
-        return step(self.controller.arguments(), int(count), 0.0, elapsed)
+        return step(self.controller.arguments(), int(count), 0.0, elapsed, self.active)
 
     def __getattr__(self, name: Any) -> Any:
         if name not in MEMORY.names:
@@ -123,18 +128,31 @@ def spy(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, paramet
 
 @kernel(ESTIMATOR_SIGNATURE)
 def recorder(
-    count: Any, edge_age_s: Any, elapsed_ticks: Any, state_f: Any, state_i: Any, parameters: Any
+    count: Any,
+    edge_age_s: Any,
+    elapsed_ticks: Any,
+    effort: Any,
+    state_f: Any,
+    state_i: Any,
+    parameters: Any,
 ) -> Any:
     """Store the arguments; return the number of calls."""
     state_i[0] += 1
     state_i[1] = count
     state_i[2] = elapsed_ticks
+    state_f[0] = effort
     return float(state_i[0])
 
 
 @kernel(ESTIMATOR_SIGNATURE)
 def blind(
-    count: Any, edge_age_s: Any, elapsed_ticks: Any, state_f: Any, state_i: Any, parameters: Any
+    count: Any,
+    edge_age_s: Any,
+    elapsed_ticks: Any,
+    effort: Any,
+    state_f: Any,
+    state_i: Any,
+    parameters: Any,
 ) -> Any:
     return math.nan
 
@@ -209,6 +227,17 @@ def test_estimator_runs_once_per_new_velocity_period(divider: int, gaps: list[in
         assert tick.index == index
         assert tick.has(RowFlag.VELOCITY_UPDATED) == (seen[0] == calls and seen[1] == index)
         assert seen[0] == calls
+
+
+def test_estimator_receives_the_mean_effort_that_was_active_since_its_last_run() -> None:
+    tick = Tick(velocity_divider=4, estimator=estimator_of(recorder))
+    mean = tick.controller.estimator.state_f
+    for tick.active in (0, 1, 2, 3, 6):
+        tick(0)
+    assert mean[0] == pytest.approx((1 + 2 + 3 + 6) / 4 * PLAIN["effort_quantum"], rel=1e-12)
+    tick.active = 5
+    tick(0, 6)  # over the gap the active current of its sample stands for all ticks
+    assert mean[0] == pytest.approx(5 * PLAIN["effort_quantum"], rel=1e-12)
 
 
 def test_law_receives_the_elapsed_ticks() -> None:
@@ -514,6 +543,7 @@ def press(
     decay = math.exp(-friction / mass * TICK_S)
     x, v, positions, efforts = start, 0.0, [], []
     for _ in range(round(seconds / TICK_S)):
+        tick.active = tick.current_sent
         tick(math.floor(x / DELTA + 0.5))
         effort = tick.effort_sent
         terminal = effort / friction

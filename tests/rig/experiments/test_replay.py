@@ -96,6 +96,20 @@ def test_a_finished_run_replays_exactly(finished: Any) -> None:
     assert finished.rows["penetration"].max() > 0.0
 
 
+def test_a_run_whose_estimator_knows_the_effort_replays_exactly_over_gaps(armed: Any, tmp_path: Path) -> None:
+    faults = tuple(
+        FrameFault(kind=FaultKind.DROP, direction=Direction.TO_HOST, frame=frame)
+        for frame in range(armed + 5, armed + 95, 7)
+    )
+    recording = recorded(
+        tmp_path,
+        config.override(SHORT, {"controller.estimator": "disturbance"}),
+        faults=Faults(frames=faults),
+    )
+    assert (recording.rows["flags"] & int(RowFlag.GAP)).any()
+    assert_exact(replay(recording))
+
+
 @pytest.mark.parametrize("name", presets.names())
 def test_every_preset_replays_exactly(name: Any, tmp_path: Path) -> None:
     experiment = config.override(

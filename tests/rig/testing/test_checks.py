@@ -131,12 +131,16 @@ def test_an_argument_allows_what_a_law_does_on_purpose() -> None:
     check_law(magnet)  # declares it itself
 
 
-def leaks(count: int, age: float, elapsed: int, floats: Floats, ints: Ints, numbers: Floats) -> float:
+def leaks(
+    count: int, age: float, elapsed: int, effort: float, floats: Floats, ints: Ints, numbers: Floats
+) -> float:
     found = np.full(2, 0.0)
     return float(found[0])
 
 
-def overflows(count: int, age: float, elapsed: int, floats: Floats, ints: Ints, numbers: Floats) -> float:
+def overflows(
+    count: int, age: float, elapsed: int, effort: float, floats: Floats, ints: Ints, numbers: Floats
+) -> float:
     ints[3] = count
     return 0.0
 

@@ -1,0 +1,43 @@
+"""Tracking loop of second order (type 2), as motor drives read encoders and resolvers.
+
+Two integrators follow the counts: x̂ ← x̂ + v̂·T + l1·e, v̂ ← v̂ + l2·e/T, e the count less the prediction. A steady motion
+is followed without lag, an acceleration a with the velocity error 2·ζ·a/ω0. The continuous loop s² + 2·ζ·ω0·s + ω0² is
+mapped by its poles, z = exp(s·T). With l2 = 2·(2 − l1) − 4·√(1 − l1) it is the steady Kalman filter of a double
+integrator (Kalata 1984, "The tracking index"): ζ → 1/√2 as ω0·T → 0, and any pair of gains of `kalman` with
+``model = "double"`` is some ω0 and ζ here.
+
+Source: phase-locked loop of a drive, as in Ellis, *Control System Design Guide*, chapter on observers.
+"""
+
+from __future__ import annotations
+
+import cmath
+from collections.abc import Mapping
+from typing import Any
+
+from rig.control.estimators import _observer as observer
+from rig.control.estimators.estimator import Estimator, Setting
+
+
+def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
+    """Gains of the loop; it has no input."""
+    observer.check_frequency("tracking", settings["frequency_hz"], period_s)
+    ratio, turn = settings["damping"], observer.turn(settings["frequency_hz"], period_s)
+    swing = turn * cmath.sqrt(complex(ratio * ratio - 1.0))
+    return [*observer.gains([-ratio * turn + swing, -ratio * turn - swing]), 0.0]
+
+
+ESTIMATOR = Estimator(
+    name="tracking",
+    summary="tracking loop of two integrators, as motor drives use it",
+    source="Ellis, Control System Design Guide; Kalata (1984) for the equal Kalman filter",
+    update=observer.update,
+    floats=observer.FLOATS,
+    ints=observer.INTS,
+    settings=(
+        Setting("frequency_hz", 200.0, 0.1, 1e6, "Hz", "natural frequency ω0/2π of the loop"),
+        Setting("damping", 0.5**0.5, 0.1, 10.0, "1", "damping ratio ζ of the loop"),
+    ),
+    design=design,
+    position=observer.OFFSET,
+)
