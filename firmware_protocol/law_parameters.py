@@ -115,6 +115,8 @@ def _rows() -> list[tuple[str, str, str, tuple[Value, Value], Value, str, bool]]
         ("free_minimum", "i32", "count", _I32, 0, "no trial follows outside of these in free space", fixed),
         ("free_maximum", "i32", "count", _I32, 0, "see free_minimum", fixed),
         ("hold_ticks", "u32", "tick", _U32, 0, "length of the trial from first contact; 0: trial_ticks", fixed),
+        ("kalman_input", "f32", "count/period²/quantum", _FLOAT, 0.0, "acceleration for a quantum of active current; "
+         "0: it knows no effort", fixed),
     ]  # fmt: skip
     return rows
 

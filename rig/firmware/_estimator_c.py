@@ -36,6 +36,11 @@ class _Form:
     wanted: tuple[str, ...]
 
 
+def _observer(effort: str) -> _Form:
+    call = f"e->started ? law_kalman_run(&e->memory, &NUMBERS, (float)moved, slope, {effort}, elapsed) : 0.0f"
+    return _Form("observers.c", "law_kalman", "law_kalman_state", call, ("law_kalman_run",))
+
+
 _FORMS = {
     FIXED: _Form(
         "filters.c", "law_biquad", "law_biquad_state", "law_biquad_run(&e->memory, &NUMBERS, moved, elapsed)",
@@ -58,11 +63,9 @@ _FORMS = {
         "observers.c", "law_levant", "law_levant_state",
         "e->started ? law_levant_run(&e->memory, &NUMBERS, slope, elapsed) : 0.0f", ("law_levant_run",),
     ),
-    "kalman": _Form(
-        "observers.c", "law_kalman", "law_kalman_state",
-        "e->started ? law_kalman_run(&e->memory, &NUMBERS, (float)moved, slope, elapsed) : 0.0f",
-        ("law_kalman_run",),
-    ),
+    "kalman": _observer("0.0f"),
+    "tracking": _observer("0.0f"),
+    "disturbance": _observer("effort"),
 }  # fmt: skip
 
 
@@ -80,12 +83,15 @@ class EstimatorC:
         Velocity (rad/s or m/s) of 1.0 that it returns, or of one LSB.
     code
         Includes, declarations and functions; what an includer may use stands at the end.
+    uses_effort
+        True if the velocity's function takes the effort after the count.
     """
 
     prefix: str
     returns: str
     scale: float
     code: str
+    uses_effort: bool
 
 
 def estimator_c(prepared: Prepared) -> EstimatorC:
@@ -114,7 +120,7 @@ def estimator_c(prepared: Prepared) -> EstimatorC:
     includes = ["stdint.h", *(["math.h"] if re.search(r"\b(sqrtf|fabsf)\b", parts) else [])]
     code = "\n".join(f"#include <{each}>" for each in sorted(includes)) + "\n\n" + _prefix_names(text, prefix)
     scale = per_count * velocity_format(prepared).lsb if whole else 1.0
-    return EstimatorC(prefix, "int32_t" if whole else "float", scale, code)
+    return EstimatorC(prefix, "int32_t" if whole else "float", scale, code, prepared.estimator.uses_effort)
 
 
 def _prefix_names(text: str, prefix: str) -> str:
@@ -139,7 +145,7 @@ def _numbers(form: _Form, values: dict[str, Value]) -> str:
 def _field(parameter: str) -> str:
     """Return the member of a struct in law.h that a parameter becomes."""
     kind, _, name = parameter.partition("_")
-    return f"gain_{name}" if kind == "kalman" else name
+    return f"gain_{name}" if kind == "kalman" and name != "input" else name
 
 
 def _low_pass(values: dict[str, Value]) -> str:
@@ -191,6 +197,8 @@ def _functions(form: _Form, prefix: str, *, whole: bool, per_count: float) -> st
     body.append("return velocity;" if whole else f"return {c_float(per_count)} * velocity;")
     begin = [f"*e = ({prefix}_estimator){{0}};"]
     begin += ["law_biquad_reset(&e->memory, &NUMBERS);"] if whole else []
+    effort = "float effort, " if re.search(r"\beffort\b", form.call) else ""
+    unit = "; effort: mean of the motor's since the call before (N·m or N)" if effort else ""
     return f"""typedef struct {{
 {_indent(members)}
 }} {prefix}_estimator;
@@ -201,8 +209,8 @@ static inline void {prefix}_begin({prefix}_estimator *e)
 {_indent(begin)}
 }}
 
-/* Call once per velocity period. */
-static inline {returns} {prefix}_velocity({prefix}_estimator *e, int32_t count, uint32_t elapsed)
+/* Call once per velocity period{unit}. */
+static inline {returns} {prefix}_velocity({prefix}_estimator *e, int32_t count, {effort}uint32_t elapsed)
 {{
 {_indent(body)}
 }}

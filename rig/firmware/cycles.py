@@ -98,6 +98,7 @@ def _cost(name: str, estimator: EstimatorC, counts: Ints, elapsed: Ints) -> Cost
 def _write_harness(estimator: EstimatorC) -> str:
     """Return the functions that the simulator can call, and the memory that they share."""
     prefix = estimator.prefix
+    effort = "0.5f, " if estimator.uses_effort else ""
     return f"""
 static {prefix}_estimator memory;
 void begin(void);
@@ -108,6 +109,6 @@ void begin(void)
 {estimator.returns} velocity(int32_t count, uint32_t elapsed);
 {estimator.returns} velocity(int32_t count, uint32_t elapsed)
 {{
-    return {prefix}_velocity(&memory, count, elapsed);
+    return {prefix}_velocity(&memory, count, {effort}elapsed);
 }}
 """

@@ -61,7 +61,7 @@ golden_result golden_run(law_state *s, const uint8_t *file, size_t bytes)
         return result;
     law_reset(s, p, NULL);
     for (; result.ticks < ticks; result.ticks++, record += RECORD_BYTES) {
-        const law_input in = {get_i32(record), get_u32(record + 4)};
+        const law_input in = {get_i32(record), get_u32(record + 4), 0};
         const law_output out = law_tick(s, p, &in);
         judge(&result, file, record, &out);
         crc = crc_word(crc_word(crc_word(crc, (uint32_t)out.current), out.flags), out.phase);

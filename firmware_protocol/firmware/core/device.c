@@ -340,7 +340,7 @@ void device_sample(struct device *device)
     device->limits.flags = 0;
     device->monitor.flags = 0;
     if (bits == 0 && tick->supervised)
-        bits = renderer_run(&device->renderer, device->count, device->sample_index);
+        bits = renderer_run(&device->renderer, device->count, device->driven, device->sample_index);
     if (bits != 0)
         latch(device, bits);
 }

@@ -68,6 +68,7 @@ static void read_estimator(const uint32_t *values, law_parameters *law)
     law->kalman.gain_position = real(values, HR_PARAMETER_KALMAN_POSITION);
     law->kalman.gain_velocity = real(values, HR_PARAMETER_KALMAN_VELOCITY);
     law->kalman.gain_acceleration = real(values, HR_PARAMETER_KALMAN_ACCELERATION);
+    law->kalman.input = real(values, HR_PARAMETER_KALMAN_INPUT);
 }
 
 static void read_live_float(const uint32_t *values, law_float_wall *wall)

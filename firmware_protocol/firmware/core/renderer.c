@@ -49,11 +49,12 @@ void renderer_change(struct renderer *renderer, const law_parameters *parameters
     renderer->parameters = *parameters;
 }
 
-uint32_t renderer_run(struct renderer *renderer, int32_t count, uint32_t index)
+uint32_t renderer_run(struct renderer *renderer, int32_t count, int32_t active, uint32_t index)
 {
     const law_input input = {
         .count = count,
         .elapsed_ticks = renderer->begun ? index - renderer->index : 1u,
+        .active = active,
     };
     const law_output output = law_tick(&renderer->state, &renderer->parameters, &input);
     renderer->begun = true;

@@ -38,6 +38,6 @@ void renderer_reset(struct renderer *renderer);
 void renderer_change(struct renderer *renderer, const law_parameters *parameters);
 
 /* Run it on the sample of a tick. Returns faults as bits 1 << code. */
-uint32_t renderer_run(struct renderer *renderer, int32_t count, uint32_t index);
+uint32_t renderer_run(struct renderer *renderer, int32_t count, int32_t active, uint32_t index);
 
 #endif

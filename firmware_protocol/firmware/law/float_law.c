@@ -15,7 +15,8 @@ float law_float_depth(const law_parameters *p, int32_t travel)
 
 /* Step 3. */
 
-static float estimate_of(law_state *s, const law_parameters *p, int32_t count, int32_t moved, uint32_t periods)
+static float estimate_of(law_state *s, const law_parameters *p, int32_t count, int32_t moved, float active,
+                         uint32_t periods)
 {
     const float slope = periods == 1 ? (float)moved : (float)moved / (float)periods;
 
@@ -29,7 +30,7 @@ static float estimate_of(law_state *s, const law_parameters *p, int32_t count, i
     case LAW_LEVANT:
         return s->sampled ? law_levant_run(&s->of.levant, &p->levant, slope, periods) : 0.0f;
     case LAW_KALMAN:
-        return s->sampled ? law_kalman_run(&s->of.kalman, &p->kalman, (float)moved, slope, periods) : 0.0f;
+        return s->sampled ? law_kalman_run(&s->of.kalman, &p->kalman, (float)moved, slope, active, periods) : 0.0f;
     case LAW_FDM:
     case LAW_FDM_BUTTERWORTH_FIXED:
         break;
@@ -37,12 +38,13 @@ static float estimate_of(law_state *s, const law_parameters *p, int32_t count, i
     return slope;
 }
 
-static void estimate(law_state *s, const law_parameters *p, int32_t count, uint32_t elapsed)
+static void estimate(law_state *s, const law_parameters *p, int32_t count, int32_t active, uint32_t elapsed)
 {
     const int slow = p->slow_multiple != 1 && s->sampled && fabsf(s->velocity_sampled) < p->wall.slow_speed;
     const uint32_t periods = law_periods_due(s, p->velocity_divider, slow ? p->slow_multiple : 1, elapsed);
 
     s->velocity_ticks = law_add(s->velocity_ticks, elapsed);
+    s->active_sum += (float)active * (float)elapsed;
     if (periods > 0) {
         const int32_t moved = law_moved(s, count, periods);
         float sampled;
@@ -50,12 +52,13 @@ static void estimate(law_state *s, const law_parameters *p, int32_t count, uint3
             s->velocity_fixed = law_biquad_run(&s->of.biquad, &p->biquad, moved, periods);
             sampled = (float)s->velocity_fixed * p->wall.velocity_lsb;
         } else {
-            sampled = estimate_of(s, p, count, moved, periods);
+            sampled = estimate_of(s, p, count, moved, s->active_sum / (float)s->velocity_ticks, periods);
         }
         if (p->extrapolate)
             s->velocity_slope = (sampled - s->velocity_sampled) / (float)s->velocity_ticks;
         s->velocity_sampled = sampled;
         s->velocity_ticks = 0;
+        s->active_sum = 0.0f;
         s->sampled = 1;
         s->flags |= LAW_VELOCITY_UPDATED;
     }
@@ -147,7 +150,7 @@ void law_float_tick(law_state *s, const law_parameters *p, const law_input *in, 
     float effort;
 
     s->flags = depth > 0.0f ? LAW_INSIDE : 0;
-    estimate(s, p, in->count, elapsed);
+    estimate(s, p, in->count, in->active, elapsed);
     s->flags |= law_advance(s, p, travel, depth > 0.0f, elapsed);
     effort = wanted(s, p, depth, travel, elapsed);
     if (!isfinite(effort) || !isfinite(s->velocity))

@@ -117,6 +117,7 @@ typedef struct {
 
 typedef struct {
     float gain_position, gain_velocity, gain_acceleration; /* steady, counts and periods */
+    float input; /* acceleration for a quantum of active current: counts per period^2; 0: it knows no effort */
 } law_kalman;
 
 /* The wall in integers: rig.control._fixed_wall.FixedWall, and what the guard and homing need in the same arithmetic. */
@@ -250,6 +251,7 @@ typedef struct {
     uint32_t window;       /* velocity periods that the estimate spans */
     uint32_t since;        /* ticks since the velocity period of the last estimate began */
     uint32_t velocity_ticks; /* ticks since the last estimate */
+    float active_sum;      /* current active in each of these ticks, added up (quanta) */
     uint32_t sampled;      /* 1 once the estimator has run */
     uint32_t phase;        /* law_phase */
     uint32_t phase_ticks, rest_ticks;
@@ -271,6 +273,7 @@ typedef struct {
 typedef struct {
     int32_t count;          /* of the encoder, may wrap */
     uint32_t elapsed_ticks; /* since the previous call, 1 when none was missed */
+    int32_t active;         /* current that was active when the count was taken (quanta); stands for all elapsed ticks */
 } law_input;
 
 typedef struct {

@@ -53,8 +53,10 @@ float law_levant_run(law_levant_state *s, const law_levant *p, float slope, uint
     return p->integrator ? s->integrator : u;
 }
 
-float law_kalman_run(law_kalman_state *s, const law_kalman *p, float moved, float slope, uint32_t elapsed)
+float law_kalman_run(law_kalman_state *s, const law_kalman *p, float moved, float slope, float active,
+                     uint32_t elapsed)
 {
+    const float acceleration = s->acceleration + p->input * active;
     float innovation;
 
     if (elapsed > LAW_LONGEST_GAP) {
@@ -64,8 +66,8 @@ float law_kalman_run(law_kalman_state *s, const law_kalman *p, float moved, floa
         return slope;
     }
     while (elapsed-- > 0) {
-        s->offset += s->velocity + 0.5f * s->acceleration;
-        s->velocity += s->acceleration;
+        s->offset += s->velocity + 0.5f * acceleration;
+        s->velocity += acceleration;
     }
     innovation = moved - s->offset;
     s->velocity += p->gain_velocity * innovation;

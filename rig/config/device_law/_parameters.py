@@ -103,7 +103,7 @@ def law_parameters(controller: ControllerState, arithmetic: Arithmetic) -> Value
         "release_ticks": max(1, c["release_ticks"]),
         "wall_side": int(c["wall_side"]),
         **_places(c),
-        **estimator_parameters(controller.estimator),
+        **estimator_parameters(controller.estimator, float(c["effort_quantum"])),
         **common_parameters(controller.law.law.name, law),
         "excitation_lines": 0,
         **_excitation(controller),

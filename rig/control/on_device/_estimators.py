@@ -18,6 +18,7 @@ from rig.control.estimators import _foaw as foaw
 from rig.control.estimators import _foaw_best as foaw_best
 from rig.control.estimators import _kalman as kalman
 from rig.control.estimators import _levant as levant
+from rig.control.estimators import _observer as observer
 from rig.control.estimators.estimator import Floats, Prepared
 from rig.control.on_device._errors import refusal
 
@@ -30,6 +31,7 @@ ESTIMATORS = (  # in the order of the parameter `estimator`
     "levant",
     "kalman",
 )
+_SAME_RECURSION = {"tracking": "kalman", "disturbance": "kalman"}  # with other gains, and an input
 _EDGES = ": this one needs the time of each encoder edge"
 _ABSENT = {  # why a built-in one is not there
     "period": _EDGES,
@@ -43,8 +45,8 @@ WORD_BITS = 32
 Values = dict[str, Value]
 
 
-def estimator_parameters(prepared: Prepared) -> Values:
-    """Return the choice and the numbers of an estimator.
+def estimator_parameters(prepared: Prepared, effort_quantum: float = 1.0) -> Values:
+    """Return the choice and the numbers of an estimator, for an active current in units of `effort_quantum`.
 
     Raises
     ------
@@ -52,16 +54,20 @@ def estimator_parameters(prepared: Prepared) -> Values:
         An estimator, or a variant of it, that the device does not have.
     """
     name = prepared.estimator.name
-    if name not in ESTIMATORS:
+    runs_as = _SAME_RECURSION.get(name, name)
+    if runs_as not in ESTIMATORS:
         raise refusal(
             "controller.estimator",
             name,
             f"a device does not have this estimator{_ABSENT.get(name, '')}",
-            f"choose one of: {', '.join(ESTIMATORS)}",
+            f"choose one of: {', '.join((*ESTIMATORS, *_SAME_RECURSION))}",
         )
-    numbers = _NUMBERS.get(name)
-    own = numbers(prepared.parameters) if numbers is not None else {}
-    return {"estimator": ESTIMATORS.index(name), **own}
+    if name in _SAME_RECURSION:
+        own = _observer(prepared.parameters, effort_quantum)
+    else:
+        numbers = _NUMBERS.get(name)
+        own = numbers(prepared.parameters) if numbers is not None else {}
+    return {"estimator": ESTIMATORS.index(runs_as), **own}
 
 
 def velocity_format(prepared: Prepared) -> Format:
@@ -144,8 +150,16 @@ def _kalman(own: Floats) -> Values:
             "a device has only the steady gain, to which the recursive gain converges within a few periods",
             'choose gain = "steady" (and no fading)',
         )
-    position, velocity, acceleration = own[kalman.GAIN1 : kalman.GAIN3 + 1].tolist()
-    return {"kalman_position": position, "kalman_velocity": velocity, "kalman_acceleration": acceleration}
+    return _gains(own[kalman.GAIN1 : kalman.GAIN3 + 1].tolist())
+
+
+def _observer(own: Floats, effort_quantum: float) -> Values:
+    gains = _gains(own[observer.GAIN1 : observer.GAIN3 + 1].tolist())
+    return {**gains, "kalman_input": float(own[observer.INPUT]) * effort_quantum}
+
+
+def _gains(gains: list[float]) -> Values:
+    return dict(zip(("kalman_position", "kalman_velocity", "kalman_acceleration"), gains, strict=True))
 
 
 _NUMBERS: dict[str, Callable[[Floats], Values]] = {

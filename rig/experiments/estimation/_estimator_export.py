@@ -14,9 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.config import Experiment
+from rig.config import Experiment, prepare_estimator
 from rig.config.controller import resolution as signed
-from rig.control import estimators
 from rig.control.estimators import Floats, Ints, Prepared, run
 from rig.core.errors import ConfigError, ToolchainError
 from rig.core.present import Row, Table, reported
@@ -38,6 +37,8 @@ ROUNDINGS = {
     "foaw-best": 4.0,
     "fdm-butterworth": 64.0,
     "kalman": 64.0,
+    "tracking": 64.0,
+    "disturbance": 64.0,
     "levant": 64.0,
 }
 TRIED = 8.0  # times what a rounded memory does
@@ -160,7 +161,8 @@ def export_estimator(
     """
     rate_hz, resolution = float(experiment.controller.velocity_rate), signed(experiment)
     settings = _settings(variant, experiment)
-    prepared = estimators.get(variant.estimator).prepare(settings, resolution, 1.0 / rate_hz)
+    own = replace(experiment.controller, estimator=variant.estimator, parameters=settings)
+    prepared = prepare_estimator(replace(experiment, controller=own), resolution, 1.0 / rate_hz)
     made = estimator_c(prepared)
     header = Path(f"{made.prefix}.h") if header is None else header
     if header.suffix != ".h":
@@ -173,7 +175,8 @@ def export_estimator(
         refuse_existing(test)
     case = _case(signal, rate_hz, resolution) if case is None else _check_fits(case, rate_hz, resolution)
     counts, elapsed = case.counts[:MOST_SAMPLES], case.elapsed[:MOST_SAMPLES]
-    velocity = run(prepared, counts, case.arrays[1][:MOST_SAMPLES], elapsed)[0]
+    effort = _test_efforts(prepared, experiment.rig.limits.effort, len(counts))
+    velocity = run(prepared, counts, case.arrays[1][:MOST_SAMPLES], elapsed, effort)[0]
     computed: tuple[Cost, ...] = ()
     unknown = "not requested"
     if costs:
@@ -199,7 +202,7 @@ def export_estimator(
     export = replace(
         export,
         text=f"{_about(export)}{_add_guard(header, made.code)}",
-        test_text=_test_text(export, made, counts, elapsed, velocity),
+        test_text=_test_text(export, made, counts, elapsed, velocity, effort),
     )
     for path, content in ((header, export.text), (test, export.test_text)):
         with whole_file(path, overwrite=overwrite) as file:
@@ -235,6 +238,14 @@ def _check_fits(case: Case, rate_hz: float, resolution: float) -> Case:
     )
 
 
+def _test_efforts(prepared: Prepared, limit: float, samples: int) -> Floats:
+    """Efforts of the test (N·m or N): they need not be those of the motion, only change the estimate."""
+    if not prepared.estimator.uses_effort:
+        return np.zeros(samples)
+    # As float32 has them: the test's C and this computer read the same numbers.
+    return np.asarray(limit * np.sin(0.05 * np.arange(samples)), np.float32).astype(np.float64)
+
+
 def _tolerance(prepared: Prepared, counts: Ints, elapsed: Ints, velocity: Floats, unit: str) -> Tolerance:
     name = prepared.estimator.name
     if name == FIXED:
@@ -249,7 +260,7 @@ def _tolerance(prepared: Prepared, counts: Ints, elapsed: Ints, velocity: Floats
 
 
 def _with_rounded_memory(prepared: Prepared, counts: Ints, elapsed: Ints) -> Floats:
-    """Return velocities of an estimator that needs no edge times and keeps its memory in float32."""
+    """Return velocities of an estimator of counts alone that keeps its memory in float32."""
     update, state_f, state_i = (
         prepared.estimator.update,
         np.zeros_like(prepared.state_f),
@@ -257,7 +268,7 @@ def _with_rounded_memory(prepared: Prepared, counts: Ints, elapsed: Ints) -> Flo
     )
     velocities = np.empty(len(counts))
     for k, (count, periods) in enumerate(zip(counts.tolist(), elapsed.tolist(), strict=True)):
-        velocities[k] = update(count, 0.0, periods, state_f, state_i, prepared.parameters)
+        velocities[k] = update(count, 0.0, periods, 0.0, state_f, state_i, prepared.parameters)
         state_f[:] = state_f.astype(np.float32)
     return velocities
 
@@ -344,7 +355,12 @@ def _add_guard(header: Path, code: str) -> str:
 
 
 def _test_text(
-    export: EstimatorExport, made: EstimatorC, counts: Ints, elapsed: Ints, velocity: Floats
+    export: EstimatorExport,
+    made: EstimatorC,
+    counts: Ints,
+    elapsed: Ints,
+    velocity: Floats,
+    effort: Floats,
 ) -> str:
     """A program that ends with 0 where the header gives the host's velocities, and prints by how much it is off."""
     whole = made.returns != "float"
@@ -353,12 +369,15 @@ def _test_text(
         if whole
         else [c_float(v) for v in velocity.tolist()]
     )
+    efforts = [f", {c_float(one)}" if made.uses_effort else "" for one in effort.tolist()]
     rows = [
-        f"{{{_c_int(count)}, {periods}, {value}}},"
-        for count, periods, value in zip(
-            counts.astype(np.int32).tolist(), elapsed.tolist(), wanted, strict=True
+        f"{{{_c_int(count)}, {periods}, {value}{also}}},"
+        for count, periods, value, also in zip(
+            counts.astype(np.int32).tolist(), elapsed.tolist(), wanted, efforts, strict=True
         )
     ]
+    member = "\n    float effort;" if made.uses_effort else ""
+    argument = "samples[i].effort, " if made.uses_effort else ""
     table = "\n".join(" ".join(rows[at : at + _IN_A_LINE]) for at in range(0, len(rows), _IN_A_LINE))
     measure = "sqrt(sum / SAMPLES)" if export.tolerance.rms else "worst"
     summary = f"{export.estimator}: off by %.3g{' rms' if export.tolerance.rms else ''}"
@@ -377,7 +396,7 @@ enum {{ SAMPLES = {len(counts)} }};
 static const struct {{
     int32_t count;
     uint32_t elapsed;
-    {made.returns} velocity;
+    {made.returns} velocity;{member}
 }} samples[SAMPLES] = {{
 {table}
 }};
@@ -391,7 +410,7 @@ int main(void)
 
     {made.prefix}_begin(&e);
     for (i = 0; i < SAMPLES; i++) {{
-        found = (double){made.prefix}_velocity(&e, samples[i].count, samples[i].elapsed);
+        found = (double){made.prefix}_velocity(&e, samples[i].count, {argument}samples[i].elapsed);
         off = fabs(found - (double)samples[i].velocity);
         if (off > worst || off != off) /* what is not a number stays */
             worst = off;

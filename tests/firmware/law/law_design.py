@@ -28,6 +28,7 @@ _OF_KALMAN = {
     "kalman_position": "gain_position",
     "kalman_velocity": "gain_velocity",
     "kalman_acceleration": "gain_acceleration",
+    "kalman_input": "input",
 }
 _SAME = [
     "estimator", "extrapolate", "bilateral", "slow_multiple", "settle_ticks", "home_timeout_ticks", "trial_ticks",

@@ -54,7 +54,7 @@ Section = _structure("Section", (f32, "inner band low"), (i32, "order"))
 LowPass = _structure("LowPass", (i32, "sections"), (Section * SECTIONS, "section"))
 Foaw = _structure("Foaw", (i32, "band limit stop_first least_squares"))
 Levant = _structure("Levant", (f32, "alpha lambda_"), (i32, "discretisation integrator"))
-Kalman = _structure("Kalman", (f32, "gain_position gain_velocity gain_acceleration"))
+Kalman = _structure("Kalman", (f32, "gain_position gain_velocity gain_acceleration input"))
 Fixed = _structure(
     "Fixed",
     (i64, "constant home_effort"),
@@ -110,7 +110,12 @@ State = _structure(
     (i32, "velocity_fixed"),
     (
         u32,
-        "window since velocity_ticks sampled phase phase_ticks rest_ticks contact_ticks release_share release_rest",
+        "window since velocity_ticks",
+    ),
+    (f32, "active_sum"),
+    (
+        u32,
+        "sampled phase phase_ticks rest_ticks contact_ticks release_share release_rest",
     ),
     (u32, "release_step release_step_rest"),
     (i32, "previous"),
@@ -118,10 +123,10 @@ State = _structure(
     (Memory, "of"),
     (ExcitationState, "excitation"),
 )
-Input = _structure("Input", (i32, "count"), (u32, "elapsed_ticks"))
+Input = _structure("Input", (i32, "count"), (u32, "elapsed_ticks"), (i32, "active"))
 Output = _structure("Output", (i32, "current"), (u32, "flags phase"))
 
-INPUTS = np.dtype([("count", "<i4"), ("elapsed_ticks", "<u4")])
+INPUTS = np.dtype([("count", "<i4"), ("elapsed_ticks", "<u4"), ("active", "<i4")])
 # what the driver leaves of a tick
 TICKS = np.dtype(
     [

@@ -48,8 +48,11 @@ def both(law: Any, name: Any, counts: Any, elapsed: Any, **given: Any) -> Any:
     """Velocities (counts per period) and windows: of the host, of C."""
     prepared = estimators.get(name).prepare(given, DELTA, PERIOD_S)
     p = bare(prepared)
-    ticks = law.run(p, inputs(counts, elapsed))
-    velocities, windows = run(prepared, *estimator_inputs(counts, PERIOD_S, None, elapsed))
+    table = inputs(counts, elapsed)
+    table["active"] = np.random.default_rng(7).integers(-500, 501, len(counts))  # quanta, of 1 N each
+    ticks = law.run(p, table)
+    arrays = estimator_inputs(counts, PERIOD_S, None, elapsed)
+    velocities, windows = run(prepared, *arrays, table["active"].astype(float))
     return velocities / scale_of(prepared), windows, ticks
 
 
@@ -74,6 +77,8 @@ CASES = {
     "kalman-steady": ("kalman", {"gain": "steady"}, 32),
     "kalman-steady-slow": ("kalman", {"gain": "steady", "bandwidth_hz": 20.0}, 32),
     "kalman-steady-double": ("kalman", {"gain": "steady", "model": "double"}, 12),
+    "tracking": ("tracking", {}, 12),
+    "disturbance": ("disturbance", {"inertia": 0.5}, 32),
 }
 
 
@@ -118,7 +123,9 @@ def test_levant_equals_the_host_step_by_step(law: Any, discretisation: str, outp
         error, integrator = state.of.levant.error, state.of.levant.integrator = prepared.state_f.tolist()
         prepared.state_f[:] = state.of.levant.error, state.of.levant.integrator  # as float32 has them
         law.tick(state, p, np.int64(count).astype(np.int32).item(), periods)
-        host = update(count, 0.0, periods, prepared.state_f, prepared.state_i, prepared.parameters) / scale
+        host = (
+            update(count, 0.0, periods, 0.0, prepared.state_f, prepared.state_i, prepared.parameters) / scale
+        )
         size = max(abs(error), abs(integrator), abs(host), 1.0)
         if periods == 1:  # within a gap the sign may turn as well
             worst = max(worst, abs(state.velocity - host) / (size * EPS))

@@ -32,6 +32,7 @@ ESTIMATORS = {
     "foaw-best": ("foaw-best", {"window_limit": 24.0}),
     "levant": ("levant", {}),
     "kalman": ("kalman", {"gain": "steady"}),
+    "disturbance": ("disturbance", {}),
 }
 SCHEMES = {"dual": DUAL, "uniform": UNIFORM}
 EPS = 2.0**-24  # half a unit in the last place of float32, relative
@@ -51,13 +52,14 @@ def test_a_tick_equals_the_hosts(law: Any, name: Any, scheme: Any) -> None:
     random = np.random.default_rng(5)
     taken = np.flatnonzero((random.random(len(counts)) < 0.9) | (np.arange(len(counts)) == 0))
     table = inputs(counts[taken], np.diff(taken, prepend=-1))
+    table["active"] = random.integers(-20, 21, len(table))
 
     host = controller_of(experiment)
     arguments = host.arguments()
     names = ("flags", "phase", "limited_effort", "current_sent")
     rows = []
     for sample in table:
-        step(arguments, int(sample["count"]), 0.0, int(sample["elapsed_ticks"]), 0)
+        step(arguments, int(sample["count"]), 0.0, int(sample["elapsed_ticks"]), int(sample["active"]))
         rows.append([host.memory[name][0] for name in names])
     flags, phases, limited, currents = np.array(rows).T
     limited /= host.control["effort_quantum"][0]

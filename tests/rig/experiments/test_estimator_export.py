@@ -37,6 +37,8 @@ VARIANTS = [
     Variant("levant", {"lipschitz": 1.0, "output": "u1"}),
     Variant("kalman", {"gain": "steady"}),
     Variant("kalman", {"gain": "steady", "model": "double", "bandwidth_hz": 20.0}),
+    Variant("tracking"),
+    Variant("disturbance"),
 ]
 REFUSED = {
     "period": "time of each encoder edge",
