@@ -65,7 +65,7 @@ _FORMS = {
     ),
     "kalman": _observer("0.0f"),
     "tracking": _observer("0.0f"),
-    "disturbance": _observer("effort"),
+    "disturbance": _observer("NUMBERS.input * effort"),
 }  # fmt: skip
 
 

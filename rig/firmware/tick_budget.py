@@ -27,21 +27,21 @@ INTEGERS = "fdm-butterworth-fixed"
 CALLS: Mapping[str, Mapping[str, int]] = {
     "M0+": {
         "fdm": 245, "fdm-butterworth": 1644, INTEGERS: 197, "foaw-end": 8888, "foaw-best": 43_183, "levant": 2790,
-        "kalman": 1560,
+        "kalman": 1560, "tracking": 1355, "disturbance": 1701,
     },
     "M4F": {
         "fdm": 26, "fdm-butterworth": 57, INTEGERS: 118, "foaw-end": 2410, "foaw-best": 7471, "levant": 108,
-        "kalman": 57,
+        "kalman": 57, "tracking": 57, "disturbance": 60,
     },
 }  # fmt: skip
 TICKS: Mapping[str, Mapping[str, int]] = {
     "M0+": {
         "fdm": 5401, "fdm-butterworth": 6920, INTEGERS: 2693, "foaw-end": 14_186, "foaw-best": 50_623, "levant": 8146,
-        "kalman": 6970,
+        "kalman": 6970, "tracking": 6865, "disturbance": 8625,
     },
     "M4F": {
         "fdm": 1625, "fdm-butterworth": 1677, INTEGERS: 1716, "foaw-end": 4389, "foaw-best": 12_252, "levant": 1726,
-        "kalman": 1671,
+        "kalman": 1671, "tracking": 1737, "disturbance": 1794,
     },
 }  # fmt: skip
 

@@ -85,7 +85,9 @@ def content(structure: Any, prefix: str = "") -> dict[str, Any]:
     return leaves
 
 
-@pytest.mark.parametrize("estimator", ["fdm-butterworth", "foaw-best", "levant", "kalman", "foaw-end", "fdm"])
+@pytest.mark.parametrize(
+    "estimator", ["fdm-butterworth", "foaw-best", "levant", "kalman", "disturbance", "foaw-end", "fdm"]
+)
 @pytest.mark.parametrize("scheme", [DUAL, UNIFORM], ids=["dual", "uniform"])
 def test_a_law_in_float_arrives_as_it_was_designed(
     library: ctypes.CDLL, estimator: str, scheme: dict[str, object]

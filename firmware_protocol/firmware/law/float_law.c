@@ -15,8 +15,15 @@ float law_float_depth(const law_parameters *p, int32_t travel)
 
 /* Step 3. */
 
-static float estimate_of(law_state *s, const law_parameters *p, int32_t count, int32_t moved, float active,
-                         uint32_t periods)
+/* Acceleration of the mean current that was active since the last estimate, for an estimator that knows the effort. */
+static float pushed(const law_state *s, const law_parameters *p)
+{
+    if (p->kalman.input == 0.0f || s->active_sum == 0)
+        return 0.0f;
+    return p->kalman.input * ((float)s->active_sum / (float)s->velocity_ticks);
+}
+
+static float estimate_of(law_state *s, const law_parameters *p, int32_t count, int32_t moved, uint32_t periods)
 {
     const float slope = periods == 1 ? (float)moved : (float)moved / (float)periods;
 
@@ -30,7 +37,7 @@ static float estimate_of(law_state *s, const law_parameters *p, int32_t count, i
     case LAW_LEVANT:
         return s->sampled ? law_levant_run(&s->of.levant, &p->levant, slope, periods) : 0.0f;
     case LAW_KALMAN:
-        return s->sampled ? law_kalman_run(&s->of.kalman, &p->kalman, (float)moved, slope, active, periods) : 0.0f;
+        return s->sampled ? law_kalman_run(&s->of.kalman, &p->kalman, (float)moved, slope, pushed(s, p), periods) : 0.0f;
     case LAW_FDM:
     case LAW_FDM_BUTTERWORTH_FIXED:
         break;
@@ -44,7 +51,8 @@ static void estimate(law_state *s, const law_parameters *p, int32_t count, int32
     const uint32_t periods = law_periods_due(s, p->velocity_divider, slow ? p->slow_multiple : 1, elapsed);
 
     s->velocity_ticks = law_add(s->velocity_ticks, elapsed);
-    s->active_sum += (float)active * (float)elapsed;
+    /* In integers: a float32 product and sum in every tick would cost a tenth of a tick without a floating-point unit. */
+    s->active_sum += elapsed == 1 ? active : (int64_t)active * elapsed;
     if (periods > 0) {
         const int32_t moved = law_moved(s, count, periods);
         float sampled;
@@ -52,13 +60,13 @@ static void estimate(law_state *s, const law_parameters *p, int32_t count, int32
             s->velocity_fixed = law_biquad_run(&s->of.biquad, &p->biquad, moved, periods);
             sampled = (float)s->velocity_fixed * p->wall.velocity_lsb;
         } else {
-            sampled = estimate_of(s, p, count, moved, s->active_sum / (float)s->velocity_ticks, periods);
+            sampled = estimate_of(s, p, count, moved, periods);
         }
         if (p->extrapolate)
             s->velocity_slope = (sampled - s->velocity_sampled) / (float)s->velocity_ticks;
         s->velocity_sampled = sampled;
         s->velocity_ticks = 0;
-        s->active_sum = 0.0f;
+        s->active_sum = 0;
         s->sampled = 1;
         s->flags |= LAW_VELOCITY_UPDATED;
     }

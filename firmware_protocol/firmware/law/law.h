@@ -242,6 +242,7 @@ typedef struct {
 
 typedef struct {
     int64_t setpoint;      /* of the homing servo */
+    int64_t active_sum;    /* current active in each tick since the last estimate, added up (quanta) */
     int32_t limited_fixed; /* last effort before rounding, which the slew limit starts from: quanta * 2^15 */
     float limited;         /* the same in the float law (quanta) */
     float velocity;        /* what the wall sees (float law), positive with rising counts */
@@ -251,7 +252,6 @@ typedef struct {
     uint32_t window;       /* velocity periods that the estimate spans */
     uint32_t since;        /* ticks since the velocity period of the last estimate began */
     uint32_t velocity_ticks; /* ticks since the last estimate */
-    float active_sum;      /* current active in each of these ticks, added up (quanta) */
     uint32_t sampled;      /* 1 once the estimator has run */
     uint32_t phase;        /* law_phase */
     uint32_t phase_ticks, rest_ticks;

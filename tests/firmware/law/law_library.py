@@ -104,18 +104,13 @@ class Memory(ct.Union):
 
 State = _structure(
     "State",
-    (i64, "setpoint"),
+    (i64, "setpoint active_sum"),
     (i32, "limited_fixed"),
     (f32, "limited velocity velocity_sampled velocity_slope"),
     (i32, "velocity_fixed"),
     (
         u32,
-        "window since velocity_ticks",
-    ),
-    (f32, "active_sum"),
-    (
-        u32,
-        "sampled phase phase_ticks rest_ticks contact_ticks release_share release_rest",
+        "window since velocity_ticks sampled phase phase_ticks rest_ticks contact_ticks release_share release_rest",
     ),
     (u32, "release_step release_step_rest"),
     (i32, "previous"),
