@@ -17,6 +17,7 @@ from rig.config._derive import (
     push_at_rest,
     push_s,
     rig_model,
+    settings_of_rig,
     verdict_thresholds,
 )
 from rig.config._load import (
@@ -101,6 +102,7 @@ __all__ = [
     "restore_experiment",
     "rig_model",
     "schema_of",
+    "settings_of_rig",
     "shown",
     "verdict_thresholds",
     "with_realtime",

@@ -10,7 +10,7 @@ from rig.config._problems import Problem, config_error, did_you_mean
 from rig.config._sections import Experiment, Rig
 from rig.config._table import shown
 from rig.control import estimators, laws
-from rig.control.estimators import Prepared, Setting
+from rig.control.estimators import Prepared
 from rig.control.verdict import Thresholds
 from rig.core.board import moved_mechanics
 from rig.core.errors import ConfigError
@@ -191,10 +191,14 @@ def prepare_estimator(experiment: Experiment, resolution: float, period_s: float
     Raises `ConfigError` as `Estimator.prepare`.
     """
     estimator = estimators.get(experiment.controller.estimator)
-    known = [one for one in estimator.settings if isinstance(one, Setting) and one.rig]
-    mechanics = moved_mechanics(rig_model(experiment)) if known else None
-    of_the_rig = {one.name: getattr(mechanics, one.rig) for one in known}
-    return estimator.prepare({**of_the_rig, **experiment.controller.parameters}, resolution, period_s)
+    own = estimator.settings_of(settings_of_rig(experiment))
+    return estimator.prepare({**own, **experiment.controller.parameters}, resolution, period_s)
+
+
+def settings_of_rig(experiment: Experiment) -> dict[str, float]:
+    """Properties of a rig that an estimator may use, by the names of its settings: all that moves without a hand."""
+    mechanics = moved_mechanics(rig_model(experiment.rig))
+    return {"inertia": mechanics.inertia, "viscosity": mechanics.damping, "friction": mechanics.friction}
 
 
 def _unknown(key: str, name: str, known: Sequence[str]) -> list[Problem]:

@@ -31,11 +31,13 @@ if TYPE_CHECKING:
         whole_numbers,
     )
     from rig.control.estimators.arrays import (
+        checked_efforts,
         estimate,
         estimate_with_window,
         inputs,
         own_inputs,
         quantise,
+        require_effort,
         run,
     )
 
@@ -52,6 +54,7 @@ __all__ = [
     "Setting",
     "age_of_last_change",
     "broken",
+    "checked_efforts",
     "estimate",
     "estimate_with_window",
     "get",
@@ -60,6 +63,7 @@ __all__ = [
     "own_inputs",
     "quantise",
     "real_numbers",
+    "require_effort",
     "run",
     "unwrap",
     "whole_numbers",
@@ -68,7 +72,8 @@ __all__ = [
 # Imported on first use: compiled code over arrays, and counts of other loggers.
 _LATER = {
     "rig.control.estimators.arrays": (
-        "estimate", "estimate_with_window", "inputs", "own_inputs", "quantise", "run",
+        "checked_efforts", "estimate", "estimate_with_window", "inputs", "own_inputs", "quantise", "require_effort",
+        "run",
     ),
     "rig.control.estimators._own_counts": (
         "COUNTS", "age_of_last_change", "real_numbers", "unwrap", "whole_numbers",

@@ -41,7 +41,7 @@ ESTIMATOR = Estimator(
     ints=observer.INTS,
     settings=(
         Setting("frequency_hz", 150.0, 0.1, 1e6, "Hz", "natural frequency ω0/2π of the observer"),
-        Setting("inertia", None, 1e-12, 1e6, "kg·m² or kg", "inertia without the hand", rig="inertia"),
+        Setting("inertia", None, 1e-12, 1e6, "kg·m² or kg", "inertia without the hand", of_rig=True),
     ),
     design=design,
     position=observer.OFFSET,

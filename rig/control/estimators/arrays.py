@@ -155,8 +155,9 @@ def estimate_with_window(
     """Return the velocities of `estimate`, and how many velocity periods each of them spans (int64, shape (n,))."""
     arrays = own_inputs(counts, dt, resolution=resolution, edge_time=edge_time, elapsed=elapsed, width=width)
     estimator = family.get(name)
-    applied = _efforts(estimator, effort, len(arrays[0]))
-    return run(estimator.prepare(parameters, resolution, dt), *arrays, applied)
+    prepared = estimator.prepare(parameters, resolution, dt)
+    require_effort(estimator, effort)
+    return run(prepared, *arrays, None if effort is None else checked_efforts(effort, len(arrays[0])))
 
 
 def own_inputs(
@@ -228,15 +229,17 @@ def _counts_and_steps(
     return held, steps
 
 
-def _efforts(estimator: Estimator, effort: ArrayLike | None, samples: int) -> Floats | None:
-    """Check the efforts that are passed to an estimator."""
-    if effort is None:
-        if estimator.uses_effort:
-            raise ConfigError(
-                f"estimator {estimator.name} needs the effort of the motor",
-                remedy="give effort=, a value for each count (N·m or N), or choose an estimator of counts alone",
-            )
-        return None
+def require_effort(estimator: Estimator, effort: object) -> None:
+    """Raise `ConfigError` for an estimator that uses the effort where there is none."""
+    if effort is None and estimator.uses_effort:
+        raise ConfigError(
+            f"estimator {estimator.name} needs the effort of the motor",
+            remedy="give the effort of each sample (N·m or N), or choose an estimator of counts alone",
+        )
+
+
+def checked_efforts(effort: ArrayLike, samples: int) -> Floats:
+    """Efforts (N·m or N), shape (samples,); `ConfigError` for another shape, or values that are not finite."""
     applied = real_numbers(effort, "effort", "N·m or N")
     if applied.shape != (samples,):
         raise ConfigError(

@@ -31,7 +31,7 @@ Ints = NDArray[np.int64]
 class Setting:
     """A number that a user may choose: default (None: must be given), range, unit and meaning.
 
-    `rig` names the property of `rig.core.board.MovedMechanics` that an experiment takes where the setting is not given.
+    With `of_rig` an experiment takes it from its rig where it is not given: `rig.config.settings_of_rig` by that name.
     """
 
     name: str
@@ -40,7 +40,7 @@ class Setting:
     maximum: float
     unit: str
     meaning: str
-    rig: str = ""
+    of_rig: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +74,11 @@ class Estimator(Shown):
     design: Callable[[Mapping[str, Any], float, float], list[float]] = field(default=lambda s, r, p: [])
     uses_effort: bool = False
     position: int | None = None
+
+    def settings_of(self, rig: Mapping[str, float]) -> dict[str, float]:
+        """Those of a rig's properties that are settings of this estimator."""
+        wanted = {one.name for one in self.settings if isinstance(one, Setting) and one.of_rig}
+        return {name: value for name, value in rig.items() if name in wanted}
 
     def brief(self) -> list[Item]:
         """Return name, summary and settings, for people."""

@@ -6,15 +6,16 @@ the simulation's truth, or one of a real rig with a reference that looks into th
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rig.config import settings_of_rig
 from rig.config.controller import resolution as signed
-from rig.control.estimators import Floats, Ints, inputs, own_inputs, quantise, real_numbers
+from rig.control.estimators import Floats, Ints, checked_efforts, inputs, own_inputs, quantise, real_numbers
 from rig.core.deferred import signal
 from rig.core.errors import ConfigError
 from rig.core.present import reported
@@ -55,6 +56,10 @@ class Case:
         True velocity as a function of time (s).
     reference
         Where the truth comes from, in words.
+    effort
+        Mean effort of the motor since the sample before (N·m or N), shape (n,); None where it is not known.
+    rig
+        What the rig gives an estimator that asks for it, as ``inertia``.
     """
 
     name: str
@@ -68,6 +73,8 @@ class Case:
     judged: NDArray[np.bool_] = field(repr=False)
     truth: Callable[[Floats], Floats] = field(repr=False)
     reference: str
+    effort: Floats | None = field(default=None, repr=False)
+    rig: Mapping[str, float] = field(default_factory=dict, repr=False)
 
     @reported
     def rate_hz(self) -> float:
@@ -145,6 +152,7 @@ def counts_case(
     edge_time: ArrayLike | None = None,
     elapsed: ArrayLike | None = None,
     width: int | None = None,
+    effort: ArrayLike | None = None,
     settle_s: float = 0.0,
     motion: Motion = "rotary",
     name: str = "counts",
@@ -159,6 +167,8 @@ def counts_case(
     velocity
         True velocity at each sample (rad/s or m/s), shape (n,): of a simulation, or of a better sensor. Between samples
         it is taken to be a line.
+    effort
+        As `estimate` takes it, for estimators that use it.
     settle_s
         From the first sample on, so long is not judged: estimators settle (s).
     motion
@@ -210,6 +220,7 @@ def counts_case(
         judged=judged,
         truth=lambda t: np.interp(t, time_s, true),
         reference="given velocity",
+        effort=None if effort is None else checked_efforts(effort, len(held)),
     )
 
 
@@ -239,6 +250,7 @@ def recording_case(recording: Recording, rate_hz: float | None = None, *, name: 
     resolution: float
     position_rate: float
     motion: Motion
+    experiment = None
     if (facts := counts_facts(recording)) is not None:
         resolution, position_rate = facts["resolution"], facts["rate_hz"]
         rate, motion = rate_hz or position_rate, recording.header["motion"]
@@ -285,7 +297,16 @@ def recording_case(recording: Recording, rate_hz: float | None = None, *, name: 
         judged=judged[first],
         truth=truth,
         reference=reference,
+        effort=None if experiment is None else _mean_efforts(recording, index, first),
+        rig={} if experiment is None else settings_of_rig(experiment),
     )
+
+
+def _mean_efforts(recording: Recording, index: Ints, first: NDArray[np.intp]) -> Floats:
+    """Mean of the active effort between the samples `first`, as the loop passes it to an estimator."""
+    impulse = np.cumsum(recording.column("effort_applied") * np.diff(index, prepend=index[0] - 1))[first]
+    ticks = index[first] + 1
+    return np.asarray(np.diff(impulse, prepend=0.0) / np.diff(ticks, prepend=0))
 
 
 def _truth(recording: Recording, time_s: Floats, resolution: float) -> tuple[Callable[[Floats], Floats], str]:

@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
 
 from rig.control import estimators
-from rig.control.estimators import Estimator, Floats, inputs, run
+from rig.control.estimators import Estimator, Floats, Prepared, inputs, require_effort, run
 from rig.core.errors import ConfigError
 from rig.core.present import Item, Row
 from rig.core.sample import unit_of
@@ -174,15 +174,29 @@ def score(case: Case, variant: Variant, *, timed: bool = False) -> Score:
         rms,
         delay_s,
         rms_without_delay,
-        *rest_noise(variant, case.dt, case.resolution),
+        *rest_noise(
+            replace(variant, settings=_settings(case, estimators.get(variant.estimator), variant)),
+            case.dt,
+            case.resolution,
+        ),
         cost_ns(case, variant) if timed else math.nan,
     )
 
 
 def estimates(case: Case, variant: Variant) -> Floats:
     """Velocity that a variant gives at each sample of a case, shape (n,); raises `ConfigError` as `prepare` does."""
-    prepared = estimators.get(variant.estimator).prepare(variant.settings, case.resolution, case.dt)
-    return run(prepared, *case.arrays)[0]
+    require_effort(estimators.get(variant.estimator), case.effort)
+    return run(_prepared(case, variant), *case.arrays, case.effort)[0]
+
+
+def _prepared(case: Case, variant: Variant) -> Prepared:
+    estimator = estimators.get(variant.estimator)
+    return estimator.prepare(_settings(case, estimator, variant), case.resolution, case.dt)
+
+
+def _settings(case: Case, estimator: Estimator, variant: Variant) -> dict[str, float | str]:
+    """Settings of a variant, on top of what the rig of a case gives its estimator."""
+    return {**estimator.settings_of(case.rig), **variant.settings}
 
 
 def errors(case: Case, velocity: Floats) -> tuple[float, float, float]:
@@ -262,7 +276,7 @@ def cost_ns(case: Case, variant: Variant) -> float:
     arrays = inputs(counts, case.dt)
     best = math.inf
     for _ in range(TIMED_RUNS):
-        prepared = estimators.get(variant.estimator).prepare(variant.settings, case.resolution, case.dt)
+        prepared = _prepared(case, variant)
         started = time.perf_counter_ns()
         run(prepared, *arrays)
         # The shortest of several: other programs only ever add time.

@@ -203,6 +203,7 @@ def recorded(signal: Any = SIGNALS["sine"], *, keep: Any = slice(None), truth: b
     rows["count"] = estimators.quantise(signal(times).position, delta)
     edges = edge_times(signal, times, delta)
     rows["edge_age"] = np.round(1e9 * np.minimum(times - edges, 134.0))
+    rows["effort_applied"] = np.arange(len(times))
     rows["phase"] = np.where(times < 0.1, Phase.HOMING, Phase.TRIAL)
     if truth:
         rows["position_true"], rows["velocity_true"], _ = signal(times)
@@ -223,8 +224,12 @@ def test_a_recording_is_judged_over_its_trial_against_the_simulations_truth() ->
 
 def test_a_recording_gives_the_estimates_of_the_signal_it_came_from() -> None:
     signal, delta = SIGNALS["sine"], controller.resolution(EXPERIMENT)
-    direct = signal_case(signal, 2000, delta)
     case = recording_case(recorded(), 2000)
+    assert case.effort is not None
+    # A mean over the ten ticks of a velocity period, of an effort that rises by one a tick.
+    assert np.diff(case.effort[1:]) == pytest.approx(10.0)
+    assert case.effort[5] == pytest.approx(50.0 - 4.5)
+    direct = replace(signal_case(signal, 2000, delta), effort=case.effort, rig=case.rig)
     assert case.counts.tolist() == direct.counts.tolist()
     for name in estimators.names():
         expected = estimates(direct, Variant(name))
