@@ -117,6 +117,10 @@ def _rows() -> list[tuple[str, str, str, tuple[Value, Value], Value, str, bool]]
         ("hold_ticks", "u32", "tick", _U32, 0, "length of the trial from first contact; 0: trial_ticks", fixed),
         ("kalman_input", "f32", "count/period²/quantum", _FLOAT, 0.0, "acceleration for a quantum of active current; "
          "0: it knows no effort", fixed),
+        ("estimated_position", "u8", "", (0, 1), 0, "1: the wall sees the position that kalman estimates; float32, "
+         "velocity_divider 1", fixed),
+        ("float_passive_damping", "f32", "quantum·period/count", _POSITIVE, 0.0, "largest damping of the passivity "
+         "controller; 0: none", fixed),
     ]  # fmt: skip
     return rows
 

@@ -63,6 +63,18 @@ def rates(x: Experiment) -> Iterator[Problem]:
     )
 
 
+def wall_position(x: Experiment) -> Iterator[Problem]:
+    """Require uniform sampling where the law sees the estimator's position: between its samples there is none."""
+    fast, slow = x.controller.position_rate, x.controller.velocity_rate
+    if x.wall.position_from == "estimator" and fast != slow:
+        yield _problem(
+            x,
+            "wall.position_from",
+            f"needs an estimate in every tick, but controller.velocity_rate is {slow} Hz and position_rate {fast} Hz",
+            f'set controller.velocity_rate = {fast}, or wall.position_from = "encoder"',
+        )
+
+
 def slow_rate(x: Experiment) -> Iterator[Problem]:
     """Require a whole number of velocity periods between the samples of an adaptive rate."""
     slow, rate = x.controller.slow_velocity_rate, x.controller.velocity_rate
@@ -534,6 +546,7 @@ def device_loop(x: Experiment) -> Iterator[Problem]:
 RULES: tuple[Callable[[Experiment], Iterator[Problem]], ...] = (
     magnitudes,
     rates,
+    wall_position,
     slow_rate,
     encoder,
     reference,

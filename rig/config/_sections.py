@@ -262,6 +262,20 @@ class Wall:
         Literal["both", "entry"], Quantity("", "damping in both directions, or on the way in only")
     ] = "both"
     law: Annotated[str, MinLen(1), Quantity("", "name of the force law")] = "spring-damper"
+    position_from: Annotated[
+        Literal["encoder", "estimator"],
+        Quantity(
+            "", "position that the law sees: the encoder's, or the estimator's (at the position rate only)"
+        ),
+    ] = "encoder"
+    passive_damping: Annotated[
+        float,
+        Ge(0),
+        Quantity(
+            "damping",
+            "largest damping that a passivity controller adds after the wall gave more energy than it took; 0: none",
+        ),
+    ] = 0.0
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 

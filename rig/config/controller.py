@@ -24,10 +24,11 @@ from rig.config._sections import OSCILLATIONS, Experiment
 from rig.config.homing import home_tolerance
 from rig.config.prepared_run import LawOnDevice, PreparedRun
 from rig.control import cogging, friction, laws
+from rig.control.estimators import Estimator
 from rig.control.laws import Law
 from rig.control.step import CONTROL, TRAVEL, TRAVEL_COUNTS, UNMOVED_SPEED, ControllerState, new_memory
 from rig.core.board import moved_mechanics
-from rig.core.errors import PlanError
+from rig.core.errors import ConfigError, PlanError
 
 LIFETIME_PERIODS = 5
 # Beyond the duration of a trial, a person may hold the handle so long without an encoder edge.
@@ -119,6 +120,7 @@ def for_experiment(
         "slow_speed": rates.slow_below,
         "wall_position": wall.position,
         "wall_side": wall.side,
+        "passive_damping": wall.passive_damping,
         "effort_limit": current_limit(experiment, current_quantum_a) * quantum,
         "effort_quantum": quantum,
         "trial_slew": limits.slew * tick_s,
@@ -149,12 +151,25 @@ def for_experiment(
     }
     for name, value in values.items():
         control[name] = value
+    estimator = prepare_estimator(experiment, delta, tick_s * divider)
+    if wall.position_from == "estimator":
+        control["position_state"] = _position_state(estimator.estimator)
     return ControllerState(
         control=control,
         memory=new_memory(),
-        estimator=prepare_estimator(experiment, delta, tick_s * divider),
+        estimator=estimator,
         law=_law(experiment, law or laws.get(wall.law)).prepare({**asdict(wall), "tick_s": tick_s}),
     )
+
+
+def _position_state(estimator: Estimator) -> int:
+    """Return where an estimator keeps its position, as `CONTROL` has it; `ConfigError` for one that has none."""
+    if estimator.position is None:
+        raise ConfigError(
+            f'wall.position_from = "estimator": the estimator {estimator.name} estimates no position',
+            remedy='choose tracking, disturbance or kalman, or wall.position_from = "encoder"',
+        )
+    return estimator.position + 1
 
 
 def _free_space(experiment: Experiment) -> dict[str, float]:

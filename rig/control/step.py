@@ -31,6 +31,7 @@ from numba import types
 from numpy.typing import NDArray
 
 from rig.control import _guard as guard
+from rig.control import _passivity as passivity
 from rig.control import _sources as sources
 from rig.control import _watch as watch
 from rig.control import laws
@@ -97,6 +98,11 @@ CONTROL = np.dtype(
         ("slow_speed", "<f8"),  # what slow means
         ("wall_position", "<f8"),
         ("wall_side", "<f8"),  # +1: the wall is entered with rising position
+        (
+            "position_state",
+            "<i8",
+        ),  # place of the estimated position in the estimator's floats + 1; 0: encoder
+        ("passive_damping", "<f8"),  # largest damping of the passivity controller; 0: none
         ("effort_limit", "<f8"),
         ("effort_quantum", "<f8"),  # effort of one current quantum
         ("trial_slew", "<f8"),  # effort per tick in trial and release: binding spoils the trial
@@ -147,6 +153,7 @@ MEMORY = np.dtype(
         ("window", "<i8"),  # velocity periods that the estimate spans
         ("limited_effort", "<f8"),  # last effort before rounding, which the slew limit starts from
         ("energy", "<f8"),  # that the motor has given in the trial (J)
+        ("wall_energy", "<f8"),  # of it what the wall gave (J)
         ("oscillations", "<i8"),  # of the effort, in a row
         ("oscillation_age", "<i8"),  # ticks since the last one
         ("oscillation_armed", "<i8"),  # 1: the effort has been next to nothing since then
@@ -414,6 +421,13 @@ def _watch_effort(control: Any, memory: Any, position: float, penetration: float
     m["energy"] = watch.add_energy(
         m["energy"], m["effort_sent"], position - m["position"], penetration <= 0.0
     )
+    # The push of an automated trial is a source of its own, and no fault of the wall.
+    m["wall_energy"] = watch.energy_given(
+        m["wall_energy"],
+        m["effort_sent"] - c["constant_effort"],
+        position - m["position"],
+        penetration <= 0.0,
+    )
     if c["energy_limit"] > 0.0 and m["energy"] > c["energy_limit"]:
         m["flags"] |= ENERGY
     if c["oscillation_limit"] == 0:
@@ -570,14 +584,21 @@ def step(
     advance_phase(control, memory, elapsed_ticks)
     m["effort_wall"] = 0.0
     if m["phase"] in (TRIAL, RELEASE):
+        depth, inwards = m["penetration"], c["wall_side"] * m["velocity"]
+        if c["position_state"] > 0:
+            depth += c["wall_side"] * c["resolution"] * controller.estimator_f[c["position_state"] - 1]
         m["effort_wall"] = controller.law(
-            m["penetration"],
-            c["wall_side"] * m["velocity"],
+            depth,
+            inwards,
             elapsed_ticks,
             controller.law_state,
             controller.law_parameters,
         )
         if controller.law_state[LAW_CLAMPED] != 0.0:
             m["flags"] |= CLAMPED
+        if c["passive_damping"] > 0.0 and m["phase"] == TRIAL and depth > 0.0:
+            m["effort_wall"] = passivity.damped(
+                m["effort_wall"], m["wall_energy"], inwards, c["passive_damping"], c["tick_s"]
+            )
     m["effort_wanted"] = _sources(control, memory, elapsed_ticks)
     return _guard_effort(control, memory, m["effort_wanted"], elapsed_ticks)

@@ -101,6 +101,7 @@ static void read_float_wall(const uint32_t *values, law_float_wall *wall)
     wall->home_stiffness = real(values, HR_PARAMETER_FLOAT_HOME_STIFFNESS);
     wall->home_damping = real(values, HR_PARAMETER_FLOAT_HOME_DAMPING);
     wall->home_effort = real(values, HR_PARAMETER_FLOAT_HOME_EFFORT);
+    wall->passive_damping = real(values, HR_PARAMETER_FLOAT_PASSIVE_DAMPING);
 }
 
 static void read_fixed_wall(const uint32_t *values, int32_t sense, law_fixed_wall *wall)
@@ -221,6 +222,7 @@ struct refusal law_settings_read(const uint32_t *values, const struct board *boa
     law->entry_only = whole(values, HR_PARAMETER_DAMPING_ON_ENTRY);
     law->bilateral = whole(values, HR_PARAMETER_BILATERAL);
     law->extrapolate = whole(values, HR_PARAMETER_EXTRAPOLATE);
+    law->estimated_position = whole(values, HR_PARAMETER_ESTIMATED_POSITION);
     law->velocity_divider = values[HR_PARAMETER_VELOCITY_DIVIDER];
     law->slow_multiple = values[HR_PARAMETER_SLOW_MULTIPLE];
     read_phases(values, law);

@@ -142,6 +142,8 @@ const struct hr_parameter hr_parameters[HR_PARAMETERS] = {
     {126, HR_SIGNED, 0, 0, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* free_maximum */
     {127, HR_UNSIGNED, 0, 0, 0x00000000u, 0xFFFFFFFFu, 0x00000000u, 0x00000000u}, /* hold_ticks */
     {128, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* kalman_input */
+    {129, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000001u, 0x00000000u, 0x00000000u}, /* estimated_position */
+    {130, HR_FLOAT, 0, 0, 0x00000000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* float_passive_damping */
 };
 
 const uint8_t hr_transitions[HR_STATES][HR_MESSAGES] = {

@@ -30,6 +30,8 @@ static int good_choices(const law_parameters *p)
     return between(p->arithmetic, LAW_FIXED, LAW_ELSEWHERE) && between(p->estimator, LAW_FDM_BUTTERWORTH_FIXED, LAW_KALMAN)
            && is_sign(p->sense) && between(p->may_pull, 0, 1) && between(p->entry_only, 0, 1)
            && between(p->bilateral, 0, 1) && between(p->extrapolate, 0, p->arithmetic != LAW_FIXED)
+           && between(p->estimated_position, 0,
+                      p->arithmetic != LAW_FIXED && p->estimator == LAW_KALMAN && p->velocity_divider == 1)
            && (p->arithmetic != LAW_FIXED || p->estimator == LAW_FDM_BUTTERWORTH_FIXED);
 }
 
@@ -95,7 +97,7 @@ static int64_t most_excitation(const law_excitation *e)
 static int good_float_wall(const law_float_wall *w)
 {
     return (w->side == 1.0f || w->side == -1.0f) && w->surface_fraction >= 0.0f && w->surface_fraction <= 1.0f
-           && w->trial_slew >= 0.0f && w->homing_slew >= 0.0f && w->speed_limit >= 0.0f && w->home_effort >= 0.0f
+           && w->trial_slew >= 0.0f && w->homing_slew >= 0.0f && w->speed_limit >= 0.0f && w->home_effort >= 0.0f && w->passive_damping >= 0.0f
            && isfinite(w->stiffness) && isfinite(w->damping) && isfinite(w->constant) && isfinite(w->home_stiffness)
            && isfinite(w->home_damping) && isfinite(w->velocity_lsb);
 }

@@ -98,6 +98,42 @@ static float reaction(law_state *s, const law_parameters *p, float depth)
     return total;
 }
 
+/* The passivity controller, rig.control._passivity: damping that takes the wall's excess of energy within a tick. */
+static float damped(const law_state *s, const law_parameters *p, float reacted)
+{
+    const float inwards = p->wall.side * (float)p->sense * s->velocity, speed = fabsf(inwards);
+    float added, reduced;
+
+    if (s->wall_energy <= 0 || speed == 0.0f)
+        return reacted;
+    added = (float)s->wall_energy * (1.0f / (1 << LAW_ENERGY_BITS)) * (float)p->velocity_divider / speed;
+    if (added > p->wall.passive_damping * speed)
+        added = p->wall.passive_damping * speed;
+    if (inwards > 0.0f)
+        return reacted + added;
+    reduced = reacted - added > 0.0f ? reacted - added : 0.0f;
+    return reduced < reacted ? reduced : reacted;
+}
+
+/* Its observer: effort times travel of the last tick, in integers, because a float32 sum of thousands of ticks drifts. */
+static void observe(law_state *s, const law_parameters *p, int32_t travel, int32_t active, float depth)
+{
+    /* Factors of at most 2^39 and 2^20, and a sum of at most 2^60: nothing overflows, whatever counts arrive. */
+    enum { MOST_MOVED = 1 << 20 };
+    const int64_t most = INT64_C(1) << 60;
+
+    if (law_is_rendering(s->phase)) {
+        const int64_t constant = (int64_t)(p->wall.constant * (float)(1 << LAW_ENERGY_BITS));
+        int64_t moved = (int64_t)travel - s->travel;
+        moved = moved > MOST_MOVED ? MOST_MOVED : moved < -MOST_MOVED ? -MOST_MOVED : moved;
+        s->wall_energy += ((int64_t)active * (1 << LAW_ENERGY_BITS) - constant) * moved;
+        s->wall_energy = s->wall_energy > most ? most : s->wall_energy < -most ? -most : s->wall_energy;
+        if (depth <= 0.0f && s->wall_energy < 0)
+            s->wall_energy = 0;
+    }
+    s->travel = travel;
+}
+
 static float wanted(law_state *s, const law_parameters *p, float depth, int32_t travel, uint32_t elapsed)
 {
     const law_float_wall *w = &p->wall;
@@ -110,7 +146,12 @@ static float wanted(law_state *s, const law_parameters *p, float depth, int32_t 
     }
     if (!law_is_rendering(s->phase))
         return 0.0f;
-    total = w->constant - w->side * reaction(s, p, depth);
+    if (p->estimated_position)
+        depth += w->side * (float)p->sense * s->of.kalman.offset;
+    total = reaction(s, p, depth);
+    if (w->passive_damping > 0.0f && s->phase == LAW_TRIAL && depth > 0.0f)
+        total = damped(s, p, total);
+    total = w->constant - w->side * total;
     if (p->excitation.lines > 0)
         total += (float)law_excitation_run(&s->excitation, &p->excitation, elapsed) * (1.0f / (1 << LAW_LINE_BITS));
     if (s->phase == LAW_RELEASE)
@@ -158,6 +199,8 @@ void law_float_tick(law_state *s, const law_parameters *p, const law_input *in, 
     float effort;
 
     s->flags = depth > 0.0f ? LAW_INSIDE : 0;
+    if (w->passive_damping > 0.0f)
+        observe(s, p, travel, in->active, depth);
     estimate(s, p, in->count, in->active, elapsed);
     s->flags |= law_advance(s, p, travel, depth > 0.0f, elapsed);
     effort = wanted(s, p, depth, travel, elapsed);

@@ -33,6 +33,7 @@ enum {
 enum { LAW_DEPTH_BITS = 8 };     /* fractional bits of a depth in the fixed wall (counts) */
 enum { LAW_SETPOINT_BITS = 24 }; /* of the homing set point (counts) */
 enum { LAW_SLEW_BITS = 15 };     /* of efforts and slew limits in the fixed law's guard (quanta) */
+enum { LAW_ENERGY_BITS = 8 };    /* of the passivity observer (quanta) */
 enum { LAW_LINE_BITS = 16 };     /* of the excitation, its lines and their sum (quanta) */
 
 typedef enum {
@@ -156,6 +157,7 @@ typedef struct {
     float home_stiffness;   /* quanta per count */
     float home_damping;     /* quanta per count per velocity period */
     float home_effort;      /* quanta */
+    float passive_damping;  /* largest of the passivity controller: quanta per count per velocity period; 0: none */
     int32_t surface_whole;  /* counts from the reference, along the position */
 } law_float_wall;
 
@@ -187,6 +189,7 @@ typedef struct {
     int32_t entry_only; /* 1: damping acts on the way in only */
     int32_t bilateral;  /* 1: spring and damper on both sides of the surface (for impedances) */
     int32_t extrapolate; /* 1: first-order prediction between velocity samples; float law only */
+    int32_t estimated_position; /* 1: the spring sees the position of LAW_KALMAN; float law, velocity_divider 1 */
     uint32_t velocity_divider; /* ticks of a velocity period; 1: uniform */
     uint32_t slow_multiple;    /* velocity periods between samples of a slow handle; 1: every one */
     uint32_t settle_ticks, home_timeout_ticks;
@@ -242,6 +245,7 @@ typedef struct {
 
 typedef struct {
     int64_t setpoint;      /* of the homing servo */
+    int64_t wall_energy;   /* that the wall has given: 2^-LAW_ENERGY_BITS quanta times counts */
     int64_t active_sum;    /* current active in each tick since the last estimate, added up (quanta) */
     int32_t limited_fixed; /* last effort before rounding, which the slew limit starts from: quanta * 2^15 */
     float limited;         /* the same in the float law (quanta) */
@@ -259,6 +263,7 @@ typedef struct {
     uint32_t release_share, release_rest; /* of the effort, 2^-15, in the fixed law: quotient and remainder */
     uint32_t release_step, release_step_rest; /* of the share, in a tick */
     int32_t previous;      /* count of the last estimate */
+    int32_t travel;        /* of the last tick */
     uint32_t flags;
     union {
         law_biquad_state biquad;

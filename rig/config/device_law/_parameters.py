@@ -94,6 +94,7 @@ def law_parameters(controller: ControllerState, arithmetic: Arithmetic) -> Value
         "law": ARITHMETICS.index(arithmetic),
         "velocity_divider": c["velocity_divider"],
         "extrapolate": c["extrapolate"],
+        "estimated_position": int(c["position_state"] > 0),
         "slow_multiple": c["slow_multiple"],
         "settle_ticks": min(c["settle_ticks"], MOST_TICKS),
         "home_timeout_ticks": min(c["home_timeout_ticks"], MOST_TICKS),
@@ -208,6 +209,17 @@ def _check_arithmetic(c: Control, controller: ControllerState, arithmetic: Arith
             "extrapolate",
             "the law in integers holds the velocity between samples",
             'choose controller.prediction = "hold", or controller.arithmetic = "float32"',
+        )
+    _check_passivity(c)
+
+
+def _check_passivity(c: Control) -> None:
+    if c["passive_damping"] > 0.0:
+        raise refusal(
+            "wall.passive_damping",
+            c["passive_damping"],
+            "the law in integers has no passivity controller",
+            'choose wall.passive_damping = 0, or controller.arithmetic = "float32"',
         )
 
 

@@ -107,6 +107,7 @@ def float_guard(c: Control) -> Values:
         "float_home_stiffness": c["home_stiffness"] * delta / quantum,
         "float_home_damping": c["home_damping"] * delta / (period_s * quantum),
         "float_home_effort": c["home_effort"] / quantum,
+        "float_passive_damping": c["passive_damping"] * delta / (period_s * quantum),
     }
 
 

@@ -62,6 +62,20 @@ class OwnWall:
                 "choose controller.velocity_rate equal to controller.position_rate",
             ),
             (
+                c["position_state"] > 0,
+                "wall.position_from",
+                '"estimator"',
+                "the drive's wall sees its encoder",
+                'choose wall.position_from = "encoder"',
+            ),
+            (
+                c["passive_damping"] > 0.0,
+                "wall.passive_damping",
+                f"{c['passive_damping']:g}",
+                "the drive has no passivity controller",
+                "choose wall.passive_damping = 0",
+            ),
+            (
                 bool(c["extrapolate"]),
                 "controller.prediction",
                 '"extrapolate"',

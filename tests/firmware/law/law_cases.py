@@ -87,6 +87,8 @@ BROKEN_FLOATS = (
     ("fdm", "wall.side", 0.5),
     ("fdm", "wall.stiffness", float("nan")),
     ("fdm", "wall.trial_slew", float("nan")),
+    ("fdm", "wall.passive_damping", float("nan")),
+    ("fdm", "estimated_position", 1),
 )
 
 
@@ -116,7 +118,9 @@ def cases() -> Iterator[tuple[ct.Structure, np.ndarray]]:
     def wild(ticks: int) -> np.ndarray:
         near = random.integers(-400, 400, ticks)
         counts = np.where(random.random(ticks) < 0.3, random.choice(EDGES, ticks), near)
-        return inputs(counts, random.choice(GAPS, ticks))
+        table = inputs(counts, random.choice(GAPS, ticks))
+        table["active"] = random.integers(-32768, 32768, ticks)
+        return table
 
     good = []
     for seed in range(30):
@@ -133,6 +137,11 @@ def cases() -> Iterator[tuple[ct.Structure, np.ndarray]]:
             p.foaw.stop_first = p.foaw.least_squares = stop
             p.levant.discretisation, p.levant.integrator = scheme, stop
             good.append(p)
+    good.append(of_estimator("disturbance"))
+    passive = of_estimator("kalman")  # and the position of the estimator, on which it acts
+    passive.estimated_position, passive.velocity_divider = 1, 1
+    passive.wall.passive_damping, passive.wall.constant = 1e3, 1e9
+    good.append(passive)
     elsewhere = of_estimator("kalman")
     elsewhere.arithmetic = ELSEWHERE
     good.append(elsewhere)
@@ -173,7 +182,7 @@ def cases() -> Iterator[tuple[ct.Structure, np.ndarray]]:
     for name, field, value in BROKEN_FLOATS:
         p = of_estimator(name)
         owner, _, last = field.rpartition(".")
-        setattr(getattr(p, owner), last, value)
+        setattr(getattr(p, owner) if owner else p, last, value)
         yield p, wild(3)
     for _ in range(600):
         noise = bytearray(good[int(random.integers(len(good)))])

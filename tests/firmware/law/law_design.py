@@ -33,7 +33,7 @@ _OF_KALMAN = {
 _SAME = [
     "estimator", "extrapolate", "bilateral", "slow_multiple", "settle_ticks", "home_timeout_ticks", "trial_ticks",
     "release_ticks", "home_minimum", "home_maximum", "velocity_divider", "current_limit", "free_ticks", "free_minimum",
-    "free_maximum", "hold_ticks",
+    "free_maximum", "hold_ticks", "estimated_position",
 ]  # fmt: skip
 
 

@@ -64,7 +64,7 @@ Fixed = _structure(
 Wall = _structure(
     "Wall",
     (f32, "surface_fraction side stiffness damping constant trial_slew homing_slew speed_limit slow_speed"),
-    (f32, "velocity_lsb home_stiffness home_damping home_effort"),
+    (f32, "velocity_lsb home_stiffness home_damping home_effort passive_damping"),
     (i32, "surface_whole"),
 )
 Excitation = _structure("Excitation", (u32, "lines first step period ramp amplitude bits phases seed"))
@@ -73,7 +73,7 @@ Parameters = _structure(
     (i64, "home_target home_step"),
     (i32, "arithmetic estimator reference sense window_minimum window_maximum home_minimum home_maximum"),
     (i32, "free_minimum free_maximum"),
-    (i32, "current_limit may_pull entry_only bilateral extrapolate"),
+    (i32, "current_limit may_pull entry_only bilateral extrapolate estimated_position"),
     (u32, "velocity_divider slow_multiple settle_ticks home_timeout_ticks"),
     (u32, "free_ticks trial_ticks hold_ticks release_ticks"),
     (Biquad, "biquad"),
@@ -104,7 +104,7 @@ class Memory(ct.Union):
 
 State = _structure(
     "State",
-    (i64, "setpoint active_sum"),
+    (i64, "setpoint wall_energy active_sum"),
     (i32, "limited_fixed"),
     (f32, "limited velocity velocity_sampled velocity_slope"),
     (i32, "velocity_fixed"),
@@ -113,7 +113,7 @@ State = _structure(
         "window since velocity_ticks sampled phase phase_ticks rest_ticks contact_ticks release_share release_rest",
     ),
     (u32, "release_step release_step_rest"),
-    (i32, "previous"),
+    (i32, "previous travel"),
     (u32, "flags"),
     (Memory, "of"),
     (ExcitationState, "excitation"),
@@ -185,10 +185,10 @@ class LawLibrary:
         return table
 
     def tick(
-        self, state: ct.Structure, parameters: ct.Structure, count: int, elapsed: int = 1
+        self, state: ct.Structure, parameters: ct.Structure, count: int, elapsed: int = 1, active: int = 0
     ) -> ct.Structure:
         """One tick."""
-        sample = Input(count, elapsed)
+        sample = Input(count, elapsed, active)
         return self.so.law_tick(ct.byref(state), ct.byref(parameters), ct.byref(sample))
 
     def run(

@@ -94,8 +94,10 @@ def in_lock_step(
     moving = plant.arguments(body)
     count = advance(moving, 0.0, 0.0)
     rows = np.zeros((4, most_ticks), np.int64)
+    active = 0
     for k in range(most_ticks):
-        out = law.tick(state, parameters, count)
+        out = law.tick(state, parameters, count, active=active)
+        active = out.current
         rows[:, k] = count, out.current, out.flags, out.phase
         if out.phase == Phase.DONE:
             return Run(*rows[:, : k + 1])

@@ -34,7 +34,15 @@ ESTIMATORS = {
     "kalman": ("kalman", {"gain": "steady"}),
     "disturbance": ("disturbance", {}),
 }
-SCHEMES = {"dual": DUAL, "uniform": UNIFORM}
+PASSIVE = {"wall.passive_damping": 2.0, "wall.damping": 0.0}
+ESTIMATED = {**UNIFORM, "wall.position_from": "estimator"}
+SCHEMES = {
+    "dual": DUAL,
+    "uniform": UNIFORM,
+    "passive": {**DUAL, **PASSIVE},
+    "estimated": {**ESTIMATED, **PASSIVE},
+}
+SUITS = {"estimated": ("kalman", "disturbance"), "passive": ("butterworth", "disturbance")}
 EPS = 2.0**-24  # half a unit in the last place of float32, relative
 WALK_ERROR = 0.02  # quanta; the set point is rounded to 2^-24 counts a tick
 ERROR = 12 * EPS  # of an effort, against the limit; three times what was measured with 8 seeds
@@ -43,7 +51,8 @@ ERROR = 12 * EPS  # of an effort, against the limit; three times what was measur
 # At 20 kHz Levant's copy of the position swings on single counts, and a difference of one rounding grows: there only
 # single steps compare (test_law_estimators.py), and what a hit is judged by (below).
 @pytest.mark.parametrize(
-    ("name", "scheme"), [(n, s) for n in ESTIMATORS for s in SCHEMES if (n, s) != ("levant", "uniform")]
+    ("name", "scheme"),
+    [(n, s) for s in SCHEMES for n in SUITS.get(s, ESTIMATORS) if (n, s) != ("levant", "uniform")],
 )
 def test_a_tick_equals_the_hosts(law: Any, name: Any, scheme: Any) -> None:
     """Counts of a hit with every tenth tick or so missing: phases and flags equal, efforts but for rounding."""
@@ -52,13 +61,13 @@ def test_a_tick_equals_the_hosts(law: Any, name: Any, scheme: Any) -> None:
     random = np.random.default_rng(5)
     taken = np.flatnonzero((random.random(len(counts)) < 0.9) | (np.arange(len(counts)) == 0))
     table = inputs(counts[taken], np.diff(taken, prepend=-1))
-    table["active"] = random.integers(-20, 21, len(table))
 
     host = controller_of(experiment)
     arguments = host.arguments()
     names = ("flags", "phase", "limited_effort", "current_sent")
     rows = []
     for sample in table:
+        sample["active"] = host.memory["current_sent"][0]
         step(arguments, int(sample["count"]), 0.0, int(sample["elapsed_ticks"]), int(sample["active"]))
         rows.append([host.memory[name][0] for name in names])
     flags, phases, limited, currents = np.array(rows).T
@@ -189,8 +198,19 @@ def test_comparisons_with_counts_are_those_of_the_host(data: st.DataObject) -> N
         assert (p.home_minimum <= travel <= p.home_maximum) == at_home
 
 
-@pytest.mark.parametrize("scheme", first_by_default(SCHEMES))
-@pytest.mark.parametrize("name", ["fixed", "butterworth", "foaw-end", "levant", "kalman"])
+@pytest.mark.parametrize(
+    ("name", "scheme"),
+    first_by_default(
+        [
+            ("butterworth", "passive"),
+            ("disturbance", "estimated"),
+            ("fixed", "dual"),
+            *((n, s) for n in ("butterworth", "foaw-end", "levant", "kalman") for s in ("dual", "uniform")),
+            ("fixed", "uniform"),
+        ],
+        3,
+    ),
+)
 def test_a_hit_in_a_closed_loop_has_the_hosts_verdict(law: Any, name: str, scheme: Any) -> None:
     """One count that comes a tick later makes another path; what a hit is judged by stays."""
     longer = {"trial.duration_s": 0.3, "verdict.tail_s": 0.1, "homing.settle_s": 0.01, "wall.damping": 0.3}
