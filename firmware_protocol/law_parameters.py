@@ -15,12 +15,13 @@ _U32 = (0, 2**32 - 1)
 _FLOAT = (-(2.0**30), 2.0**30)
 _POSITIVE = (0.0, 2.0**30)
 _SECTIONS = 4
+_Row = tuple[str, str, str, tuple[Value, Value], Value, str, bool]
 
 
-def _rows() -> list[tuple[str, str, str, tuple[Value, Value], Value, str, bool]]:
+def _rows() -> list[_Row]:
     """Name, C type, unit, range, default, meaning, live; in the order of their ids."""
-    fixed, live = False, True
-    rows: list[tuple[str, str, str, tuple[Value, Value], Value, str, bool]] = [
+    fixed = False
+    rows: list[_Row] = [
         ("law", "u8", "", (0, 3), 0,
          "place of the law: 0 host; device: 1 integers, 2 float32, 3 float32 and a wall by the drive", fixed),
         ("batch_layout", "u8", "", (0, 2), 0, "layout of BATCH (BATCH_LAYOUTS)", fixed),
@@ -74,6 +75,14 @@ def _rows() -> list[tuple[str, str, str, tuple[Value, Value], Value, str, bool]]
         ("kalman_position", "f32", "", _FLOAT, 0.0, "steady gain", fixed),
         ("kalman_velocity", "f32", "", _FLOAT, 0.0, "steady gain", fixed),
         ("kalman_acceleration", "f32", "", _FLOAT, 0.0, "steady gain", fixed),
+    ]  # fmt: skip
+    return rows + _wall_rows()
+
+
+def _wall_rows() -> list[_Row]:
+    """Return the same of walls, excitation and what was added later, at the end: ids do not change."""
+    fixed, live = False, True
+    return [
         ("float_surface", "i32", "count", _I32, 0, "position from the reference; rounded down", live),
         ("float_surface_fraction", "f32", "count", (0.0, 1.0), 0.0, "remainder of the rounding", live),
         ("float_stiffness", "f32", "quantum/count", _POSITIVE, 0.0, "", live),
@@ -122,7 +131,6 @@ def _rows() -> list[tuple[str, str, str, tuple[Value, Value], Value, str, bool]]
         ("float_passive_damping", "f32", "quantum·period/count", _POSITIVE, 0.0, "largest damping of the passivity "
          "controller; 0: none", fixed),
     ]  # fmt: skip
-    return rows
 
 
 LAW_PARAMETERS: tuple[Parameter, ...] = tuple(
