@@ -50,6 +50,11 @@ def case_of(signal: str, rate_hz: float, resolution: float) -> Case:
     return signal_case(SIGNALS[signal], rate_hz, resolution)
 
 
+def scored() -> list[str]:
+    """Return the estimators of counts alone: the motions of the table have no effort."""
+    return [name for name in estimators.names() if not estimators.get(name).uses_effort]
+
+
 def grid() -> list[tuple[str, int, float]]:
     """Signal, rate and resolution of the cases: the hit everywhere, the other motions at two rates."""
     hits = [(HIT, rate, resolution) for resolution in RESOLUTIONS for rate in RATES]
@@ -197,7 +202,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = {word for word in words if word.startswith("--")}
     chosen = [word for word in words if word not in options]
     if not options & {"--check", "--guide"}:
-        fresh = make_table(chosen or estimators.names())
+        fresh = make_table(chosen or scored())
         write_table(_merged(fresh) if chosen else fresh)
     return guides.publish(GUIDE, SECTIONS, REGENERATE, check="--check" in options)
 

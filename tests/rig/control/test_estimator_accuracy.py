@@ -15,7 +15,7 @@ SMALLEST = 1e-3  # of the motion's rms speed: below that, noise at rest and erro
 DELAY_MARGIN_S = 5e-6
 
 TABLE = accuracy.read_table()
-ROWS = {name: [r for r in TABLE["rows"] if r["estimator"] == name] for name in estimators.names()}
+ROWS = {name: [r for r in TABLE["rows"] if r["estimator"] == name] for name in accuracy.scored()}
 
 
 def differences(row: accuracy.Row) -> tuple[list[str], list[str]]:
@@ -68,7 +68,7 @@ def test_estimators_are_as_good_as_the_table_says(signal: str, rate_hz: int, res
     )
 
 
-@pytest.mark.parametrize("name", estimators.names())
+@pytest.mark.parametrize("name", accuracy.scored())
 def test_the_table_holds_every_case_of_the_grid(name: Any) -> None:
     """Look at new rows before you commit them."""
     found = {(r["case"], r["rate_hz"], r["resolution"]) for r in ROWS[name] if r["tuned"] is None}
