@@ -1,6 +1,6 @@
 """Time-domain passivity controller: damping that takes back the energy which a wall has given too much.
 
-The observer is the watch's sum of effort times travel (`rig.control._watch.energy_given`), of the effort that was
+The observer is the watch's sum of effort times travel (`rig.control._watch.add_energy`), of the effort that was
 sent less the constant push of an automated trial. Where it is above zero inside the wall, damping is added that would
 take the excess E within one tick at the present speed, B = E/(v²·T), but at most `limit`. A sampled damper is itself
 passive only up to a bound (for a mass J and no delay B < 2·J/T, less with a filter and with delay), so a limit far

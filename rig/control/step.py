@@ -422,7 +422,7 @@ def _watch_effort(control: Any, memory: Any, position: float, penetration: float
         m["energy"], m["effort_sent"], position - m["position"], penetration <= 0.0
     )
     # The push of an automated trial is a source of its own, and no fault of the wall.
-    m["wall_energy"] = watch.energy_given(
+    m["wall_energy"] = watch.add_energy(
         m["wall_energy"],
         m["effort_sent"] - c["constant_effort"],
         position - m["position"],
