@@ -64,7 +64,7 @@ def rates(x: Experiment) -> Iterator[Problem]:
 
 
 def wall_position(x: Experiment) -> Iterator[Problem]:
-    """Require uniform sampling where the law sees the estimator's position: between its samples there is none."""
+    """Require uniform sampling where the law sees the estimator's position: it has none between samples."""
     fast, slow = x.controller.position_rate, x.controller.velocity_rate
     if x.wall.position_from == "estimator" and fast != slow:
         yield _problem(

@@ -16,7 +16,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.config._sections import Controller, Experiment
+from rig.config._derive import settings_of_rig
+from rig.config._sections import Experiment
 from rig.control import estimators
 
 # Samples at rest before a count and after it: longer than any filter of an estimator.
@@ -35,7 +36,7 @@ Settings = tuple[tuple[str, float | str], ...]
 def pulse_of_count(x: Experiment) -> NDArray[np.float64]:
     """Return the velocity that the estimator reads of one count (rad/s or m/s), sample by sample."""
     own = x.controller
-    return _pulse(own.estimator, _settings(own), own.velocity_rate, abs(x.rig.encoder.resolution))
+    return _pulse(own.estimator, _settings(x), own.velocity_rate, abs(x.rig.encoder.resolution))
 
 
 def highest_reading(x: Experiment, velocity: float = 0.0) -> float:
@@ -46,7 +47,7 @@ def highest_reading(x: Experiment, velocity: float = 0.0) -> float:
     own = x.controller
     ahead = own.position_rate // own.velocity_rate - 1 if own.prediction == "extrapolate" else 0
     resolution = abs(x.rig.encoder.resolution)
-    return _peak(own.estimator, _settings(own), own.velocity_rate, resolution, abs(velocity), ahead)
+    return _peak(own.estimator, _settings(x), own.velocity_rate, resolution, abs(velocity), ahead)
 
 
 def quiet_cutoff(x: Experiment, most: float) -> float | None:
@@ -67,8 +68,10 @@ def quiet_cutoff(x: Experiment, most: float) -> float | None:
     return low * cutoff
 
 
-def _settings(own: Controller) -> Settings:
-    return tuple(sorted(own.parameters.items()))
+def _settings(x: Experiment) -> Settings:
+    own = x.controller
+    of_rig = estimators.get(own.estimator).settings_of(settings_of_rig(x))
+    return tuple(sorted({**of_rig, **own.parameters}.items()))
 
 
 @lru_cache(maxsize=4096)
@@ -78,12 +81,18 @@ def _peak(name: str, settings: Settings, rate: int, delta: float, velocity: floa
     if velocity > 0.0:
         samples = int(np.clip(RAMP_COUNTS * delta * rate / velocity, *RAMP_SAMPLES))
         counts = estimators.quantise(velocity / rate * np.arange(AFTER + samples), delta)
-        read.append(estimators.estimate(name, counts, 1.0 / rate, resolution=delta, **dict(settings))[AFTER:])
+        read.append(_estimate(name, settings, rate, delta, counts)[AFTER:])
     share = ahead / (ahead + 1)
     return max(float(np.abs(each[1:] + share * np.diff(each)).max(initial=0.0)) for each in read)
 
 
 @lru_cache(maxsize=512)
 def _pulse(name: str, settings: Settings, rate: int, delta: float) -> NDArray[np.float64]:
-    counts = np.repeat([0, 1], [BEFORE, AFTER])
-    return estimators.estimate(name, counts, 1.0 / rate, resolution=delta, **dict(settings))
+    return _estimate(name, settings, rate, delta, np.repeat([0, 1], [BEFORE, AFTER]))
+
+
+def _estimate(
+    name: str, settings: Settings, rate: int, delta: float, counts: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    no_effort = np.zeros(len(counts))
+    return estimators.estimate(name, counts, 1.0 / rate, resolution=delta, effort=no_effort, **dict(settings))

@@ -230,7 +230,7 @@ def _counts_and_steps(
 
 
 def require_effort(estimator: Estimator, effort: object) -> None:
-    """Raise `ConfigError` for an estimator that uses the effort where there is none."""
+    """Raise `ConfigError` for an estimator that uses the effort where no effort is given."""
     if effort is None and estimator.uses_effort:
         raise ConfigError(
             f"estimator {estimator.name} needs the effort of the motor",

@@ -36,7 +36,7 @@ def run(prepared: Any, counts: Any, elapsed: Any = None) -> Any:
     update, memory = prepared.estimator.update, (prepared.state_f, prepared.state_i, prepared.parameters)
     velocities, windows = [], []
     for count, periods in zip(counts, elapsed or [1] * len(counts), strict=True):
-        velocities.append(update(int(count), 0.0, int(periods), *memory) / ONE_COUNT)
+        velocities.append(update(int(count), 0.0, int(periods), 0.0, *memory) / ONE_COUNT)
         windows.append(int(prepared.state_i[WINDOW]))
     return np.array(velocities), np.array(windows)
 

@@ -125,7 +125,7 @@ def keep(law: Any, plant: Any, arguments: Any, moving: Any) -> None:
 
 @kernel(types.int64(types.int64, types.int64), no_refcount=True)
 def run(law: Any, count: Any) -> Any:
-    return step(law_at(law), count, 1.0, 1)
+    return step(law_at(law), count, 1.0, 1, 0)
 
 
 @kernel(types.int64(types.int64, types.float64, types.float64), no_refcount=True)
