@@ -33,7 +33,7 @@ def test_that_shows_all():
 
 
 @pytest.mark.parametrize("workers", first_by_default(["0", "2"]))
-def test_what_is_tolerated_is_counted_and_printed(
+def test_tolerated_errors_are_counted_and_printed(
     pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch, workers: str
 ) -> None:
     monkeypatch.setenv("PYTHONPATH", str(ROOT))

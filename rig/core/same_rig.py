@@ -45,7 +45,7 @@ def check_rig(model: RigModel, device: Dictionary) -> Check:
     )
     theirs, wanted = _known(device), _known(ours)
     differ = [
-        f"{name} {theirs[name]:g} there and {value:g} here"
+        f"{name}: {theirs[name]:g} on the device, {value:g} in the experiment"
         for name, value in wanted.items()
         if name in theirs and not _agree(name.split()[0], theirs[name], value, model.amplifier.effort_limit)
     ]
@@ -73,7 +73,7 @@ def _other_settings(model: RigModel, device: Dictionary) -> list[str]:
         **dict(model.board),
     }
     return [
-        f"{name} of its board is {of_device.get(name, 'not reported')} there and {value} here"
+        f"{name} of its board: {of_device.get(name, 'not reported')} on the device, {value} in the experiment"
         for name, value in wanted.items()
         if of_device.get(name) != value
     ]

@@ -27,7 +27,7 @@ class Struck(Protocol):
         ...
 
     def wait_for_rest(self) -> None:
-        """Let time pass until no effort may be left, and check that there is none then and later."""
+        """Let time pass until no effort may be left, and check that it is zero then and later."""
         ...
 
 

@@ -401,7 +401,7 @@ def test_settings_of_the_rig_are_built_in_and_reported_and_the_command_overrides
     assert settings == built.settings
     assert (settings["enable_pin"], settings["full_scale"], settings["encoder_lines"]) == (21, 12.5, "single")
     difference = check_rig(named, read_image(built.elf)[1].dictionary).text
-    assert "enable_pin of its board is 21 there and 20 here" in difference
+    assert "enable_pin of its board: 21 on the device, 20 in the experiment" in difference
 
 
 def test_a_board_that_is_not_right_is_refused_with_every_key(tmp_path: Path) -> None:

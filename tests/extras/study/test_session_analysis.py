@@ -286,7 +286,7 @@ def test_kinds_of_slips_are_counted_apart_and_a_wall_that_holds_is_no_slip(tmp_p
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_climb_that_failed_at_once_is_noted_and_bounds_nothing(tmp_path: Path) -> None:
+def test_an_ascending_series_that_failed_at_once_is_noted_and_bounds_nothing(tmp_path: Path) -> None:
     """The first verdict of the session is a lapse; the series after it say where the limit is."""
     mapping = protocol(search={"rule": "ascending", "settings": {"repeats": 3}}, order={"repeats": 1})
     judged = []

@@ -42,18 +42,24 @@ def test_a_device_of_the_rig_is_accepted(name: str) -> None:
 
 OTHERS = {
     "name": (replace(MODEL, name="other"), "its name is other"),
-    "quantum": (with_amplifier(current_quantum_a=2e-3), "current quantum (A) 0.002 there and 0.001 here"),
-    "effort for an ampere": (with_amplifier(effort_per_ampere=0.468), "effort_quantum (N·m) 0.000468 there"),
+    "quantum": (
+        with_amplifier(current_quantum_a=2e-3),
+        "quantum (A): 0.002 on the device, 0.001 in the experiment",
+    ),
+    "effort for an ampere": (
+        with_amplifier(effort_per_ampere=0.468),
+        "effort_quantum (N·m): 0.000468 on the device",
+    ),
     "most that the amplifier gives": (
         with_amplifier(effort_limit=2.6),
-        "effort_limit (N·m) 2.6 there and 1.3 here",
+        "effort_limit (N·m): 2.6 on the device, 1.3 in the experiment",
     ),
-    "over-current": (with_amplifier(effort_limit=2.6), "over_current (quantum) 12222 there and 6111 here"),
+    "over-current": (with_amplifier(effort_limit=2.6), "over_current (quantum): 12222 on the device"),
     "direction of counting": (replace(MODEL, encoder=replace(ENCODER, sign=-ENCODER.sign)), "encoder_sign"),
     "resolution": (replace(MODEL, encoder=replace(ENCODER, ratio=2.0 * ENCODER.ratio)), "travel (rad)"),
     "inertia": (with_mechanics(link_inertia=10 * MECHANICS.link_inertia), "inertia (kg·m²)"),
     "friction": (with_mechanics(motor_coulomb=MECHANICS.motor_coulomb + 0.1), "friction (N·m)"),
-    "lag": (with_amplifier(lag_s=3e-4), "lag_s (s) 0.0003 there and 0.0001 here"),
+    "lag": (with_amplifier(lag_s=3e-4), "lag_s (s): 0.0003 on the device, 0.0001 in the experiment"),
 }
 
 
@@ -89,8 +95,8 @@ def test_pins_and_scales_that_the_experiment_names_are_those_of_the_board() -> N
     assert check_rig(model, dictionary).outcome == Outcome.OK
     other = check_rig(model, replace(dictionary, settings=(SettingInfo("enable_pin", 10),)))
     assert other.outcome == Outcome.REFUSED
-    assert "enable_pin of its board is 10 there and 6 here" in other.text
-    assert "full_scale of its board is not reported there and 12.0 here" in other.text
+    assert "enable_pin of its board: 10 on the device, 6 in the experiment" in other.text
+    assert "full_scale of its board: not reported on the device, 12.0 in the experiment" in other.text
     assert check_rig(model, replace(dictionary, settings=(), simulated=True)).outcome == Outcome.OK
 
 
@@ -99,8 +105,8 @@ def test_a_board_without_the_index_or_the_switch_of_the_rig_is_refused() -> None
     bare = built_for(MODEL, settings_of_board={"encoder_index": "none", "limit_switch": "none"})
     refused = check_rig(model, bare)
     assert refused.outcome == Outcome.REFUSED
-    assert "encoder_index of its board is none there and wired here" in refused.text
-    assert "limit_switch of its board is none there and wired here" in refused.text
+    assert "encoder_index of its board: none on the device, wired in the experiment" in refused.text
+    assert "limit_switch of its board: none on the device, wired in the experiment" in refused.text
     wired = replace(bare, settings=tuple(SettingInfo(info.name, "wired") for info in bare.settings))
     assert check_rig(model, wired).outcome == Outcome.OK
     assert (

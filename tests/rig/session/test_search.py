@@ -203,7 +203,7 @@ def test_the_interval_of_ascending_series_is_students() -> None:
     assert (estimate.low, estimate.high) == pytest.approx((max(0.0, expected.low), expected.high))
 
 
-def test_the_ascending_rule_climbs_from_the_softest_wall_so_often() -> None:
+def test_the_ascending_rule_starts_from_the_softest_wall_so_often() -> None:
     rule = search.make("ascending", levels=(10.0, 20.0, 30.0), repeats=2)
     answers: list[JudgedProbe] = []
     asked = []
@@ -216,7 +216,7 @@ def test_the_ascending_rule_climbs_from_the_softest_wall_so_often() -> None:
     assert (estimate.value, estimate.censored) == (15.0, "")  # limits 20 and 10
 
 
-def test_a_climb_that_fails_at_the_softest_wall_is_marked_and_bounds_no_other() -> None:
+def test_a_series_that_fails_at_the_softest_wall_is_marked_and_bounds_no_other() -> None:
     rule = search.make("ascending", levels=(10.0, 20.0, 30.0), repeats=3)
 
     def ascended(*verdicts: Any) -> Any:
