@@ -45,13 +45,13 @@ def plugged(made: Any) -> Iterator[Any]:
 
 def plug(made: Any) -> None:
     made.plug()
-    vhci.wait_until(lambda: os.path.exists(PORT))
+    vhci.wait_until(f"{PORT} exists", lambda: os.path.exists(PORT))
     vhci.settle()
 
 
 def pull(made: Any) -> None:
     made.pull()
-    vhci.wait_until(lambda: not os.path.exists(PORT))
+    vhci.wait_until(f"{PORT} is gone", lambda: not os.path.exists(PORT))
     vhci.settle()
 
 
@@ -87,7 +87,7 @@ def test_a_pulled_plug_is_one_error_whatever_is_called(plugged: Any) -> None:
     with pytest.raises(UnpluggedError):
         link.read(0.0)
     link.close()
-    vhci.wait_until(lambda: not os.path.exists(PORT))
+    vhci.wait_until(f"{PORT} is gone", lambda: not os.path.exists(PORT))
     with pytest.raises(DeviceNotFoundError):
         open_link(DeviceUrl.parse(URL))
 

@@ -61,7 +61,7 @@ def opened(board: Any) -> Iterator[Any]:
 
 def test_linux_makes_a_serial_port_of_it_and_rig_speaks_there(board: Any) -> None:
     # First, since the vendor interface keeps the link for a second of the board.
-    vhci.wait_until(lambda: board.tty is not None)
+    vhci.wait_until("the board has a terminal", lambda: board.tty is not None)
     vhci.settle()
     with open_device(f"serial://{board.tty}") as device:
         assert device.dictionary.device == pico.RIG
@@ -100,7 +100,7 @@ def supervised(host: Host, frames: int) -> list[m.Batch]:
 
 def check_at_rest(board: Any) -> None:
     """No current at the pins of the board, amplifier off, as seen from outside of everything."""
-    vhci.wait_until(lambda: not board.status()["enabled"])
+    vhci.wait_until("the board is disabled", lambda: not board.status()["enabled"])
     status = board.status()
     assert status["current"] == 0
     assert status["resets"] == 0

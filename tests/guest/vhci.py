@@ -18,12 +18,15 @@ DEVICE_ID = 0x10001  # bus and number at the far end; any will do
 
 
 def is_here() -> bool:
-    """Return True if this kernel has the controller and it may be used."""
+    """Return True if this kernel has vhci_hcd loaded."""
     return (CONTROLLER / "attach").exists()
 
 
 def attach(end: socket.socket) -> int:
-    """Attach the device behind a stream socket and return its port; afterwards `end` may be closed."""
+    """Attach the device behind a stream socket and return its port.
+
+    The caller may close `end` afterwards: the kernel has its own reference to the socket.
+    """
     port = free_port()
     (CONTROLLER / "attach").write_text(f"{port} {end.fileno()} {DEVICE_ID} {FULL_SPEED}")
     return port
@@ -40,30 +43,36 @@ def free_port() -> int:
 
 def wait_for_free(port: int) -> None:
     """Wait until a port of the controller is free."""
-    wait_until(lambda: re.search(rf"^hs\s+0*{port}\s+0*{FREE}\s", (CONTROLLER / "status").read_text(), re.M))
+    wait_until(
+        f"port {port} is free",
+        lambda: re.search(rf"^hs\s+0*{port}\s+0*{FREE}\s", (CONTROLLER / "status").read_text(), re.M),
+    )
 
 
 def devices_with(serial: str) -> list[Path]:
-    """Devices on the bus with this serial number, in sysfs."""
+    """Return the sysfs directories of the devices with this serial number."""
     found = []
     for path in DEVICES.glob("*/serial"):
         try:
             if path.read_text().strip() == serial:
                 found.append(path.parent)
-        except OSError:  # it goes just now
+        except OSError:  # unplugged between the listing and the reading
             continue
     return found
 
 
 def wait_for_device(serial: str) -> None:
     """Wait until a device is enumerated and udev has handled it."""
-    wait_until(lambda: any((path / "bConfigurationValue").exists() for path in devices_with(serial)))
+    wait_until(
+        f"device {serial} is enumerated",
+        lambda: any((path / "bConfigurationValue").exists() for path in devices_with(serial)),
+    )
     settle()
 
 
 def wait_for_no_device(serial: str) -> None:
     """Wait until a device is gone and udev has handled that."""
-    wait_until(lambda: not devices_with(serial))
+    wait_until(f"device {serial} is gone", lambda: not devices_with(serial))
     settle()
 
 
@@ -72,10 +81,11 @@ def settle() -> None:
     subprocess.run(["udevadm", "settle", f"--timeout={WAIT_S:.0f}"], check=True)
 
 
-def wait_until(condition: Callable[[], object]) -> None:
-    """Poll a condition for 30 s at most: sysfs has no events."""
+def wait_until(what: str, condition: Callable[[], object]) -> None:
+    """Poll a condition until it is true; `TimeoutError` names it after `WAIT_S`."""
+    # Polled, because sysfs has no events.
     deadline = time.monotonic() + WAIT_S
     while not condition():
         if time.monotonic() > deadline:
-            raise TimeoutError("it did not happen within 30 s")
+            raise TimeoutError(f"not within {WAIT_S:g} s: {what}")
         time.sleep(0.02)

@@ -143,9 +143,10 @@ class Estimator(Shown):
                 remedy=f"give {setting.minimum:g} to {setting.maximum:g} {setting.unit}",
             )
         if not setting.minimum <= value <= setting.maximum:
+            unit = f" {setting.unit}" if setting.unit else ""
             raise ConfigError(
-                f"estimator {self.name}: {setting.name} = {value:g} {setting.unit} is out of range",
-                remedy=f"choose {setting.minimum:g} to {setting.maximum:g} {setting.unit}",
+                f"estimator {self.name}: {setting.name} = {value:g}{unit} is out of range",
+                remedy=f"choose {setting.minimum:g} to {setting.maximum:g}{unit}",
             )
         return float(value)
 

@@ -10,7 +10,9 @@ from tests.conformance.tiers import first_by_default
 
 HANGS = {
     "in a thread": "await asyncio.to_thread(threading.Event().wait)",
+    # The event loop itself is blocked.
     "in its loop": "threading.Event().wait()",
+    # A worker thread outlives the server.
     "at its end": "asyncio.create_task(asyncio.to_thread(threading.Event().wait)); await ended.wait()",
 }
 PROGRAM = """
@@ -44,5 +46,5 @@ def test_a_console_that_waits_for_ever_ends_after_a_signal(hang: str, number: si
             _, complaint = console.communicate(timeout=PATIENCE_S)
         finally:
             console.kill()
-    assert console.returncode == 1
+    assert console.returncode == 1  # ended by the timer; an orderly end gives 0
     assert "has not ended in time" in complaint

@@ -14,12 +14,17 @@ URL = DeviceUrl("usb", "1209:0001", {}, "usb://1209:0001")
 
 
 class EmulatedUsb(MemoryLink):
-    """Time moves while the host waits, as on any link in virtual time; but bytes take the time of the bus."""
+    """Link in virtual time to the emulated RP2040.
 
+    The emulator advances only while the host writes or waits; bytes arrive when the emulated bus delivers them.
+    """
+
+    # Not super().__init__, which requires a simulated device in this process: it sets the fields that the inherited
+    # methods read. Keep in step with MemoryLink.
     def __init__(self, line: UsbLine) -> None:
         self.url = URL
         self.clock = VirtualClock()
-        self.line = None  # of a link that fails on command
+        self.line = None  # no script of faults
         self._usb = line
         self._began_ns = line.now_ns
         self._progress = np.zeros(PROGRESS, np.int64)
@@ -34,7 +39,7 @@ class EmulatedUsb(MemoryLink):
         self._catch_up()
         self._usb.send(data)
 
-    def truth(self) -> None:  # type: ignore[override]
+    def truth(self) -> None:  # type: ignore[override]  # the emulated board has no plant
         return None
 
     def _catch_up(self) -> None:
@@ -54,4 +59,5 @@ class EmulatedUsb(MemoryLink):
 
     def _run(self, until_ns: int, *, first: bool) -> None:
         if until_ns > self._now_ns:
-            self._keep(self._usb.run((until_ns - self._now_ns) * 1e-3, first=first))
+            microseconds = (until_ns - self._now_ns) * 1e-3
+            self._keep(self._usb.run(microseconds, first=first))

@@ -18,8 +18,9 @@ def a_figure(title: str = "K_max (N·m/rad)") -> Any:
     return figure
 
 
-def scaled(figure: Any) -> Any:
-    """Return the figure with limits and ticks of its axes: odd data fail there; painting takes ten times as long."""
+def check_axes(figure: Any) -> Any:
+    """Check that each axis has finite limits and fewer than 200 ticks, and return the figure."""
+    # Data that cannot be drawn fail here already; drawing them would take ten times as long.
     for axes in figure.axes:
         for axis in (axes.xaxis, axes.yaxis):
             low, high = axis.get_view_interval()
@@ -31,11 +32,11 @@ def scaled(figure: Any) -> Any:
 
 @pytest.fixture
 def composed(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Figures that would have been saved."""
+    """Intercept `style.save`: the list of the figures passed to it, each with checked axes."""
     figures: list[Any] = []
 
     def save(figure: Any, path: Path) -> Path:
-        figures.append(scaled(figure))
+        figures.append(check_axes(figure))
         return path
 
     monkeypatch.setattr(style, "save", save)

@@ -18,7 +18,7 @@ from rig.extras.papers.disagreement.disagreement import DisagreementPlan
 from rig.extras.papers.disagreement.plot import disagreement_figure
 from rig.views.plots import style
 from rig.views.plots.zwidth import kmax_figure, zwidth_figure
-from tests.rig.views.conftest import scaled
+from tests.rig.views.conftest import check_axes
 
 SEARCH = StiffnessSearch(lowest=10.0, highest=1000.0, ratio=1.1)
 SCHEMES = ("uniform:20k", "dual:20k/2k", "uniform:2k")
@@ -137,7 +137,7 @@ def test_equal_limits_are_both_seen() -> None:
 def test_next_to_nothing_is_drawn(some: Any, ending: str, painted: int, tmp_path: Path) -> None:
     """Each kind of picture of each kind of limit is composed, and painted once, in each format."""
     maps = [zwidth_figure(a_map(dampings, lambda *_: some, SCHEMES[:1])) for dampings in ([0.0], [0.0, 0.1])]
-    figures = [scaled(one) for one in (*maps, kmax_figure(over_rates(lambda *_: some, [1000])))]
+    figures = [check_axes(one) for one in (*maps, kmax_figure(over_rates(lambda *_: some, [1000])))]
     assert style.save(figures[painted], tmp_path / f"x.{ending}").stat().st_size > 4000
 
 

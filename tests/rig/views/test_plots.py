@@ -22,7 +22,7 @@ from rig.views.plots.replay import replay_figure
 from sim_backend.board.make_device import make_device
 from sim_backend.ends.link import MemoryLink
 from tests.conformance.trials import trial_on
-from tests.rig.views.conftest import scaled
+from tests.rig.views.conftest import check_axes
 
 
 @pytest.fixture(scope="module")
@@ -182,7 +182,7 @@ def test_a_run_that_ended_in_homing_is_not_labelled_as_an_impact(recording: Any)
     titles = [column[0].get_title() for column in columns]
     assert titles == ["beginning", "whole run: no contact, it ended in homing"]
     assert {column[2].get_xlabel() for column in columns} == {"time (s)"}
-    _, whole = panels(scaled(hit_figure(changed(recording, penetration=-1.0))))
+    _, whole = panels(check_axes(hit_figure(changed(recording, penetration=-1.0))))
     assert len(line(whole[0], "measured").get_xdata()) == len(recording)
 
 
@@ -219,11 +219,11 @@ def at_rest(position: float) -> Any:
     ],
 )  # fmt: skip
 def test_any_recording_is_drawn(odd: Any, recording: Any) -> None:
-    scaled(hit_figure(odd(recording)))
+    check_axes(hit_figure(odd(recording)))
 
 
 def test_a_recording_of_a_real_rig_has_no_truth(recording: Any) -> None:
-    figure = scaled(hit_figure(without_truth(recording)))
+    figure = check_axes(hit_figure(without_truth(recording)))
     labels = {curve.get_label() for axes in figure.axes for curve in axes.lines}
     assert not any("true" in label for label in labels)
 
@@ -237,4 +237,4 @@ def test_a_replay_is_drawn_against_its_recording(recording: Any, tmp_path: Path)
     result = replay(recording, {"controller.estimator": "fdm"})
     picture = result.plot().save(tmp_path / "x.png")
     assert size_of(picture.read_bytes()) == (9 * style.DPI, 5 * style.DPI)
-    scaled(replay_figure(replay(replace(recording, rows=recording.rows[:0]))))
+    check_axes(replay_figure(replay(replace(recording, rows=recording.rows[:0]))))
