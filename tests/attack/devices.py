@@ -49,7 +49,7 @@ class Watched(Pair):
     def __init__(self, library: ctypes.CDLL, chance: random.Random) -> None:
         self.figures: Counter[str] = Counter()
         self.last_session = 0
-        self.received = self.unfinished = b""  # in this step, and the frame that it leaves in part
+        self.incoming = self.unfinished = b""  # in this step, and the frame that it leaves in part
         self.lively = False
         self.latched = Fault.NONE
         self.last_session = 0
@@ -57,10 +57,10 @@ class Watched(Pair):
 
     def write(self, data: bytes) -> None:
         self.figures["bytes"] += len(data)
-        self.received = self.unfinished + data
+        self.incoming = self.unfinished + data
         super().write(data)
-        self.unfinished = self.received.rpartition(b"\0")[2][-ENCODED_LIMIT:]
-        self.received = b""
+        self.unfinished = self.incoming.rpartition(b"\0")[2][-ENCODED_LIMIT:]
+        self.incoming = b""
 
     def both(self, call: Callable[[Any], bytes | None]) -> None:
         super().both(call)
@@ -85,16 +85,16 @@ class Watched(Pair):
         else:
             require(currents == (0, 0) and not status.enabled, "currents", currents, "in", state.name)
         if lively and (not self.lively or self.c.session != self.last_session):
-            require(self._armed_by_right(), "armed by", self.received.hex())
+            require(self._armed_by_right(), "armed by", self.incoming.hex())
         if self.latched and not fault and state is not State.BOOT:
-            require(self._cleared(), "a fault that left by", self.received.hex())
+            require(self._cleared(), "a fault that left by", self.incoming.hex())
         require(bool(fault) == (state is State.FAULT), fault, "in", state.name)
         self.lively, self.latched, self.last_session = lively, fault, self.c.session
 
     def _armed_by_right(self) -> bool:
         """Whether there was an ARM with this session, and both sums of the device."""
         right = self.python._configuration
-        for raw in raw_frames(self.received):
+        for raw in raw_frames(self.incoming):
             if raw[1] == _ARM and raw[3] == self.c.session != 0:
                 arm = LAYOUTS[_ARM].unpack(raw)
                 assert isinstance(arm, m.Arm)
@@ -104,7 +104,7 @@ class Watched(Pair):
 
     def _cleared(self) -> bool:
         flag = int(DisarmFlag.CLEAR_FAULT)
-        return any(raw[1] == _DISARM and raw[8] & flag for raw in raw_frames(self.received))
+        return any(raw[1] == _DISARM and raw[8] & flag for raw in raw_frames(self.incoming))
 
     def calm(self, chance: random.Random) -> None:
         """Do what a person does before a new run, and begin one."""
