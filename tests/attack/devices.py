@@ -52,7 +52,7 @@ class Watched(Pair):
         self.incoming = self.unfinished = b""  # in this step, and the frame that it leaves in part
         self.lively = False
         self.latched = Fault.NONE
-        self.last_session = 0
+        self.reported_session = 0
         super().__init__(library, rig_of(chance.choice((1, -1))), seed=chance.randrange(100))
 
     def write(self, data: bytes) -> None:
@@ -84,12 +84,12 @@ class Watched(Pair):
             require(all(abs(current) <= limit for current in currents), currents, "above", limit)
         else:
             require(currents == (0, 0) and not status.enabled, "currents", currents, "in", state.name)
-        if lively and (not self.lively or self.c.session != self.last_session):
+        if lively and (not self.lively or self.c.session != self.reported_session):
             require(self._armed_by_right(), "armed by", self.incoming.hex())
         if self.latched and not fault and state is not State.BOOT:
             require(self._cleared(), "a fault that left by", self.incoming.hex())
         require(bool(fault) == (state is State.FAULT), fault, "in", state.name)
-        self.lively, self.latched, self.last_session = lively, fault, self.c.session
+        self.lively, self.latched, self.reported_session = lively, fault, self.c.session
 
     def _armed_by_right(self) -> bool:
         """Whether there was an ARM with this session, and both sums of the device."""
