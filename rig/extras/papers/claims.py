@@ -14,6 +14,7 @@ of its rules; what a ruling does not decide is edited there, without touching Py
     paper: its number
     ours: ours
     only with: a condition       where the cases that held are not one (optional)
+    in part: what is reproduced  where the rule can decide so
     needs: what the claim depends on, as far as this project knows
     rule: how the verdict follows from the numbers
 """
@@ -30,7 +31,7 @@ from rig.extras.papers.rules import ClaimStatus, Ruling
 from rig.views.report import fill_text
 
 HEAD = re.compile(r"\[([\w-]+)\]")
-BEGIN = re.compile(r"(title|source|claim|paper|ours|only with|needs|rule): *(.*)")
+BEGIN = re.compile(r"(title|source|claim|paper|ours|only with|in part|needs|rule): *(.*)")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,7 +86,11 @@ def _sections(text: str) -> dict[str, dict[str, str]]:
 
 
 def _claim(key: str, ruling: Ruling, texts: Mapping[str, str]) -> Claim:
-    condition = texts.get("only with", ruling.condition) if ruling.status is ClaimStatus.ONLY_WITH else ""
+    condition = ""
+    if ruling.status is ClaimStatus.ONLY_WITH:
+        condition = texts.get("only with", ruling.condition)
+    elif ruling.status is ClaimStatus.PARTLY:
+        condition = texts["in part"]
     return Claim(
         key=key,
         status=ruling.status,

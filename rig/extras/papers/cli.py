@@ -20,10 +20,20 @@ from rig.extras.papers.rules import ClaimStatus
 from rig.recording.files import plain_errors
 
 WIDEST = 110  # characters of a verdict
-COLOURS = {ClaimStatus.REPRODUCED: "green", ClaimStatus.ONLY_WITH: "yellow", ClaimStatus.NOT: "red"}
+COLOURS = {
+    ClaimStatus.REPRODUCED: "green",
+    ClaimStatus.ONLY_WITH: "yellow",
+    ClaimStatus.PARTLY: "yellow",
+    ClaimStatus.FOLLOWS: "yellow",
+    ClaimStatus.UNDECIDED: "yellow",
+    ClaimStatus.NOT: "red",
+}
 COUNTS = {
     ClaimStatus.REPRODUCED: "reproduced",
     ClaimStatus.ONLY_WITH: "reproduced under a condition",
+    ClaimStatus.PARTLY: "reproduced in part",
+    ClaimStatus.FOLLOWS: "following from the method",
+    ClaimStatus.UNDECIDED: "undecided",
     ClaimStatus.NOT: "not reproduced",
 }
 

@@ -24,7 +24,7 @@ from rig.views.report import data_uris, fill, provenance_lines
 OnFailure = Callable[[Exception, str], None]
 CLAIMS, PAGE = "claims.j2", "page.html.j2"  # templates of a paper
 # Classes of the style sheet.
-MARKS = {ClaimStatus.REPRODUCED: "yes", ClaimStatus.ONLY_WITH: "only", ClaimStatus.NOT: "no"}
+MARKS = dict.fromkeys(ClaimStatus, "only") | {ClaimStatus.REPRODUCED: "yes", ClaimStatus.NOT: "no"}
 
 
 class ReproductionPlan(Protocol):

@@ -6,6 +6,10 @@ a user can set (a cut-off, a word length, gains), and the rule names it, not the
 cases, in some readings or on some random plants is not reproduced; how many they are stands beside it. What a search
 found is known to a rung of it: rules that compare such numbers allow for that (`step`, the ratio of two rungs).
 
+Three verdicts keep a claim from looking stronger than its evidence. It is reproduced *in part* where only its size or
+only its direction is. It is *undecided* where it depends on a setting that the paper does not give. It *follows from
+the method* where it could not have failed, as the same range with the same filter at the same rate.
+
 Nothing here knows a rig or a result, so that a test can reach every verdict. A ruling has no words but the names of its
 cases; the sentence beside it is made by the template of the paper's claims (`rig.extras.papers.claims`).
 """
@@ -28,6 +32,9 @@ class ClaimStatus(StrEnum):
 
     REPRODUCED = "reproduced"
     ONLY_WITH = "reproduced only with"
+    PARTLY = "reproduced in part:"
+    FOLLOWS = "follows from the method"
+    UNDECIDED = "undecided"
     NOT = "not reproduced"
 
 
@@ -84,6 +91,19 @@ class Ruling:
         """Return the same ruling with more numbers."""
         return replace(self, numbers={**self.numbers, **numbers})
 
+    def partly(self) -> Ruling:
+        """Return the same claim, reproduced in its size or its direction alone."""
+        return replace(self, status=ClaimStatus.PARTLY)
+
+    def undecided(self) -> Ruling:
+        """Return the same claim, undecided if it held in some cases that the paper leaves open and not in others."""
+        open_ = self.status is ClaimStatus.NOT and self.held and self.failed
+        return replace(self, status=ClaimStatus.UNDECIDED) if open_ else self
+
+    def following(self) -> Ruling:
+        """Return the same claim, which could not have failed: where it held, that follows from the method."""
+        return replace(self, status=ClaimStatus.FOLLOWS) if self.status is ClaimStatus.REPRODUCED else self
+
     def only(self, **numbers: Any) -> Ruling:
         """Return the same claim, reproduced only under a condition that is no case of its own."""
         return replace(self.having(**numbers), status=ClaimStatus.ONLY_WITH)
@@ -93,16 +113,14 @@ def judge(
     cases: Mapping[str, bool],
     *,
     conditions: Mapping[str, Sequence[str]] | None = None,
-    decisive: Sequence[str] = (),
     **numbers: Any,
 ) -> Ruling:
     """Judge a claim that was tried in several cases, as the head of this file says.
 
-    Cases named `decisive`, if any are, stand for all of them. What was not tried is not reproduced.
+    What was not tried is not reproduced.
     """
-    needed = list(decisive) or list(cases)
     found = Ruling(status=ClaimStatus.NOT, cases=cases, numbers=numbers, conditions=conditions or {})
-    if cases and all(cases[name] for name in needed):
+    if cases and all(cases.values()):
         return replace(found, status=ClaimStatus.REPRODUCED)
     return replace(found, status=ClaimStatus.ONLY_WITH) if found.sufficient else found
 

@@ -67,10 +67,14 @@ def test_where_it_drops_is_compared_with_the_paper_within_a_quarter() -> None:
     assert chawda_rules.drops_at({"a": (600.0, 250.0)}, [math.inf]).status is ClaimStatus.NOT
 
 
-def test_limited_means_clearly_less() -> None:
-    assert chawda_rules.limited({"a": 20.0}, 100.0).status is ClaimStatus.REPRODUCED
-    assert chawda_rules.limited({"a": 20.0, "b": 100.0}, 100.0).status is ClaimStatus.NOT
-    assert chawda_rules.limited({"a": 90.0}, 100.0).status is ClaimStatus.NOT
+def test_limited_means_clearly_less_and_by_about_the_papers_factor() -> None:
+    def judged(*ranges: float) -> ClaimStatus:
+        return chawda_rules.limited(dict(zip("ab", ranges, strict=False)), 100.0, 1.6).status
+
+    assert judged(65.0) is ClaimStatus.REPRODUCED
+    assert judged(65.0, 7.0) is ClaimStatus.PARTLY  # a factor 14: the direction alone
+    assert judged(20.0, 100.0) is ClaimStatus.NOT
+    assert judged(90.0) is ClaimStatus.NOT
 
 
 def test_table_one_wants_every_number_near() -> None:

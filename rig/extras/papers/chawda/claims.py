@@ -156,6 +156,7 @@ def _rule_limit(chawda: Chawda) -> Ruling:
     return rules.limited(
         {"with excitation": excited[rigs.LEVANT], "by hits at 1 kHz": hit[rigs.LEVANT]},
         min(excited[rigs.FDM], hit[rigs.FDM]),
+        rigs.PRINTED[rigs.FDM].damping / rigs.PRINTED[rigs.LEVANT].damping,
     )
 
 
@@ -197,13 +198,9 @@ def _akf_over_fdm(chawda: Chawda) -> Ruling:
     widths = _stiffnesses(chawda)
     differ = [k for k in widths if k[rigs.AKF] != k[rigs.FDM]]
     above = sum(k[rigs.AKF] > k[rigs.FDM] for k in differ)
-    ratios = derived.akf_over_fdm(chawda)
-    steps = dict(zip(ratios, (1.0, chawda.scale.hit_ratio**0.5), strict=True))
-    cases = {name: rules.mostly_stiffer(values, steps[name]) for name, values in ratios.items()}
-    cases["with excitation"] = bool(differ) and above >= MOST * len(differ)
     return judge(
-        cases,
-        ratios=list(ratios.items()),
+        {"with excitation": bool(differ) and above >= MOST * len(differ)},
+        ratios=list(derived.akf_over_fdm(chawda).items()),
         highest=chawda.linear_dampings[-1],
         above=above,
         differ=len(differ),

@@ -68,10 +68,16 @@ def sharpness(stiffnesses: Sequence[float]) -> float:
     return max((over(high, low) for high, low in pairwise(stiffnesses)), default=1.0)
 
 
-def limited(ranges: Mapping[str, float], filtered: float) -> Ruling:
-    """Return the range of damping of Levant's differentiator, by case, against that of the filtered difference."""
+def limited(ranges: Mapping[str, float], filtered: float, paper: float) -> Ruling:
+    """Return the range of damping of Levant's differentiator, by case, against that of the filtered difference.
+
+    Reproduced in its direction alone where the ratio of the two is not near that of the paper.
+    """
     cases = {name: value <= LIMITED * filtered for name, value in ranges.items()}
-    return judge(cases, ranges=list(ranges.items()), filtered=filtered)
+    factors = [over(filtered, value) for value in ranges.values()]
+    found = judge(cases, ranges=list(ranges.items()), filtered=filtered, factors=factors, paper=paper)
+    near = all(within(factor, paper, NEAR_WIDTH) for factor in factors)
+    return found if near or found.failed else found.partly()
 
 
 def drops_at(drops: Mapping[str, tuple[float, float]], others: Sequence[float]) -> Ruling:

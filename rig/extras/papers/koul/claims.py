@@ -10,7 +10,7 @@ from rig.extras.papers.koul import rigs, rules
 from rig.extras.papers.koul.compare import FLOAT
 from rig.extras.papers.koul.results import Koul, word_name
 from rig.extras.papers.koul.ways import columns
-from rig.extras.papers.rules import Ruling, judge_settable, over, within
+from rig.extras.papers.rules import Ruling, over
 
 RIGS = {rigs.COMPLIANT: "compliant (fitted)", rigs.RIGID: "rigid"}
 CUTOFFS = {rigs.FAST: "2 kHz", rigs.FAST_1K: "1 kHz"}  # of the uniform 20 kHz wall
@@ -29,11 +29,8 @@ def rulings(koul: Koul) -> dict[str, Ruling]:
         "levels-off": rules.levels_off(
             _saturation(koul, rigs.WITH_LAG), _saturation(koul, rigs.WITHOUT_LAG), koul.scale.kmax_ratio
         ),
-        "level": rules.near(
-            {name: curve[at_fast] for name, curve in k_max.items()},
-            rules.LEVEL,
-            rules.LEVEL_FACTOR * koul.scale.kmax_ratio,
-            unfitted=rigs.NAMES[rigs.RIGID],
+        "level": rules.level(
+            {name: curve[at_fast] for name, curve in k_max.items()}, rules.LEVEL, koul.scale.kmax_ratio
         ),
         "same-range": _same_range(koul),
         "same-range-plants": rules.same_of_plants(_of_plants(koul, rigs.DUAL, rigs.SLOW)),
@@ -151,17 +148,14 @@ def _peak_ratios(koul: Koul) -> dict[tuple[str, str, str, str], float]:
 
 
 def _peaks(koul: Koul) -> Ruling:
-    cases, found = {}, []
-    for held in rigs.MAIN:
-        for fast, cutoff in CUTOFFS.items():
-            wanted = {rigs.DUAL: rules.PEAK_DUAL, fast: rules.LEVEL, rigs.SLOW: rules.PEAK_SLOW}
-            peaks = [koul.width(held, key).stiffness_peak for key in wanted]
-            near = rules.LEVEL_FACTOR * koul.scale.ratio
-            cases[RIGS[held.preset], cutoff] = all(
-                map(lambda k, k0: within(k, k0, near), peaks, wanted.values())
-            )
-            found.append((f"{RIGS[held.preset]}, {cutoff}", *peaks))
-    return judge_settable(cases, [1], found=found)
+    found = {
+        (RIGS[held.preset], cutoff): [
+            koul.width(held, key).stiffness_peak for key in (rigs.DUAL, fast, rigs.SLOW)
+        ]
+        for held in rigs.MAIN
+        for fast, cutoff in CUTOFFS.items()
+    }
+    return rules.peaks(found, (rules.PEAK_DUAL, rules.LEVEL, rules.PEAK_SLOW), koul.scale.ratio)
 
 
 def _left_at_range(koul: Koul) -> Ruling:
@@ -170,7 +164,7 @@ def _left_at_range(koul: Koul) -> Ruling:
         curve = koul.maps[held.name].curve(NUMBERS[rigs.DUAL], "any")
         at = min(curve, key=lambda boundary: abs(boundary.damping - rules.DAMPING_RANGE))
         values[f"{rigs.NAMES[held.preset]} (B = {at.damping:.2f})"] = at.stiffness
-    return rules.near(values, rules.DUAL_AT_RANGE, rules.LEVEL_FACTOR * koul.scale.ratio)
+    return rules.level(values, rules.DUAL_AT_RANGE, koul.scale.ratio)
 
 
 def _peaks_by_word(koul: Koul) -> dict[str, tuple[Any, Any, Any]]:

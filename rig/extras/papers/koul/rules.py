@@ -36,7 +36,7 @@ DROP = 0.95  # K may fall by so much from one rate or damping to the next and st
 RISE = 2.0  # K at 20 kHz over that at 2 kHz
 LEVEL_OFF = 1.25  # K at 50 kHz over that at 20 kHz: at most
 STILL_RISING = 1.6  # the same without what levels it off: at least
-LEVEL_FACTOR = 1.65  # of the paper's number, both ways
+LEVEL_FACTOR = 1.65  # of the paper's number, both ways: its size and no more
 SAME_RANGE = 1.1  # in simulation
 SAME_LINEAR = 1.05  # in linear theory
 NUMBER = 1.15  # of the paper's number for a range of damping
@@ -79,10 +79,40 @@ def levels_off(
     return found.only(lag=True) if found.status is ClaimStatus.REPRODUCED and free else found
 
 
-def near(values: Mapping[str, float], target: float, factor: float, *, unfitted: str = "") -> Ruling:
-    """Compare numbers with the paper's; agreement on the rig that was not fitted is a confirmation."""
+def near(values: Mapping[str, float], target: float, factor: float) -> Ruling:
+    """Compare numbers with the paper's."""
     cases = {name: within(value, target, factor) for name, value in values.items()}
-    return judge(cases, decisive=[unfitted] if cases.get(unfitted) else [], found=list(values.items()))
+    return judge(cases, found=list(values.items()))
+
+
+def level(values: Mapping[str, float], target: float, step: float = 1.0) -> Ruling:
+    """Compare stiffnesses with the paper's: within `NUMBER` on every rig, or in part within `LEVEL_FACTOR`."""
+    close, far = near(values, target, NUMBER * step), near(values, target, LEVEL_FACTOR * step)
+    if close.status is ClaimStatus.NOT and far.status is ClaimStatus.REPRODUCED:
+        return close.partly()
+    return close
+
+
+def peaks(
+    found: Mapping[tuple[str, str], Sequence[float]], wanted: Sequence[float], step: float = 1.0
+) -> Ruling:
+    """Compare several stiffnesses with the paper's, by rig and cut-off: their sizes, and their order.
+
+    Reproduced in part where all sizes are and the order is not.
+    """
+    near_all = {
+        case: all(within(k, k0, LEVEL_FACTOR * step) for k, k0 in zip(stiffnesses, wanted, strict=True))
+        for case, stiffnesses in found.items()
+    }
+    ordered = {
+        case: all(high > low for high, low in pairwise(stiffnesses)) for case, stiffnesses in found.items()
+    }
+    numbers = [(", ".join(case), *stiffnesses) for case, stiffnesses in found.items()]
+    both = judge_settable({case: near_all[case] and ordered[case] for case in found}, [1], found=numbers)
+    sizes = judge_settable(near_all, [1])
+    if both.status is ClaimStatus.NOT and sizes.status is not ClaimStatus.NOT:
+        return both.partly()
+    return both
 
 
 def same(ratios: Mapping[str, float], linear: Mapping[str, float], step: float = 1.0) -> Ruling:
@@ -96,13 +126,13 @@ def same_of_plants(ranges: Sequence[tuple[float, float]]) -> Ruling:
     """Return ranges of the dual-rate and of the slow uniform wall on random plants."""
     return judge_share(
         sum(within(over(dual, slow), 1.0, SAME_LINEAR) for dual, slow in ranges), total=len(ranges)
-    )
+    ).following()
 
 
 def half(ratios: Mapping[tuple[str, str, str], float], step: float = 1.0) -> Ruling:
     """Return the range of the fast uniform wall over that of the dual-rate one, by rig, cut-off and reading."""
     cases = {case: HALF_LOW / step <= ratio <= HALF_HIGH * step for case, ratio in ratios.items()}
-    return judge_settable(cases, [1], ratios=list(ratios.values()))
+    return judge_settable(cases, [1], ratios=list(ratios.values())).undecided()
 
 
 def half_of_plants(ranges: Sequence[tuple[float, float]]) -> Ruling:
@@ -119,7 +149,7 @@ def higher_peak(ratios: Mapping[tuple[str, str, str, str], float], step: float =
     for (rig, _, cutoff, _), held in cases.items():
         groups.setdefault(f"{rig}, {cutoff}", []).append(held)
     counts = [(name, sum(held), len(held)) for name, held in groups.items()]
-    return judge_settable(cases, [1, 2], ratios=list(ratios.values()), groups=counts)
+    return judge_settable(cases, [1, 2], ratios=list(ratios.values()), groups=counts).undecided()
 
 
 def loses(curves: Mapping[tuple[str, str, str], Curve], step: float = 1.0) -> Ruling:
