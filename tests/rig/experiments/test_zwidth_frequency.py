@@ -33,7 +33,7 @@ from rig.experiments.mapping.impedance import Judging
 from rig.experiments.mapping.table_one import PAPER, FrequencyWidth, Spread, table_one, tuned_numbers
 from rig.experiments.mapping.zwidth_frequency import TOGETHER, FrequencyMap
 from rig.views.plots._zwidth_frequency import frequency_figure
-from tests.rig.views.conftest import scaled
+from tests.rig.views.conftest import check_axes
 
 CHAWDA = presets.load("chawda-linear")
 MASS, DAMPING = 0.52, 13.2  # kg, N·s/m
@@ -229,11 +229,11 @@ def test_an_excitation_beyond_the_limits_is_refused_before_anything_runs() -> No
 
 
 def test_pictures_of_any_number_of_schemes(rough: Any) -> None:
-    scaled(frequency_figure(rough, theory=linear_curves(rough.plan, 2)))
+    check_axes(frequency_figure(rough, theory=linear_curves(rough.plan, 2)))
     shape = (1, 2, 1, 2)
     asked = plan(SHORT, [FDM], [1e3, 2e3], [0.0])
     nothing = FrequencyMap(asked, [], np.zeros(shape, bool), np.full(shape, math.nan))
-    scaled(frequency_figure(nothing, realisation=0))
+    check_axes(frequency_figure(nothing, realisation=0))
 
 
 def test_tuned_numbers_are_counted_as_in_the_paper() -> None:
