@@ -1,10 +1,10 @@
-"""Laws and estimators as people write them: plain functions that name what they need, compiled when they are defined.
+"""Compile laws and estimators that users write as plain Python functions.
 
-A function asks for its arguments by name, in any order: quantities of this tick, ``memory`` and ``p``. `Parameters` and
-`Memory` are what it sees of its numbers, by the names that its decorator was given; both are arrays underneath, so that
-a loop, a recording and a replay know them as those of any other law.
+The names of a function's arguments select what is passed, in any order: quantities of this tick, ``memory`` and ``p``.
+Inside the function `p` and `memory` have named numbers (`Parameters`, `Memory`). They are stored as arrays, so that a
+loop, a recording and a replay use them like the numbers of a built-in law.
 
-A function that cannot be compiled raises an error of one sentence with its line, never the compiler's own report.
+If a function cannot be compiled, the error is one sentence with the line of the function, not the compiler's report.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": F
 
 
 class Parameters:
-    """Argument `p` of a law or an estimator: each parameter is a constant attribute of that name."""
+    """Argument `p` of a law or an estimator: each parameter is a constant attribute with the parameter's name."""
 
     def __getattr__(self, name: str) -> float:
         raise AttributeError(name)
 
 
 class Memory:
-    """Argument `memory` of a law or an estimator: numbers by name, zero at the start and stored from call to call."""
+    """Argument `memory` of a law or an estimator: named numbers that start at zero and are kept from call to call."""
 
     def __getattr__(self, name: str) -> float:
         raise AttributeError(name)
@@ -63,7 +63,10 @@ class Parameter:
     meaning: str = ""
 
     def checked(self, what: str, name: str, value: float) -> float:
-        """Return the value, if it is a number within the range; `ConfigError` calls it `name` of `what`."""
+        """Return the value as a float; raise `ConfigError` if it is not a number within the range.
+
+        The message names the parameter `name` of `what`, for example ``law 'mine'``.
+        """
         if (
             not isinstance(value, int | float)
             or not self.minimum <= value <= self.maximum
@@ -76,11 +79,12 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """Arguments of a kind of function, the constants that every `p` has, and the text of the kernel around it.
+    """Form of a kind of function (law or estimator): its arguments, common parameters, and the kernel around it.
 
-    `quantities` has, by the name of an argument, its meaning and where the kernel finds it; `around` is the kernel's
-    source, in which ``{call}`` stands for the call of the function, and `names` what that source refers to. `memory` is
-    where that finds ``{count}`` remembered numbers; the parameters begin with those that are `given`.
+    `quantities` maps the name of an argument to its meaning and to its expression in the kernel. `given` are the
+    parameters that every `p` has; they come first. `memory` is the expression of the part of the memory with
+    ``{count}`` numbers. `around` is the source text of the kernel, in which ``{call}`` is replaced by the call of the
+    function; `names` maps the names used in that source to objects.
     """
 
     kind: str
@@ -93,7 +97,7 @@ class Form:
 
 @dataclass(frozen=True, slots=True)
 class Compiled:
-    """A plain function, wrapped in the source of a kernel, with the arguments of its decorator."""
+    """Kernel made from a plain function, with its name, summary, parameters and names of memory."""
 
     name: str
     summary: str
@@ -109,12 +113,12 @@ def compile_function(
     parameters: Mapping[str, float | Parameter],
     memory: Sequence[str],
 ) -> Compiled:
-    """Check a function against its form, compile it and put the source of a kernel around it.
+    """Check the arguments of a function, compile it, and return it with a kernel that calls it.
 
     Raises
     ------
     ConfigError
-        An argument, a parameter or a memory that cannot be, or a function that cannot be compiled.
+        An argument, parameter or name of memory is invalid, or the function cannot be compiled.
     """
     what = f"{form.kind} {getattr(function, '__name__', function)!r}"
     own = {
@@ -148,7 +152,7 @@ def compile_function(
 
 
 def unknown_name(what: str, noun: str, name: str, known: Iterable[str]) -> ConfigError:
-    """Return the error of a name that is not among the known ones, with the closest of them."""
+    """Return the error for an unknown name; its remedy names the closest known name, or else all known names."""
     close = get_close_matches(name, list(known), n=1)
     choice = f"it has {', '.join(known)}" if list(known) else "none is defined"
     return ConfigError(
@@ -170,7 +174,7 @@ def _check_names(what: str, noun: str, names: Iterable[str], taken: Sequence[str
 
 
 def _arguments(form: Form, what: str, function: Callable[..., float], memory: Sequence[str]) -> list[str]:
-    """Return the names of the function's arguments, each of them one that the form knows."""
+    """Return the names of the function's arguments; raise `ConfigError` if the form does not have such an argument."""
     if not inspect.isfunction(function) or inspect.iscoroutinefunction(function):
         raise ConfigError(
             f"{what} is not a plain function", remedy="decorate a function that is defined by def"
@@ -207,7 +211,7 @@ def _compile(
     seen: type[tuple[float, ...]],
     kept: np.dtype[Any],
 ) -> Any:
-    """Return function as compiled code without a heap, so that it cannot allocate; itself where nothing is compiled."""
+    """Return the function compiled so that it cannot allocate, or unchanged if numba's compiler is switched off."""
     if numba.config.DISABLE_JIT:
         return function
     length = len(seen._fields)  # type: ignore[attr-defined]
@@ -259,7 +263,7 @@ _REASONS: tuple[tuple[str, str, str], ...] = (
 
 
 def _reason(text: str, form: Form, seen: type[tuple[float, ...]], kept: np.dtype[Any]) -> tuple[str, str]:
-    """Return the reason and the remedy, from the compiler's report."""
+    """Return reason and remedy for a report of the compiler."""
     names, remembered = list(seen._fields), list(kept.names or ())  # type: ignore[attr-defined]
     for pattern, owner, known in (
         (r"Unknown attribute '(\w+)' of type Parameters", PARAMETERS, names),
@@ -280,7 +284,7 @@ def _reason(text: str, form: Form, seen: type[tuple[float, ...]], kept: np.dtype
 
 
 def _line(text: str, function: Callable[..., float]) -> int | None:
-    """Return the last line of the function that the compiler's report names."""
+    """Return the first line within the function that the compiler's report names; None if it names none."""
     code = function.__code__
     lines = {line for _, _, line in code.co_lines() if line}
     file = re.escape(Path(code.co_filename).name)

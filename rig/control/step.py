@@ -1,21 +1,21 @@
-"""The whole controller for one tick. Everything that renders a wall calls this function and nothing else.
+"""Run the whole controller for one tick. All code that renders a wall calls `step` and no other function.
 
 The order of one tick is normative:
 
-1. the count becomes a position, and the watch looks at what the last effort did on the way to it
-   (`rig.control._watch`);
-2. penetration = side · (position − wall), inside iff above zero, no half-count correction;
+1. the count is converted to a position, and the watch (`rig.control._watch`) checks the energy and the motion that
+   the effort of the previous tick caused;
+2. penetration = side · (position − wall), the handle is inside the wall if it is above zero; no half-count correction;
 3. when the sample index enters a new velocity period, the estimator runs, inside and outside the wall, with
-   the mean of the effort that was active since its last run;
-4. the law gives the wall's reaction from this tick's penetration and the held velocity;
-5. the other sources are added: constant effort or homing servo;
-6. the guard limits the sum once;
-7. the result is rounded to the wire's current quantum;
-8. the caller applies it.
+   the mean effort since its last run;
+4. the law gives the wall's reaction from this tick's penetration and the velocity held since the last velocity sample;
+5. the constant effort or the homing servo is added;
+6. the guard (`rig.control._guard`) limits the sum once;
+7. the result is rounded to whole current quanta of the wire protocol;
+8. the caller sends the current to the device.
 
-`rig.config.controller` fills its arguments; the loop, simulated devices and replays call it. Compiled code here must
-not allocate, wait or read a clock, and the order must not change: a device runs the same law in firmware/law, and an
-old recording has to replay to the same bits.
+`rig.config.controller` fills the arguments of `step`; the loop, simulated devices and replays call it. Compiled code
+here must not allocate, wait or read a clock, and the order must not change: a device runs the same law in firmware/law,
+and an old recording has to replay to the same bits.
 """
 
 from __future__ import annotations
@@ -179,14 +179,15 @@ MEMORY_TYPE = types.Array(numba.from_dtype(MEMORY), 1, "C")
 
 @group
 class ControllerArguments(NamedTuple):
-    """A controller as compiled code takes it; see `step`.
+    """Arguments of a controller for compiled code; see `step`.
 
     Attributes
     ----------
     estimator, law
         Plug points (`rig.realtime.plugs`).
     control, memory
-        Length-1 arrays of `CONTROL` and `MEMORY`; `memory` changes and holds the quantities of the row.
+        Length-1 arrays of `CONTROL` and `MEMORY`; `step` changes `memory`, which also holds the values of the recorded
+        row.
     estimator_f, estimator_i, estimator_parameters
         Memory and parameters of the estimator.
     law_state, law_parameters
@@ -221,7 +222,7 @@ Record = NDArray[np.void]
 
 
 def new_memory() -> Record:
-    """Return the memory of a law that has seen nothing: the first call of `step` starts at index 0."""
+    """Return the memory of a controller before its first sample; the first call of `step` then has sample index 0."""
     memory = np.zeros(1, dtype=MEMORY)
     memory["index"] = -1
     memory["velocity_period"] = -1
@@ -230,7 +231,7 @@ def new_memory() -> Record:
 
 @dataclass(frozen=True, slots=True)
 class ControllerState:
-    """Everything that `step` needs besides the sample: what is wanted, what is remembered, and the two plugs."""
+    """Settings and memory of a controller, with its estimator and its law: all that `step` needs except the sample."""
 
     control: Record
     memory: Record
@@ -238,7 +239,7 @@ class ControllerState:
     law: PreparedLaw
 
     def arguments(self) -> ControllerArguments:
-        """Return what compiled code takes of it: the same arrays, which change."""
+        """Return the arguments of `step`. They contain the arrays of this object, which `step` changes."""
         e, w = self.estimator, self.law
         return ControllerArguments(
             estimator=e.estimator.update,
@@ -253,7 +254,7 @@ class ControllerState:
         )
 
     def copy(self) -> ControllerState:
-        """Return one that a run may change without changing this one."""
+        """Return an independent copy: a run that uses the copy does not change this object."""
         e, w = self.estimator, self.law
         return ControllerState(
             control=self.control.copy(),
@@ -263,12 +264,12 @@ class ControllerState:
         )
 
     def fresh(self, wall: Mapping[str, Any]) -> ControllerState:
-        """Return a copy that has seen nothing more than this one, for another wall (settings by name)."""
+        """Return a copy with the same memory and a new law, designed for `wall` (settings of the wall by name)."""
         settings = {**wall, "tick_s": float(self.control[0]["tick_s"])}
         return replace(self.copy(), law=self.law.law.prepare(settings))
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plain numbers and names from which `from_mapping` makes the same controller, bit for bit."""
+        """Return plain numbers and names from which `from_mapping` restores the same controller, bit for bit."""
         return {
             "control": dict(zip(CONTROL.names or (), self.control[0].tolist(), strict=True)),
             "memory": dict(zip(MEMORY.names or (), self.memory[0].tolist(), strict=True)),
@@ -287,11 +288,11 @@ class ControllerState:
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], *, law: Law | None = None) -> ControllerState:
-        """Return the inverse of `as_mapping`; `law` stands in for one that no table knows.
+        """Return the controller that `as_mapping` described; `law` replaces the named law if it is not registered.
 
-        Raises `rig.core.errors.ConfigError` when estimator or law are not to be found here, and `RecordingError` when
-        the mapping has other fields than `CONTROL` and `MEMORY` (a field left at zero would be another controller), or
-        other sizes than they have (compiled code checks none).
+        Raises `rig.core.errors.ConfigError` if the estimator or the law is unknown, and `RecordingError` if fields of
+        `CONTROL` or `MEMORY` are missing or unknown (a field left at zero would change the controller), or if an array
+        has a wrong size (compiled code checks no sizes).
         """
         try:
             estimator, wall = mapping["estimator"], mapping["law"]
@@ -342,7 +343,7 @@ def _enter(memory: Any, phase: int) -> None:
 
 @kernel(types.int64(CONTROL_TYPE, MEMORY_TYPE), inline=True)
 def _trial_end(control: Any, memory: Any) -> int:
-    """Return the tick at which the trial ends, counted from its start."""
+    """Return the tick at which the trial ends, counted from the start of the trial."""
     c, m = control[0], memory[0]
     # The hold begins at the contact, not at the cue: a person comes into contact when it pleases.
     if c["hold_ticks"] > 0 and m["contact_ticks"] == 0 and m["penetration"] > 0.0:
@@ -352,14 +353,14 @@ def _trial_end(control: Any, memory: Any) -> int:
 
 @kernel(types.int64(MEMORY_TYPE), inline=True)
 def shown_phase(memory: Any) -> int:
-    """Return the phase of the tick for those who watch."""
+    """Return the phase to display: that of the controller, but HOLD after the first contact of a trial."""
     m = memory[0]
     return int(HOLD if m["phase"] == TRIAL and m["contact_ticks"] > 0 else m["phase"])
 
 
 @kernel(types.void(CONTROL_TYPE, MEMORY_TYPE, types.int64), inline=True)
 def advance_phase(control: Any, memory: Any, elapsed_ticks: int) -> None:
-    """Move through homing, settling, free space, trial and release; on return `phase` is that of this tick."""
+    """Advance the phase (homing, settling, free, trial, release, done); afterwards `phase` is that of this tick."""
     c, m = control[0], memory[0]
     phase = m["phase"]
     m["phase_ticks"] += elapsed_ticks
@@ -392,7 +393,7 @@ def advance_phase(control: Any, memory: Any, elapsed_ticks: int) -> None:
 
 @kernel(types.float64(CONTROL_TYPE, MEMORY_TYPE, types.int64), inline=True)
 def _sources(control: Any, memory: Any, elapsed_ticks: int) -> float:
-    """Sum of all efforts of this tick, the wall's included, before the guard."""
+    """Return the sum of all efforts of this tick (N·m or N), the wall included, before the guard limits it."""
     c, m = control[0], memory[0]
     phase = m["phase"]
     if phase in (HOMING, SETTLE):
@@ -414,7 +415,10 @@ def _sources(control: Any, memory: Any, elapsed_ticks: int) -> float:
 
 @kernel(types.void(CONTROL_TYPE, MEMORY_TYPE, types.float64, types.float64, types.int64), inline=True)
 def _watch_effort(control: Any, memory: Any, position: float, penetration: float, elapsed_ticks: int) -> None:
-    """Flag what the effort of the last tick has done; `memory` still has the position that it began at."""
+    """Set ENERGY and VIOLENT if the effort of the previous tick gave too much energy or a violent oscillation.
+
+    `memory` must still contain the position of the previous tick.
+    """
     c, m = control[0], memory[0]
     if m["phase"] not in (TRIAL, RELEASE):
         return
@@ -456,7 +460,7 @@ def _watch_effort(control: Any, memory: Any, position: float, penetration: float
 
 @kernel(types.void(CONTROL_TYPE, MEMORY_TYPE, types.int64, types.int64), inline=True)
 def _watch_standstill(control: Any, memory: Any, count: int, slewed: int) -> None:
-    """Flag an effort of the last tick that, with those before, must have moved the handle away from two counts."""
+    """Set the flag UNMOVED if the efforts so far must have moved the handle, but the count stays on two neighbours."""
     c, m = control[0], memory[0]
     # One tick of impulse for each sample, however many were lost before: there the command may not have arrived.
     if c["impulse_limit"] == 0.0:
@@ -481,7 +485,10 @@ def _watch_standstill(control: Any, memory: Any, count: int, slewed: int) -> Non
 
 @kernel(types.int64(CONTROL_TYPE, MEMORY_TYPE, types.float64, types.int64), inline=True)
 def _guard_effort(control: Any, memory: Any, wanted: float, elapsed_ticks: int) -> int:
-    """Limit, slew and round the sum (steps 6 and 7); flag what acted, and cut when the run must end."""
+    """Limit, slew and round the effort (steps 6 and 7), set the flags, and return the current (quanta).
+
+    The current is 0, and the phase becomes DONE, if a flag ends the run.
+    """
     c, m = control[0], memory[0]
     if not math.isfinite(wanted) or not math.isfinite(m["velocity"]):
         m["flags"] |= NONFINITE
@@ -518,12 +525,12 @@ def _guard_effort(control: Any, memory: Any, wanted: float, elapsed_ticks: int) 
 def step(
     controller: ControllerArguments, count: int, edge_age_s: float, elapsed_ticks: int, current_active: int
 ) -> int:
-    """Run the law for one fresh sample.
+    """Run the controller for one new sample.
 
     Parameters
     ----------
     controller
-        Controller: parameters, memory, and the two plugs.
+        Settings and memory of the controller, its estimator and its law.
     count
         Encoder count of this sample.
     edge_age_s
@@ -531,14 +538,15 @@ def step(
     elapsed_ticks
         Samples since the previous call, 1 when none was lost.
     current_active
-        Current that was active on the device when the sample was taken (quanta). It stands for all elapsed ticks.
+        Current that was active on the device when the sample was taken (quanta). It is used for all elapsed ticks.
 
     Returns
     -------
     int
         The current to command, in quanta of the wire.
 
-    Source: Koul et al., section II and Fig. 2, for the two rates; the order is ours (see above).
+    Source: Koul et al., section II and Fig. 2, for the two rates; the order (module docstring) is defined by this
+    project.
     """
     control, memory = controller.control, controller.memory
     c, m = control[0], memory[0]

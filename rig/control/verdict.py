@@ -1,25 +1,25 @@
-"""The verdict of one hit: stable, limit cycle, unstable or invalid, with every number behind it.
+"""Verdict of one hit (stable, limit cycle, unstable or invalid), with all numbers that decide it.
 
-`rig.control.judging` computes the numbers from the signals of a trial, over its tail, the last `tail_s`:
+`rig.control.judging` computes three ripples from the signals of a trial over its tail, which is its last `tail_s`:
 
-* **felt**: rms velocity between 30 and 500 Hz, from counts by a central difference and a zero-phase filter;
+* **felt**: rms velocity from 30 to 500 Hz, computed from counts by a central difference and a zero-phase filter;
 * **heard**: rms of the commanded effort above 30 Hz;
-* **moved**: peak-to-peak position above 30 Hz, less one count.
+* **moved**: peak-to-peak position above 30 Hz, minus one count.
 
-A rig records the side of its encoder; of the truth, felt and moved are those of the handle, which a hand holds.
+A recording has the motion at the encoder. In simulation, the true felt and moved are those of the handle.
 
-*Invalid* is a trial without a verdict: no contact, a gap too long or too many samples lost or
-late ticks from the first contact on, a binding slew limit, a device that overruled the law, a current that was not the
-one that was set, or saturation without motion. Losses before the contact are counted and reported. *Unstable*: the
-wall was left in the tail, or the ripple grows, or the motor saturates while a threshold is exceeded. *Limit cycle*: not
-unstable, but felt, heard or moved is above its threshold. *Stable*: none of them.
+*Invalid*: the trial cannot be judged. It has no contact, or too long a gap, too many lost samples or late ticks after
+the first contact, or the slew limit acted, the device overruled the law, the measured current differed from the set
+current, or the motor saturated without motion. Losses before the contact are only reported. *Unstable*: the handle left
+the wall in the tail, or the ripple grows, or the motor saturates while a threshold is exceeded. *Limit cycle*: not
+unstable, but felt, heard or moved is above its threshold. *Stable*: none of these conditions holds.
 
-Where a person hits, a wall that was left for good makes the trial invalid if the stay before lasted a period of the
-high pass and was calm until such a period before its end; otherwise it is unstable. A velocity from counts has a floor,
-that of one toggling count: where it exceeds the threshold, *felt* is not measurable and is ignored.
+If a person hits, leaves the wall and does not return, the trial is invalid if the last stay in the wall lasted at least
+one period of the high pass and was calm until one period before its end; otherwise it is unstable. One toggling count
+reads as a velocity, the floor of *felt*. If the floor exceeds the threshold, *felt* is not measurable and is ignored.
 
 Trials, maps, sessions, the console and the analysis of studies use it. It must not open a recording or filter a signal:
-it decides on numbers alone.
+it uses the computed numbers only.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _MAY_BE_NONE = ("felt", "contact_s", "impact_velocity", "settling_s")
 
 
 class Kind(StrEnum):
-    """How a hit ended."""
+    """Outcome of a hit."""
 
     STABLE = "stable"
     LIMIT_CYCLE = "limit cycle"
@@ -55,7 +55,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Thresholds:
-    """Thresholds in the units of the rig; `rig.config.verdict_thresholds` makes them from handle terms."""
+    """Thresholds of a verdict in the units of the rig; `rig.config.verdict_thresholds` computes them."""
 
     tail_s: float
     highpass_hz: float
@@ -73,7 +73,7 @@ class Thresholds:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """Verdict and numbers of one hit, in the units of the rig; None where a number is not measurable."""
+    """Verdict and numbers of one hit, in the units of the rig; a number is None if it is not measurable."""
 
     kind: Annotated[Kind, Quantity("", "verdict")]
     reasons: Annotated[tuple[str, ...], Quantity("", "reasons of the verdict")]
@@ -117,9 +117,9 @@ class Verdict:
 
 
 class Opening(StrEnum):
-    """Beginning of the text of each reason for an invalid trial; it identifies the reason.
+    """First words of the text of each reason for an invalid trial; they identify the reason.
 
-    Recordings and session logs store texts alone. Their readers (`rig.session.planning._reasons`) compare with these
+    Recordings and session logs store only texts. Their readers (`rig.session.planning._reasons`) compare with these
     members, so that a change of wording needs no change anywhere else.
     """
 
@@ -144,7 +144,7 @@ class Opening(StrEnum):
 
 
 class Objection(IntFlag):
-    """Objections to a trial, in the order in which they are reported."""
+    """Reasons against calling a trial stable, as flags, in the order in which they are reported."""
 
     TOO_SHORT = 1
     NEVER_TOUCHED = 2
@@ -179,9 +179,10 @@ _EXCEEDED_BY = dict(zip(CRITERIA, (Objection.FELT, Objection.HEARD, EXCEEDED), s
 
 
 def objections(numbers: Numbers, thresholds: Thresholds) -> Any:
-    """Return objections to trials as bits of `Objection`, for a record of `rig.control._measure.NUMBERS` or an array.
+    """Return the objections to one trial or to each of several, as bits of `Objection`.
 
-    The thresholds must be those that the numbers were measured with: where the floor hides it, felt is NaN.
+    `numbers` is a record of `rig.control._measure.NUMBERS` or an array of them. The thresholds must be those used for
+    the measurement, because felt is NaN if its floor exceeded the threshold.
     """
     n: Any = numbers
     # Plain numbers are compared ten times as fast as numpy's scalars.
@@ -232,7 +233,7 @@ def objections(numbers: Numbers, thresholds: Thresholds) -> Any:
 
 
 def kinds(numbers: Numbers, thresholds: Thresholds) -> NDArray[np.int64]:
-    """Return the place in `KINDS` of each trial: as `decide`, without texts."""
+    """Return the index into `KINDS` for each trial: the same outcome as `decide`, without texts."""
     codes: NDArray[np.int64] = _codes(objections(numbers, thresholds))
     return codes
 
@@ -247,18 +248,18 @@ def decide(numbers: np.void, thresholds: Thresholds) -> tuple[Kind, tuple[str, .
 
 @dataclass(frozen=True)
 class Measured:
-    """A trial as numbers, with what follows from them: a verdict without its texts.
+    """Numbers of one trial, and the outcome that they imply.
 
     Attributes
     ----------
     numbers
         One record of `rig.control._measure.NUMBERS`.
     thresholds
-        Those that it was measured with.
+        Thresholds used for the measurement.
     thrown_out
-        True if a guard ended the push because the handle left its window or went too fast, or the motor gave too much
-        energy or oscillated violently (`rig.control._watch`), which the signals before do not show. After contact that
-        is unstable, without it invalid.
+        True if a guard ended the run: the handle left its window or was too fast, or the motor gave too much energy or
+        oscillated violently (`rig.control._watch`). The signals up to that tick do not show it. The trial is then
+        unstable after a contact, and invalid without a contact.
     """
 
     numbers: np.void
@@ -279,7 +280,7 @@ class Measured:
 
     @property
     def by_machine(self) -> bool:
-        """Return True if it is invalid only for gaps or late ticks: a repeat of the same hit may be valid."""
+        """Return True if only gaps or late ticks make the trial invalid, so that a repeated hit may be valid."""
         # A device whose command is late overrules the law: beside a gap or late ticks that is the same fault.
         against = self.found & INVALID
         return (
@@ -288,7 +289,7 @@ class Measured:
 
     @cached_property
     def verdict(self) -> Verdict:
-        """Return the outcome, reasons and numbers, by the signals alone (see `overrule` for the rest)."""
+        """Return outcome, reasons and numbers from the signals only; `overrule` adds other reasons."""
         kind, reasons = decide(self.numbers, self.thresholds)
         shown = {
             name: self.numbers[name].item() for name in Verdict.__dataclass_fields__ if name not in _WORDS
@@ -297,7 +298,7 @@ class Measured:
         return Verdict(kind=kind, reasons=reasons, **shown)
 
     def passes(self, criterion: str) -> bool | None:
-        """Return True if the wall lies within the Z-width under a criterion; None when the trial does not show it.
+        """Return True if the wall lies within the Z-width under a criterion; None if the trial cannot decide it.
 
         Parameters
         ----------
@@ -306,10 +307,10 @@ class Measured:
 
         Notes
         -----
-        A wall fails whose trial is unstable, or exceeds the criterion's own threshold, or touched the wall and was out
-        of it for the whole tail or left it there. Every other invalid trial shows nothing, except one that is still
-        settling. Where *felt* is not measurable it exceeds nothing: a Z-width under ``felt`` is one of truths, or of a
-        fine encoder.
+        A wall fails if the trial is unstable, exceeds the criterion's own threshold, or if the handle touched the wall
+        and was outside of it for the whole tail or left it in the tail. Other invalid trials give None, except a trial
+        that is still settling. If *felt* is not measurable it exceeds no threshold: use ``felt`` only with true signals
+        or a fine encoder.
         """
         if self.thrown_out and not self.found & Objection.CURRENT:
             return False if self.numbers["contact_s"] >= 0.0 else None
@@ -322,19 +323,19 @@ class Measured:
 
 
 def overrule(verdict: Verdict, kind: Kind, reason: str) -> Verdict:
-    """Return the same numbers with another outcome, for a reason that the signals do not show."""
+    """Return the verdict with another outcome and an additional reason, which the signals do not show."""
     return replace(verdict, kind=kind, reasons=(reason, *verdict.reasons))
 
 
 def _codes(found: Any) -> Any:
-    """Return index into `KINDS`: what makes a trial invalid outweighs what it shows, and instability a limit cycle."""
+    """Return indices into `KINDS`: invalid takes precedence over unstable, unstable over limit cycle."""
     invalid, unstable, exceeded = ((found & int(bits)) != 0 for bits in (INVALID, UNSTABLE, EXCEEDED))
     shown = 2 * unstable + (unstable ^ True) * exceeded
     return 3 * invalid + (invalid ^ True) * shown
 
 
 def percent(share: float) -> str:
-    """Return a share in per cent, to two digits."""
+    """Return a share from 0 to 1 as a text in per cent with two digits, such as "12 %"."""
     # Not .2g for all: 100 % would read 1e+02 %.
     return f"{100 * share:{'.0f' if share >= 0.1 else '.2g'}} %"
 
