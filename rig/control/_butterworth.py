@@ -1,7 +1,7 @@
 """Butterworth filters as second-order sections: the bilinear, prewarped design.
 
-`scipy.signal.butter` has it, and takes a second to load, which every hit would spend on these few lines. They go its
-steps, so that sections and coefficients are the same (a test compares).
+`scipy.signal.butter` gives the same sections and coefficients (a test compares them), but takes a second to load, which
+every hit would need.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ _TWICE_RATE = 4.0  # of the analogue prototype, whose sampling rate is 2
 
 
 def low_pass(order: int, cutoff_hz: float, rate_hz: float) -> list[list[float]]:
-    """Return the sections b0, b1, b2, 1, a1, a2, the fastest poles first; the gain is in the first."""
+    """Return the sections (b0, b1, b2, 1, a1, a2) of a low pass, fastest poles first; the first contains the gain."""
     corner = _prewarp(cutoff_hz, rate_hz)
     return _sections(corner * _prototype(order), -np.ones(order), corner**order)
 
 
 def high_pass(order: int, cutoff_hz: float, rate_hz: float) -> list[list[float]]:
-    """Return the sections of a high pass of even order, as `low_pass`."""
+    """Return the sections (b0, b1, b2, 1, a1, a2) of a high pass of even order, fastest poles first."""
     prototype = _prototype(order)
     return _sections(
         _prewarp(cutoff_hz, rate_hz) / prototype, np.ones(order), float(np.real(1.0 / np.prod(-prototype)))
@@ -29,7 +29,7 @@ def high_pass(order: int, cutoff_hz: float, rate_hz: float) -> list[list[float]]
 
 
 def band_pass(low_hz: float, high_hz: float, rate_hz: float) -> list[list[float]]:
-    """Return the sections of a band pass with two poles for each edge, as `low_pass`."""
+    """Return the sections (b0, b1, b2, 1, a1, a2) of a band pass with two poles for each edge, fastest poles first."""
     low, high = _prewarp(low_hz, rate_hz), _prewarp(high_hz, rate_hz)
     width, middle = high - low, math.sqrt(low * high)
     half = (_prototype(2) * width / 2).astype(complex)
@@ -47,9 +47,10 @@ def _prototype(order: int) -> Any:
 
 
 def _sections(analogue: Any, zeros: Any, gain: float) -> list[list[float]]:
-    """Return the sections of analogue poles, with zeros of the sampled filter, ±1, each given to the poles next to it.
+    """Return the sections for poles of the analogue filter and zeros (±1) of the sampled filter.
 
-    The zeros at +1 are those that the analogue filter has at rest.
+    Each section gets the zeros nearest to its poles. The zeros at +1 are those of the analogue filter at zero
+    frequency.
     """
     poles = (_TWICE_RATE + analogue) / (_TWICE_RATE - analogue)
     at_rest = np.zeros(int(np.sum(zeros > 0.0)))

@@ -1,24 +1,23 @@
-"""Fixed-point numbers as an FPGA or a microcontroller without FPU has them, to the bit, on int64.
+"""Fixed-point arithmetic of an FPGA or a microcontroller without FPU, bit-exact, on int64.
 
 A number is an integer that stands for integer · 2^−f. Its format is written Q*m.f*: m bits before the binary point,
 the sign's among them, and f behind it, in a word of w = m + f bits, two's complement: −2^(w−1) … 2^(w−1) − 1.
 
-* What does not fit *saturates*.
-* Sums of products are taken whole, in 64 bits, and *rounded once*, when they are shifted back to their format.
+* A value that does not fit *saturates*.
+* Sums of products are exact, in 64 bits, and *rounded once*, when they are shifted back to their format.
   Designs (`design_biquad`, `rig.control._fixed_wall.design_wall`) prove that no sum overflows.
-* Rounding has a name: ``floor`` (an arithmetic shift, what ``>>`` does), ``zero`` (towards zero, what C's ``/``
-  does) or ``nearest`` (half a unit is added before the shift: halves go towards +∞, as in `rig.control._guard`).
+* Rounding is ``floor`` (arithmetic shift, like ``>>``), ``zero`` (towards zero, like ``/`` in C) or ``nearest`` (half a
+  unit is added before the shift: halves are rounded towards +∞, also in `rig.control._guard`).
 
-What rounding does to a low pass, in units of the last bit of its output (LSB), with S = 1 + a1 + a2. A steady output
-solves S·y = Σb·x + ε, where ε is what the rounding adds: within ±½ for nearest, −1 to 0 for floor, up to 1 towards
-zero for zero. So:
+Effects of rounding on a low pass, in units of the last bit of its output (LSB), with S = 1 + a1 + a2. A steady output
+solves S·y = Σb·x + ε. The rounding error ε is within ±½ for nearest, −1 to 0 for floor, up to 1 towards zero for zero:
 
-* *Dead zone.* A steady input reads up to e/S LSB wrong, and when it is smaller than that, as zero from rest: e = ½ for
-  nearest, 1 for the others. S falls with the square of cut-off over rate: a filter that is harmless at 2 kHz may
-  swallow whole counts at 20 kHz.
-* *Bias.* Floor reads low: after a motion (either way, for a low pass overshoots) it rests below zero, for ever, by up
-  to 1/S LSB. Nearest rests up to ½/S LSB off on either side; rounding to zero comes back to zero.
-* *Gain at rest.* Σb/S in rounded coefficients, which a low cut-off can round to anything, zero included.
+* *Dead zone.* The output for a steady input is wrong by up to e/S LSB; for a smaller input the output stays at zero
+  from rest. e is ½ for nearest, 1 for floor and zero. S falls with the square of cut-off over rate: a filter without a
+  dead zone of a count at 2 kHz may have one at 20 kHz.
+* *Bias.* With floor the output after a motion in either direction stays below zero, by up to 1/S LSB (a low pass
+  overshoots). With nearest it stays up to ½/S LSB above or below zero; with zero it returns to zero.
+* *Gain at rest.* Σb/S of the rounded coefficients; at a low cut-off it can be any value, including zero.
 * *Limit cycles.* Errors of changing sign can add up to e·Σ|g| LSB at most, g the impulse response of 1/A(z).
 
 Source: Koul et al., section III, whose FPGA filtered in fixed point of a word length that the paper does not give.
@@ -61,7 +60,7 @@ def divide(numerator: int, denominator: int, rounding: int) -> int:
 
 @kernel("i8(i8, i8)", inline=True)
 def saturate(value: int, word_bits: int) -> int:
-    """Return the nearest value that fits a two's complement word."""
+    """Return the value limited to the range of a two's complement word of `word_bits` bits."""
     # Not wrapped, as two's complement would: a velocity that wrapped would push the wrong way.
     limit = 1 << (word_bits - 1)
     return min(max(value, -limit), limit - 1)
@@ -69,7 +68,7 @@ def saturate(value: int, word_bits: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """The format Qm.f of a number: a word of `word_bits`, of which `fraction_bits` lie behind the binary point."""
+    """Number format Qm.f: a word of `word_bits` bits, of which `fraction_bits` are behind the binary point."""
 
     word_bits: int
     fraction_bits: int
@@ -88,7 +87,10 @@ class Format:
         return -(1 << (self.word_bits - 1)), (1 << (self.word_bits - 1)) - 1
 
     def quantised(self, value: float, what: str = "a value") -> int:
-        """Return the nearest integer of this format, halves towards +∞; `ConfigError` when it does not fit."""
+        """Return the nearest integer of this format, halves towards +∞; raise `ConfigError` if the value does not fit.
+
+        The message calls the value `what`.
+        """
         numerator, denominator = value.as_integer_ratio()
         integer = (2 * (numerator << self.fraction_bits) + denominator) // (2 * denominator)
         least, greatest = self.limits
@@ -102,13 +104,13 @@ class Format:
 
 @dataclass(frozen=True, slots=True)
 class Biquad:
-    """A second-order low pass in fixed point, and what rounding makes of it.
+    """A second-order low pass in fixed point, with its gain at rest and dead zone after rounding.
 
     Run it in direct form I with one rounding,
 
         y = saturate(shift_right(b0·x + b1·x1 + b2·x2 − a1·y1 − a2·y2, coefficient_bits, rounding), state.word_bits),
 
-    with x and y in the format `state`. `dead_zone` is in LSB of the state: see the module's text.
+    with x and y in the format `state`. `dead_zone` is in LSB of `state` (explained in the module docstring).
     """
 
     b0: int
@@ -145,13 +147,13 @@ def design_biquad(
     rounding
         One of `ROUNDINGS`, for the output; coefficients are rounded to the nearest.
     unit_gain
-        Let b1 take the remainder that makes the gain at rest exactly 1; False leaves all as rounded.
+        True: adjust b1 so that the gain at rest is exactly 1. False: keep each rounded coefficient.
 
     Raises
     ------
     ConfigError
-        Too few bits: unstable, or gain at rest or 1 + a1 + a2 off by more than `TOLERANCE`; too many: a sum could
-        overflow 64 bits.
+        Too few bits: the filter is unstable, or the gain at rest or 1 + a1 + a2 changes by more than `TOLERANCE`. Too
+        many bits: a sum could overflow 64 bits.
     """
     form = Format(coefficient_bits + 3, coefficient_bits)
     one = 1 << coefficient_bits

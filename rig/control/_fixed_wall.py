@@ -1,15 +1,15 @@
-"""The wall and its guard in fixed point: counts in, current quanta out, the oracle of a firmware.
+"""The wall and its guard in fixed point, from counts to current quanta: the reference that firmware must match.
 
-What `rig.control._wall` and `rig.control._guard` do in SI and floating point, in integers that the host scales and the
-device only multiplies. Formats (`rig.control._fixed_point` says what they mean):
+The same law as `rig.control._wall` and `rig.control._guard`, which use SI units and floating point. The host scales the
+integers; the device only multiplies them. Formats (explained in `rig.control._fixed_point`):
 
     depth      Q24.8, counts            direction · (count − reference) · 2^8 − surface
-    velocity   as the estimator has it, counts per velocity period; positive with rising counts
+    velocity   format of the estimator, counts per velocity period; positive with rising counts
     gains      31 bits and a sign       stiffness in quanta per LSB of depth, damping in quanta per LSB of velocity
     sums       64 bits, `shift` fractional bits, in current quanta
 
-`shift` is the binary point of gains, sums and constant effort alike, so that the wall is two products, one sum and one
-rounding to the nearest quantum. The slew limit is excluded: in a trial it may not act (`rig.control.step`).
+Gains, sums and the constant effort all have `shift` fractional bits, so that the wall is two products, one sum and one
+rounding to the nearest quantum. There is no slew limit: in a trial it may not act (`rig.control.step`).
 
 Source: Koul et al., equation (1), rendered there by an FPGA in fixed point.
 """
@@ -35,7 +35,7 @@ PRECISION = 1e-3  # relative, of a gain that is not zero
 
 
 class FixedWall(NamedTuple):
-    """A wall, its constant effort and its guard in integers, ready for `current_quanta` or for a device."""
+    """Integers of a wall, its constant effort and its guard, for `current_quanta` or for a device."""
 
     reference: int  # count at position zero
     direction: int  # ±1: the wall is entered with rising or falling counts
@@ -55,7 +55,7 @@ WALL = types.NamedUniTuple(types.int64, len(FixedWall._fields), FixedWall)
 
 @kernel(types.int64(types.int64, WALL), inline=True)
 def depth(count: int, wall: FixedWall) -> int:
-    """Return the penetration in counts · 2^8, saturated; the wall exists for values above zero only."""
+    """Return the penetration in counts · 2^8, saturated; above zero the handle is inside the wall."""
     travel = wall.direction * count_difference(count, wall.reference)
     return saturate((travel << DEPTH_BITS) - wall.surface, DEPTH_WORD)
 
@@ -64,7 +64,7 @@ def depth(count: int, wall: FixedWall) -> int:
 def reaction(penetration: int, velocity: int, wall: FixedWall) -> int:
     """Return the reaction of the wall in quanta · 2^shift, positive towards free space.
 
-    `penetration` comes from `depth`; `velocity` is the estimator's, in its LSB, positive with rising counts.
+    `penetration` is the result of `depth`; `velocity` is in LSB of the estimator's format, positive with rising counts.
     """
     if penetration <= 0:
         return 0
@@ -79,23 +79,23 @@ def reaction(penetration: int, velocity: int, wall: FixedWall) -> int:
 
 @kernel(types.int64(types.int64, WALL), inline=True)
 def limit_current(total: int, wall: FixedWall) -> int:
-    """Return the current of an effort in quanta · 2^shift: nearest quantum, halves towards +∞, within ±limit."""
+    """Return the current (quanta) for an effort in quanta · 2^shift: nearest, halves towards +∞, within ±limit."""
     quanta = shift_right(total, wall.shift, NEAREST)
     return min(max(quanta, -wall.limit), wall.limit)
 
 
 @kernel(types.int64(types.int64, types.int64, WALL))
 def current_quanta(count: int, velocity: int, wall: FixedWall) -> int:
-    """Return the current to command for a count and the held velocity.
+    """Return the current to command for a count and a velocity.
 
     Parameters
     ----------
     count
-        Encoder count, of a 32-bit counter that may have wrapped.
+        Count of the encoder, from a 32-bit counter that may have wrapped.
     velocity
         Counts per velocity period in LSB of the estimator's format, positive with rising counts.
     wall
-        From `design_wall`.
+        Result of `design_wall`.
 
     Returns
     -------
@@ -122,7 +122,7 @@ def design_wall(
     may_pull: bool = False,
     entry_only: bool = False,
 ) -> FixedWall:
-    """Scale a wall to integers.
+    """Return the integers of a wall that is given in SI units.
 
     Parameters
     ----------
@@ -131,9 +131,9 @@ def design_wall(
     resolution
         Travel for one count (rad or m), negative when counts fall while the position rises.
     period_s
-        Velocity period T2 (s), to which `velocity` counts.
+        Velocity period T2 (s); `velocity` is in counts per period.
     velocity
-        Format of the velocity that the wall will be given (counts per period).
+        Format of the velocity that `current_quanta` receives (counts per period).
     effort_quantum
         Effort of one current quantum (N·m or N).
     effort_limit
@@ -141,9 +141,9 @@ def design_wall(
     wall_position, side
         Surface of the wall from the reference (rad or m), and +1 when it is entered with rising position.
     constant_effort
-        Added inside and outside the wall (N·m or N), positive with position.
+        Effort added inside and outside the wall (N·m or N), positive with position.
     added_effort
-        Largest size of an effort that the device will add besides, for which the sums keep room (N·m or N).
+        Largest magnitude of a further effort that the device adds; the sums keep room for it (N·m or N).
     reference_count
         Count at position zero.
     may_pull, entry_only
@@ -152,7 +152,7 @@ def design_wall(
     Raises
     ------
     ConfigError
-        A value that its word cannot hold, or a gain that it can hold to less than `PRECISION`.
+        A value does not fit its word, or the relative error of a rounded gain exceeds `PRECISION`.
     """
     delta = abs(resolution)
     gains = {  # quanta per LSB
@@ -197,9 +197,9 @@ def design_wall(
 
 
 def _greatest_shift(gains: tuple[float, ...], added: float, velocity: Format) -> int:
-    """Return fractional bits with which the gains fit their word and no sum leaves 64 bits; at least one such exists.
+    """Return the largest number of fractional bits, 1 to `MOST_SHIFT`, with which no gain and no sum overflows.
 
-    Without any fractional bit the gains are below 2^31 and so are depth, velocity and constant.
+    Raises `ConfigError` if even one bit makes a gain or a sum overflow.
     """
     # Whatever the count and the velocity: the proof that the device needs no check of its sums.
     extremes = (DEPTH.limits[1], -velocity.limits[0])

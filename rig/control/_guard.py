@@ -1,7 +1,7 @@
-"""Last check of an effort before it is sent: finite, within its limit, within its slew, in whole current quanta.
+"""Last steps before an effort is sent: zero if not finite, clip to its limit, limit its slew, round to current quanta.
 
-`rig.control.step` calls each function once and in this order. The device repeats the limits; nothing else on the host
-may clip.
+`rig.control.step` calls each function once and in this order. The device applies its limits again; no other code on the
+host may clip an effort.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from rig.realtime.kernel import kernel
 
 @kernel("f8(f8, f8)", inline=True)
 def clip_effort(effort: float, limit: float) -> float:
-    """Clip an effort to ±limit; a value that is not finite gives zero (the caller flags it)."""
+    """Return the effort clipped to ±limit (N·m or N); 0 if it is not finite (the caller sets the flag)."""
     # min and max would turn a NaN into a limit, which is full effort.
     if not math.isfinite(effort):
         return 0.0
@@ -24,12 +24,12 @@ def clip_effort(effort: float, limit: float) -> float:
 
 @kernel("f8(f8, f8, f8)", inline=True)
 def limit_slew(effort: float, previous: float, step: float) -> float:
-    """Keep an effort within ±step of the previous one."""
+    """Return the effort limited to within ±step of the previous effort (N·m or N)."""
     return min(max(effort, previous - step), previous + step)
 
 
 @kernel("f8(f8, f8)", inline=True)
 def current_quanta(effort: float, effort_quantum: float) -> float:
-    """Return the current command for an effort, in whole quanta of the wire: nearest, halves towards +∞, within i16."""
+    """Return the current (whole quanta of the wire) for an effort: nearest, halves towards +∞, within ±32767."""
     # floor(x + ½) and not round, which takes halves to even: firmware/law and old recordings have halves towards +∞.
     return float(np.floor(min(max(effort / effort_quantum + 0.5, -32767.0), 32767.0)))

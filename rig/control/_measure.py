@@ -1,8 +1,8 @@
-"""Every number of a verdict from the arrays of one trial, in one compiled call that allocates nothing.
+"""Compute all numbers of a verdict from the arrays of one trial, in one compiled call that allocates nothing.
 
-One function measures recordings and simulated trials; `rig.control.verdict` turns the numbers into a kind.
+`measure` is used for recordings and for simulated trials; `rig.control.verdict` derives the outcome from the numbers.
 
-`rig.control.judging`, simulated maps and tests call it. It must not allocate, and must not decide.
+`rig.control.judging`, simulated maps and tests call it. It must not allocate, and must not decide the outcome.
 """
 
 from __future__ import annotations
@@ -144,7 +144,10 @@ NUMBERS_TYPE = types.Array(numba.from_dtype(NUMBERS), 1, "C")
 
 @dataclass(frozen=True, slots=True)
 class Filters:
-    """High pass and band pass of a rate: their coefficients (one row for each section) and how long they remember."""
+    """Coefficients of the high pass and the band pass, and the ticks after which both have forgotten an old sample.
+
+    `sections` has one row (b0, b1, b2, a1, a2) for each second-order section.
+    """
 
     sections: Floats
     lead_ticks: int
@@ -152,9 +155,9 @@ class Filters:
 
 @lru_cache(maxsize=64)
 def filters(tick_s: float, highpass_hz: float, lowpass_hz: float) -> Filters:
-    """Design the filters: Butterworth, two poles for each edge.
+    """Design the high pass and the band pass: Butterworth filters with two poles for each edge.
 
-    The upper corner is dropped where it would reach Nyquist.
+    The upper corner of the band is omitted if it is at or above 0.45 of the rate.
     """
     rate_hz = 1.0 / tick_s
     highpass = high_pass(2, highpass_hz, rate_hz)
@@ -170,7 +173,7 @@ def filters(tick_s: float, highpass_hz: float, lowpass_hz: float) -> Filters:
 
 @kernel(types.int64(_SIGNAL, _SIGNAL, SETTINGS_TYPE, NUMBERS_TYPE), no_refcount=True)
 def _contact(effort: Floats, penetration: Floats, settings: Records, numbers: Records) -> int:
-    """Measure first contact, exits and peaks; return the tick of the last exit."""
+    """Write first contact, exits, stay and peaks into `numbers`; return the tick of the last exit from the wall."""
     s, n = settings[0], numbers[0]
     ticks = penetration.shape[0]
     begin = max(0, ticks - s["tail_ticks"])
@@ -204,7 +207,7 @@ def _contact(effort: Floats, penetration: Floats, settings: Records, numbers: Re
 
 @kernel(types.void(_FLAGS, SETTINGS_TYPE, NUMBERS_TYPE), no_refcount=True)
 def _marks(flags: Ints, settings: Records, numbers: Records) -> None:
-    """Count each flag and the losses, over the trial and from the contact on; `_contact` must run before."""
+    """Write the counts of flags and lost samples, in the whole trial and after the contact. Run `_contact` before."""
     s, n = settings[0], numbers[0]
     ticks = flags.shape[0]
     begin = max(0, ticks - s["tail_ticks"])
@@ -242,9 +245,9 @@ def _marks(flags: Ints, settings: Records, numbers: Records) -> None:
 
 @kernel(types.float64(_SIGNAL, SETTINGS_TYPE), no_refcount=True)
 def _toggling_hz(position: Floats, settings: Records) -> float:
-    """Return half the rate in the tail of those changes of the count that are no motion in the band (Hz).
+    """Return the frequency (Hz) at which the count toggles in the tail: half the rate of changes that are not motion.
 
-    Changes against the direction of the one before count, and slow steps of a creeping count.
+    A change counts if it is against the direction of the previous change, or if it is a slow step of a creeping count.
     """
     # No spectrum: its highest line is undefined for toggling without a period, whose velocity in the band depends on
     # the rate of changes alone. A toggling count changes direction twice in a period whatever its duty cycle. Pulses
@@ -274,7 +277,7 @@ def _toggling_hz(position: Floats, settings: Records) -> float:
 
 @kernel(types.int64(_SIGNAL, types.float64), inline=True, no_refcount=True)
 def _toggles(position: Floats, resolution: float) -> int:
-    """Return the longest run of changes of the count between two neighbours: that of a dead channel."""
+    """Return the largest number of successive changes between two neighbouring counts: large for a dead channel."""
     most = changes = 0
     low = position[0]
     for k in range(1, position.shape[0]):
@@ -289,10 +292,10 @@ def _toggles(position: Floats, resolution: float) -> int:
 
 @kernel(types.float64(types.float64, types.float64, types.float64, types.float64))
 def toggling_floor(frequency_hz: float, resolution: float, highpass_hz: float, lowpass_hz: float) -> float:
-    """Return the velocity rms (rad/s or m/s) that one count reads when it toggles at a frequency.
+    """Return the rms velocity (rad/s or m/s) that a count reads within the band if it toggles at `frequency_hz`.
 
-    A square wave of height Δ at f Hz has odd harmonics whose velocities all have the rms 2√2·f·Δ; those in the band
-    add up in power.
+    A square wave of height Δ at f Hz has odd harmonics. The velocity of each has the rms 2√2·f·Δ; the powers of those
+    within the band are added.
     """
     # With no harmonic in the band at least one: the band's edges let a part of the fundamental through.
     harmonics = 0
@@ -307,7 +310,7 @@ def toggling_floor(frequency_hz: float, resolution: float, highpass_hz: float, l
 def _section(
     x: float, s1: float, s2: float, b0: float, b1: float, b2: float, a1: float, a2: float
 ) -> tuple[float, float, float]:
-    """Return output and new state of a second-order section in transposed direct form II after one sample."""
+    """Return output and both new states of a second-order section (transposed direct form II) for the sample `x`."""
     y = b0 * x + s1
     return y, (b1 * x + s2) - a1 * y, b2 * x - a2 * y
 
@@ -316,7 +319,7 @@ def _section(
 def _ripple_and_travel(
     position: Floats, effort: Floats, settings: Records, sections: Floats, numbers: Records
 ) -> None:
-    """Measure effort and position above the high pass: heard, growth and moved."""
+    """Write heard, moved and growth in the tail, and heard and moved of the stay in the wall (above the high pass)."""
     s, n = settings[0], numbers[0]
     ticks = position.shape[0]
     begin = max(0, ticks - s["tail_ticks"])
@@ -366,7 +369,7 @@ def _inner_velocity(position: Floats, velocity: Floats, rate_hz: float, k: int) 
 
 @kernel(types.float64(_SIGNAL, _SIGNAL, types.float64, types.int64), inline=True, no_refcount=True)
 def _velocity(position: Floats, velocity: Floats, rate_hz: float, k: int) -> float:
-    """Return the velocity at a tick, mirrored beyond both ends; without a signal of its own the central difference."""
+    """Return the velocity at tick `k`, mirrored beyond both ends; the central difference if `velocity` is empty."""
     last = position.shape[0] - 1
     mirrored = abs(k) if k <= last else 2 * last - k
     return _inner_velocity(position, velocity, rate_hz, mirrored)
@@ -374,7 +377,10 @@ def _velocity(position: Floats, velocity: Floats, rate_hz: float, k: int) -> flo
 
 @kernel(types.float64(_SIGNAL, _SIGNAL, SETTINGS_TYPE, SECTIONS_TYPE, _SCRATCH_TYPE), no_refcount=True)
 def _felt(position: Floats, velocity: Floats, settings: Records, sections: Floats, scratch: Floats) -> float:
-    """Return the rms of the velocity in the band, zero phase: forth into the scratch, then back."""
+    """Return the rms velocity (rad/s or m/s) within the band over the tail, filtered forwards and then backwards.
+
+    The forward pass writes to `scratch`. Filtering in both directions cancels the phase.
+    """
     s = settings[0]
     ticks, rate_hz = position.shape[0], 1.0 / s["tick_s"]
     begin = max(0, ticks - s["tail_ticks"])
@@ -402,9 +408,10 @@ def _felt(position: Floats, velocity: Floats, settings: Records, sections: Float
 
 @kernel(types.float64(_SIGNAL, types.int64, types.int64), no_refcount=True)
 def _end_slope(position: Floats, first: int, last: int) -> float:
-    """Return the slope for one tick, at the last of some ticks, of the parabola through them with the least squares.
+    """Return the slope (travel in one tick) at tick `last` of a parabola fitted to ticks `first` to `last`.
 
-    Sums over polynomials that are orthogonal on an even grid: u and u² - mean(u²), u counted from the middle.
+    The fit has the least squared error. It uses the polynomials u and u² − mean(u²), which are orthogonal on an even
+    grid; u counts ticks from the middle.
     """
     # Not a straight line: it reads the velocity of half the span earlier, which a push has raised by a fifth since.
     count = last - first + 1.0
@@ -431,7 +438,7 @@ def _rest_and_impact(
     scratch: Floats,
     numbers: Records,
 ) -> None:
-    """Measure resting penetration, settling time (`rig.control.verdict.Verdict`) and velocity at impact."""
+    """Write resting penetration, settling time and velocity at impact (see `rig.control.verdict.Verdict`)."""
     s, n = settings[0], numbers[0]
     ticks = penetration.shape[0]
     begin = max(0, ticks - s["tail_ticks"])
@@ -462,7 +469,7 @@ def _rest_and_impact(
 
 @kernel(types.void(NUMBERS_TYPE, types.int64), no_refcount=True)
 def _write_nothing(numbers: Records, ticks: int) -> None:
-    """Write the numbers of a trial that is too short to measure."""
+    """Write the numbers of a trial that is too short to measure: zeros, and NaN where a verdict has None."""
     n = numbers[0]
     n["felt"] = n["contact_s"] = n["impact_velocity"] = n["settling_s"] = math.nan
     n["felt_floor"] = n["heard"] = n["moved"] = n["growth"] = 0.0
@@ -492,19 +499,19 @@ def measure(
     scratch: Floats,
     numbers: Records,
 ) -> None:
-    """Measure one trial.
+    """Compute all numbers of one trial.
 
     Parameters
     ----------
     position, velocity, effort, penetration
-        One value for each tick (units of the rig); `velocity` may be empty and is then derived from `position`.
+        One value for each tick (units of the rig); if `velocity` is empty, it is derived from `position`.
     flags
-        Bits of `rig.core.sample.RowFlag`, `OVERRULED`, and samples lost just before << `LOST_BITS`.
+        Bits of `rig.core.sample.RowFlag` and `OVERRULED`, plus the number of samples lost just before << `LOST_BITS`.
     settings, sections, scratch
         One record of `SETTINGS`, `Filters.sections`, and at least `tail_ticks` + `pad_ticks` values to overwrite.
     numbers
-        One record of `NUMBERS`, written whole. A trial of fewer than `FEWEST_TICKS` has zeros, and NaN where a
-        verdict says None.
+        One record of `NUMBERS`; all of it is overwritten. For a trial of fewer than `FEWEST_TICKS` ticks it gets zeros,
+        and NaN where a verdict has None.
     """
     n = numbers[0]
     ticks = position.shape[0]
@@ -533,7 +540,7 @@ def measure(
 
 @group
 class MeterArguments(NamedTuple):
-    """A meter as compiled code takes it: settings of recorded and of true trials, and what `measure` takes besides."""
+    """Arguments of `measure` for compiled code; `recorded` and `true` are settings for recorded and true signals."""
 
     recorded: Annotated[Records, types.Array(numba.from_dtype(SETTINGS), 1, "C")]
     true: Annotated[Records, types.Array(numba.from_dtype(SETTINGS), 1, "C")]
@@ -545,7 +552,7 @@ METER_TYPE = type_of(MeterArguments)
 
 
 class Meter:
-    """Measures trials of one kind, one after the other: filters, and scratch for the longest.
+    """Filters, settings and work memory to measure any number of trials with the same tick and thresholds.
 
     Parameters
     ----------
@@ -558,8 +565,8 @@ class Meter:
 
     Notes
     -----
-    Not to be shared between threads. Signals are float64 arrays of equal length, of any stride: columns of a bigger
-    array need no copy. `flags` are int64, as `measure` takes them.
+    Use one object for each thread. Signals are float64 arrays of equal length and any stride: columns of a larger
+    array need no copy. `flags` are int64; `measure` explains their bits.
     """
 
     def __init__(
@@ -590,7 +597,7 @@ class Meter:
         self._no_velocity = np.zeros(0)
 
     def arguments(self) -> MeterArguments:
-        """Return what a kernel takes that calls `measure` itself."""
+        """Return the arguments for a kernel that calls `measure` itself."""
         return MeterArguments(
             recorded=self._recorded, true=self._true, sections=self._sections, scratch=self._scratch
         )
@@ -603,14 +610,14 @@ class Meter:
         flags: Ints,
         velocity: Floats | None = None,
     ) -> np.void:
-        """Return the numbers (one record of `NUMBERS`) of what a rig records: its velocity is that of the counts."""
+        """Return the numbers of recorded signals (a record of `NUMBERS`); `velocity` is derived from `position` if None."""
         derived = self._no_velocity if velocity is None else velocity
         return self._measured(self._recorded, (position, derived, effort, penetration), flags)
 
     def true(
         self, position: Floats, velocity: Floats, effort: Floats, penetration: Floats, flags: Ints
     ) -> np.void:
-        """Return the numbers (one record of `NUMBERS`) of what really happened: no counts, no floor."""
+        """Return the numbers of true signals (a record of `NUMBERS`): position without counts, felt without a floor."""
         return self._measured(self._true, (position, velocity, effort, penetration), flags)
 
     def _measured(

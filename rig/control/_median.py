@@ -1,4 +1,4 @@
-"""The median of part of an array, in compiled code that allocates nothing."""
+"""Compute the median of part of an array in compiled code that allocates nothing."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SCRATCH_TYPE = types.float64[::1]
     no_refcount=True,
 )
 def _partition(values: Floats, low: int, high: int, pivot: float, equal: bool) -> int:
-    """Bring values below the pivot (and those equal to it, if asked) to the front; returns where the others begin."""
+    """Move values below the pivot to the front, and equal ones if `equal`; return the index of the first other one."""
     front = low
     for i in range(low, high):
         value = values[i]
@@ -31,10 +31,10 @@ def _partition(values: Floats, low: int, high: int, pivot: float, equal: bool) -
 
 @kernel(types.float64(_SCRATCH_TYPE, types.int64), no_refcount=True)
 def median(values: Floats, count: int) -> float:
-    """Return the median of the first `count` values, which are reordered.
+    """Return the median of the first `count` values; the function changes their order.
 
-    Hoare's selection, with a partition that has no branch to predict, around the middle of three values. They are
-    drawn: at fixed places an oscillation, whose order is regular, would make it quadratic.
+    Hoare's selection. The partition has no branch to predict. Its pivot is the median of three values at random
+    places; with fixed places a regular oscillation would make the time quadratic.
     """
     middle = count // 2
     low, high = 0, count  # the element of rank `middle` lies in low … high - 1

@@ -1,7 +1,7 @@
-"""Efforts that are not the wall: the homing servo and the constant push of an automated trial.
+"""Effort of the homing servo, and the motion of its set point.
 
-Homing moves a set point towards the start at limited speed and follows it with a soft, clipped servo, so
-that whatever is in the way meets at most `home_effort`.
+Homing moves a set point towards the start at limited speed. A soft servo, clipped to `home_effort`, follows it, so that
+an obstacle is pressed with at most that effort.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from rig.realtime.kernel import kernel
 
 @kernel("f8(f8, f8, f8)", inline=True)
 def approach(setpoint: float, target: float, step: float) -> float:
-    """Move a set point towards its target by at most one step."""
+    """Return the set point moved towards its target by at most one step (rad or m)."""
     if setpoint < target:
         return min(setpoint + step, target)
     return max(setpoint - step, target)
@@ -19,6 +19,6 @@ def approach(setpoint: float, target: float, step: float) -> float:
 
 @kernel("f8(f8, f8, f8, f8, f8)", inline=True)
 def servo(error: float, velocity: float, stiffness: float, damping: float, limit: float) -> float:
-    """Return the spring to the set point, damping to rest, clipped to ±limit (N·m or N)."""
+    """Return the effort (N·m or N) of a spring to the set point and a damper to rest, clipped to ±limit."""
     effort = stiffness * error - damping * velocity
     return min(max(effort, -limit), limit)

@@ -1,11 +1,10 @@
 """The virtual wall: a unilateral spring and damper.
 
-τ = K·θ + B·ω inside, zero outside (Koul et al., equation (1)). K sees the position of this tick, B the
-velocity held since the last velocity sample: that is the whole of dual-rate rendering, and it happens in
-`rig.control.step`, not here.
+τ = K·θ + B·ω inside, zero outside (Koul et al., equation (1)). In dual-rate rendering θ is the position of this tick
+and ω the velocity held since the last velocity sample; `rig.control.step` selects both.
 
-The papers do not say whether the wall may pull a handle that leaves it faster than K·θ/B; both ways are
-options, as is damping on the way in only.
+The papers do not define whether the wall may pull a handle that leaves it faster than K·θ/B; an option selects it.
+Another option limits damping to inward motion.
 """
 
 from __future__ import annotations
@@ -38,9 +37,9 @@ def spring_damper(
     penetration
         Depth inside the wall (rad or m); the wall exists only for values above zero.
     penetration_velocity
-        Its rate as estimated (rad/s or m/s), positive inwards.
+        Estimated rate of the penetration (rad/s or m/s), positive inwards.
     parameters
-        K, B, 1 if the wall may pull, 1 if damping acts on entry only.
+        K (N·m/rad or N/m), B (N·m·s/rad or N·s/m), 1 if the wall may pull, 1 if damping acts on entry only.
     """
     state[LAW_CLAMPED] = 0.0
     if penetration <= 0.0:
@@ -61,7 +60,7 @@ def spring_damper_law() -> Law:
 
 
 def design(wall: Mapping[str, Any]) -> list[float]:
-    """Return the parameters of the wall from the settings of ``[wall]``."""
+    """Return the parameters of `spring_damper` from the settings of ``[wall]``."""
     may_pull = 1.0 if wall["pull"] == "allow" else 0.0
     entry_only = 1.0 if wall["damping_on"] == "entry" else 0.0
     return [wall["stiffness"], wall["damping"], may_pull, entry_only]

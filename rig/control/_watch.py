@@ -1,27 +1,28 @@
-"""The watch on a run, which ends it: too much energy, a violent oscillation, an effort that moves nothing.
+"""Conditions that end a run: too much energy, a violent oscillation, or an effort that does not move the count.
 
-At the beginning of a tick it evaluates the effort of the tick before and how far the handle moved under it. Energy
-and violence are watched in the trial and its release, the standstill where the motor moves a free handle.
+At the beginning of a tick `rig.control.step` evaluates the effort of the previous tick and the motion that followed.
+Energy and oscillation are checked in the trial and its release, standstill while the motor moves a free handle.
 
 **Energy.** The sum of effort times displacement is the energy that the motor has given to the handle (a passivity
-observer). A passive wall returns at most what it took, so with a person at the handle the sum stays at or below zero; a
-motor that pushes adds the work of its push.
+observer). A passive wall returns at most the energy that it took, so with a person at the handle the sum stays at or
+below zero; a motor that pushes adds the work of its push.
 
 **Violence.** An *oscillation* is the effort against the handle rising from next to zero (`LOW`) to its limit (`HIGH`)
-after the handle has moved by a quarter of what the verdict calls *moved*, and by more than one toggling count. The
+after the handle has moved by a quarter of the verdict's threshold *moved*, and by more than one toggling count. The
 defaults are in `rig.config._sections`; the simulations behind them are in `rig/session/README.md`.
 
-**Standstill.** While the count stays on two neighbours (all that a dead encoder, or one with a dead channel, shows), a
-free handle gathers the momentum p = ∫(effort − friction) dt, and one that friction holds gathers none. Beyond the
-inertia times a share of the speed limit (`UNMOVED_SPEED`) the encoder is dead or the rig is blocked. Be v_b that speed,
-and v_0 the handle's when the encoder died: then no rig with the described friction and inertia, or more, whatever its
-damping, is faster than v_b + max(v_b, v_0). For e = v − p/I obeys I ė = −b v − (F(v) − F(p/I)) with a friction F that
-rises with speed, hence e ė < 0 wherever |e| > |p|/I: |e| never grows beyond the larger of v_0 and v_b. It is watched
-where nothing but friction may hold the handle: in homing, and in a trial's push outside of the wall, but not while the
-slew limit acts. A tick whose sample was lost is not counted: where a share s of them is, v_b is 1/(1 − s) as much.
+**Standstill.** A dead encoder, or one with a dead channel, shows at most two neighbouring counts. While the count stays
+on them, a free handle gathers the momentum p = ∫(effort − friction) dt; a handle that friction holds gathers none. If p
+exceeds the inertia times a share of the speed limit (`UNMOVED_SPEED`), the encoder is dead or the rig is blocked. Let
+v_b be that speed, and v_0 the speed of the handle when the encoder failed. A rig with at least the described friction
+and inertia, whatever its damping, is then never faster than v_b + max(v_b, v_0). For e = v − p/I obeys I ė = −b v −
+(F(v) − F(p/I)) with a friction F that rises with speed, hence e ė < 0 wherever |e| > |p|/I: |e| never grows beyond the
+larger of v_0 and v_b. Standstill is checked where only friction may hold the handle: in homing, and in a trial's push
+outside of the wall, but not while the slew limit acts. Ticks with lost samples are not counted: if a share s is lost,
+v_b is larger by 1/(1 − s).
 
 Source: Hannaford and Ryu 2002, "Time-domain passivity control of haptic interfaces", for the observer. The rules about
-oscillations and standstill are ours.
+oscillations and standstill are defined by this project.
 """
 
 from __future__ import annotations
@@ -36,7 +37,10 @@ TRAVEL, TRAVEL_COUNTS = 0.25, 1.5  # of the handle: share of what the verdict ca
 
 @kernel("f8(f8, f8, f8, b1)", inline=True)
 def add_energy(before: float, effort: float, travel: float, free: bool) -> float:
-    """Return the energy (J) that the motor has given after a travel (rad or m) under an effort (N·m or N)."""
+    """Return the energy (J) that the motor has given so far: `before` plus effort (N·m or N) times travel (rad or m).
+
+    In free space (`free`) the result is never below 0.
+    """
     # The effort is the one that was sent: where it acts d ticks later, the sum is off by effort times the travel in d
     # ticks. A sampled wall leaks: a count that is left and entered again gives stiffness times the count squared.
     given = before + effort * travel
@@ -46,7 +50,10 @@ def add_energy(before: float, effort: float, travel: float, free: bool) -> float
 
 @kernel("f8(f8, f8, f8, f8)", inline=True)
 def free_impulse(before: float, effort: float, held: float, time_s: float) -> float:
-    """Return the momentum (N·m·s or N·s) of a free handle after an effort, less friction `held` (N·m or N)."""
+    """Return the momentum (N·m·s or N·s) of a free handle: `before` plus effort times time, reduced by friction.
+
+    `held` is the effort that friction and weight can hold without motion (N·m or N).
+    """
     # `held` contains the weight: no motor removes what weight does to a handle.
     after, lost = before + effort * time_s, held * time_s
     return after - min(max(after, -lost), lost)
@@ -54,14 +61,14 @@ def free_impulse(before: float, effort: float, held: float, time_s: float) -> fl
 
 @kernel("i8(f8, f8, f8, f8, f8)", inline=True)
 def extreme(reaction: float, limit: float, lowest: float, highest: float, travel: float) -> int:
-    """Return which extreme a wall's reaction has reached: −1 next to zero, 1 at the limit after a travel, else 0.
+    """Return −1 if the wall's reaction is next to zero, 1 if it is near its limit after enough travel, else 0.
 
     Parameters
     ----------
     reaction, limit
-        Effort against the wall's side, and the most that is sent (N·m or N).
+        Reaction of the wall, positive out of the wall, and the largest effort that is sent (N·m or N).
     lowest, highest, travel
-        Positions of the handle since the last oscillation, and how far they must be apart (rad or m).
+        Extreme positions of the handle since the last oscillation, and the travel required between them (rad or m).
     """
     # From next to zero to the limit: an impact is one oscillation and a bounce another, each smaller; a buzz does not
     # span the range. One count of a coarse encoder that makes the whole effort cannot be distinguished from a buzz.

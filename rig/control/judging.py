@@ -1,7 +1,7 @@
-"""From the signals of one trial to its verdict: what a rig records, or in simulation the truth.
+"""Judge one trial from its signals: the recorded signals, or the true signals of a simulation.
 
-A verdict uses only what a rig records, so that a simulated and a real trial are judged by the same text; in
-simulation the same function runs a second time on the truth. All signals are cut to the trial, uniformly sampled.
+A verdict uses recorded signals only, so that simulated and real trials are judged by the same rules. A simulation can
+judge its true signals in addition. All signals contain the trial phase only and are uniformly sampled.
 
 Trials and maps of `rig.experiments` and the simulation call it. It must not open a recording or run a trial.
 """
@@ -54,9 +54,9 @@ _OVERRULES = int(~(LimitFlag.SPEED | LimitFlag.POSITION))
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialSignals:
-    """One trial, uniformly sampled: arrays of equal length, positions and efforts in the units of the rig.
+    """Signals of one trial, uniformly sampled: arrays of equal length, in the units of the rig.
 
-    Without `velocity` (None) it is derived from `position`; `resolution` is the count behind `position`, 0 for truth.
+    If `velocity` is None, it is derived from `position`. `resolution` is the travel for one count, 0 for true signals.
     """
 
     tick_s: float
@@ -76,9 +76,10 @@ class TrialSignals:
 def recorded_signals(
     rows: NDArray[np.void], tick_s: float, resolution: float, *, effort: str = "effort_sent"
 ) -> TrialSignals:
-    """Return the recorded signals of the trial phase (rows of `rig.core.sample.ROW`), the effort from a column.
+    """Return the recorded signals of the trial phase from rows of `rig.core.sample.ROW`.
 
-    That is the law's effort; for a wall that a drive rendered itself use the drive's reported ``effort_applied``.
+    `effort` names the column with the effort. The default is the effort of the law; if a drive rendered the wall
+    itself, use ``effort_applied``, which the drive reports.
     """
     trial = rows["phase"] == Phase.TRIAL
     (places,) = np.nonzero(trial)
@@ -109,11 +110,11 @@ def recorded_signals(
 def true_signals(
     rows: NDArray[np.void], recorded: TrialSignals, wall_position: float, wall_side: float
 ) -> TrialSignals:
-    """Return the true signals of a simulated trial: rows that also have `rig.core.sample.TRUTH_COLUMNS`.
+    """Return the true signals of a simulated trial from rows that also have `rig.core.sample.TRUTH_COLUMNS`.
 
-    A hand feels the handle, so velocity and position are those of the handle; the law lives where the encoder is, so
-    penetration is that of the sensed side. On two masses the capstan lies between them. What was flagged, lost or
-    overruled is that of the `recorded` signals of the same rows.
+    Position and velocity are those of the handle, which the hand feels. Penetration is that of the sensed side, where
+    the encoder is; in a rig of two masses the capstan lies between both. Flags and lost samples are copied from
+    `recorded`, the recorded signals of the same rows.
     """
     trial = rows["phase"] == Phase.TRIAL
     return replace(
@@ -127,7 +128,7 @@ def true_signals(
 
 
 def judge(signals: TrialSignals, thresholds: Thresholds) -> Verdict:
-    """Judge one trial (see the module's text).
+    """Return the verdict of one trial, by the rules of `rig.control.verdict`.
 
     A trial shorter than its tail is judged on all its samples; one without samples is invalid.
     """
@@ -135,7 +136,7 @@ def judge(signals: TrialSignals, thresholds: Thresholds) -> Verdict:
 
 
 def measure_signals(signals: TrialSignals, thresholds: Thresholds, *, thrown_out: bool = False) -> Measured:
-    """Measure one trial: a verdict without its texts."""
+    """Return the numbers of one trial, from which `Measured` derives the outcome."""
     numbers = meter(thresholds, signals.tick_s, signals.resolution).recorded(
         signals.position, signals.effort, signals.penetration, _flags(signals), signals.velocity
     )
@@ -143,10 +144,10 @@ def measure_signals(signals: TrialSignals, thresholds: Thresholds, *, thrown_out
 
 
 def meter(thresholds: Thresholds, tick_s: float, resolution: float) -> Meter:
-    """Return what measures trials for `decide`, `kinds` and `Measured`: one for each thread.
+    """Return a `Meter` that measures trials for `decide`, `kinds` and `Measured`; use one for each thread.
 
-    Its `recorded` and `true` take the arrays of `recorded_signals` and `true_signals` and return one record of
-    `rig.control._measure.NUMBERS`; `resolution` is that of a count in the recorded ones.
+    Its methods `recorded` and `true` take the arrays of `recorded_signals` and `true_signals` and return one record of
+    `rig.control._measure.NUMBERS`. `resolution` is the travel for one count in recorded signals (rad or m).
     """
     return Meter(
         tick_s=tick_s,
@@ -159,7 +160,7 @@ def meter(thresholds: Thresholds, tick_s: float, resolution: float) -> Meter:
 
 
 def _flags(signals: TrialSignals) -> NDArray[np.int64]:
-    """Pack what is marked in a trial into bits, as the compiled measuring wants it."""
+    """Return the marks of a trial as bits, one integer for each tick, as `rig.control._measure.measure` expects."""
     flags = signals.lost.astype(np.int64) << LOST_BITS | signals.currents
     for bit, marked in (
         (int(RowFlag.SATURATED), signals.saturated),

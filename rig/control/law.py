@@ -17,10 +17,10 @@ from rig.core.shown import Shown
 class Law(Shown):
     """A force law: its compiled function, the size of its memory, and its design.
 
-    `design(wall)` receives the wall's settings by name (stiffness, damping, pull, …), with ``tick_s``, the time of one
-    tick, among them, and returns the parameters. `floats` counts the whole memory, whose first number is the mark
-    `rig.realtime.plugs.LAW_CLAMPED`. `device` are the parameters that tell a device what this law does beside rendering
-    the wall; empty if it does nothing, or if a device cannot run it.
+    `design(wall)` receives the wall's settings by name (stiffness, damping, pull, …) and ``tick_s``, the time of one
+    tick (s), and returns the parameters. `floats` is the size of the whole memory; its first number is
+    `rig.realtime.plugs.LAW_CLAMPED`, non-zero if the reaction was clamped. `device` has the device parameters for what
+    the law does besides the wall; it is empty if the law does nothing else or if a device cannot run it.
     """
 
     name: str
@@ -31,18 +31,18 @@ class Law(Shown):
     device: Mapping[str, int] = field(default_factory=dict)
 
     def brief(self) -> list[Item]:
-        """Return name and summary, for people."""
+        """Return one line with name and summary, for display."""
         return [f"law {self.name}: {self.summary}"]
 
     def prepare(self, wall: Mapping[str, Any]) -> PreparedLaw:
-        """Design the parameters and allocate a memory of zeros."""
+        """Return the law with parameters designed for `wall`, and a memory of zeros."""
         parameters = np.array(self.design(wall), dtype=np.float64)
         return PreparedLaw(self, parameters, np.zeros(max(1, self.floats)))
 
 
 @dataclass(frozen=True, slots=True)
 class PreparedLaw:
-    """A law ready to run: its parameter vector and its (mutable) memory."""
+    """A law ready to run, with its parameters and its memory, which changes."""
 
     law: Law
     parameters: NDArray[np.float64]

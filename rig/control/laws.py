@@ -1,8 +1,8 @@
-"""The family of force laws, by name, as `rig.control.estimators` is that of the estimators.
+"""Names of all force laws: built-in laws, laws of recordings, and laws of plug-ins.
 
-Preparations of a run and replays call it; it renders nothing itself. A third party makes a law of a plain function
-(`rig.control.plain_law`) and passes it to a command's function, or adds it by the entry-point group ``rig.laws``: a
-name and the ``module:attribute`` of a `Law`.
+Preparations of a run and replays call it; it renders nothing itself. A user writes a law as a plain function
+(`rig.control.plain_law`) and passes it to a command's function, or registers it in the entry-point group ``rig.laws``
+by a name and the ``module:attribute`` of a `Law`.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def names() -> list[str]:
 
 
 def get(name: str) -> Law:
-    """Return the law of that name; `ConfigError` for an unknown one or a broken plug-in."""
+    """Return the law of that name; raise `ConfigError` if the name is unknown or its plug-in is broken."""
     maker = (BUILT_IN | _OF_RECORDINGS).get(name)
     if maker is not None:
         return cast("Law", resolve_name(maker)())

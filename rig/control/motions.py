@@ -1,8 +1,8 @@
-"""Laws that move a rig to learn what it is: a traced path, and small nudges that need no sign to be known.
+"""Laws that move a rig to identify it: motion along a path, and small pushes before the motor's sign is known.
 
-Both are laws like a wall (`rig.realtime.plugs.LAW`), so that they run without bytes, over the byte link, in real time
-and in a replay. They know no wall: the wall's position is the point from which they count, its side the direction. Time
-is counted in ticks since the law began, lost ones included.
+Both laws have the signature of a wall (`rig.realtime.plugs.LAW`), so that they run in a simulation, over the byte link,
+in real time and in a replay. They render no wall: the wall's position is their origin, its side their direction. Time
+is counted in ticks since the law began, including lost ticks.
 
 Identification and the pushes of a board in `rig.experiments` call it. Kernels here must not allocate, and read no
 clock.
@@ -40,9 +40,10 @@ NOTHING = 0.1  # share of the way below which a push has moved nothing
 def servo_to_points(
     penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
 ) -> float:
-    """Return the servo along straight lines between points (tick, position), holding the last: spring, damper, clipped.
+    """Return the reaction (N·m or N) of a servo along lines between points (tick, position); it holds the last.
 
-    Source: the homing servo of `rig.control._sources`, with the path's own velocity fed forward.
+    Spring and damper are clipped to ±LIMIT. It is the homing servo of `rig.control._sources` with the velocity of the
+    path as setpoint of the damper.
     """
     state[LAW_CLAMPED] = 0.0
     tick = state[TICK] - 1.0 + elapsed_ticks if state[TICK] > 0.0 else 0.0
@@ -66,11 +67,11 @@ def servo_to_points(
 def nudges(
     penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
 ) -> float:
-    """Push a little more in each tick until the handle has moved a little, brake, rest, and again.
+    """Return the reaction (N·m or N) of small pushes: raise the push until the handle moves, brake, rest, repeat.
 
-    Two pushes one way, two the other, and so on. The brake works by the direction in which the handle went, whether or
-    not that is the direction of the push, so that a wrong sign makes nothing run away. A push that moves nothing is the
-    last one: the handle may be moving, unseen, and another push would add to that.
+    Two pushes go in one direction, the next two in the other. The brake opposes the direction in which the handle
+    moved, whatever the direction of the push, so a wrong sign cannot make the rig run away. A push that moves nothing
+    is the last: the handle may be moving without being measured, and another push would add to that motion.
     """
     state[LAW_CLAMPED] = 0.0
     if state[TICK] == 0.0:
@@ -102,12 +103,12 @@ def nudges(
 def make_tracing_law(
     path: Sequence[tuple[float, float]], *, stiffness: float, damping: float, limit: float, rate_hz: float
 ) -> Law:
-    """Return a law that takes the handle along a path.
+    """Return a law that moves the handle along a path.
 
     Parameters
     ----------
     path
-        Times from the beginning of the trial (s), rising, and positions then (rad or m).
+        Points (time, position): ascending times from the beginning of the trial (s), and positions (rad or m).
     stiffness, damping, limit
         Gains of the servo (N·m/rad or N/m, N·m·s/rad or N·s/m), and its largest effort (N·m or N).
     rate_hz
@@ -133,22 +134,22 @@ def make_nudging_law(
     pulses: int,
     rate_hz: float,
 ) -> Law:
-    """Return a law of small pushes, the first two along the position.
+    """Return a law of small pushes; the first two go in the direction of rising position.
 
     Parameters
     ----------
     effort_per_s
-        How fast a push grows (N·m/s or N/s).
+        Rate at which a push grows (N·m/s or N/s).
     most_effort
-        Where it gives up (N·m or N).
+        Largest effort of a push (N·m or N).
     moved
-        Distance after which it ends (rad or m).
+        Distance moved at which a push ends (rad or m).
     rest_s
-        Length of the brake and the rest after it (s).
+        Duration of braking and rest after each push (s).
     brake
-        Damping of the brake (N·m·s/rad or N·s/m), never more effort than the push had.
+        Damping of the brake (N·m·s/rad or N·s/m); its effort is limited to that of the push.
     pulses
-        How many.
+        Number of pushes.
     rate_hz
         Rate of the loop (Hz).
     """
@@ -169,12 +170,12 @@ def make_nudging_law(
 
 
 def traced_law() -> Law:
-    """Return the law of `make_tracing_law` without numbers of its own, for a replay, whose recording has them."""
+    """Return the law of `make_tracing_law` without parameters; a replay takes the parameters from the recording."""
     return make_tracing_law((), stiffness=0.0, damping=0.0, limit=0.0, rate_hz=1.0)
 
 
 def nudged_law() -> Law:
-    """Return the law of `make_nudging_law` without numbers of its own, for a replay, whose recording has them."""
+    """Return the law of `make_nudging_law` without parameters; a replay takes the parameters from the recording."""
     return make_nudging_law(
         effort_per_s=0.0, most_effort=0.0, moved=0.0, rest_s=0.0, brake=0.0, pulses=0, rate_hz=1.0
     )

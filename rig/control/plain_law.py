@@ -1,10 +1,10 @@
-"""A force law from a plain function.
+"""Make a force law from a plain function.
 
 @rig.law(parameters={"quadratic": 1e5})
 def stiffening(penetration: float, velocity: float, p: rig.Parameters) -> float:
 return p.stiffness * penetration + p.quadratic * penetration**2 + p.damping * velocity
 
-People call it as ``rig.law``, and `rig.testing.laws` checks such laws. It must not run a law: a trial or a replay does.
+Users call it as ``rig.law``, and `rig.testing.laws` checks such laws. It must not run a law: a trial or a replay does.
 """
 
 from __future__ import annotations
@@ -52,22 +52,22 @@ def _form(everywhere: bool) -> Form:
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class PlainLaw(Law):
-    """A law whose parameters have names.
+    """A law made from a plain function; its parameters have names.
 
-    `parameters` are those of its own, beside stiffness and damping of the wall. An experiment names the law and has
-    their defaults; `with_parameters` makes one with others.
+    `parameters` are those that the law has besides the stiffness and damping of the wall. An experiment that names the
+    law uses their defaults; `with_parameters` returns a law with other values.
     """
 
     parameters: Mapping[str, Parameter]
     everywhere: bool
 
     def brief(self) -> list[Item]:
-        """Return name, summary and parameters, for people."""
+        """Return name, summary and parameters, for display."""
         rows = [Row(name, one.default, one.unit, one.meaning) for name, one in self.parameters.items()]
         return [f"law {self.name}: {self.summary}", *rows]
 
     def with_parameters(self, **values: float) -> PlainLaw:
-        """Return the law with other values of its own parameters; `ConfigError` for an unknown or impossible one."""
+        """Return the law with other values of its parameters; raise `ConfigError` for an unknown name or wrong value."""
         changed = dict(self.parameters)
         for name, value in values.items():
             if name not in changed:
@@ -85,27 +85,29 @@ def law(
     name: str | None = None,
     everywhere: bool = False,
 ) -> Callable[[Callable[..., float]], PlainLaw]:
-    """Make a force law of a plain function, compiled here and now.
+    """Return a decorator that makes a force law of a plain function and compiles it at once.
 
-    The function returns the reaction of the wall (N·m or N), positive towards free space. It names what it needs:
-    ``penetration`` (rad or m), ``velocity`` (of the penetration, as estimated), ``elapsed_s`` (since the call before),
-    ``memory`` and ``p``, which has ``p.stiffness``, ``p.damping`` and ``p.tick_s`` (one tick, s) beside its own.
+    The function returns the reaction of the wall (N·m or N), positive towards free space. Its arguments
+    select what is passed: ``penetration`` (rad or m), ``velocity`` (estimated, of the penetration, rad/s or m/s),
+    ``elapsed_s`` (since the previous call, s), ``memory``, and ``p`` with the parameters of the law and
+    ``p.stiffness``, ``p.damping`` and ``p.tick_s`` (one tick, s).
 
     Parameters
     ----------
     parameters
-        Numbers of its own by name: a default, or a `Parameter` with range, unit and meaning.
+        Parameters of the law by name: a default, or a `Parameter` with range, unit and meaning.
     memory
-        Names of what it remembers; each is zero when a run begins.
+        Names of the numbers that the law stores from call to call; each is zero when a run begins.
     name
-        In experiments and recordings; that of the function, with hyphens, unless given.
+        Name in experiments and recordings; default: name of the function, with hyphens.
     everywhere
-        Call it outside of the wall too, where penetration is negative. Else the reaction there is zero.
+        True: call the function outside of the wall too, where penetration is negative. False: the reaction outside is
+        zero.
 
     Raises
     ------
     ConfigError
-        A function that names something else, or that cannot be compiled: with its line, and what to do.
+        An argument has an unknown name, or the function cannot be compiled; the message has the line and the remedy.
     """
 
     def decorate(function: Callable[..., float]) -> PlainLaw:
