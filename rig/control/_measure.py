@@ -610,7 +610,7 @@ class Meter:
         flags: Ints,
         velocity: Floats | None = None,
     ) -> np.void:
-        """Return the numbers of recorded signals (a record of `NUMBERS`); `velocity` is derived from `position` if None."""
+        """Return the numbers of recorded signals (a record of `NUMBERS`); if None, `velocity` follows from `position`."""
         derived = self._no_velocity if velocity is None else velocity
         return self._measured(self._recorded, (position, derived, effort, penetration), flags)
 

@@ -1,11 +1,11 @@
-"""Laws for what is linear: a spring and a damper on both sides of a point, also excited, also once touched.
+"""Linear laws: a spring and a damper on both sides of a point, also with an excitation, also from the first contact on.
 
-A wall with a free side is not linear, so a measurement is made about a point inside a wall that also pulls. The rig's
-own motor may play an excitation on top: one period of efforts in the law's parameters, played by elapsed ticks and
-not by a clock, so that the same law runs without bytes, over the byte link, in real time and in a replay.
+A wall with a free side is not linear, so impedance is measured about a point inside a wall that also pulls. The rig's
+own motor can add an excitation: one period of efforts in the law's parameters, played by elapsed ticks and not by a
+clock, so that the same law runs in a simulation, over the byte link, in real time and in a replay.
 
 Excited runs and identification of `rig.experiments`, the reproductions of papers and the simulation call it. Kernels
-here must not allocate, and must not know what moves the bytes.
+here must not allocate, and must not depend on the link to the device.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ CLINGING_STATE = 2
 
 @kernel(types.float64(types.int64, types.int64), inline=True)
 def ramp(tick: int, ticks: int) -> float:
-    """Return the share of an excitation that is played at a tick: from 0 to 1, with a continuous slope."""
+    """Return the factor from 0 to 1 by which an excitation is multiplied at a tick; its slope is continuous."""
     if tick >= ticks:
         return 1.0
     return 0.5 - 0.5 * math.cos(math.pi * tick / ticks)
@@ -46,7 +46,7 @@ def ramp(tick: int, ticks: int) -> float:
 def bilateral(
     penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
 ) -> float:
-    """Return the reaction K·penetration + B·velocity, wherever the handle is (N·m or N); both may be zero."""
+    """Return the reaction K·penetration + B·velocity inside and outside of the wall (N·m or N); K and B may be 0."""
     state[LAW_CLAMPED] = 0.0
     return float(parameters[STIFFNESS] * penetration + parameters[DAMPING] * penetration_velocity)
 
@@ -55,7 +55,7 @@ def bilateral(
 def clinging(
     penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
 ) -> float:
-    """Return 0 until the wall is touched, then the reaction of the bilateral wall, in free space too (N·m or N)."""
+    """Return 0 before the first contact, then the reaction of `bilateral` inside and outside of the wall (N·m or N)."""
     state[LAW_CLAMPED] = 0.0
     if penetration > 0.0:
         state[TOUCHED] = 1.0
@@ -68,10 +68,10 @@ def clinging(
 def excited(
     penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
 ) -> float:
-    """Return the reaction of the bilateral wall plus that of the table, for the ticks since the law began (N·m or N).
+    """Return the reaction of `bilateral` plus the excitation of the table at this tick (N·m or N).
 
-    The table begins with the first tick of the trial, rises with `ramp` and goes round. Ticks that a link lost are
-    skipped in it, as they are in time.
+    The table starts with the first tick of the trial, is multiplied by `ramp`, and repeats. Ticks whose samples were
+    lost count too, so the table stays in step with time.
     """
     state[LAW_CLAMPED] = 0.0
     played = int(state[PLAYED])
@@ -83,28 +83,28 @@ def excited(
 
 
 def bilateral_law() -> Law:
-    """Return the law of the wall on both sides."""
+    """Return the law of a spring and a damper on both sides."""
     return Law("bilateral", "spring and damper on both sides", bilateral, 1, design)
 
 
 def clinging_law() -> Law:
-    """Return the wall that does not let go of a handle that has touched it."""
+    """Return the law that is bilateral from the first contact on: the wall then holds the handle."""
     return Law("clinging", "bilateral, once touched", clinging, CLINGING_STATE, design)
 
 
 def excited_law(
     efforts: ArrayLike = (0.0,), ramp_ticks: int = 0, device: Mapping[str, int] | None = None
 ) -> Law:
-    """Return the bilateral wall with an excitation that the rig's own motor plays.
+    """Return the bilateral law with an excitation by the rig's own motor.
 
     Parameters
     ----------
     efforts
-        One period at the loop's rate, positive along the position (N·m or N), at least one sample.
+        One period of efforts at the loop's rate (N·m or N), positive with position; at least one sample.
     ramp_ticks
-        Ticks in which the excitation rises.
+        Number of ticks in which the excitation rises from zero.
     device
-        Parameters from which a device makes the same table (`rig.control.excitation_table`).
+Device parameters from which a device computes the same table (`rig.control.excitation_table`).
     """
     table = np.atleast_1d(np.asarray(efforts, dtype=np.float64))
 
@@ -116,18 +116,18 @@ def excited_law(
 
 
 def design(wall: Mapping[str, Any]) -> list[float]:
-    """Return the parameters of the bilateral wall from the settings of ``[wall]``."""
+    """Return the parameters of `bilateral` from the settings of ``[wall]``."""
     return [wall["stiffness"], wall["damping"]]
 
 
 def design_excited(wall: Mapping[str, Any], efforts: Floats, ramp_ticks: int) -> list[float]:
-    """Return the parameters of the excited wall; see `excited_law`."""
+    """Return the parameters of `excited`; `excited_law` explains the arguments."""
     reactions = (-wall["side"] * efforts).tolist()  # a reaction counts out of the wall
     return [*design(wall), float(ramp_ticks), *reactions]
 
 
 def played(parameters: Floats, side: int, tick_s: float, ticks: int) -> Floats:
-    """Return the excitation (N·m or N, along the position) that these parameters play in their first ticks."""
+    """Return the excitation (N·m or N, positive with position) of `excited` in its first `ticks` ticks, shape (ticks,)."""
     tick, table = np.arange(ticks), parameters[TABLE:]
     rising = fade(tick * tick_s, parameters[RAMP_TICKS] * tick_s)
     return np.asarray(-side * table[tick % len(table)] * rising)

@@ -1,18 +1,19 @@
-"""Cogging in compiled code: the effort that a motor's position alone decides, and its compensation around any law.
+"""Cogging, an effort that depends on the motor's position only, and its compensation, which wraps any law.
 
     effort = −fade(x) · clip(F(x), ± limit)
 
-F is the identified map. The fade falls from one to zero over the last part of the range in which it was measured;
-outside of it nothing is known and nothing is done.
+F is the identified map of effort over position. The fade falls from one to zero at both ends of the range in which F
+was measured; outside of this range the compensation is zero.
 
-**It cannot drive the rig.** A map of effort over position alone returns on any closed path the work that it took, true
-map or false. What remains is the delay, as with any wall: with the loop's delay τ a slope s of F adds damping s·τ where
-cogging stiffens and removes as much where it softens; theory includes it (`rig.analysis.theory._loop`).
+**It cannot drive the rig.** An effort that depends on position only gives no net energy on a closed path, even if the
+map is wrong. Only the delay can give energy, as in any wall: with the loop's delay τ a slope s of F adds damping s·τ
+where cogging stiffens, and removes s·τ where cogging softens; theory includes it (`rig.analysis.theory._loop`).
 
-It works where the wrapped law does: in trial and release, inside the wall and outside, not in homing. It is part of the
-law's effort in a recording's columns; the recording names it in the law, and its parameters are the first of that.
+It acts whenever the wrapped law does: in trial and release, inside the wall and outside, not in homing. In a recording
+it is part of the law's effort. The name of the law contains it, and its parameters come before those of the wrapped
+law.
 
-`rig.config.controller` wraps a law in it, and the simulation pushes its plant with the same map. Kernels here must not
+`rig.config.controller` wraps a law in it, and the simulation applies the same map to its motor. Kernels here must not
 allocate.
 """
 
@@ -42,7 +43,7 @@ WALL, SIDE, MINIMUM, MAXIMUM, LIMIT, OWN, HARMONICS = range(7)
 
 @kernel("f8(f8, f8[::1])", inline=True, no_refcount=True)
 def effort_at(position: float, harmonics: Any) -> float:
-    """Return the effort (N·m or N) at a position (rad or m) of harmonics as in `rig.core.model.Cogging`."""
+    """Return the cogging effort (N·m or N) at a position (rad or m); `rig.core.model.Cogging` explains `harmonics`."""
     effort = 0.0
     for i in range(0, harmonics.shape[0], HARMONIC):
         angle = harmonics[i + WAVENUMBER] * position
@@ -52,7 +53,7 @@ def effort_at(position: float, harmonics: Any) -> float:
 
 @kernel("f8(f8, f8, f8, f8, f8[::1])", inline=True)
 def bounded_at(position: float, minimum: float, maximum: float, limit: float, harmonics: Any) -> float:
-    """Return the compensating effort at a position (N·m or N): limited, and faded at the ends of the map."""
+    """Return the cogging effort (N·m or N) to compensate at a position: within ±limit, faded at the ends of the map."""
     inside = min(position - minimum, maximum - position) / (FADE * (maximum - minimum))
     if inside <= 0.0:
         return 0.0
@@ -62,7 +63,7 @@ def bounded_at(position: float, minimum: float, maximum: float, limit: float, ha
 
 
 def compensate_cogging(law: Law, cogging: Cogging, limit: float) -> Law:
-    """Return a law that does what `law` does, and compensates cogging up to a limit (N·m or N).
+    """Return a law with the effort of `law` plus a compensation of cogging, at most `limit` (N·m or N).
 
     The wrapper is compiled for the law when it is first used (a second or two).
     """
@@ -83,7 +84,7 @@ def compensate_cogging(law: Law, cogging: Cogging, limit: float) -> Law:
 
 
 def around(law: Law) -> Law:
-    """Return the wrapper of a law without numbers of its own: what a replay needs, whose recording has them."""
+    """Return the wrapper of a law without parameters, for a replay, which takes the parameters from the recording."""
     return compensate_cogging(law, Cogging(), 0.0)
 
 

@@ -1,22 +1,22 @@
-"""Check of the measured against the set current: a lead that came off, a dead amplifier, a wrong sign or scale.
+"""Compare measured and set current, to detect a loose lead, a dead amplifier, or a wrong sign or scale.
 
-The active current passes through the amplifier's lag. The residual between that and the measured current is summed
-over `WINDOW_S`, by magnitude and without the largest. At the end of each window the sum is compared with the larger of
-`SIGMAS` of the sensor's noise and a tenth of the current that was expected:
+The expected current is the active set-point after delay and lag of the amplifier. The magnitude of the residual
+(measured minus expected) is summed over `WINDOW_S`, without its largest value. At the end of each window the sum is
+compared with a threshold, the larger of `SIGMAS` of the sensor's noise and a tenth of the expected current:
 
-* above it the two *disagree*;
-* below it they agree, where a dead motor would have been above it; otherwise the current was *not observed*.
+* above the threshold the currents *disagree*;
+* below it they *agree* if a motor without current would have exceeded it; otherwise the current was *not observed*.
 
-Lag and delay of the set-point are known to a factor of two: the active current passes through half and twice of both,
-and only a residual outside of all of them counts. Under voltage drive the back-EMF flows too, behind the same lag.
+Lag and delay are known to a factor of two: the expected current is computed for half and twice of both, and only a
+residual that none of them explains counts. Under voltage drive the expected current includes that of the back-EMF.
 
 The simulated device and both loops of the host call it; firmware has the same in `core/current.c`.
 
-Source: R·i + L·i′ = V − k_e·ω, and a current loop as a first-order lag; the thresholds are ours, and
-`rig/docs/explanation/verdicts.md` has the false alarms and the power that follow.
+Source: R·i + L·i′ = V − k_e·ω, and a current loop as a first-order lag; the thresholds are set by this
+project; `rig/docs/explanation/verdicts.md` has the resulting rates of false alarms and of detection.
 
-It must not use floating point in a tick or allocate there, and must not change without the firmware: both have to find
-the same.
+It must not use floating point or allocate in a tick. Change it only together with the firmware, so that both give the
+same results.
 """
 
 from __future__ import annotations
@@ -69,18 +69,18 @@ _UNOBSERVED = 2**32 - 1
 
 
 def configure(words: Ints, sensor: CurrentSensor, rate: int, encoder_sign: int) -> None:
-    """Set the rule up for a rate (Hz), and forget what was measured.
+    """Initialise the comparison for a rate (Hz) and a current sensor.
 
     Parameters
     ----------
     words
-        Memory of `CURRENT`, `WORDS` long.
+        Memory with the fields of `CURRENT`; its length is `WORDS`.
     sensor
-        Numbers of the rig's current sensor.
+        Properties of the rig's current sensor.
     rate
         Ticks a second (Hz).
     encoder_sign
-        −1 where counts fall while the position rises.
+        1 if counts rise with the position, −1 if they fall.
     """
     words[CURRENT.decay] = _share_of(sensor.lag_s, rate)
     words[CURRENT.speed_decay] = _share_of(SPEED_LAG_S, rate)
@@ -98,7 +98,7 @@ def configure(words: Ints, sensor: CurrentSensor, rate: int, encoder_sign: int) 
 
 
 def _configure_delay(words: Ints, ticks: float) -> None:
-    """Set up the delay line for a delay in ticks, whole or not, and fill it with no current."""
+    """Initialise the delay line for a delay in ticks (not necessarily whole), and fill it with zero current."""
     delayed = words[CURRENT.delayed] = math.ceil(2.0 * ticks - 1e-9)
     stride = words[CURRENT.stride] = max(1, -(-delayed // (SLOTS - 1)))
     words[CURRENT.first] = math.floor(0.5 * ticks + 1e-9) // stride
@@ -111,7 +111,7 @@ def _configure_delay(words: Ints, ticks: float) -> None:
 
 
 def _share_of(lag_s: float, rate: int) -> int:
-    """Return the share of the way that a first-order lag goes in a tick, in 1/65536."""
+    """Return the share (1/65536) of a step that a first-order lag follows within one tick."""
     return 65536 if lag_s <= 0.0 else math.floor(-math.expm1(-1.0 / (rate * lag_s)) * 65536.0 + 0.5)
 
 
@@ -134,7 +134,7 @@ def _begin_window(words: Ints) -> None:
 
 @rule
 def _begin_at(words: Ints, current: int) -> None:
-    """Begin behind each lag with a current (quanta)."""
+    """Set the output of each lag to a current (quanta)."""
     words[CURRENT.expected] = current * _UNIT
     words[CURRENT.quick_low] = words[CURRENT.quick_high] = current * _UNIT
     words[CURRENT.slow_low] = words[CURRENT.slow_high] = current * _UNIT
@@ -142,7 +142,7 @@ def _begin_at(words: Ints, current: int) -> None:
 
 @rule
 def forget(words: Ints) -> None:
-    """Begin a window: a new session, or samples were lost."""
+    """Start a new window without knowledge of earlier currents: at a new session, or after lost samples."""
     _begin_window(words)
     words[CURRENT.last_largest] = words[CURRENT.last_most] = 0
     words[CURRENT.known] = words[CURRENT.speed] = words[CURRENT.moved] = 0
@@ -155,30 +155,30 @@ def forget(words: Ints) -> None:
 
 @rule
 def resume(words: Ints, measured: int) -> None:
-    """Begin a window from a measured current: what flowed before it is not known."""
+    """Start a new window after an unknown current: each lag starts at the measured current (quanta)."""
     _begin_at(words, measured)
     forget(words)
 
 
 @rule
 def compare(words: Ints, count: int, active: int, measured: int) -> int:
-    """Take one tick, and at the end of a window say whether the currents agree.
+    """Add one tick to the window; at the end of a window return whether measured and expected current agree.
 
     Parameters
     ----------
     words
-        Memory of `CURRENT`.
+        Memory with the fields of `CURRENT`.
     count
-        At the end of the tick.
+        Encoder count at the end of the tick.
     active
-        Current that was set during the tick (quanta).
+        Set current that was active during the tick (quanta).
     measured
-        Current at the end of the tick (quanta).
+        Measured current at the end of the tick (quanta).
 
     Returns
     -------
     int
-        `AGREES`, `DISAGREES`, or 0: the window is not complete, or the current was too small to be observed.
+        `AGREES` or `DISAGREES`; 0 if the window is not complete or the current was too small to be observed.
     """
     if words[CURRENT.noise] == _UNOBSERVED:
         return 0
@@ -235,7 +235,7 @@ def compare(words: Ints, count: int, active: int, measured: int) -> int:
 
 @rule
 def _set(words: Ints, active: int) -> None:
-    """Put the active current of a tick into the delay line."""
+    """Write the active current of a tick into the delay line."""
     if words[CURRENT.filled] >= words[CURRENT.stride]:
         words[CURRENT.filled] = 0
         words[CURRENT.newest] = words[CURRENT.newest] + 1 if words[CURRENT.newest] + 1 < SLOTS else 0
@@ -249,14 +249,14 @@ def _set(words: Ints, active: int) -> None:
 
 @rule
 def _slot(words: Ints, back: int) -> int:
-    """Return the place of the slot that is so many behind the newest."""
+    """Return the index of the slot that is `back` slots older than the newest."""
     place = words[CURRENT.newest] - back
     return int(place if place >= 0 else place + SLOTS)
 
 
 @rule
 def _extremes(words: Ints) -> tuple[int, int, int]:
-    """Return the lowest and highest active current that may act now, and that behind the delay (1/16384 quantum)."""
+    """Return lowest and highest current over all possible delays, and that at the nominal delay (1/16384 quantum)."""
     slot = _slot(words, words[CURRENT.first])
     # The delay is no whole number of ticks: extremes over whole ticks around half and twice of it.
     low, high = words[CURRENT.lowest + slot], words[CURRENT.highest + slot]
@@ -270,7 +270,7 @@ def _extremes(words: Ints) -> tuple[int, int, int]:
 
 @rule
 def _back_emf(words: Ints, count: int) -> int:
-    """Return the current that the motion takes off under voltage drive (1/16384 quantum)."""
+    """Return the current that the back-EMF causes under voltage drive, signed with the motion (1/16384 quantum)."""
     step = min(max(count - words[CURRENT.count], -_MOST_COUNTS), _MOST_COUNTS) * _COUNT
     words[CURRENT.count] = count
     # Smoothed over SPEED_LAG_S, or single counts would be large currents.
@@ -285,7 +285,7 @@ def _back_emf(words: Ints, count: int) -> int:
 
 @rule
 def _smooth(words: Ints, measured: int) -> None:
-    """Smooth the residual (without back-EMF) and the expected current with the time constant of the speed."""
+    """Low-pass the residual (without back-EMF) and the expected current with the time constant of the speed."""
     left = measured * _UNIT - words[CURRENT.expected]
     # Of a tick's speed it is the middle that follows; in the first tick all of it comes behind the lag.
     share = words[CURRENT.late] if words[CURRENT.known] == 1 else _HALF
@@ -299,7 +299,7 @@ def _smooth(words: Ints, measured: int) -> None:
 
 @rule
 def _outside(left: int, low: int, high: int) -> int:
-    """Return how far the residual lies outside of the residuals that possible delays and lags explain (quanta)."""
+    """Return the distance of a residual from the range [low, high] that possible delays and lags explain (quanta)."""
     return _size(left - min(max(left, low), high))
 
 
@@ -317,6 +317,6 @@ def _part(difference: int, share: int) -> int:
 
 @rule
 def _follow(words: Ints, place: int, before: int, share: int) -> int:
-    """Let what is behind a lag go its share of the way to what is before it, and return it."""
+    """Move the output of a lag by a share (1/65536) of its distance from the input `before`; return the new output."""
     words[place] += _part(before - words[place], share)
     return int(words[place])

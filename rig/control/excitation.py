@@ -1,12 +1,12 @@
-"""Multisines: the efforts that excite a rig to measure its impedance, as sums of cosines on whole lines of one period.
+"""Multisines: efforts that excite a rig to measure its impedance, as sums of cosines at multiples of 1/period.
 
     multisine = Multisine.schroeder((1.0, 250.0), period_s=1.0, rms=2.0)
     multisine.crest_factor, multisine.peak
     effort = multisine.period(16_000, offset=0.5)  # one period, at the middle of each step
 
-A multisine repeats exactly, so whole periods of it need no window (`rig.analysis.impedance`). Schroeder's phases give a
-small crest factor; random ones, drawn anew for each realisation, turn friction's distortion from a bias that looks like
-impedance into a scatter that averages out. Efforts are in N·m or N, times in s, frequencies in Hz.
+A multisine repeats exactly, so a spectrum of whole periods needs no window (`rig.analysis.impedance`). Schroeder's
+phases give a small crest factor; random phases, drawn for each realisation, turn the distortion by friction from a bias
+of the impedance into a scatter that averages out. Efforts are in N·m or N, times in s, frequencies in Hz.
 
 Identification, measurements of impedance and excited laws (`rig.control.bilateral`) call it. It must not simulate or
 read a clock.
@@ -37,7 +37,7 @@ OVERSAMPLING = 16  # points for each period of the highest line, where a peak is
 
 @dataclass(frozen=True, slots=True)
 class Peak:
-    """The greatest value of a quantity under an excitation, and its limit; None if the quantity is not limited."""
+    """Largest value of a quantity under an excitation, and its limit, which is None if there is no limit."""
 
     name: str
     quantity: Literal["effort", "position", "velocity"]
@@ -52,16 +52,16 @@ class Peak:
 
 @dataclass(frozen=True, eq=False)
 class Multisine:
-    """A sum of cosines, Σ amplitude · cos(2π·line·t + phase), on whole multiples of 1/period.
+    """A sum of cosines, Σ amplitude · cos(2π·line·t + phase), at multiples of 1/period.
 
     Attributes
     ----------
     period_s
         Period (s); the lines are multiples of its inverse.
     lines_hz
-        Excited frequencies (Hz), rising, shape (n,).
+        Excited frequencies (Hz), ascending, shape (n,).
     amplitudes
-        Peak of each line (N·m or N; what `through` returns may be a motion), shape (n,).
+        Peak of each line (N·m or N; rad, m, rad/s or m/s for a motion that `through` returns), shape (n,).
     phases
         Phase of each cosine at time 0 (rad), shape (n,).
 
@@ -119,18 +119,18 @@ class Multisine:
         Parameters
         ----------
         band
-            Lowest and highest frequency (Hz), both included where they are lines.
+            Lowest and highest frequency (Hz), both included if they are multiples of 1/period.
         period_s
-            Period (s): lines are multiples of its inverse.
+            Period (s); the lines are multiples of its inverse.
         rms, peak
-            Size, by exactly one of both (N·m or N); neither when `spectrum` says it.
+            Size (N·m or N): give one of the two, or neither if `spectrum` has absolute amplitudes.
         spacing_lines
-            Every n-th line only, counted from the lowest in the band.
+            n: use only every n-th line, counted from the lowest in the band.
         odd
-            Odd multiples of 1/period only, so that even distortion falls beside the lines; the n-th of these.
+            Use odd multiples of 1/period only (every n-th of them), so that even distortion does not fall on a line.
         spectrum
-            Amplitudes: ``"flat"``, ``"mass"`` (∝ frequency, which moves a mass equally fast at each line), or one
-            number for each line, absolute if neither `rms` nor `peak` is given.
+            Amplitudes: ``"flat"``, ``"mass"`` (proportional to frequency, so that a mass has equal speed at each line),
+            or one number for each line; the numbers are absolute (N·m or N) if neither `rms` nor `peak` is given.
         first_phase
             Phase of the lowest line (rad).
 
@@ -158,10 +158,10 @@ class Multisine:
         odd: bool = False,
         spectrum: Spectrum = "flat",
     ) -> Multisine:
-        """Return the multisine with phases drawn evenly from the circle; the same seed gives the same ones.
+        """Return the multisine with random phases, uniform on the circle; the same seed gives the same phases.
 
-        Parameters are those of `schroeder`; a seed may be several numbers, such as (seed, realisation). Sized by
-        `rms`, every realisation has another peak; sized by `peak`, another rms.
+        Other parameters: see `schroeder`. A seed may be several numbers, such as (seed, realisation). With `rms` given,
+        each realisation has a different peak; with `peak` given, a different rms.
         """
         lines = _lines(band, period_s, spacing_lines, odd)
         phases = np.random.default_rng(seed).uniform(-np.pi, np.pi, len(lines))
@@ -169,17 +169,17 @@ class Multisine:
 
     @property
     def harmonics(self) -> NDArray[np.int64]:
-        """Return which multiple of 1/period each line is, shape (n,)."""
+        """Return the multiple of 1/period for each line, shape (n,)."""
         return np.rint(self.lines_hz * self.period_s).astype(np.int64)
 
     @reported
     def rms(self) -> float:
-        """Return the root mean square over a period."""
+        """Return the root mean square over a period (N·m or N)."""
         return float(np.sqrt(0.5 * np.sum(self.amplitudes**2)))
 
     @cached_property
     def peak(self) -> float:
-        """Return largest magnitude at any time, not only at samples: each crest of a fine grid through a parabola."""
+        """Return the largest magnitude (N·m or N) at any time: crests on a fine grid, each refined by a parabola."""
         points = OVERSAMPLING * int(self.harmonics[-1] + 1)
         value = np.abs(self._samples(points, 0.0))
         before, after = np.roll(value, 1), np.roll(value, -1)
@@ -193,11 +193,11 @@ class Multisine:
 
     @reported
     def crest_factor(self) -> float:
-        """Return the peak over rms: √2 for one line, about 1.7 with Schroeder's phases, 3 to 4 with random ones."""
+        """Return peak / rms: √2 for one line, about 1.7 with Schroeder's phases, 3 to 4 with random phases."""
         return self.peak / self.rms if self.rms > 0.0 else math.nan
 
     def at(self, time_s: ArrayLike) -> Floats:
-        """Return the value at these times (s), in their shape."""
+        """Return the value at given times (s), in the shape of `time_s`."""
         time = np.asarray(time_s, dtype=np.float64)
         total = np.zeros(time.shape)
         for line, amplitude, phase in zip(self.lines_hz, self.amplitudes, self.phases, strict=True):
@@ -205,25 +205,25 @@ class Multisine:
         return total
 
     def period(self, rate_hz: float, offset: float = 0.0) -> Floats:
-        """Return one period, sampled at (k + offset)/rate.
+        """Return one period, sampled at the times (k + offset)/rate.
 
         Parameters
         ----------
         rate_hz
-            Samples in a second (Hz); a period must be a whole number of them, and the lines below half of it.
+            Sampling rate (Hz). A period must be a whole number of samples, and all lines below half the rate.
         offset
-            Where in its step each sample stands: 0 its start, 0.5 its middle. An effort that is held over a step
-            lags by half of it, and one taken at the middle does not.
+            Time of each sample within its step: 0 at the start, 0.5 in the middle. A sample from the start that is held
+            over the step lags by half a step; a sample from the middle does not.
 
         Returns
         -------
         ndarray
-            Shape (rate · period,).
+            Values (N·m or N), shape (rate · period,).
 
         Raises
         ------
         ConfigError
-            A period of no whole number of samples, or lines that the rate cannot carry.
+            A period is not a whole number of samples, or a line is at or above half the rate.
         """
         samples = round(rate_hz * self.period_s)
         if samples < 1 or abs(rate_hz * self.period_s - samples) > ON_GRID:
@@ -239,27 +239,27 @@ class Multisine:
         return self._samples(samples, offset)
 
     def ramped(self, time_s: ArrayLike, ramp_periods: int) -> Floats:
-        """Return the value at these times (s), faded in over the first periods by `ramp`, and zero before time 0."""
+        """Return the value at given times (s): zero before time 0, then faded in by `ramp` over `ramp_periods` periods."""
         time = np.asarray(time_s, dtype=np.float64)
         return self.at(time) * ramp(time, ramp_periods * self.period_s)
 
     def scaled(self, factor: float) -> Multisine:
-        """Return the same shape at another size."""
+        """Return this multisine with all amplitudes multiplied by `factor`."""
         return replace(self, amplitudes=factor * self.amplitudes)
 
     def through(self, response: ArrayLike) -> Multisine:
-        """Return the steady answer of a linear system with this complex gain at each line (shape (n,))."""
+        """Return the steady output of a linear system; `response` is its complex gain at each line, shape (n,)."""
         gain = np.broadcast_to(np.asarray(response, dtype=np.complex128), self.lines_hz.shape)
         return replace(
             self, amplitudes=self.amplitudes * np.abs(gain), phases=_wrap_phase(self.phases + np.angle(gain))
         )
 
     def position(self, impedance: ImpedanceModel) -> Multisine:
-        """Return the steady position of the handle, F/(jω·Z), for Z as a function of Hz or at the lines."""
+        """Return the steady position of the handle (rad or m), F/(jω·Z); Z is a function of Hz, or values at the lines."""
         return self._divided(self._s * self._impedance(impedance))
 
     def velocity(self, impedance: ImpedanceModel) -> Multisine:
-        """Return the steady velocity of the handle under this effort, F/Z."""
+        """Return the steady velocity of the handle (rad/s or m/s) under this effort, F/Z."""
         return self._divided(self._impedance(impedance))
 
     def check(
@@ -273,30 +273,30 @@ class Multisine:
         motor_limit: float | None = None,
         channel: Literal["external", "motor"] = "external",
     ) -> tuple[Peak, ...]:
-        """Compare what the excitation asks for with limits, before anything moves.
+        """Return the expected peaks of effort and motion with their limits, before the rig moves.
 
         Parameters
         ----------
         impedance
-            Z(jω) expected at the handle (damping units), rig and wall: a function of the lines (Hz), or its values
-            there.
+            Expected impedance Z(jω) at the handle (N·m·s/rad or N·s/m) of rig and wall: a function of frequency (Hz),
+            or its values at the lines.
         effort_limit
-            Limit of the actuator of the excitation (N·m or N).
+            Largest effort of the actuator that plays the excitation (N·m or N).
         position_limit
-            Largest distance from where the rig rests that its window allows (rad or m).
+            Largest allowed distance from the rest position (rad or m).
         speed_limit
-            Speed limit of the guard (rad/s or m/s).
+            Largest speed that the guard allows (rad/s or m/s).
         wall
-            Z of the wall alone, if there is one: the effort that the motor renders is checked then.
+            Impedance of the wall alone. If it is given, the effort by which the motor renders it is checked too.
         motor_limit
-            Limit of the motor (N·m or N).
+            Largest effort of the motor (N·m or N).
         channel
-            ``"motor"`` when the rig's own motor makes the excitation and renders the wall as well.
+            ``"motor"`` if the rig's own motor plays the excitation and also renders the wall, else ``"external"``.
 
         Returns
         -------
         tuple of Peak
-            Peaks of the steady motion. A ramp of a whole period or more adds little to them; friction takes away.
+            Peaks in the steady state. A ramp of at least one period exceeds them little; friction reduces them.
         """
         whole = self._impedance(impedance)
         checks = [
@@ -327,7 +327,7 @@ class Multisine:
         return self.through(1.0 / by)
 
     def _samples(self, samples: int, offset: float) -> Floats:
-        """Return one period of so many samples, by an inverse transform; the lines must lie below half the rate."""
+        """Return one period as `samples` samples, by an inverse transform; all lines must lie below half the rate."""
         spectrum = np.zeros(samples // 2 + 1, np.complex128)
         shift = 2.0 * np.pi * self.harmonics * offset / samples
         spectrum[self.harmonics] = 0.5 * samples * self.amplitudes * np.exp(1j * (self.phases + shift))
@@ -335,7 +335,7 @@ class Multisine:
 
 
 def ramp(time_s: ArrayLike, duration_s: float) -> Floats:
-    """Return the raised cosine from 0 at time 0 to 1 at `duration_s`, and outside of that what it ends with."""
+    """Return a raised cosine from 0 at time 0 to 1 at `duration_s`; 0 before and 1 after."""
     time = np.asarray(time_s, dtype=np.float64)
     if duration_s <= 0.0:
         return np.where(time < 0.0, 0.0, 1.0)

@@ -1,15 +1,14 @@
-"""The multisine that a device plays out of a table: what the firmware works out, to the bit, and what it is.
+"""The multisine that a device plays from a table: the table of the firmware, bit for bit, and the multisine behind it.
 
-The rig's own motor is excited at the device's rate, so nothing is streamed: the device gets a few numbers, computes
-one period as 16-bit numbers (quanta · 2^−bits) before anything moves, and looks one up in each tick. Its arithmetic is
-in integers (firmware/law/excitation.c), so the host knows the table exactly, and `multisine` says which
-`rig.control.excitation.Multisine` it is an approximation of: lines first, first + step, …, equal amplitudes, own
-phases.
+No samples are streamed: the host sends a few parameters, the device computes one period as 16-bit numbers in units of
+2^−bits quanta before the rig moves, and adds one of them to the current in each tick. The device uses integers
+(firmware/law/excitation.c), so the host can compute the same table exactly. `ExcitationTable.multisine` returns the
+`rig.control.excitation.Multisine` that the table approximates: lines first, first + step, …, of equal amplitude.
 
-How good the approximation is: see `ExcitationTable.error`. It begins with a raised cosine of
-`ramp` ticks.
+`ExcitationTable.error` bounds the error of the approximation. The excitation is faded in by a raised cosine over `ramp`
+ticks.
 
-Excited runs of `rig.experiments` call it. It must not differ from the firmware by a bit, and sends nothing.
+Excited runs of `rig.experiments` call it. It must match the firmware bit for bit, and sends nothing.
 """
 
 from __future__ import annotations
@@ -50,7 +49,7 @@ Turns = NDArray[np.uint32]
 
 
 def cosine(phase: Turns) -> NDArray[np.int32]:
-    """Return the cosine of phases in 2^−32 turns, times 2^24."""
+    """Return 2^24 times the cosine of phases that are given in 2^−32 turns."""
     turned = phase + np.uint32(_TURN // 4)
     within = turned & np.uint32(2**30 - 1)
     x = np.where(turned & np.uint32(2**30), np.uint32(2**30) - within, within)
@@ -60,7 +59,7 @@ def cosine(phase: Turns) -> NDArray[np.int32]:
 
 
 def hashed_phases(seed: int, lines: int) -> Turns:
-    """Return the phases of the lines at tick 0 in 2^−32 turns, even on the circle; excitation.h has the formula."""
+    """Return pseudo-random phases of the lines at tick 0 (2^−32 turns), uniform on the circle; see excitation.h."""
     z = (seed + 0x9E3779B9 * np.arange(1, lines + 1, dtype=np.uint64)).astype(np.uint32)
     z = (z ^ z >> np.uint32(16)) * np.uint32(0x85EBCA6B)
     z = (z ^ z >> np.uint32(13)) * np.uint32(0xC2B2AE35)
@@ -68,7 +67,7 @@ def hashed_phases(seed: int, lines: int) -> Turns:
 
 
 def schroeder_phases(lines: int) -> Turns:
-    """Return Schroeder's phases for equal lines, −j(j + 1)/2 of floor(2^32/lines), in 2^−32 turns."""
+    """Return Schroeder's phases for lines of equal amplitude (2^−32 turns): −j(j + 1)/2 · floor(2^32/lines)."""
     j = np.arange(lines, dtype=np.uint64)
     return (-(j * (j + np.uint64(1)) // np.uint64(2) * np.uint64(_TURN // lines)).astype(np.int64)).astype(
         np.uint32
@@ -77,31 +76,31 @@ def schroeder_phases(lines: int) -> Turns:
 
 @dataclass(frozen=True)
 class ExcitationTable:
-    """Parameters excitation_* of a device, and the table that it makes of them.
+    """Parameters excitation_* of a device, and the table that the device computes from them.
 
     Parameters
     ----------
     lines
         Number of lines.
     first, step
-        Harmonic of the first line, and from one to the next.
+        Harmonic of the first line, and the difference between the harmonics of neighbouring lines.
     period
-        One period (ticks).
+        Length of one period (ticks).
     amplitude
         Peak of each line (quanta · 2^16).
     bits
-        Fractional bits of the table.
+        Fractional bits of the numbers in the table.
     ramp
-        Ticks in which it rises.
+        Number of ticks in which the excitation rises from zero.
     phases
-        One of `PHASES`.
+        Rule for the phases, one of `PHASES`.
     seed
         Seed of the hashed phases.
 
     Raises
     ------
     ConfigError
-        Numbers that a device would refuse.
+        A device would reject a parameter.
     """
 
     lines: int
@@ -156,30 +155,31 @@ class ExcitationTable:
         phases: Phases = "schroeder",
         seed: int = 0,
     ) -> ExcitationTable:
-        """Return the table with the lines and the amplitude of a multisine, its phases the device's own.
+        """Return the table with the lines and the amplitude of a multisine; its phases follow the rule `phases`.
 
         Parameters
         ----------
         multisine
             Equally spaced lines of equal amplitude (N·m or N).
         rate_hz
-            Ticks in a second (Hz).
+            Rate of the device (Hz).
         effort_quantum
             Effort of one current quantum (N·m or N).
         ramp
-            Ticks in which it rises.
+            Number of ticks in which the excitation rises from zero.
         phases, seed
-            As in the class.
+            Rule for the phases, one of `PHASES`, and seed of the hashed phases.
 
         Raises
         ------
         ConfigError
-            Another spectrum, a period of no whole number of ticks, or anything that a device would refuse.
+            Lines or amplitudes are not equal, the period is not a whole number of ticks, or a device would reject a
+            parameter.
 
         Notes
         -----
-        `bits` is the greatest with which the peak fits 16 bits, so the size of the table's steps is between 2^−15
-        and 2^−14 of the peak.
+        `bits` is the largest number with which the peak fits 16 bits, so one step of the table is between 2^−15 and
+        2^−14 of the peak.
         """
         harmonics, ticks = multisine.harmonics, rate_hz * multisine.period_s
         steps = np.diff(harmonics)
@@ -206,9 +206,9 @@ class ExcitationTable:
         return table.with_most_bits()
 
     def with_most_bits(self) -> ExcitationTable:
-        """Return the same with the most fractional bits that its peak leaves room for.
+        """Return the table with the most fractional bits with which its peak fits 16 bits.
 
-        Raises `ConfigError` for a peak that does not even fit whole quanta.
+        Raises `ConfigError` if the peak does not fit even without fractional bits.
         """
         for bits in range(MOST_BITS, -1, -1):
             if np.abs(self._at(bits)).max() <= GREATEST:
@@ -222,7 +222,7 @@ class ExcitationTable:
 
     @property
     def harmonics(self) -> Integers:
-        """Return the multiple of 1/period that each line is, shape (lines,)."""
+        """Return the multiple of 1/period for each line, shape (lines,)."""
         return self.first + self.step * np.arange(self.lines, dtype=np.int64)
 
     @property
@@ -236,12 +236,12 @@ class ExcitationTable:
 
     @cached_property
     def table(self) -> NDArray[np.int16]:
-        """Return one period as the device keeps it (quanta · 2^bits), shape (period,)."""
+        """Return one period as the device stores it (quanta · 2^bits), shape (period,)."""
         return np.clip(self._at(self.bits), -GREATEST - 1, GREATEST).astype(np.int16)
 
     @property
     def values(self) -> Floats:
-        """Return one period (quanta), shape (period,)."""
+        """Return one period of the table (quanta), shape (period,)."""
         return np.asarray(self.table, np.float64) * 2.0**-self.bits
 
     @property
@@ -256,16 +256,16 @@ class ExcitationTable:
 
     @property
     def error(self) -> float:
-        """Bound on how far a number in the table is from the multisine (quanta).
+        """Return a bound of the difference between the table and its multisine (quanta).
 
-        Half a step of the table; and for each line the error of its cosine, 5.2e-6 of the amplitude, and of its
-        phase, which is off by at most one part in 2^32 for each line before it, and two.
+        It is half a step of the table, plus for each line the error of its cosine (5.2e-6 of the amplitude) and of its
+        phase (at most 2^−32 turns for each line before it, plus two).
         """
         phase: float = 2.0 * math.pi / _TURN * (self.lines * (self.lines + 3) / 2)
         return 0.5 * 2.0**-self.bits + self.amplitude * 0.5**LINE_BITS * (self.lines * _COSINE_ERROR + phase)
 
     def multisine(self, rate_hz: float, effort_quantum: float) -> Multisine:
-        """Return what excites the rig (N·m or N for one current quantum), at so many ticks a second (Hz)."""
+        """Return the multisine (N·m or N) that the table approximates, for a rate (Hz) and the effort of a quantum."""
         amplitude = self.amplitude * 0.5**LINE_BITS * effort_quantum
         turns = np.asarray(self.line_phases.astype(np.int32), np.float64)  # from -1/2 to 1/2
         return Multisine(
@@ -276,11 +276,11 @@ class ExcitationTable:
         )
 
     def efforts(self, effort_quantum: float) -> Floats:
-        """Return one period of the table (N·m or N), for a law that plays it (`rig.control.bilateral.excited_law`)."""
+        """Return one period of the table (N·m or N) for `rig.control.bilateral.excited_law`, shape (period,)."""
         return self.values * effort_quantum
 
     def played(self, ticks: ArrayLike) -> Integers:
-        """Return the values that the device adds at these ticks of the excitation, with the ramp (quanta · 2^16)."""
+        """Return the currents that the device adds at given ticks of the excitation, ramp included (quanta · 2^16)."""
         tick = np.asarray(ticks, dtype=np.int64)
         gain = np.full(tick.shape, 1 << _GAIN_BITS, np.int64)
         if self.ramp > 0:
@@ -291,13 +291,13 @@ class ExcitationTable:
         return np.asarray(sampled * gain * 2 ** (LINE_BITS - _GAIN_BITS) >> self.bits)
 
     def parameters(self) -> dict[str, int]:
-        """Return the parameters of the device, by name."""
+        """Return the device parameters by name (``excitation_lines`` and so on)."""
         values = asdict(self) | {"phases": PHASES.index(self.phases)}
         return {f"excitation_{name}": int(value) for name, value in values.items()}
 
     @cached_property
     def _sums(self) -> Integers:
-        """Sum of the lines' cosines at each tick (2^−24), shape (period,)."""
+        """Return the sum of the lines' cosines at each tick (2^−24), shape (period,)."""
         sums = np.empty(self.period, np.int64)
         line, own = np.arange(self.lines, dtype=np.uint32), self.line_phases
         for ticks in _chunks(self.period, self.lines):
@@ -309,7 +309,7 @@ class ExcitationTable:
         return sums
 
     def _at(self, bits: int) -> Integers:
-        """Return the numbers of the table with so many bits, before they are clipped."""
+        """Return the numbers of the table with `bits` fractional bits, before they are clipped to 16 bits."""
         shift = _COSINE_BITS + LINE_BITS - bits
         return (self._sums * self.amplitude >> shift - 1) + 1 >> 1
 

@@ -1,19 +1,20 @@
-"""Friction compensation: the motor carries a part of the Coulomb friction that a hand would feel.
+"""Friction compensation: the motor supplies a part of the Coulomb friction that a hand would feel.
 
     effort = share · level · φ(velocity / dead band),    φ(x) = x·(3 − x²)/2 for |x| ≤ 1, else the sign of x
 
-The level is that of the direction of motion, up or down. Inside the dead band the effort falls smoothly to zero, so
-that a handle at rest gets none and an encoder's noise makes no chatter; it must be wider than that noise.
+The level is the friction in the direction of motion, up or down. Inside the dead band the effort falls smoothly to
+zero, so that a handle at rest gets no effort. The dead band must be wider than the encoder's noise, which would cause
+chatter.
 
-**It cannot drive the rig.** The effort is never more than share · level, and while the handle slides with velocity v
-friction dissipates level · |v|. Whatever velocity the estimator gives, late, wrong or of the wrong sign,
-the power of both together is at most −(1 − share) · level · |v| ≤ 0; at rest it is zero. So it adds no energy
-while the rig's own friction is not below share · level (by default 0.8 of the identified level);
-where it is below, by d, at most d · |distance slid|. On a rig of two masses this holds for the mass that the motor acts
-on and its own friction: take levels of the motor side if the link has much friction of its own.
+**It cannot drive the rig.** The effort is at most share · level, and while the handle slides with velocity v, friction
+dissipates level · |v|. Whatever velocity the estimator returns, the power of compensation and friction together is at
+most −(1 − share) · level · |v| ≤ 0; at rest it is zero. So the compensation adds no energy while the rig's true
+friction is at least share · level (by default 0.8 of the identified level); if it is lower by d, the added energy is at
+most d · |distance slid|. On a rig of two masses this holds for the mass that the motor drives and its
+friction: use levels of the motor side if the link has much friction.
 
-It is off unless a law is wrapped in it, and it works wherever that law does: in trial and release, inside the wall
-and outside. A recording shows it in the name of the law and in its parameters, the first four of which are its own.
+It acts only if a law is wrapped in it, and whenever that law does: in trial and release, inside the wall and outside.
+In a recording the name of the law contains it, and the first four parameters of the law belong to it.
 
 `rig.config.controller` wraps a law in it. Kernels here must not allocate.
 """
@@ -43,7 +44,10 @@ INWARDS, OUTWARDS, DEAD_BAND, SHARE, OWN = range(5)  # parameters; the wrapped l
 
 @kernel("f8(f8, f8, f8, f8, f8)", inline=True)
 def compensation(velocity: float, rising: float, falling: float, dead_band: float, share: float) -> float:
-    """Return the effort along the velocity (N·m or N) for the friction of rising and falling position."""
+    """Return the compensating effort (N·m or N) in the direction of the velocity (rad/s or m/s).
+
+    `rising` and `falling` are the friction levels (N·m or N) for positive and negative velocity.
+    """
     level = share * (rising if velocity > 0.0 else falling)
     x = velocity / dead_band
     if x >= 1.0:
@@ -55,21 +59,21 @@ def compensation(velocity: float, rising: float, falling: float, dead_band: floa
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Compensation:
-    """Friction levels to compensate.
+    """Friction levels, dead band and share of a friction compensation.
 
     Attributes
     ----------
     up, down
-        Identified friction against rising and against falling position (N·m or N, not negative).
+        Identified friction while the position rises and while it falls (N·m or N, at least 0).
     dead_band
-        Speed at which the whole share acts (rad/s or m/s, above zero).
+        Speed from which the full share acts (rad/s or m/s, above 0).
     share
-        Compensated share of the levels, 0 to below 1.
+        Share of the levels that is compensated, from 0 to below 1.
 
     Raises
     ------
     ConfigError
-        A value outside of these ranges.
+        A value is outside of its range.
     """
 
     up: float
@@ -97,9 +101,9 @@ class Compensation:
 
 
 def dead_band_of(resolution: float, velocity_rate: float, cutoff_hz: float) -> float:
-    """Return the dead band of four times the velocity that one count makes in a filtered difference (rad/s or m/s).
+    """Return a dead band (rad/s or m/s): four times the velocity that one count causes in a filtered difference.
 
-    The band must be wider than the encoder's noise, or the compensation chatters.
+    `resolution` is in rad or m; `velocity_rate` is the rate of the estimator (Hz).
     """
     # One count is an impulse of resolution·rate in a difference; a second-order Butterworth filter answers it with a
     # peak of about 0.46·2π·cut-off·resolution.
@@ -107,7 +111,7 @@ def dead_band_of(resolution: float, velocity_rate: float, cutoff_hz: float) -> f
 
 
 def compensate_friction(law: Law, wanted: Compensation) -> Law:
-    """Return a law that does what `law` does, and compensates friction.
+    """Return a law with the effort of `law` plus a compensation of friction.
 
     The wrapper is compiled for the law when it is first used (a second or two).
     """
@@ -126,7 +130,7 @@ def compensate_friction(law: Law, wanted: Compensation) -> Law:
 
 
 def around(law: Law) -> Law:
-    """Return the wrapper of a law without numbers of its own: what a replay needs, whose recording has them."""
+    """Return the wrapper of a law without parameters, for a replay, which takes the parameters from the recording."""
     return compensate_friction(law, Compensation(up=0.0, down=0.0, dead_band=1.0))
 
 

@@ -67,7 +67,7 @@ class PlainLaw(Law):
         return [f"law {self.name}: {self.summary}", *rows]
 
     def with_parameters(self, **values: float) -> PlainLaw:
-        """Return the law with other values of its parameters; raise `ConfigError` for an unknown name or wrong value."""
+        """Return the law with other values of its parameters; raise `ConfigError` for a wrong name or value."""
         changed = dict(self.parameters)
         for name, value in values.items():
             if name not in changed:
