@@ -610,7 +610,7 @@ class Meter:
         flags: Ints,
         velocity: Floats | None = None,
     ) -> np.void:
-        """Return the numbers of recorded signals (a record of `NUMBERS`); if None, `velocity` follows from `position`."""
+        """Return the numbers (a record of `NUMBERS`) of recorded signals; `velocity` may be left out."""
         derived = self._no_velocity if velocity is None else velocity
         return self._measured(self._recorded, (position, derived, effort, penetration), flags)
 

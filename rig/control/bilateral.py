@@ -104,7 +104,7 @@ def excited_law(
     ramp_ticks
         Number of ticks in which the excitation rises from zero.
     device
-Device parameters from which a device computes the same table (`rig.control.excitation_table`).
+        Device parameters from which a device computes the same table (`rig.control.excitation_table`).
     """
     table = np.atleast_1d(np.asarray(efforts, dtype=np.float64))
 
@@ -127,7 +127,7 @@ def design_excited(wall: Mapping[str, Any], efforts: Floats, ramp_ticks: int) ->
 
 
 def played(parameters: Floats, side: int, tick_s: float, ticks: int) -> Floats:
-    """Return the excitation (N·m or N, positive with position) of `excited` in its first `ticks` ticks, shape (ticks,)."""
+    """Return the excitation that `excited` plays in its first `ticks` ticks (N·m or N, positive with position)."""
     tick, table = np.arange(ticks), parameters[TABLE:]
     rising = fade(tick * tick_s, parameters[RAMP_TICKS] * tick_s)
     return np.asarray(-side * table[tick % len(table)] * rising)

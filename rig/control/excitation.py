@@ -239,7 +239,7 @@ class Multisine:
         return self._samples(samples, offset)
 
     def ramped(self, time_s: ArrayLike, ramp_periods: int) -> Floats:
-        """Return the value at given times (s): zero before time 0, then faded in by `ramp` over `ramp_periods` periods."""
+        """Return the value at given times (s): zero before time 0, then faded in by `ramp` over `ramp_periods`."""
         time = np.asarray(time_s, dtype=np.float64)
         return self.at(time) * ramp(time, ramp_periods * self.period_s)
 
@@ -255,7 +255,7 @@ class Multisine:
         )
 
     def position(self, impedance: ImpedanceModel) -> Multisine:
-        """Return the steady position of the handle (rad or m), F/(jω·Z); Z is a function of Hz, or values at the lines."""
+        """Return the steady position of the handle, F/(jω·Z) (rad or m); Z is a function of Hz or an array."""
         return self._divided(self._s * self._impedance(impedance))
 
     def velocity(self, impedance: ImpedanceModel) -> Multisine:

@@ -1,13 +1,14 @@
-"""Disturbance observer: the rig's inertia, its known effort, and the hand as an unknown, slowly varying force.
+"""Disturbance observer: it knows the inertia and the effort, and estimates the hand as a slowly varying force.
 
-x̂ and v̂ are carried on by the acceleration (effort + d̂)/J; the error e of the predicted count corrects all three:
-x̂ by l1·e, v̂ by l2·e/T, d̂/J by l3·e/T². So the motor's part of an acceleration is followed without delay, and the hand's
-with that of a loop of third order. A loop without d̂ takes the hand for nothing: pressed with F it reads
-−2·ζ·F/(ω0·J) at rest, and the wall's static stiffness falls to K/(1 + 2·ζ·B/(ω0·J)).
+In each period T, x̂ and v̂ are predicted with the acceleration (effort + d̂)/J, where d̂ is the estimated force of the
+hand and J the inertia; the error e of the predicted count then corrects all three estimates:
+x̂ by l1·e, v̂ by l2·e/T, d̂/J by l3·e/T². So an acceleration by the motor is followed without delay, and one by the
+hand with the delay of a third-order loop. A loop without d̂ ignores the hand: at rest under a press F it reads the
+velocity −2·ζ·F/(ω0·J), and the wall's static stiffness falls to K/(1 + 2·ζ·B/(ω0·J)).
 
-The poles are those of a Butterworth filter of third order at ω0, mapped by z = exp(s·T), to which those of the steady
-Kalman filter of a triple integrator tend. The inertia is that of the device without the hand; a hand that holds it
-firmly adds to it and makes the observer slower, not biased.
+The poles are those of a third-order Butterworth filter at ω0, mapped by z = exp(s·T); the steady Kalman filter of a
+triple integrator has the same poles for small ω0·T. J is the inertia of the device without the hand. A hand that holds
+it firmly adds inertia, which makes the observer slower but not biased.
 
 Source: the observer is that of Ohishi et al. (1987) in the form with an augmented state; poles by Ackermann's formula.
 """
@@ -24,7 +25,7 @@ from rig.control.estimators.estimator import Estimator, Setting
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Gains, and the acceleration of a unit of effort in counts per period²."""
+    """Return the three gains of the observer, and the acceleration by a unit of effort (counts per period²)."""
     observer.check_frequency("disturbance", settings["frequency_hz"], period_s)
     turn = observer.turn(settings["frequency_hz"], period_s)
     swing = turn * cmath.exp(2j * math.pi / 3.0)

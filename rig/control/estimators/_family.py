@@ -1,4 +1,4 @@
-"""Every velocity estimator by name, each imported when it is asked for."""
+"""Names of all velocity estimators; the module of an estimator is imported when `get` first needs it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def names() -> list[str]:
 
 
 def broken(name: str) -> str:
-    """Return why a third party's estimator cannot be used, "" where it can."""
+    """Return why an estimator cannot be loaded (for example a broken plug-in); "" if it can be used."""
     try:
         get(name)
     except ConfigError as error:
@@ -41,7 +41,7 @@ def broken(name: str) -> str:
 
 
 def get(name: str) -> Estimator:
-    """Return the estimator of that name; `ConfigError` for an unknown one or a broken plug-in."""
+    """Return the estimator of that name; raise `ConfigError` if the name is unknown or its plug-in is broken."""
     if name in BUILT_IN:
         return cast("Estimator", import_module(BUILT_IN[name]).ESTIMATOR)
     found = plugins.load("rig.estimators", "estimator", name, lambda part: isinstance(part, Estimator))

@@ -1,7 +1,7 @@
-"""Finite difference: the slope between two samples, and nothing else.
+"""Finite difference: the slope between two samples, without a filter.
 
-v = Δ·(c_k − c_{k−1}) / T. Rounding alone gives it Δ/(√6·T) rms of noise on a moving handle, which is why
-it is not used to render damping at a high rate. Source: Chawda et al., equation (1).
+v = Δ·(c_k − c_{k−1}) / T. On a moving handle the rounding of counts alone causes noise of Δ/(√6·T) rms, too much
+to render damping at a high rate. Source: Chawda et al., equation (1).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the velocity over the elapsed periods; zero for the first sample, which has no predecessor."""
+    """Return the velocity (rad/s or m/s) over the elapsed periods; zero for the first sample."""
     if state_i[STARTED] == 0:
         state_i[STARTED] = 1
         state_i[PREVIOUS] = count

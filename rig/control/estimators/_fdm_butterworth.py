@@ -1,4 +1,4 @@
-"""Finite difference through a Butterworth low pass: of second order, what both papers compare everything with.
+"""Finite difference and a Butterworth low pass; with order 2 it is the reference of both papers.
 
 The filter is the bilinear, prewarped design (`rig.control._butterworth`), run as second-order sections in transposed
 direct form II. Its delay at zero frequency is √2·T/(2·tan(π·f_c·T)): 1.088 ms for
@@ -38,7 +38,10 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the filtered velocity; over a gap the filter runs once for each lost period on the mean slope."""
+    """Return the filtered velocity (rad/s or m/s).
+
+    Over a gap the filter runs once for each lost period, with the mean slope over the gap as input.
+    """
     slope = fdm.update(count, edge_age_s, elapsed_ticks, effort, state_f, state_i, parameters)
     out = slope
     for _ in range(min(elapsed_ticks, LONGEST_GAP)):
@@ -61,8 +64,8 @@ def update(
 def low_pass(name: str, order: int, cutoff_hz: float, period_s: float) -> list[list[float]]:
     """Return the second-order sections b0, b1, b2, 1, a1, a2 of the filter.
 
-    Raises `ConfigError`, in the name of the estimator `name`, for a cut-off at or above Nyquist, and for one so far
-    below the rate that rounding changes the gain at rest.
+    Raises `ConfigError` (its message names the estimator `name`) if the cut-off is at or above Nyquist, or so far below
+    the rate that rounding of the coefficients changes the gain at rest.
     """
     nyquist_hz = 0.5 / period_s
     if cutoff_hz >= nyquist_hz:
@@ -84,7 +87,7 @@ def low_pass(name: str, order: int, cutoff_hz: float, period_s: float) -> list[l
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the coefficients b0, b1, b2, a1, a2 of each section."""
+    """Return the coefficients b0, b1, b2, a1, a2 of all sections, in one list."""
     order = settings["order"]
     if order != int(order):
         raise ConfigError(

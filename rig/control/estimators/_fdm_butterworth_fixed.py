@@ -1,9 +1,10 @@
-"""Finite difference and Butterworth low pass in fixed point: what an FPGA or a microcontroller computes, to the bit.
+"""Finite difference and Butterworth low pass in fixed point, bit for bit as an FPGA or a microcontroller computes it.
 
-The filter of `rig.control.estimators._fdm_butterworth`, of order 2, on integers: counts per velocity period in the
-format Q(w−f).f, with w = `word_bits` and f = `state_bits`; coefficients with `coefficient_bits` behind the point;
-products summed whole in 64 bits and rounded once per period. `rig.control._fixed_point` has the rules and the effects
-of rounding on a low pass. Velocities beyond ±2^(w−1−f) counts a period saturate: 32768 with the defaults.
+It is the filter of `rig.control.estimators._fdm_butterworth` with order 2, on integers. Velocities are counts per
+velocity period in the format Q(w−f).f, with w = `word_bits` and f = `state_bits`; coefficients have `coefficient_bits`
+fractional bits; products are summed exactly in 64 bits and rounded once per period. `rig.control._fixed_point` explains
+the rounding and its effects on a low pass. Velocities beyond ±2^(w−1−f) counts a period saturate: 32768 with the
+defaults.
 
 Source: Koul et al., section III ("second-order fixed-point Butterworth"); its word length and rounding are not given.
 """
@@ -55,7 +56,10 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the filtered velocity; over a gap the filter runs once for each lost period on the mean slope."""
+    """Return the filtered velocity (rad/s or m/s).
+
+    Over a gap the filter runs once for each lost period, with the mean slope over the gap as input.
+    """
     if state_i[fdm.STARTED] == 0:
         state_i[fdm.STARTED] = 1
         state_i[fdm.PREVIOUS] = count
@@ -83,10 +87,10 @@ def update(
 
 
 def biquad(settings: Mapping[str, Any], period_s: float) -> Biquad:
-    """Return the integers that `update` runs, with their measured gain at rest and dead zone.
+    """Return the integer coefficients of the filter, with its gain at rest and its dead zone.
 
-    Raises `ConfigError` for bits that are no whole number, a cut-off at or above Nyquist, and words that are too
-    short for the filter or too long for 64 bits (`rig.control._fixed_point.design_biquad`).
+    Raises `ConfigError` if a number of bits is not whole, the cut-off is at or above Nyquist, or the words are too
+    short for the filter or too long for sums of 64 bits (`rig.control._fixed_point.design_biquad`).
     """
     for name in ("coefficient_bits", "state_bits", "word_bits"):
         if settings[name] != int(settings[name]):
@@ -112,7 +116,7 @@ def biquad(settings: Mapping[str, Any], period_s: float) -> Biquad:
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the integers of the filter, in the order of the indices above."""
+    """Return the integers of the filter in the order of the indices B0 to SCALE."""
     f = biquad(settings, period_s)
     form = [f.coefficient_bits, f.state.fraction_bits, f.state.word_bits, f.rounding]
     return [float(n) for n in (f.b0, f.b1, f.b2, f.a1, f.a2, *form)] + [f.state.lsb / period_s]

@@ -1,16 +1,16 @@
-"""First-order adaptive windowing: the slope of the longest straight line that the last samples allow.
+"""First-order adaptive windowing: the slope of the longest straight line that fits the last samples.
 
-A line over the last n periods is accepted when it passes every sample in between within the noise band d. A fast
-handle bends the line early: short window, short delay. A slow one leaves it straight: long window, little
-noise. The delay is about half the window, so the window is reported with each estimate (`WINDOW`).
+A line over the last n periods is accepted if every sample in between lies within the noise band d of it. Fast motion
+bends soon, so the window and its delay are short. Slow motion is straight for long, so the window is long and the noise
+small. The delay is about half the window; the window is stored with each estimate (`WINDOW`).
 
-Two ways to draw the line are two estimators, because the choice of an anchor has a meaning for one only:
+There are two estimators, which draw the line differently (only `foaw-best` has a choice of the line's anchor):
 
 - `foaw-end` (`rig.control.estimators._foaw_end`): the chord through the newest and the oldest sample;
 - `foaw-best` (`rig.control.estimators._foaw_best`): the least-squares line.
 
-This file has the memory of samples and the settings of both. A gap longer than the window is a restart from the mean
-slope over the gap.
+This file has the memory of samples and the settings of both estimators. After a gap longer than the window, the
+estimate restarts from the mean slope over the gap.
 
 Source: Janabi-Sharifi, Hayward and Chen, IEEE TCST 8(6), 2000, as given by Chawda et al., section II.C.
 """
@@ -53,7 +53,7 @@ SETTINGS: tuple[Setting | Choice, ...] = (
 
 @kernel("i8(i8, i8, i8[::1])", inline=True, no_refcount=True)
 def remember(count: int, elapsed_ticks: int, state_i: Ints) -> int:
-    """Store a sample, with its count unwrapped, and return its slot in the ring."""
+    """Store a sample, with its count unwrapped, in the ring; return the index of its slot."""
     slot = state_i[SAMPLES] & MASK
     if state_i[SAMPLES] > 0:
         last = (slot - 1) & MASK
@@ -67,7 +67,10 @@ def remember(count: int, elapsed_ticks: int, state_i: Ints) -> int:
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return band (counts) with its margin, limit (periods), index of the stop rule; refuse half periods."""
+    """Return the band (counts) with its rounding margin, the longest window (periods) and the index of the stop rule.
+
+    Raises `ConfigError` if `window_limit` is not a whole number.
+    """
     limit = settings["window_limit"]
     if limit != round(limit):
         raise ConfigError(

@@ -1,14 +1,14 @@
 """First-order adaptive windowing, best-fit: the slope of the longest acceptable least-squares line.
 
-With rise_i and span_i the counts and periods between the newest sample and the i-th before it, the line is
-rise = intercept + slope · span. The slope comes from sums that grow by one sample per window (for samples without
-gaps it is equation (6)). Where the line stands decides which samples it passes, and `anchor` chooses that:
+rise_i and span_i are the counts and periods between the newest sample and the i-th before it; the line is
+rise = intercept + slope · span. The slope is that of equation (6), extended to samples with gaps. The intercept decides
+which samples lie within the band; `anchor` selects it:
 
 - `lsq`: the least-squares intercept (default);
-- `last`: through the newest sample, as some public codes do; take d ≥ 1.5;
-- `literal`: the a_n of equation (6) as printed, with 3 to 25 times the noise on a steady ramp.
+- `last`: the line passes through the newest sample, as in some public implementations; use d ≥ 1.5;
+- `literal`: a_n of equation (6) as printed in the paper, with 3 to 25 times the noise on a steady ramp.
 
-See `rig.control.estimators._foaw` for band, time and stop rule.
+`rig.control.estimators._foaw` explains band, window and stop rule.
 """
 
 from __future__ import annotations
@@ -40,7 +40,10 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return slope of the longest accepted line; zero for the first sample. The line of two samples always passes."""
+    """Return the slope of the longest accepted line (rad/s or m/s); zero for the first sample.
+
+    A line through two samples is always accepted.
+    """
     newest = foaw.remember(count, elapsed_ticks, state_i)
     position, period = state_i[COUNTS + newest], state_i[PERIODS + newest]
     band, limit, anchor = parameters[BAND], int(parameters[LIMIT]), int(parameters[ANCHOR])
@@ -85,7 +88,7 @@ def update(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the numbers of `foaw.design` and the index of the anchor."""
+    """Return the parameters of `rig.control.estimators._foaw.design`, then the index of the anchor."""
     return [*foaw.design(settings, resolution, period_s), float(ANCHORS.index(settings["anchor"]))]
 
 

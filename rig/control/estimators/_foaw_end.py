@@ -1,9 +1,9 @@
 """First-order adaptive windowing, end-fit: the slope of the longest chord that ends at the newest sample.
 
-Sample i lies within the band of a line through the newest one iff the slope is in the cone
-[(rise_i − d)/span_i, (rise_i + d)/span_i]. So a chord passes iff its slope lies in the intersection of the cones
-of all samples in between, which grows by one cone a sample: O(W) instead of the O(W²) of testing every sample
-again, with the same windows. See `rig.control.estimators._foaw` for band, time and stop rule.
+Sample i lies within the band of a line through the newest sample if and only if the slope of the line is in the cone
+[(rise_i − d)/span_i, (rise_i + d)/span_i]. So a chord is accepted if its slope lies in the cones of all samples in
+between. One more sample adds one cone to their intersection, so that the cost is O(W); a test of every sample again
+would cost O(W²) and give the same window. `rig.control.estimators._foaw` explains band, window and stop rule.
 """
 
 from __future__ import annotations
@@ -27,7 +27,10 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return slope of the longest accepted chord; zero for the first sample. The chord of two samples always passes."""
+    """Return the slope of the longest accepted chord (rad/s or m/s); zero for the first sample.
+
+    A chord between two successive samples is always accepted.
+    """
     newest = foaw.remember(count, elapsed_ticks, state_i)
     position, period = state_i[COUNTS + newest], state_i[PERIODS + newest]
     band, limit = parameters[BAND], int(parameters[LIMIT])

@@ -1,17 +1,17 @@
-"""FOAW where the motion is straight, Levant where it bends: both run always, and FOAW's window decides their weights.
+"""Weighted mean of FOAW, for straight motion, and Levant's differentiator; FOAW's window decides the weights.
 
-Chawda et al. (section V) name a combination of the two as possibly better than each, without a definition. This one is
-the project's. FOAW's chord over n periods has Δ/(n·T) of noise, which is large where the motion bends and the window is
-short; Levant's error is of the order of 2·√(C·Δ), which is large for a straight motion. So
+Chawda et al. (section V) suggest a combination of both without a definition; this definition is the project's. FOAW's
+chord over n periods has noise of Δ/(n·T), which is large if the motion bends and the window is short. Levant's error is
+of the order of 2·√(C·Δ), which is too large for straight motion. So
 
     v = w·v_FOAW + (1 − w)·v_Levant,   w = straight · precise,
 
     straight   0 up to `fast_window`, 1 from `slow_window`, linear in between;
-    precise    (2·√(C·Δ))² / ((2·√(C·Δ))² + (Δ/(n·T))²): the weight by inverse squares of the two bounds.
+    precise    (2·√(C·Δ))² / ((2·√(C·Δ))² + (Δ/(n·T))²): weight by the inverse squares of both errors.
 
 On thirteen signals (a wall bounce at 1 to 50 kHz with 1 and 20 µm, hits of both rigs; 2026-11-20) its RMS error was
-0.73 to 1.17 times that of the better of the two, with the two windows chosen on these same signals. It pays at 1 to
-2 kHz, and elsewhere spares one the choice.
+0.73 to 1.17 times that of the better of FOAW and Levant; both windows were chosen on these signals. It is more accurate
+at 1 to 2 kHz; at other rates it only replaces the choice between FOAW and Levant.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the weighted velocity; WINDOW is that of FOAW, which decided the weight."""
+    """Return the weighted velocity (rad/s or m/s); WINDOW becomes the window of FOAW, which decided the weight."""
     started = state_i[foaw.SAMPLES] > 0
     moved = count_difference(count, state_i[foaw.PREVIOUS])
     straight = foaw_end.update(count, edge_age_s, elapsed_ticks, effort, state_f, state_i, parameters)
@@ -73,7 +73,10 @@ def update(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the numbers of FOAW, of Levant, and the two windows; `ConfigError` when these are not in order."""
+    """Return the parameters of FOAW and of Levant, both windows (periods) and the factor of the weight.
+
+    Raises `ConfigError` unless fast_window < slow_window ≤ window_limit.
+    """
     fast, slow, limit = settings["fast_window"], settings["slow_window"], settings["window_limit"]
     if not fast < slow <= limit:
         raise ConfigError(

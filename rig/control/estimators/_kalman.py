@@ -1,22 +1,23 @@
-"""Kalman filter on a chain of integrators: the motion is smooth, and this is how smooth.
+"""Kalman filter on a chain of two or three integrators.
 
-State (position, velocity, acceleration), driven by white jerk of power spectral density q (`model = "triple"`, what
-Bélanger recommends), or (position, velocity) driven by white acceleration (`double`). The encoder shows the position
-with an error of variance r. Inside, lengths are counts and times are periods: then the transition matrix holds no
-number but 1 and ½, r is 1/12, and q becomes one dimensionless intensity q·T⁵/Δ² (q·T³/Δ² for `double`).
+With `model = "triple"`, which Bélanger recommends, the state is (position, velocity, acceleration), driven by white
+jerk of power spectral density q. With `double` it is (position, velocity), driven by white acceleration. The encoder
+measures the position with an error of variance r. The filter computes in counts and periods: the transition matrix then
+contains only 0, 1 and ½, r is 1/12, and q becomes the dimensionless intensity q·T⁵/Δ² (q·T³/Δ² for `double`).
 
 In the steady state the filter is a differentiator with a low pass at ω0 ≈ (q/(r·T))^(1/6), or ^(1/4) for `double`. The
-low pass of `double` is a second-order Butterworth filter with its lag of √2/ω0; `triple` follows a constant
-acceleration without lag and pays with a peak near ω0. Begin with `bandwidth_hz`; q is the setting to copy from a paper,
-in position² per s⁵ (s³).
+low pass of `double` is a second-order Butterworth filter with a lag of √2/ω0; `triple` follows a constant acceleration
+without lag, but has a peak near ω0. Set `bandwidth_hz` first; use q to copy the value of a paper, in position² per s⁵
+(s³ for `double`).
 
-The paper's q = 2.5e4 with `variance = "paper"`, at 1 kHz and 1 µm, is 327 Hz: nearly a finite difference.
+The paper's q = 2.5e4 with `variance = "paper"`, at 1 kHz and 1 µm, is a bandwidth of 327 Hz: nearly a finite
+difference.
 
-Fading. When innovations are larger than the model explains, the propagated covariance is multiplied by
+Fading. If innovations are larger than the model explains, the propagated covariance is multiplied by
 λ = max(1, (Ĉ0 − r − Q11)/M11), M = A·P·Aᵀ. With one measured quantity the variants of the literature differ only in
-Ĉ0, the innovations' variance: the last one's square (`instant`), the mean of some (`window`), or the recursion
-Ĉ0 ← (ρ·Ĉ0 + ν²)/(1 + ρ) of the strong tracking filter (`stf`), which remembers about two samples. Which of them the
-paper used it does not say.
+Ĉ0, the innovations' variance: the last innovation's square (`instant`), the mean of several squares (`window`), or the
+recursion Ĉ0 ← (ρ·Ĉ0 + ν²)/(1 + ρ) of the strong tracking filter (`stf`), which averages about two samples. The paper
+does not state which it used.
 
 Source: Chawda et al., section II.B, equations (2) to (4) and Q after them; Bélanger et al. 1998; Xia et al. 1994 for
 fading. Neither of the last two was available: the recursion is the standard form of the literature.
@@ -91,7 +92,7 @@ def _correct(
 ) -> tuple[float, float, float, float, float, float]:
     """Return gain k1, k2, k3 and the lower block p22, p23, p33 of the covariance after the update, in Joseph's form.
 
-    Its first row is r·(k1, k2, k3): with one measured quantity that is exact for the optimal gain.
+    The first row of that covariance is r·(k1, k2, k3), which is exact for the optimal gain and one measured quantity.
     """
     # Joseph's form and not (1 − K·C)·P: it stays symmetric and positive under rounding.
     s = p11 + r
@@ -104,7 +105,7 @@ def _correct(
 
 @kernel("void(f8, f8[::1], i8[::1], f8[::1])", inline=True, no_refcount=True)
 def _start(velocity: float, state_f: Floats, state_i: Ints, parameters: Floats) -> None:
-    """Begin at the newest count with that velocity and the prior covariance."""
+    """Start at the newest count with a velocity (counts per period) and the prior covariance."""
     state_i[STARTED], state_i[INNOVATIONS] = 1, 0
     state_f[OFFSET], state_f[VELOCITY], state_f[ACCELERATION] = 0.0, velocity, 0.0
     state_f[P11], state_f[P12], state_f[P13] = parameters[R], 0.0, 0.0
@@ -113,7 +114,7 @@ def _start(velocity: float, state_f: Floats, state_i: Ints, parameters: Floats) 
 
 @kernel("f8(f8, f8[::1], i8[::1], f8[::1])", inline=True, no_refcount=True)
 def _innovation_variance(innovation: float, state_f: Floats, state_i: Ints, parameters: Floats) -> float:
-    """Ĉ0 by the chosen memory of the innovations' squares, this one included; zero for no fading."""
+    """Return Ĉ0 (counts²), the variance of the innovations up to this one by the chosen fading; 0 without fading."""
     fading, seen = parameters[FADING], state_i[INNOVATIONS]
     state_i[INNOVATIONS] = seen + 1
     square = innovation * innovation
@@ -140,7 +141,7 @@ def _innovation_variance(innovation: float, state_f: Floats, state_i: Ints, para
 def _gain(
     variance: float, elapsed_ticks: int, state_f: Floats, parameters: Floats
 ) -> tuple[float, float, float]:
-    """Carry the covariance over the elapsed periods, fading the last one, and through the update; its gain."""
+    """Update the covariance over the elapsed periods, with fading, and for a new sample; return the gain."""
     r, q11, q12, q13 = parameters[R], parameters[Q11], parameters[Q12], parameters[Q13]
     q22, q23, q33 = parameters[Q22], parameters[Q23], parameters[Q33]
     p11, p12, p13 = state_f[P11], state_f[P12], state_f[P13]
@@ -172,7 +173,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the velocity after this sample; zero for the first one. A gap is predicted over, with one update."""
+    """Return the velocity (rad/s or m/s); zero for the first sample. A gap is predicted, then corrected once."""
     # The position is stored less the newest count, so that large counts cost no digits.
     scale = parameters[RESOLUTION] / parameters[PERIOD]
     moved = count_difference(count, state_i[PREVIOUS])
@@ -202,7 +203,7 @@ def update(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return variances, prior, options and steady gain in counts and periods; refuse contradictory settings."""
+    """Return variances, prior, options and steady gain (counts, periods); raise `ConfigError` for conflicts."""
     order, r = ORDERS[settings["model"]], VARIANCES[settings["variance"]]
     printed, steady = settings["noise"] == "printed", settings["gain"] == "steady"
     _check_options(order, printed, steady, settings["fading"], settings["fading_window"])
@@ -228,7 +229,7 @@ def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> l
 
 @lru_cache(maxsize=512)
 def _steady(order: int, intensity: float, r: float, printed: bool) -> tuple[float, ...]:
-    """Solve the Riccati equation, 14 ms of processor time, once for all the walls that meet the same filter."""
+    """Return the steady gain; it is cached, because its Riccati equation takes 14 ms of processor time."""
     return tuple(steady_gain(intensity * process_noise(order, printed=printed), r).tolist())
 
 
@@ -253,7 +254,7 @@ def _check_options(order: int, printed: bool, steady: bool, fading: str, window:
 def _intensity(
     settings: Mapping[str, Any], order: int, r: float, resolution: float, period_s: float
 ) -> float:
-    """Process noise in counts and periods, from q or from the bandwidth."""
+    """Return the intensity of the process noise in counts and periods, from q or from the bandwidth."""
     q, bandwidth_hz = settings["q"], settings["bandwidth_hz"]
     if q > 0.0:
         if bandwidth_hz != DEFAULT_BANDWIDTH_HZ:

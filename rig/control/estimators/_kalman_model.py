@@ -1,6 +1,6 @@
-"""The matrices of the Kalman filter on a chain of integrators, in counts and velocity periods.
+"""Matrices of the Kalman filter on a chain of integrators, in counts and velocity periods.
 
-Used when a filter is designed, never in the loop: `rig.control.estimators._kalman` has the recursion in scalars. With
+It is used to design a filter, never in the loop: `rig.control.estimators._kalman` has the recursion in scalars. With
 the period as the unit of time the transition matrix is [[1, 1, ½], [0, 1, 1], [0, 0, 1]], or its upper left block for
 two integrators, and only the first state, the position, is measured.
 """
@@ -22,9 +22,9 @@ def process_noise(order: int, *, printed: bool = False) -> Floats:
     Parameters
     ----------
     order
-        3: white jerk; 2: white acceleration.
+        3 for white jerk, 2 for white acceleration.
     printed
-        With the factorial (2n+1−i−j)! of the paper (n = 3) in place of the integral's factor (2n+1−i−j).
+        True: use the factorial (2n+1−i−j)! as printed in the paper (n = 3) instead of the integral's factor (2n+1−i−j).
 
     Returns
     -------
@@ -55,11 +55,12 @@ def steady_gain(noise: Floats, r: float) -> Floats:
     Returns
     -------
     ndarray, shape (order,)
+        Gains of position, velocity and, for order 3, acceleration, in counts and periods.
 
     Raises
     ------
     ConfigError
-        When scipy finds no solution. (It does down to ω0·T = 1e-6, to seven digits of the gain.)
+        scipy finds no solution. (Down to ω0·T = 1e-6 it finds one, with seven digits of the gain.)
     """
     order = len(noise)
     transition = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])[:order, :order]

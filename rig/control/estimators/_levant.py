@@ -1,14 +1,14 @@
 """Levant's differentiator: exact for any motion whose acceleration stays below a bound C, with no filter delay.
 
-A copy x of the position is driven along by u, and u is the velocity once x slides on the measurement f:
+A copy x of the position follows the measurement f with the velocity u; u is the estimate once x stays on f (sliding):
 
     e = x − f,   x' = u,   u = u1 − λ·|e|^½·sign(e),   u1' = −α·sign(e),      α = μ1·C, λ = μ2·√C.
 
-Too small a C, and the estimate loses a hard impact; too large, and it passes the encoder's noise: the error grows with
-√(C·Δ). Where μ1·C·T²/Δ, the change of velocity in one period in counts, is above a count or two, the implicit form is
-the finite difference. `rig.experiments.estimation.lipschitz` measures C from a recorded hit.
+If C is too small, the estimate does not follow a hard impact; if C is too large, it passes the encoder's noise: the
+error grows with √(C·Δ). If μ1·C·T²/Δ, the largest change of velocity in one period in counts, is above a count or two,
+the implicit form equals the finite difference. `rig.experiments.estimation.lipschitz` measures C from a recorded hit.
 
-Everything is in counts and periods: α becomes α·T²/Δ, λ becomes λ·T/√Δ, and T = 1 below.
+The code computes in counts and periods: α becomes α·T²/Δ, λ becomes λ·T/√Δ, and T = 1 below.
 
 Source: Levant 1998; Chawda et al., equations (9) to (14); the implicit form is the I-STD of the differentiator
 toolbox of Mojallizadeh et al.
@@ -56,9 +56,9 @@ LONGEST_GAP = 1000  # periods; after a longer one it restarts on the mean slope
 
 @kernel("UniTuple(f8, 3)(f8, f8, f8, f8, i8)", inline=True)
 def step(error: float, u1: float, alpha: float, lambda_: float, scheme: int) -> tuple[float, float, float]:
-    """Advance by one period: from (x − f before, u1) to (x − f after, u1, u), in counts and periods.
+    """Return error x − f, u1 and u after one period, in counts and periods.
 
-    `error` is the old x against the new sample.
+    `error` is the difference between the old x and the new sample.
     """
     # The sign is set-valued at zero. The explicit schemes cannot rest there: they chatter for ever, at a handle at rest
     # too, by 1.17·α·T rms (explicit, gains hba-sc), which damping turns into a buzz of the motor.
@@ -90,7 +90,7 @@ def step(error: float, u1: float, alpha: float, lambda_: float, scheme: int) -> 
 def advance(
     error: float, u1: float, moved: int, elapsed_ticks: int, alpha: float, lambda_: float, scheme: int
 ) -> tuple[float, float, float]:
-    """Advance over the elapsed periods along the straight line that ends `moved` counts away, as `step`."""
+    """Return error, u1 and u after the elapsed periods, with samples on a straight line over `moved` counts."""
     slope = moved / elapsed_ticks
     if elapsed_ticks > LONGEST_GAP:
         return 0.0, slope, slope
@@ -110,7 +110,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the velocity; zero for the first sample, on which the copy x starts at rest."""
+    """Return the velocity (rad/s or m/s); zero for the first sample, at which the copy x starts at rest."""
     if state_i[STARTED] == 0:
         state_i[STARTED] = 1
         state_i[PREVIOUS] = count
@@ -134,7 +134,7 @@ def update(
 
 
 def multipliers(settings: Mapping[str, Any], estimator: str = "levant") -> tuple[float, float]:
-    """Return (μ1, μ2) of the settings; raises `ConfigError` for a pair outside the region that `gains` names."""
+    """Return (μ1, μ2) of the settings; raise `ConfigError` for a pair outside the region that `gains` names."""
     gains, mu1, mu2 = settings["gains"], settings["mu1"], settings["mu2"]
     if gains in levant_regions.NAMED_GAINS:
         if mu1 or mu2:
@@ -174,7 +174,7 @@ def _outside(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return α·T²/Δ and λ·T/√Δ, then the indices of scheme and output."""
+    """Return α·T²/Δ and λ·T/√Δ, then the indices of discretisation and output."""
     mu1, mu2 = multipliers(settings)
     return own_parameters(settings, mu1, mu2, resolution, period_s)
 
@@ -182,7 +182,7 @@ def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> l
 def own_parameters(
     settings: Mapping[str, Any], mu1: float, mu2: float, resolution: float, period_s: float
 ) -> list[float]:
-    """Return the `OWN_PARAMETERS` numbers of the kernel, for gains that were checked."""
+    """Return the `OWN_PARAMETERS` parameters of the kernel for checked multipliers μ1 and μ2."""
     bound = settings["lipschitz"] * period_s**2 / abs(resolution)  # counts per period²
     scheme, output = settings["discretisation"], settings["output"]
     return [

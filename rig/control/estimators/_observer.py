@@ -1,8 +1,8 @@
-"""A Luenberger observer of position, velocity and disturbance, which may know the motor's effort.
+"""A Luenberger observer of position, velocity and disturbance, with the motor's effort as an optional input.
 
-`tracking` and `disturbance` are its two settings; both place the poles of the estimation error. Inside, lengths are
-counts and times are velocity periods, as in the Kalman filter: the steady Kalman filter on integrators is the same
-recursion with its own gains.
+The estimators `tracking` and `disturbance` use it with different gains, which place the poles of the estimation error.
+It computes in counts and velocity periods. The steady Kalman filter on integrators is the same recursion with other
+gains.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Velocity after this sample; zero for the first one. It predicts each elapsed period and corrects once."""
+    """Return the velocity (rad/s or m/s); zero for the first sample. A gap is predicted, then corrected once."""
     scale = parameters[RESOLUTION] / parameters[PERIOD]
     moved = count_difference(count, state_i[PREVIOUS])
     state_i[PREVIOUS] = count
@@ -79,14 +79,14 @@ def gains(poles: Sequence[complex]) -> list[float]:
     Parameters
     ----------
     poles
-        s·T of each continuous pole, two or three of them, conjugates as pairs; mapped to z = exp(s·T).
+        s·T of two or three continuous poles, conjugate poles as pairs; they are mapped to z = exp(s·T).
 
     Returns
     -------
     list of float
-        Three gains, in counts and periods; the third is zero for two poles.
+        Gains of position, velocity and disturbance, in counts and periods; the third is zero for two poles.
 
-    Ackermann's formula for the error after the correction, (I − L·H)·F with H = (1, 0, 0).
+    Source: Ackermann's formula for the error after the correction, (I − L·H)·F with H = (1, 0, 0).
     """
     order = len(poles)
     transition = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])[:order, :order]
@@ -104,10 +104,10 @@ def gains(poles: Sequence[complex]) -> list[float]:
 
 
 def _one_minus_exp(pole: complex) -> complex:
-    """1 − exp(pole) without cancellation: −2·exp(pole/2)·sinh(pole/2)."""
+    """Return 1 − exp(pole) without cancellation, as −2·exp(pole/2)·sinh(pole/2)."""
     return -2.0 * cmath.exp(0.5 * pole) * cmath.sinh(0.5 * pole)
 
 
 def turn(frequency_hz: float, period_s: float) -> float:
-    """Return ω0·T of a natural frequency."""
+    """Return ω0·T (rad), the angle of a natural frequency in one velocity period."""
     return 2.0 * math.pi * frequency_hz * period_s

@@ -1,14 +1,14 @@
-"""The robust exact differentiator with the smallest worst-case error: a chord whose length follows the noise it sees.
+"""Robust exact differentiator with the smallest worst-case error: a chord whose length depends on the observed noise.
 
-For noise up to N and an acceleration up to C, a chord over τ errs by at most 2·N/τ + C·τ/2, which is least for τ =
-2·√(N/C). The present noise is estimated from the samples. If the acceleration keeps to C, the motion bends away from
-the chord of samples k and k − l by at most C·T²·j·(l − j)/2 at sample k − j; more must be noise, of which the three
-samples together can have 2·N:
+For noise up to N and an acceleration up to C, the error of a chord over the time τ is at most 2·N/τ + C·τ/2, which is
+smallest for τ = 2·√(N/C). N is estimated from the samples. While the acceleration is at most C, the motion deviates
+from the chord between samples k and k − l by at most C·T²·j·(l − j)/2 at sample k − j. A larger deviation must be
+noise; the noise of the three samples can add up to 2·N:
 
     N̂ = max over 0 < j < l ≤ n of ½·(|f_{k−j} − f_k + (f_k − f_{k−l})·j/l| − C·T²·j·(l − j)/2), and 0 at least.
 
-Like Levant's differentiator it needs C and nothing else; it has no memory beyond its window, so that it neither
-overshoots after an impact nor chatters at rest. n is the chord for half a count of noise. The cost is n²/2 comparisons.
+Like Levant's differentiator it needs only C. It has no memory beyond its window, so that it neither overshoots after an
+impact nor chatters at rest. n is the length of the chord for half a count of noise. The cost is n²/2 comparisons.
 
 Source: Seeber and Haimovich, "Optimal robust exact differentiation via linear adaptive techniques", Automatica 148
 (2023); the error bound for uniform samples is 2·√(2·N·C) + C·T/2 (Aldana-López et al., arXiv 2404.05863). Only
@@ -44,7 +44,7 @@ RISE, SPAN = 0, foaw.LONGEST + 1  # state_f: the window laid out flat
 
 @kernel("f8(f8[::1], i8, f8)", inline=True)
 def _noise(state_f: Floats, samples: int, bend: float) -> float:
-    """Return N̂ in counts, from the rises and spans of the samples 1 to `samples`."""
+    """Return N̂, the estimated noise (counts), from the rises and spans of the samples 1 to `samples`."""
     noise = 0.0
     for l in range(2, samples + 1):  # noqa: E741  (as in the formula)
         span = state_f[SPAN + l]
@@ -68,7 +68,10 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return slope of the chosen chord; zero for the first sample. Samples beyond the longest chord are forgotten."""
+    """Return the slope of the chosen chord (rad/s or m/s); zero for the first sample.
+
+    Samples older than the longest chord are not used.
+    """
     newest = foaw.remember(count, elapsed_ticks, state_i)
     position, period = state_i[COUNTS + newest], state_i[PERIODS + newest]
     bend, limit = parameters[BEND], int(parameters[LIMIT])
@@ -93,7 +96,10 @@ def update(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return C·T²/Δ and the longest chord, ⌈2·√(N/C)/T⌉ in 2 … `window_limit`: a chord of 1 shows no noise."""
+    """Return C·T²/Δ and the longest chord in periods, ⌈2·√(N/C)/T⌉ within 2 … `window_limit`.
+
+    A chord of one period would show no noise.
+    """
     limit = settings["window_limit"]
     if limit != round(limit):
         raise ConfigError(

@@ -1,7 +1,7 @@
-"""Counts and elapsed periods that come from elsewhere: whole numbers of any type, and counters that wrap.
+"""Check and unwrap counts and elapsed periods of other data loggers: whole numbers of any type, counters that wrap.
 
-Nothing is guessed: a missing, fractional or ambiguous value is refused with its index and with statements that make
-the array right, which `tests/rig/control/test_own_counts.py` runs as they are printed.
+A missing, fractional or ambiguous value raises an error with its index and with Python statements that correct the
+array; `tests/rig/control/test_own_counts.py` runs these statements as printed.
 """
 
 from __future__ import annotations
@@ -57,21 +57,22 @@ _FRACTION = {
 
 
 def whole_numbers(values: ArrayLike, what: str, also: tuple[str, ...] = ()) -> NDArray[Any]:
-    """Return an integer array, of the type that holds the values if that is an integer type, else int64.
+    """Return the values as an integer array: of their own type if that is an integer type, else of int64.
 
     Parameters
     ----------
     values
-        Integers, or floats that are whole.
+        Integers, or floats with whole values.
     what
         `COUNTS` or `ELAPSED`, for messages.
     also
-        Names of the arrays (``elapsed``, ``edge_time``) that must lose the same samples.
+        Names of further arrays (``elapsed``, ``edge_time``) from which the remedy removes the same samples.
 
     Raises
     ------
     ConfigError
-        Not a flat array; missing values, by index; other types; fractions; floats so large that neighbours are equal.
+        The array is not flat, has missing values (the message has their indices), another type, fractions, or floats
+        so large that not every whole number can be represented.
     """
     array = _floats_if_missing(values, what)
     if array.ndim != 1:
@@ -103,7 +104,7 @@ def whole_numbers(values: ArrayLike, what: str, also: tuple[str, ...] = ()) -> N
 
 
 def real_numbers(values: ArrayLike, what: str, unit: str) -> Floats:
-    """Return an array of float64, NaN where a value is masked; refuse what numpy would convert without a unit."""
+    """Return the values as float64, NaN where masked; raise `ConfigError` for text, dates and other non-numbers."""
     array = _unmask(values)
     if array.dtype.kind in _KINDS:
         raise ConfigError(
@@ -114,22 +115,22 @@ def real_numbers(values: ArrayLike, what: str, unit: str) -> Floats:
 
 
 def unwrap(values: NDArray[Any], width: Any, elapsed: Ints) -> Ints:
-    """Return counts (int64) that do not wrap at less than 32 bits.
+    """Return counts (int64) of a counter of less than 32 bits without its wraps.
 
     Parameters
     ----------
     values
         Integers of any type, as `whole_numbers` returns them.
     width
-        Bits of the counter; None: those of an array of 8 or 16 bit integers, else 32.
+        Bits of the counter. None: the size of the array's integers if that is 8 or 16 bits, else 32.
     elapsed
-        Velocity periods before each sample.
+        Velocity periods between the previous sample and each sample.
 
     Raises
     ------
     ConfigError
-        An impossible width; counts that do not fit it; a motion of which a counter of that width does not show the
-        direction; without a width, a jump that looks like a wrap.
+        The width is invalid, the counts do not fit it, a step is so large that its direction is ambiguous, or, without
+        a width, a jump looks like a wrap.
     """
     if width is not None and not (
         isinstance(width, int | np.integer) and not isinstance(width, bool) and NARROWEST <= width <= WIDEST
@@ -168,7 +169,7 @@ def unwrap(values: NDArray[Any], width: Any, elapsed: Ints) -> Ints:
 
 
 def age_of_last_change(counts: Ints, time_s: Floats) -> Floats:
-    """Return the age of the last edge at each sample (s), if an edge happens at the sample that first shows it."""
+    """Return the age of the last edge at each sample (s), with an edge at each sample whose count has changed."""
     changed = np.zeros(len(counts), dtype=bool)
     changed[1:] = counts[1:] != counts[:-1]
     last = np.maximum.accumulate(np.where(changed, time_s, -np.inf)) if len(counts) else time_s
@@ -176,7 +177,7 @@ def age_of_last_change(counts: Ints, time_s: Floats) -> Floats:
 
 
 def _check_direction(counts: Ints, steps: Ints, elapsed: Ints, bits: int) -> None:
-    """Refuse a step that is at least half of the counter's range from what the speed before it gives."""
+    """Raise `ConfigError` if a step differs from its prediction by the previous speed by half the counter's range."""
     expected = np.concatenate(([0.0], steps[:-1] / elapsed[1:-1] * elapsed[2:]))
     wrong = np.flatnonzero(np.abs(steps - expected) >= 2 ** (bits - 1))
     if len(wrong):
@@ -191,7 +192,7 @@ def _check_direction(counts: Ints, steps: Ints, elapsed: Ints, bits: int) -> Non
 
 
 def _check_jumps(values: NDArray[Any], counts: Ints, steps: Ints) -> None:
-    """Refuse a jump of more than half of all that the counts span: a counter that wraps, or was reset."""
+    """Raise `ConfigError` for a jump above half the span of all counts: the counter wraps or was reset."""
     span = int(counts.max()) - int(counts.min())
     wide = np.flatnonzero(np.abs(steps) > max(span / 2, LEAST_JUMP))
     if len(wide):
@@ -205,7 +206,7 @@ def _check_jumps(values: NDArray[Any], counts: Ints, steps: Ints) -> None:
 
 
 def _floats_if_missing(values: ArrayLike, what: str) -> NDArray[Any]:
-    """Return an array of plain numbers, of floats with NaN where something is missing; refuse other objects."""
+    """Return plain numbers: floats with NaN if a value is missing; raise `ConfigError` for other objects."""
     array = _unmask(values)
     if array.dtype.kind != "O" or array.ndim != 1:
         return array
@@ -251,7 +252,7 @@ def _wrong_type(what: str, kind: str, name: str) -> ConfigError:
 
 
 def _remove_missing(values: ArrayLike, also: tuple[str, ...]) -> str:
-    """Return the statements that leave lost samples out and state the gaps."""
+    """Return Python statements that remove lost samples and give the gaps as `elapsed`."""
     number = "numpy.asarray(counts, dtype=float)"
     if _has_pandas_na(values):  # numpy makes no number of it
         number = "pandas.array(counts, dtype='Float64').to_numpy(float, na_value=numpy.nan)"

@@ -1,18 +1,18 @@
-"""Velocity from the times of encoder edges: counts between two edges over the time between them.
+"""Velocity from the times of encoder edges: counts between two edges, divided by the time between them.
 
-A count gives the position to within Δ; an edge gives it exactly, at its own time. STATE carries, beside the
-count, the time of the last edge (`edge_age_s`, in steps of 1/16 µs), so that every sample which brought an edge gives
-one exact point (E, b): boundary b between two counts, crossed at time E. The estimate is the slope between the newest
-two of these points,
+A count gives the position to within Δ; an edge gives it exactly, at the time of the edge. The message STATE contains
+the count and the age of the last edge (`edge_age_s`, in steps of 1/16 µs). So every sample with a new edge gives one
+exact point (E, b): the boundary b between two counts was crossed at time E. The estimate is the slope between the
+newest two points,
 
     v = Δ·(b − b')/(E − E'),
 
-the mean velocity from edge to edge, with a rounding noise of |δv|/v ≤ 64 ns/(E − E') only. Below one edge a period this
-is period counting; above, it is the M/T method over one period. Uneven lines are not averaged over more than one
-period: see `rig.control.estimators._period_frequency`. Without edge times it is the finite difference, held between
-counts.
+the mean velocity from edge to edge, with a rounding noise of |δv|/v ≤ 64 ns/(E − E') only. With less than one edge
+a period this is period counting; with more, it is the M/T method over one period. To average uneven encoder lines over
+more than one period, use `rig.control.estimators._period_frequency`. Without edge times it is the finite difference,
+held between counts.
 
-Source: Ohmae et al. 1982, for the M/T method; edges instead of clock ticks at both ends, reversal and decay follow
+Source: Ohmae et al. 1982, for the M/T method; the use of edges at both ends, reversal and decay are derived
 from the geometry above.
 """
 
@@ -52,7 +52,7 @@ FLOATS = 3
 
 @kernel("f8(f8)", inline=True)
 def plausible_age(edge_age_s: float) -> float:
-    """Return the age of the last edge from 0 to `OLDEST_EDGE_S`; what is no number is as old as can be."""
+    """Return the age of the last edge limited to 0 … `OLDEST_EDGE_S` (s); NaN becomes `OLDEST_EDGE_S`."""
     # `not <=` and not `>`: it takes NaN as well.
     if not edge_age_s <= OLDEST_EDGE_S:
         return OLDEST_EDGE_S
@@ -61,23 +61,24 @@ def plausible_age(edge_age_s: float) -> float:
 
 @kernel("b1(i8, f8, f8, f8, f8)", inline=True)
 def has_fresh_edge(moved: int, age: float, age_before: float, elapsed_s: float, period_s: float) -> bool:
-    """Return True if an edge came since the previous sample: by the count, or by the time alone."""
+    """Return True if there was an edge since the previous sample: the count changed, or the edge time is new."""
     within = elapsed_s - GRACE * period_s
     return moved != 0 or (age < within and age < age_before + within)
 
 
 @kernel("i8(i8, i8, i8)", inline=True)
 def boundary_distance(moved: int, upwards: int, upwards_before: int) -> int:
-    """Counts from the boundary of the previous edge to that of the last one; each went up (1) or down (0).
+    """Return the counts from the boundary of the previous edge to that of the last edge.
 
-    Boundary c lies below count c: an edge up into c is one at c, an edge down into c is one at c + 1.
+    `upwards` and `upwards_before` are 1 for an edge upwards and 0 for an edge downwards. Boundary c lies below count c:
+    an edge up to count c crosses boundary c, an edge down to count c crosses boundary c + 1.
     """
     return moved - upwards + upwards_before
 
 
 @kernel("f8(f8, f8, f8)", inline=True)
 def still_possible(speed: float, age: float, gap: float) -> float:
-    """Return the velocity (counts/s) no faster than one gap between lines (counts) since the last edge."""
+    """Return the velocity (counts/s), limited to one gap between lines (counts) over the time since the last edge."""
     # In the time since the last edge the handle has not passed another line. The lines of a real encoder are not evenly
     # spaced: `unevenness` widens the gap, or a wide one at speed would look like a stop.
     silence = age - EDGE_TIME_S
@@ -88,7 +89,7 @@ def still_possible(speed: float, age: float, gap: float) -> float:
 
 @kernel("i8(f8, f8, f8)", inline=True)
 def window(span: float, age: float, period_s: float) -> int:
-    """Return the velocity periods from edge to edge, or since the last edge if that is longer."""
+    """Return the velocity periods between both edges, or since the last edge if that is longer."""
     return max(int(max(span, age) / period_s + 0.5), 1)
 
 
@@ -102,7 +103,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the slope between the last two edges, but no faster than the silence since the last one allows."""
+    """Return the slope between the last two edges (rad/s or m/s), limited by the time without an edge since then."""
     period_s, age = parameters[PERIOD], plausible_age(edge_age_s)
     elapsed_s = elapsed_ticks * period_s
     if state_i[STARTED] == 0:
@@ -130,7 +131,7 @@ def update(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the widest gap between two lines in counts."""
+    """Return the widest gap between two encoder lines (counts)."""
     return [1.0 + settings["unevenness"]]
 
 

@@ -1,14 +1,14 @@
 """Period counting at low speed, frequency counting at high speed: the M/T method over a window of edges.
 
-v = Δ·(b − b')/(E − E') as in `rig.control.estimators._period`, but E' is the edge that was the last one when the window
-began, `window_s` ago. At speed that is a frequency: many counts over a time that is known exactly, so that uneven
-encoder lines (edges p counts out of place) cost no more than 2p·Δ/window_s. At low speed edges are further apart than
-the window, and it is period counting.
+v = Δ·(b − b')/(E − E') as in `rig.control.estimators._period`, but E' is the last edge before the window, which began
+`window_s` ago. At high speed many counts are divided by an exact time, so that uneven encoder lines (edges displaced by
+p counts) cause an error of at most 2p·Δ/window_s. At low speed edges are further apart than the window, and the method
+is period counting.
 
-The window costs half its length in delay. A reversal begins a new one, and so does an edge whose boundary is unknown.
-Between edges the estimate is held, within (1 + unevenness)·Δ/a.
+The delay is half the window. A reversal, or an edge whose boundary is unknown, starts a new window. Between edges the
+estimate is held, but limited to (1 + unevenness)·Δ/a, with a the age of the last edge.
 
-Source: Ohmae et al. 1982 (a gate time and the rest until the next edge; here both ends lie on edges).
+Source: Ohmae et al. 1982 (a gate time plus the time until the next edge; here both ends are edges).
 """
 
 from __future__ import annotations
@@ -59,7 +59,10 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the slope from the edge before the window to the last one, but no faster than the silence since allows."""
+    """Return the slope from the edge before the window to the last edge (rad/s or m/s).
+
+    The magnitude is limited by the time without an edge since then.
+    """
     period_s, age = parameters[PERIOD], plausible_age(edge_age_s)
     elapsed_s = elapsed_ticks * period_s
     if state_i[STARTED] == 0:
@@ -99,7 +102,10 @@ def update(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the gap, and window in whole periods, rounded up; `ConfigError` when it is longer than the memory."""
+    """Return the widest gap (counts), and the window in whole periods, rounded up.
+
+    Raises `ConfigError` if the window is longer than `LONGEST` periods.
+    """
     periods = math.ceil(settings["window_s"] / period_s * (1.0 - 1e-9))
     if periods > LONGEST:
         raise ConfigError(

@@ -1,10 +1,10 @@
-"""Tracking loop of second order (type 2), as motor drives read encoders and resolvers.
+"""Tracking loop of second order (type 2), which motor drives use for encoders and resolvers.
 
-Two integrators follow the counts: x̂ ← x̂ + v̂·T + l1·e, v̂ ← v̂ + l2·e/T, e the count less the prediction. A steady motion
-is followed without lag, an acceleration a with the velocity error 2·ζ·a/ω0. The continuous loop s² + 2·ζ·ω0·s + ω0² is
-mapped by its poles, z = exp(s·T). With l2 = 2·(2 − l1) − 4·√(1 − l1) it is the steady Kalman filter of a double
-integrator (Kalata 1984, "The tracking index"): ζ → 1/√2 as ω0·T → 0, and any pair of gains of `kalman` with
-``model = "double"`` is some ω0 and ζ here.
+Two integrators follow the counts: x̂ ← x̂ + v̂·T + l1·e, v̂ ← v̂ + l2·e/T, with e the count minus its
+prediction. Constant velocity is followed without lag, an acceleration a with the velocity error 2·ζ·a/ω0. The
+continuous loop s² + 2·ζ·ω0·s + ω0² is mapped by its poles, z = exp(s·T). With l2 = 2·(2 − l1) − 4·√(1 − l1) it is the
+steady Kalman filter of a double integrator (Kalata 1984, "The tracking index"): ζ → 1/√2 as ω0·T → 0, and for any gains
+of `kalman` with ``model = "double"`` there are ω0 and ζ that give the same gains.
 
 Source: phase-locked loop of a drive, as in Ellis, *Control System Design Guide*, chapter on observers.
 """
@@ -20,7 +20,7 @@ from rig.control.estimators.estimator import Estimator, Setting
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Gains of the loop; it has no input."""
+    """Return the three gains of the loop (the third is 0), and 0 because the loop has no input."""
     observer.check_frequency("tracking", settings["frequency_hz"], period_s)
     ratio, turn = settings["damping"], observer.turn(settings["frequency_hz"], period_s)
     swing = turn * cmath.sqrt(complex(ratio * ratio - 1.0))

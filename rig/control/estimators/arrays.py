@@ -1,7 +1,7 @@
-"""Any estimator on whole arrays: the loop's own update, run over recorded or made-up counts.
+"""Run any estimator over arrays of recorded or computed counts, with the same compiled update as the loop.
 
-What a rig computes sample by sample, this computes for an array, to the same bits: the update is called through the
-same plug type, so a third party's estimator works here without a compilation.
+The results equal those of a rig, bit for bit. The update is called through the same function type as in the loop, so an
+estimator of a plug-in needs no further compilation.
 
     counts = quantise(position, 1e-6)
     velocity = estimate("fdm-butterworth", counts, 1 / 2000, resolution=1e-6, cutoff_hz=150.0)
@@ -40,7 +40,7 @@ _FLOATS, _INTS = types.float64[::1], types.int64[::1]
 
 
 def quantise(position: ArrayLike, resolution: float, *, offset: float = 0.5) -> NDArray[np.int64]:
-    """Counts that an ideal encoder shows: sign(resolution) · floor(position / abs(resolution) + offset).
+    """Return the counts of an ideal encoder: sign(resolution) · floor(position / abs(resolution) + offset).
 
     Parameters
     ----------
@@ -49,17 +49,17 @@ def quantise(position: ArrayLike, resolution: float, *, offset: float = 0.5) -> 
     resolution
         Travel for one count (rad or m); negative when counts fall while the position rises.
     offset
-        Where position zero lies in its cell (count): 0.5 rounds to the nearest count, 0 truncates downwards.
+        Offset of position zero within a count: 0.5 rounds to the nearest count, 0 rounds down.
 
     Returns
     -------
     ndarray of int64
-        Counts, in the shape of `position`. They do not wrap at 32 bits as a device's do; estimators take either.
+        Counts, in the shape of `position`. They do not wrap at 32 bits, unlike those of a device.
 
     Raises
     ------
     ConfigError
-        A resolution of zero, or a position that is no number, not finite or beyond 2^62 counts.
+        The resolution is zero or not finite, or a position is not a finite number or is beyond 2^62 counts.
     """
     _check_resolution(resolution)
     cells = np.floor(real_numbers(position, "position", "rad or m") / abs(resolution) + offset)
@@ -82,45 +82,44 @@ def estimate(
     effort: ArrayLike | None = None,
     **parameters: float | str,
 ) -> Floats:
-    """Return the velocity at each sample, by the named estimator, as it would have come out of the loop.
+    """Return the velocity at each sample by the named estimator; the loop would compute the same numbers.
 
     Parameters
     ----------
     name
         Name of the estimator (`rig.control.estimators.names`).
     counts
-        Encoder counts, one a sample: whole numbers of any type, shape (n,). A 32-bit counter may wrap in between, a
-        narrower one if its `width` is given. Leave lost samples out and state the gaps by `elapsed`.
+        Encoder counts, one for each sample: whole numbers of any type, shape (n,). A 32-bit counter may wrap, a
+        narrower counter only if its `width` is given. Leave out lost samples and give the gaps as `elapsed`.
     dt
         Velocity period (s).
     resolution
         Travel for one count (rad or m); negative when counts fall while the position rises.
     edge_time
-        When the last encoder edge before each sample happened (s, shape (n,)), on a clock that is zero at the first
-        sample; −inf before the first edge. Without it an edge is assumed at the sample that first shows it, because
-        counts alone contain no more.
+        Time of the last encoder edge before each sample (s, shape (n,)), on a clock that is zero at the first sample;
+        −inf before the first edge. If it is not given, an edge is assumed at each sample whose count has changed.
     elapsed
-        Velocity periods from the sample before to each sample, shape (n,): above 1 after lost ones. All 1 if not given.
+        Velocity periods from the previous sample to each sample, shape (n,): above 1 after lost samples. Default: 1.
     width
         Bits of the counter. Not needed for a counter of 32 bits or one that does not wrap, nor for arrays of 8 or 16
-        bit integers, which are taken as counters of that width.
+        bit integers, which are treated as counters of that width.
     effort
-        Mean effort of the motor from the sample before to each sample (N·m or N), shape (n,). Required by an estimator
-        that uses it, ignored by the others.
+        Mean effort of the motor from the previous sample to each sample (N·m or N), shape (n,). Required by an
+        estimator that uses it, ignored by the others.
     **parameters
-        Settings of the estimator; those left out take their default.
+        Settings of the estimator; a setting that is not given has its default.
 
     Returns
     -------
     ndarray of float64
-        Velocities (rad/s or m/s), shape (n,). The first is zero: it has no predecessor.
+        Velocities (rad/s or m/s), shape (n,). The first velocity is zero.
 
     Raises
     ------
     ConfigError
-        No such estimator; invalid settings, period or resolution; missing or fractional counts; a jump of more than
-        half of what the counter, or without a width all counts, span; arrays of different lengths; an edge later than
-        its sample.
+        The estimator is unknown; settings, period or resolution are invalid; counts are missing or fractional; a jump
+        exceeds half the range of the counter (without `width`: of all counts); arrays have different lengths; an edge
+        is later than its sample.
 
     Examples
     --------
@@ -152,7 +151,7 @@ def estimate_with_window(
     effort: ArrayLike | None = None,
     **parameters: float | str,
 ) -> tuple[Floats, Ints]:
-    """Return the velocities of `estimate`, and how many velocity periods each of them spans (int64, shape (n,))."""
+    """Return the velocities of `estimate`, and the number of velocity periods that each spans (int64, shape (n,))."""
     arrays = own_inputs(counts, dt, resolution=resolution, edge_time=edge_time, elapsed=elapsed, width=width)
     estimator = family.get(name)
     prepared = estimator.prepare(parameters, resolution, dt)
@@ -169,9 +168,9 @@ def own_inputs(
     elapsed: ArrayLike | None = None,
     width: Any = None,
 ) -> tuple[Ints, Floats, Ints]:
-    """Check all that `estimate` takes of a motion; returns unwrapped counts, age of the last edge (s), elapsed periods.
+    """Check the arguments of `estimate`; return unwrapped counts, age of the last edge (s) and elapsed periods.
 
-    Raises `ConfigError` as `estimate` does.
+    Raises `ConfigError` for the same reasons as `estimate`.
     """
     if not (math.isfinite(dt) and dt > 0.0):
         raise ConfigError(
@@ -188,7 +187,7 @@ def inputs(
 ) -> tuple[Ints, Floats, Ints]:
     """Check the arrays of `estimate` and return counts, age of the last edge (s) and elapsed periods.
 
-    Counts may wrap at 32 bits, but a narrower counter's must be unwrapped (`own_counts.unwrap`).
+    Counts may wrap at 32 bits; those of a narrower counter must be unwrapped before (`_own_counts.unwrap`).
     """
     held, steps = _counts_and_steps(counts, elapsed, edge_time)
     whole = held.astype(np.int64)
@@ -230,7 +229,7 @@ def _counts_and_steps(
 
 
 def require_effort(estimator: Estimator, effort: object) -> None:
-    """Raise `ConfigError` for an estimator that uses the effort where no effort is given."""
+    """Raise `ConfigError` if the estimator uses the effort and `effort` is None."""
     if effort is None and estimator.uses_effort:
         raise ConfigError(
             f"estimator {estimator.name} needs the effort of the motor",
@@ -239,7 +238,7 @@ def require_effort(estimator: Estimator, effort: object) -> None:
 
 
 def checked_efforts(effort: ArrayLike, samples: int) -> Floats:
-    """Efforts (N·m or N), shape (samples,); `ConfigError` for another shape, or values that are not finite."""
+    """Return the efforts (N·m or N), shape (samples,); raise `ConfigError` for another shape or non-finite values."""
     applied = real_numbers(effort, "effort", "N·m or N")
     if applied.shape != (samples,):
         raise ConfigError(
@@ -253,9 +252,10 @@ def checked_efforts(effort: ArrayLike, samples: int) -> Floats:
 def run(
     prepared: Prepared, counts: Ints, edge_age_s: Floats, elapsed: Ints, effort: Floats | None = None
 ) -> tuple[Floats, Ints]:
-    """Run a prepared estimator, whose memory changes, over the arrays of `inputs`: velocities and windows.
+    """Run a prepared estimator over the arrays of `inputs`; return velocities (rad/s or m/s) and windows (periods).
 
-    `effort` is the mean effort since the sample before (N·m or N), one value for each count; without it all are zero.
+    The memory of `prepared` changes. `effort` is the mean effort since the previous sample (N·m or N), shape (n,);
+    without it the effort is zero.
     """
     velocities, windows = np.empty(len(counts)), np.empty(len(counts), np.int64)
     memory = (prepared.state_f, prepared.state_i, prepared.parameters)
@@ -277,7 +277,7 @@ def update_all(
     velocities: Floats,
     windows: Ints,
 ) -> None:
-    """Call the update once for each sample; all arrays but the memory have the length of `counts`."""
+    """Call `update` for each sample and write its results; all arrays except the memory have the length of `counts`."""
     for k in range(len(counts)):
         velocities[k] = update(counts[k], edge_age_s[k], elapsed[k], effort[k], state_f, state_i, parameters)
         windows[k] = state_i[WINDOW]

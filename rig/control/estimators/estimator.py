@@ -1,7 +1,7 @@
 """Definition of a velocity estimator: a compiled update, its memory, and a design of its parameters.
 
-The update is called once for each velocity sample (every N-th tick of a dual-rate loop). It knows nothing of
-rates: the period stands in its parameter vector, whose first two entries are the same for all estimators.
+The update is called once for each velocity sample (every N-th tick of a dual-rate loop). Its only information about
+rates is the velocity period in its parameter vector, whose first two entries are the same for all estimators.
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """A number that a user may choose: default (None: must be given), range, unit and meaning.
+    """A numeric setting of an estimator: default (None: must be given), range, unit and meaning.
 
-    With `of_rig` an experiment takes it from its rig where it is not given: `rig.config.settings_of_rig` by that name.
+    If `of_rig` is True and the setting is not given, an experiment uses the rig's property of the same name
+    (`rig.config.settings_of_rig`).
     """
 
     name: str
@@ -45,7 +46,7 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """A named option that a user may choose: default, choices, and meaning; `design` receives the chosen name."""
+    """A named option of an estimator: default, choices and meaning; `design` receives the chosen name."""
 
     name: str
     default: str
@@ -55,13 +56,13 @@ class Choice:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Estimator(Shown):
-    """One row of the family.
+    """Definition of a velocity estimator.
 
-    `design(settings, resolution, period_s)` returns the numbers that follow the two common parameters; it
-    raises `ConfigError` when they cannot be realised at that period. `update` has the signature
-    `rig.realtime.plugs.ESTIMATOR_SIGNATURE`. `floats` and `ints` are the sizes of its memory; `ints` counts WINDOW.
-    `uses_effort` says that it reads the effort, so that without it there is no estimate; `position` is the place in its
-    floats of the estimated position less the newest count (counts), None for one that estimates no position.
+    `design(settings, resolution, period_s)` returns the parameters that follow the two common parameters; it
+    raises `ConfigError` if they cannot be realised at that period. `update` has the signature
+    `rig.realtime.plugs.ESTIMATOR_SIGNATURE`. `floats` and `ints` are the sizes of its memory; `ints` includes WINDOW.
+    `uses_effort` is True if the estimator needs the motor's effort. `position` is the index, in the floats of the
+    memory, of estimated position minus newest count (counts); None if the estimator estimates no position.
     """
 
     name: str
@@ -76,12 +77,12 @@ class Estimator(Shown):
     position: int | None = None
 
     def settings_of(self, rig: Mapping[str, float]) -> dict[str, float]:
-        """Those of a rig's properties that are settings of this estimator."""
+        """Return those properties of a rig, by name, that are settings of this estimator."""
         wanted = {one.name for one in self.settings if isinstance(one, Setting) and one.of_rig}
         return {name: value for name, value in rig.items() if name in wanted}
 
     def brief(self) -> list[Item]:
-        """Return name, summary and settings, for people."""
+        """Return name, summary and settings, for display."""
         rows = [
             Row(one.name, one.default, one.unit if isinstance(one, Setting) else "", one.meaning)
             for one in self.settings
@@ -89,21 +90,21 @@ class Estimator(Shown):
         return [f"estimator {self.name}: {self.summary}", *rows]
 
     def prepare(self, given: Mapping[str, float | str], resolution: float, period_s: float) -> Prepared:
-        """Check the settings, design the parameters and allocate a memory of zeros.
+        """Check the settings; return the estimator with designed parameters and a memory of zeros.
 
         Parameters
         ----------
         given
-            Settings by name; those left out take their default.
+            Settings by name; a setting that is not given has its default.
         resolution
             Travel for one count (rad or m), negative when counts fall while the position rises.
         period_s
-            Velocity period T2.
+            Velocity period T2 (s).
 
         Raises
         ------
         ConfigError
-            An unknown setting, one out of range, or a design that cannot be realised.
+            A setting is unknown, missing or out of range, or the design cannot be realised.
         """
         known = {s.name: s for s in self.settings}
         for name in given:
@@ -153,7 +154,7 @@ class Estimator(Shown):
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """An estimator ready to run: its parameter vector and its (mutable) memory."""
+    """An estimator ready to run, with its parameters and its memory, which changes."""
 
     estimator: Estimator
     parameters: Floats

@@ -1,8 +1,8 @@
-"""For which gains Levant's differentiator converges: the sufficient regions of two proofs, and a computed one.
+"""Gains for which Levant's differentiator converges: sufficient regions of two proofs, and a computed region.
 
-Gains are written without the Lipschitz constant C: α = μ1·C, λ = μ2·√C, so that one picture holds for every rig
-(Chawda et al., Fig. 1). Both proofs are conservative: the pair that Levant himself recommends lies in neither
-region. `half_cycle_contraction` says how far from convergence a pair truly is.
+Gains are written without the Lipschitz constant C: α = μ1·C, λ = μ2·√C, so that the regions are the same for every rig
+(Chawda et al., Fig. 1). Both proofs are conservative: the pair that Levant recommends lies in neither region.
+`half_cycle_contraction` computes how fast the error contracts for a pair.
 
 Source: Chawda et al., equations (10), (11), (14) and Fig. 1; the contraction is derived for this project.
 
@@ -25,13 +25,13 @@ _QUADRATURE = 4001  # directions; more change the contraction by less than 1e-6
 
 
 def hba_mu1(mu2: float) -> float:
-    """Return the smallest μ1 that the homogeneity-based approach admits, (μ2² + 4)/(μ2² − 4); infinite for μ2 ≤ 2."""
+    """Return the smallest μ1 allowed by the homogeneity-based approach, (μ2² + 4)/(μ2² − 4); infinite for μ2 ≤ 2."""
     square = mu2 * mu2
     return (square + 4.0) / (square - 4.0) if mu2 > 2.0 else math.inf
 
 
 def lfba_mu1(mu2: float) -> float:
-    """Bound above which the Lyapunov-function-based approach admits μ1, 3 + 2/μ2²; infinite for μ2 ≤ 0."""
+    """Return the bound that μ1 must exceed in the Lyapunov-function-based approach, 3 + 2/μ2²; infinite for μ2 ≤ 0."""
     return 3.0 + 2.0 / (mu2 * mu2) if mu2 > 0.0 else math.inf
 
 
@@ -46,24 +46,24 @@ def in_lfba(mu1: float, mu2: float) -> bool:
 
 
 def find_crossing() -> tuple[float, float]:
-    """(μ1, μ2) where the two boundaries cross: μ2⁴ − 7·μ2² − 4 = 0, (3.2656, 2.7443)."""
+    """Return (μ1, μ2) where the boundaries of both regions cross: μ2⁴ − 7·μ2² − 4 = 0, (3.2656, 2.7443)."""
     mu2 = math.sqrt((7.0 + math.sqrt(65.0)) / 2.0)
     return lfba_mu1(mu2), mu2
 
 
 def half_cycle_contraction(mu1: float, mu2: float) -> float:
-    """Return the largest |x2| after a half cycle against the one before, over every disturbance |f̈| ≤ C.
+    """Return the largest ratio of |x2| after a half cycle to |x2| before it, over all disturbances |f̈| ≤ C.
 
-    Below 1 the error of the continuous differentiator contracts whatever the signal does, and convergence takes
-    a finite time; 0 says that no disturbance brings it across x1 = 0 at all.
+    Below 1 the error of the continuous differentiator contracts for every such signal, and converges in finite time;
+    0 means that no disturbance can move the error across x1 = 0.
 
     Notes
     -----
     With x1 = w² and time stretched by w, equation (12) becomes linear between sign changes of x1:
     w' = (x2 − μ2·w)/2, x2' = −(μ1 + d)·w with |d| ≤ 1. In polar coordinates of (w, x2) the angle must fall
-    from π/2 to −π/2; the growth of the radius per angle is a linear fraction of d, so that one of d = ±1 is
-    worst in every direction, and the worst case is the integral of the pointwise maximum. Holding a
-    direction only shrinks the radius. The integral is done numerically: this is computed, not proven.
+    from π/2 to −π/2; the growth of the radius per angle is a linear fraction of d, so that d = 1 or
+    d = −1 is the worst in every direction, and the worst case is the integral of the pointwise maximum. If the
+    angle stays constant, the radius only shrinks. The integral is computed numerically; it is not a proof.
 
     Source: derived for this project.
     """
@@ -83,7 +83,7 @@ def half_cycle_contraction(mu1: float, mu2: float) -> float:
 
 
 def worst_case_mu2(mu1: float) -> float:
-    """Return the smallest μ2 with which the error contracts in every half cycle; infinite for μ1 ≤ 1."""
+    """Return the smallest μ2 for which the error contracts in every half cycle; infinite for μ1 ≤ 1."""
     if mu1 <= 1.0:
         return math.inf
     low, high = 0.0, LARGEST_MU2

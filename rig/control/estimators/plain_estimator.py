@@ -1,12 +1,12 @@
-"""A velocity estimator from a plain function.
+"""Make a velocity estimator from a plain function.
 
     @rig.estimator(memory=("slope",))
     def two_slopes(travel: float, elapsed_s: float, memory: rig.Memory) -> float:
         before, memory.slope = memory.slope, travel / elapsed_s
         return 0.5 * (before + memory.slope)
 
-What an encoder does to numbers is dealt with around the function: a 32-bit counter that wraps, the sign of the
-resolution, lost samples, and the first sample, which has no predecessor and reads zero.
+The code around the function handles the encoder: a 32-bit counter that wraps, the sign of the resolution, lost samples,
+and the first sample, for which the velocity is zero.
 """
 
 from __future__ import annotations
@@ -54,12 +54,13 @@ def estimator(
     name: str | None = None,
     source: str = "",
 ) -> Callable[[Callable[..., float]], Estimator]:
-    """Make a velocity estimator of a plain function, compiled here and now.
+    """Return a decorator that makes a velocity estimator of a plain function and compiles it at once.
 
-    The function returns the velocity (rad/s or m/s). It names what it needs: ``travel`` since the sample before (rad or
-    m), ``elapsed_s`` since then, ``edge_age_s`` (since the last encoder edge), ``effort`` (mean of the motor's effort
-    since the sample before, N·m or N), ``memory`` and ``p``, which has ``p.resolution`` (one count; its sign is the
-    encoder's) and ``p.period_s`` beside the estimator's own.
+    The function returns the velocity (rad/s or m/s). Its arguments select what is passed: ``travel`` since the
+    previous sample (rad or m), ``elapsed_s`` since then (s), ``edge_age_s`` (time since the last encoder edge, s),
+    ``effort`` (mean effort of the motor since the previous sample, N·m or N), ``memory``, and ``p`` with the
+    parameters of the estimator, ``p.resolution`` (travel for one count, rad or m, negative if counts fall while the
+    position rises) and ``p.period_s`` (s).
 
     Parameters
     ----------
@@ -67,16 +68,16 @@ def estimator(
         Settings by name: a default, or a `Parameter` with range, unit and meaning. An experiment sets them under
         ``[controller.parameters]``.
     memory
-        Names of what it remembers; each is zero when a run begins.
+        Names of the numbers that it stores from call to call; each is zero when a run begins.
     name
-        In experiments and recordings; that of the function, with hyphens, unless given.
+        Name in experiments and recordings; default: name of the function, with hyphens.
     source
-        Where it comes from: paper and equation.
+        Source of the method: paper and equation.
 
     Raises
     ------
     ConfigError
-        A function that names something else, or that cannot be compiled: with its line, and what to do.
+        An argument has an unknown name, or the function cannot be compiled; the message has the line and the remedy.
     """
 
     def decorate(function: Callable[..., float]) -> Estimator:

@@ -1,7 +1,7 @@
-"""Numbers of an estimator and of a wall in the form of a device: those of the host's kernels, scaled and rounded.
+"""Device parameters of an estimator and of a wall: parameters of the host's kernels, scaled and rounded.
 
-`rig.config.device_law` makes a device's parameters from them, a program for one's own board takes the estimator alone.
-Nothing here reads an experiment or knows how values travel; what a device lacks raises `NotOnDeviceError`.
+`rig.config.device_law` combines them; a program for your own board may use the estimator's parameters only. Nothing
+here reads an experiment or sends values. A function that the device does not have raises `NotOnDeviceError`.
 """
 
 from rig.control.on_device._errors import ELSE_HOST, NotOnDeviceError, refusal

@@ -1,4 +1,4 @@
-"""The error for what a law on the device cannot do."""
+"""Error for a setting that a law on the device does not support."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ ELSE_HOST = 'let the host run the law (controller.loop = "host")'
 
 
 class NotOnDeviceError(PlanError):
-    """A law on the device has no such thing; `why`, and what to choose `instead`, for who takes it elsewhere."""
+    """A law on the device does not support a setting; `why` is the reason, `instead` the alternative setting."""
 
     def __init__(self, key: str, shown: object, why: str, instead: str) -> None:
         super().__init__(

@@ -1,8 +1,9 @@
-"""The numbers of an estimator on a device: those of the host's kernel, in the device's own form.
+"""Device parameters of an estimator, converted from those of the host's kernel.
 
-A device has the finite difference, its Butterworth low pass (float32, or order 2 in integers), both windowings,
-Levant's differentiator and the Kalman filter with its steady gain. The rest is refused: `period` and its variants
-need edge times, a recursive gain costs more than a tick allows, and `optimal` and `foaw-levant` are not ported.
+A device has the finite difference, its Butterworth low pass (float32, or order 2 in integers), `foaw-end`,
+`foaw-best`, Levant's differentiator, and the Kalman filter with its steady gain, which also runs `tracking` and
+`disturbance`. Others are rejected: `period` and `period-frequency` need edge times, a recursive gain takes longer than
+a tick allows, and `optimal` and `foaw-levant` are not implemented in firmware.
 """
 
 from __future__ import annotations
@@ -46,12 +47,14 @@ Values = dict[str, Value]
 
 
 def estimator_parameters(prepared: Prepared, effort_quantum: float = 1.0) -> Values:
-    """Return the choice and the numbers of an estimator, for an active current in units of `effort_quantum`.
+    """Return the device parameters that select an estimator and set its numbers.
+
+    `effort_quantum` is the effort of one quantum of the active current (N·m or N).
 
     Raises
     ------
     PlanError
-        An estimator, or a variant of it, that the device does not have.
+        The device does not have the estimator or this variant of it.
     """
     name = prepared.estimator.name
     runs_as = _SAME_RECURSION.get(name, name)
@@ -71,7 +74,7 @@ def estimator_parameters(prepared: Prepared, effort_quantum: float = 1.0) -> Val
 
 
 def velocity_format(prepared: Prepared) -> Format:
-    """Format of the velocity in integers, in the word of 32 bits that its sums are checked for."""
+    """Return the fixed-point format of the velocity, with the word of 32 bits for which the wall's sums are checked."""
     return Format(WORD_BITS, int(prepared.parameters[fixed.STATE_BITS]))
 
 
@@ -92,7 +95,7 @@ def _biquad(own: Floats) -> Values:
 
 
 def _low_pass(own: Floats) -> Values:
-    """Return the trapezoidal integrators in place of coefficients; firmware/law/law.h derives them."""
+    """Return parameters of trapezoidal integrators in place of coefficients; firmware/law/law.h derives them."""
     sections = own[fdm_butterworth.B0 :].reshape(-1, fdm_butterworth.SECTION).tolist()
     # All zeros are at -1, so it does not matter which section scipy gave them to, nor where the odd one stands.
     sections.sort(key=lambda section: section[-1] == 0.0)

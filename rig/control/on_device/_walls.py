@@ -1,4 +1,4 @@
-"""The wall on a device, its guard and its homing servo: in integers, and in float32."""
+"""Device parameters of the wall, its guard and its homing servo, in integers and in float32."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class DeviceWall:
     stiffness, damping
         K and B (N·m/rad and N·m·s/rad, or N/m and N·s/m).
     position
-        Position of its surface, from the reference (rad or m).
+        Position of the wall's surface, from the reference (rad or m).
     """
 
     stiffness: float
@@ -43,9 +43,9 @@ class DeviceWall:
 
 
 def common_parameters(name: str, law: Floats) -> Values:
-    """Return the parameters of a wall that do not depend on the arithmetic.
+    """Return the device parameters of a wall that are the same in integers and in float32.
 
-    Raises `PlanError` for a law that the device does not have.
+    Raises `PlanError` if the device does not have the law.
     """
     if name not in LAWS:
         if name.endswith("+friction"):
@@ -66,14 +66,14 @@ def common_parameters(name: str, law: Floats) -> Values:
 
 
 def options(name: str, law: Floats) -> tuple[bool, bool]:
-    """Return whether the wall may pull, and whether damping acts on entry only; False for both if bilateral."""
+    """Return two flags: the wall may pull; damping acts on entry only. Both are False for a bilateral law."""
     if name in BILATERAL or len(law) < PARAMETERS:
         return False, False
     return bool(law[MAY_PULL]), bool(law[ENTRY_ONLY])
 
 
 def float_wall(c: Control, law: Floats) -> Values:
-    """Return the wall in float32: its surface as a whole count and a fraction, so that depth is exact near it."""
+    """Return the wall's parameters in float32; its surface is a whole count and a fraction, so that depth is exact."""
     delta, quantum, period_s = _scales(c)
     surface = c["wall_position"] / delta
     return {
@@ -85,7 +85,10 @@ def float_wall(c: Control, law: Floats) -> Values:
 
 
 def float_wall_in_si(values: Mapping[str, Value], c: Control) -> DeviceWall:
-    """Return the inverse of `float_wall`, to float32: 2⁻²⁴ of stiffness and damping, 2⁻²⁵ counts of the position."""
+    """Return the wall in SI units from the parameters of `float_wall`.
+
+    The error of float32 is 2⁻²⁴ (relative) for stiffness and damping, and 2⁻²⁵ counts for the position.
+    """
     delta, quantum, period_s = _scales(c)
     surface = values["float_surface"] + values["float_surface_fraction"]
     return DeviceWall(
@@ -96,7 +99,7 @@ def float_wall_in_si(values: Mapping[str, Value], c: Control) -> DeviceWall:
 
 
 def float_guard(c: Control) -> Values:
-    """Return the constant effort, limits and servo in float32."""
+    """Return the parameters of constant effort, limits and homing servo in float32."""
     delta, quantum, period_s = _scales(c)
     return {
         "float_constant": c["constant_effort"] / quantum,
@@ -114,9 +117,9 @@ def float_guard(c: Control) -> Values:
 def designed_wall(
     c: Control, name: str, law: Floats, velocity: Format, added_quanta: float = 0.0
 ) -> FixedWall:
-    """Return the wall in integers, with room in its sums for an effort of so many quanta besides.
+    """Return the wall in integers; its sums have room for a further effort of `added_quanta` quanta.
 
-    Raises `PlanError` for a wall that the words of the device cannot hold.
+    Raises `PlanError` if the wall does not fit the integers of the device.
     """
     may_pull, entry_only = options(name, law)
     try:
@@ -144,7 +147,7 @@ def designed_wall(
 
 
 def fixed_wall(wall: FixedWall) -> Values:
-    """Return the wall in integers, as parameters; 64 bits travel as two halves."""
+    """Return the wall's parameters in integers; a 64-bit number is sent as two halves."""
     return {
         "fixed_surface": wall.surface,
         "fixed_stiffness": wall.stiffness,
@@ -155,9 +158,10 @@ def fixed_wall(wall: FixedWall) -> Values:
 
 
 def fixed_wall_in_si(values: Mapping[str, Value], c: Control) -> DeviceWall:
-    """Return the inverse of `fixed_wall`, to the rounding of `rig.control._fixed_wall.design_wall`.
+    """Return the wall in SI units from the parameters of `fixed_wall`.
 
-    That is half a 2⁻ˢ of a quantum for an LSB of depth or velocity (s = fixed_shift), and 2⁻⁹ counts of the position.
+    The rounding error of `rig.control._fixed_wall.design_wall` is half of 2⁻ˢ quanta (s = fixed_shift) for each LSB of
+    depth or velocity, and 2⁻⁹ counts for the position.
     """
     delta, quantum, period_s = _scales(c)
     lsb = math.ldexp(1.0, -int(values["fixed_shift"]))
@@ -170,9 +174,9 @@ def fixed_wall_in_si(values: Mapping[str, Value], c: Control) -> DeviceWall:
 
 
 def fixed_guard(c: Control, velocity: Format) -> Values:
-    """Return the limits and servo in integers.
+    """Return the parameters of limits and homing servo in integers.
 
-    Raises `PlanError` for a servo that the words of the device cannot hold.
+    Raises `PlanError` if the servo does not fit the integers of the device.
     """
     delta, quantum, period_s = _scales(c)
     lsb = delta * velocity.lsb / period_s  # of the velocity, in SI
@@ -203,5 +207,5 @@ def _halves(name: str, value: int) -> Values:
 
 
 def _scales(c: Control) -> tuple[float, float, float]:
-    """Return the travel for a count, effort of a quantum, velocity period."""
+    """Return travel for one count (rad or m), effort of a quantum (N·m or N) and velocity period (s)."""
     return abs(c["resolution"]), c["effort_quantum"], c["tick_s"] * c["velocity_divider"]
