@@ -1,6 +1,6 @@
-"""Memory of a running loop on Linux: an anonymous file, found among the open files of its process.
+"""Shared memory of a running loop on Linux: an anonymous file, found among the open files of its process.
 
-It lives as long as a process has it open or mapped, so nothing is left behind. It must not become resizable.
+It exists while a process has it open or mapped, so no file remains afterwards. It must not become resizable.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _MFD_NOEXEC_SEAL = 0x8  # Linux 6.3
 
 
 def make(size: int) -> int:
-    """Return the descriptor of zeroed memory of this size (bytes)."""
+    """Return the descriptor of new zeroed memory of `size` bytes."""
     descriptor = _memfd()
     try:
         # Allocated now: a tick that first touches a page without memory left would be killed by SIGBUS.
@@ -47,17 +47,17 @@ def _memfd() -> int:
 
 
 def close(descriptor: int) -> None:
-    """Let go of what `make` made."""
+    """Close a descriptor that `make` returned."""
     os.close(descriptor)
 
 
 def is_sound(descriptor: int) -> bool:
-    """Return True if the opened file cannot shrink under its reader."""
+    """Return True if the file of a descriptor cannot shrink while it is read."""
     return bool(fcntl.fcntl(descriptor, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK)
 
 
 def is_memory(path: str) -> bool:
-    """Return True if the path of an open file leads to such a memory."""
+    """Return True if the path of an open file (``/proc/PID/fd/N``) leads to the memory of a loop."""
     try:
         return os.readlink(path) == LINK
     except OSError:
@@ -65,7 +65,7 @@ def is_memory(path: str) -> bool:
 
 
 def paths(pid: int | None = None) -> Iterator[tuple[int, str]]:
-    """Yield each memory as a process has it open, ``/proc/PID/fd/N``, with that process: of all, or of one."""
+    """Yield process number and path (``/proc/PID/fd/N``) of each open memory, of the process `pid` or (None) of all."""
     for process in os.listdir(_PROC) if pid is None else [str(pid)]:
         if not process.isdecimal():
             continue
@@ -78,12 +78,15 @@ def paths(pid: int | None = None) -> Iterator[tuple[int, str]]:
 
 
 def held(path: str, descriptor: int) -> str:
-    """Return a path for what this process opened, which is valid after the other process has ended too."""
+    """Return a path to the file that this process has open; it stays valid after the other process has ended."""
     return f"{_PROC}/self/fd/{descriptor}"
 
 
 def is_process(pid: int, creator: int) -> bool:
-    """Return True if a process has this number, in its own container or outside: the kernel knows both."""
+    """Return True if `creator`, the number that a process has for itself, belongs to the process with the number `pid`.
+
+    The numbers differ for a process in a container; the kernel lists both.
+    """
     if creator == pid:
         return True
     # In a container a process has another number inside than outside; NSpid lists both.
@@ -95,7 +98,7 @@ def is_process(pid: int, creator: int) -> bool:
 
 
 def may_look(pid: int) -> bool:
-    """Return True if this user may list a process's open files; raises `ProcessLookupError` if it does not exist."""
+    """Return True if this user may list a process's open files; raise `ProcessLookupError` if it does not exist."""
     try:
         os.listdir(f"{_PROC}/{pid}/fd")
     except PermissionError:
@@ -106,7 +109,7 @@ def may_look(pid: int) -> bool:
 
 
 def command_lines() -> Iterator[tuple[int, list[bytes]]]:
-    """Yield the processes that this user may not examine, with their command lines."""
+    """Yield number and command line of each process whose open files this user may not list."""
     for name in os.listdir(_PROC):
         if name.isdecimal() and not os.access(f"{_PROC}/{name}/fd", os.R_OK | os.X_OK):
             try:

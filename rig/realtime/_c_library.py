@@ -1,7 +1,7 @@
-"""C code of this package as a library of this machine: compiled by its C compiler on first use, and kept.
+"""Compile C code of this package to a shared library on first use, and keep the library on disk.
 
-The library lies beside the compiled kernels, under a name with a hash of sources, flags and compiler. It must not be
-shared with another user.
+The library is stored beside the compiled kernels, under a name with a hash of sources, flags and compiler. It must not
+be shared with another user.
 """
 
 from __future__ import annotations
@@ -35,27 +35,27 @@ _SHOWN_LINES = 6  # of what a compiler says
 
 
 def doubles(numbers: Any) -> Any:
-    """Return the C struct of doubles whose members are those of a dataclass, in their order."""
+    """Return a C struct type of doubles whose members are the fields of a dataclass, in their order."""
     members = [(field.name, ctypes.c_double) for field in fields(numbers)]
     return type(numbers.__name__, (ctypes.Structure,), {"_fields_": members})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CLibrary:
-    """Sources and flags of a library.
+    """A library of C code: its sources, and flags for the compiler.
 
     Attributes
     ----------
     name
         Name of its file, and of the library in messages.
     root, parts
-        Directory of the sources, and those of its directories that go into it.
+        Directory of the sources, and the names of its subdirectories that are compiled.
     purpose
         Purpose of the library, for messages.
     instead
-        Alternative to it: the end of a remedy; "" if only a compiler helps.
+        Alternative to the library, as the end of a remedy; "" if there is no alternative.
     flags
-        For the compiler.
+        Flags for the compiler.
     """
 
     name: str
@@ -70,7 +70,10 @@ class CLibrary:
         return [path for part in self.parts for path in sorted((self.root / part).glob("*.c"))]
 
     def compiler(self) -> list[str]:
-        """Return command of the C compiler: ``$CC``, the first of `COMPILERS`, or `ZIG`; `ConfigError` without one."""
+        """Return the command of the C compiler: ``$CC``, else the first of `COMPILERS`, else `ZIG`.
+
+        Raises `ConfigError` if none of them is installed.
+        """
         named = shlex.split(os.environ.get("CC", ""))
         for command in (named, *([name] for name in COMPILERS)):
             found = find_program(command[0]) if command else None
@@ -85,7 +88,7 @@ class CLibrary:
         )
 
     def compiled(self, directory: Path) -> Path:
-        """Make the library in a directory unless it is there; `ConfigError` where that fails."""
+        """Return the path of the library in a directory; compile it if missing. Raise `ConfigError` if that fails."""
         command = self.compiler()
         path = directory / f"{self.name}-{self.key(command)}.so"
         if path.exists():
@@ -98,7 +101,7 @@ class CLibrary:
         return path
 
     def opened(self, directory: Path, load: Callable[[Path], ctypes.CDLL]) -> ctypes.CDLL:
-        """Open the library by `load`, compiled before if it has to be; `ConfigError` where that fails."""
+        """Return the library opened by `load`; compile it if missing. Raise `ConfigError` if either fails."""
         path = self.compiled(directory)
         try:
             return load(path)
@@ -109,7 +112,7 @@ class CLibrary:
             ) from error
 
     def key(self, command: list[str]) -> str:
-        """Return sixteen hex digits over the sources, the flags and the compiler."""
+        """Return a hash (sixteen hex digits) of the sources, the flags and the compiler."""
         # Size and time of the compiler instead of its version: an update is seen without running it.
         facts = Path(command[0]).resolve().stat()
         digest = hashlib.sha256(f"{command} {facts.st_size} {facts.st_mtime_ns} {self.flags}".encode())

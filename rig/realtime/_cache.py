@@ -1,8 +1,8 @@
-"""The disk cache of machine code: never stale, and never writable by another user.
+"""Directory of the disk cache of machine code: never outdated, and never writable by another user.
 
-Its directory carries a hash of the files that compiled code depends on (`rig.realtime.source_files`), of numba's and
-numpy's version and of the CPU. Its code runs a law on a person's hand: it must not use a directory into which another
-user can write.
+The name of the directory has a hash of the files that compiled code depends on (`rig.realtime.source_files`), the
+versions of numba and numpy, and the CPU. The cached code drives a motor at a person's hand: it must not be loaded from
+a directory into which another user can write.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _log = logging.getLogger(__name__)
 
 
 def cache_key(sources: Mapping[str, bytes]) -> str:
-    """Return sixteen hex digits over names and contents, numba, numpy and the CPU."""
+    """Return a hash (sixteen hex digits) of file names and contents, Python, numba, numpy and the CPU."""
     # numba compares the time stamp of a function's own file alone: after an edit of a helper in another file the
     # caller's old machine code would remain in use, which for a control law is silently wrong.
     digest = hashlib.sha256()
@@ -51,7 +51,7 @@ def cache_key(sources: Mapping[str, bytes]) -> str:
 
 
 def cache_root() -> Path:
-    """Return the directory of all caches: ``$HAPTIC_RIG_CACHE``, the user's cache directory, or a temporary one."""
+    """Return the directory of all caches: ``$HAPTIC_RIG_CACHE``, the user's cache directory or a temporary one."""
     named = os.environ.get("HAPTIC_RIG_CACHE")
     base = Path(named) if named else Path(user_cache()) / "haptic-rig"
     for place in (base, Path(tempfile.gettempdir()) / f"haptic-rig-cache{_USER}"):
@@ -65,14 +65,14 @@ if sys.platform == "win32":
     _USER = ""  # whose temporary files are his own already
 
     def writable_by_others(place: Path) -> str:
-        """Return "": on Windows file modes do not show it, and a profile belongs to its user unless changed."""
+        """Return "": on Windows file modes do not show it, and a user's profile is private by default."""
         return ""
 
 else:
     _USER = f"-{os.getuid()}"
 
     def writable_by_others(place: Path) -> str:
-        """Return why another user could add a file to a directory or replace the directory; "" if none can."""
+        """Return the reason why another user could change or replace a directory; "" if no other user can."""
         us = os.getuid()
         if place.lstat().st_uid != us or place.stat().st_uid != us:
             return f"{place} belongs to another user"
@@ -87,7 +87,7 @@ else:
 
 
 def _made_private(place: Path) -> Path | None:
-    """Make a directory, unless it is there, and return it without symbolic links; None where it cannot be used."""
+    """Return a directory without symbolic links, created if missing; None if it is not private or not writable."""
     try:
         place.mkdir(parents=True, exist_ok=True, mode=0o700)
         reason = writable_by_others(place)
@@ -116,7 +116,7 @@ def _forget_unused(root: Path, current: Path) -> None:
 
 
 def open_cache() -> Path:
-    """Return the directory for the machine code of these files on this computer."""
+    """Return the directory for machine code of the present source files on this computer."""
     root = cache_root()
     place = root / f"kernels-{cache_key(compiled_sources())}"
     fresh = not place.exists()

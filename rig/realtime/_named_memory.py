@@ -1,9 +1,9 @@
-"""Memory of a running loop where the system is not Linux: a file in a directory of its process, in the user's cache.
+"""Shared memory of a running loop on other systems than Linux: a file in the user's cache directory.
 
-    .../haptic-rig/loops/PID/alive   locked by that process for as long as it lives
+    .../haptic-rig/loops/PID/alive   locked by that process while it runs
     .../haptic-rig/loops/PID/N       its memories
 
-Functions as in `rig.realtime._anonymous_memory`.
+The functions are the same as in `rig.realtime._anonymous_memory`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _made: dict[int, str] = {}  # path of each memory by its descriptor
 
 
 def make(size: int) -> int:
-    """Return the descriptor of a file of zeros of this size (bytes)."""
+    """Return the descriptor of a new file of `size` zero bytes."""
     directory = _own()
     number = max((int(name) for name in os.listdir(directory) if name.isdecimal()), default=0) + 1
     path = os.path.join(directory, str(number))
@@ -43,7 +43,7 @@ def make(size: int) -> int:
 
 
 def close(descriptor: int) -> None:
-    """Release what `make` made; Windows keeps the file until no process has it mapped."""
+    """Close a descriptor of `make`, and remove its file; Windows keeps the file while a process has it mapped."""
     os.close(descriptor)
     path = _made.pop(descriptor, None)
     if path is not None:
@@ -56,7 +56,7 @@ def is_sound(descriptor: int) -> bool:
 
 
 def is_memory(path: str) -> bool:
-    """Return True if a path is that of a memory whose process lives."""
+    """Return True if a path is that of a loop's memory and its process still runs."""
     directory, name = os.path.split(path)
     return (
         name.isdecimal()
@@ -67,7 +67,7 @@ def is_memory(path: str) -> bool:
 
 
 def paths(pid: int | None = None) -> Iterator[tuple[int, str]]:
-    """Yield each memory with the process that made it: of all, or of one."""
+    """Yield process number and path of each memory that the process `pid` made; None: any running process."""
     for process in _names(_root()) if pid is None else [str(pid)]:
         directory = os.path.join(_root(), process)
         if process.isdecimal() and _lives(directory):
@@ -79,7 +79,7 @@ def paths(pid: int | None = None) -> Iterator[tuple[int, str]]:
 
 
 def held(path: str, descriptor: int) -> str:
-    """Return a path by which the memory can be opened again."""
+    """Return `path`, by which the memory can be opened again."""
     return path
 
 
@@ -89,14 +89,14 @@ def is_process(pid: int, creator: int) -> bool:
 
 
 def may_look(pid: int) -> bool:
-    """Return True if a process of this user runs a loop; raise `ProcessLookupError` if this is unknown."""
+    """Return True if the process runs a loop of this user; raise `ProcessLookupError` if it does not."""
     if not _lives(os.path.join(_root(), str(pid))):
         raise ProcessLookupError
     return True
 
 
 def command_lines() -> Iterator[tuple[int, list[bytes]]]:
-    """Return nothing: processes of other users are not examined."""
+    """Yield nothing: on these systems processes of other users are not examined."""
     return iter(())
 
 
@@ -105,7 +105,7 @@ def _root() -> str:
 
 
 def _own() -> str:
-    """Create and lock the directory of this process; remove those of dead processes."""
+    """Return the directory of this process, created and locked; remove the directories of dead processes."""
     pid = os.getpid()
     directory = os.path.join(_root(), str(pid))
     if pid not in _alive:
@@ -129,7 +129,7 @@ def _have(file: FileIO) -> None:
 
 
 def _forget(directory: str) -> None:
-    """Remove the files of a dead process; on Windows those that another process still has mapped remain."""
+    """Remove the directory of a dead process; Windows keeps files that another process still has mapped."""
     if os.path.isdir(directory) and not _lives(directory):
         for name in _names(directory):
             _remove(os.path.join(directory, name))

@@ -1,8 +1,8 @@
-"""Python in place of the C library's calls that compiled code makes, where the system is not Linux.
+"""Python functions that replace calls of the C library in compiled code, on other systems than Linux.
 
-Compiled code names its calls (`rig.realtime.system`), and only Linux has all of them under these names and with these
-numbers. Elsewhere each name leads to a function here, so that machine code is the same on every system. They take the
-GIL and some microseconds, so a law in real time on this computer must not use them: it needs Linux.
+Compiled code calls functions by name (`rig.realtime.system`). Only Linux has all these names, with the same constants.
+On other systems each name leads to a function of this file, so that the compiled code is the same. Each call takes the
+GIL and some microseconds, so a law in real time on this computer needs Linux.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _kept: list[Any] = []  # callbacks, for as long as compiled code may call them
 
 
 class _Errno(threading.local):
-    """Error number of each thread."""
+    """The errno of each thread."""
 
     def __init__(self) -> None:
         self.number = ctypes.c_int32(0)
@@ -40,7 +40,7 @@ def _fail(error: OSError) -> int:
 
 
 def _refuse(*arguments: int) -> int:
-    """Fail a call on the descriptor of a port: links have their own calls (`rig.devices._threaded_serial`)."""
+    """Fail with ENOSYS: on these systems a port has its own calls (`rig.devices._threaded_serial`)."""
     return _fail(OSError(errno.ENOSYS, "not on this system"))
 
 
@@ -90,7 +90,7 @@ _CALLS: dict[str, tuple[Callable[..., int], list[Any]]] = {  # result first
 
 
 def stand_in() -> None:
-    """Let compiled code find them under the names of the C library; before any of it is loaded."""
+    """Register the functions of this file under the names of the C library; call it before compiled code is loaded."""
     if not _kept:
         for name, (function, types) in _CALLS.items():
             callback = ctypes.CFUNCTYPE(*types)(function)

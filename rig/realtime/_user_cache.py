@@ -1,4 +1,4 @@
-"""Directory of a user's caches on this system. It imports only what an interpreter has loaded (see `memories`)."""
+"""Find the directory of a user's caches; imports only modules that Python loads at its start (see `memories`)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 
 
 def user_cache() -> str:
-    """Return the directory of this user's caches, which need not exist.
+    """Return the directory of this user's caches; it may not exist yet.
 
     ``%LOCALAPPDATA%`` on Windows, ``~/Library/Caches`` on macOS, else ``$XDG_CACHE_HOME`` or ``~/.cache``.
     """

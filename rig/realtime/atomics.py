@@ -1,7 +1,7 @@
-"""Atomic 64-bit words by address: how the two sides of a ring or a stop flag publish to each other.
+"""Atomic access to 64-bit words by address, for words that threads or processes share (ring, mailbox, stop words).
 
-The loop, the recorder, the ring, the mailbox, stop requests and USB transfers call it. A word that two sides share must
-not be read or written in any other way.
+The loop, the recorder, the ring, the mailbox, stop requests and USB transfers call it. A
+shared word must not be read or written in any other way.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def _pointer(builder: Any, address: Any) -> Any:
 
 @intrinsic
 def load_word(typingctx: Any, address: Any) -> Any:
-    """Load an int64 with acquire order: what the other side wrote before its store is visible afterwards."""
+    """Return an int64 with acquire order: all that the other side wrote before it stored the word is then visible."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         # A plain load may be hoisted out of a loop by the compiler: a loop on a stop word would never end.
@@ -34,7 +34,7 @@ def load_word(typingctx: Any, address: Any) -> Any:
 
 @intrinsic
 def store_word(typingctx: Any, address: Any, value: Any) -> Any:
-    """Store an int64 with release order: a thread that loads it (`load_word`) sees everything written before."""
+    """Store an int64 with release order: a thread that loads it by `load_word` sees all that was written before."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         # x86 orders plain stores, ARM does not: a reader there could see HEAD before the row.
@@ -46,7 +46,7 @@ def store_word(typingctx: Any, address: Any, value: Any) -> Any:
 
 @intrinsic
 def exchange_word(typingctx: Any, address: Any, value: Any) -> Any:
-    """Swap an int64 and return the old one, ordered both ways."""
+    """Store an int64 and return the previous value, in acquire and release order."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.atomic_rmw("xchg", _pointer(builder, args[0]), args[1], "acq_rel")
@@ -56,7 +56,7 @@ def exchange_word(typingctx: Any, address: Any, value: Any) -> Any:
 
 @intrinsic
 def compare_exchange_word(typingctx: Any, address: Any, expected: Any, value: Any) -> Any:
-    """Store an int64 if the word still is `expected`, ordered both ways: 1 when it was stored, else 0."""
+    """Store `value` if the word equals `expected`, in acquire and release order; return 1 if it was stored, else 0."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         pair = builder.cmpxchg(_pointer(builder, args[0]), args[1], args[2], "acq_rel", "acquire")
@@ -67,7 +67,7 @@ def compare_exchange_word(typingctx: Any, address: Any, expected: Any, value: An
 
 @intrinsic
 def add_word(typingctx: Any, address: Any, value: Any) -> Any:
-    """Add to an int64 and return the old one, ordered both ways: no concurrent addition is lost."""
+    """Add to an int64 and return the previous value; concurrent additions are not lost."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.atomic_rmw("add", _pointer(builder, args[0]), args[1], "acq_rel")
@@ -76,7 +76,7 @@ def add_word(typingctx: Any, address: Any, value: Any) -> Any:
 
 
 def static_words(name: str, count: int) -> Any:
-    """Make an intrinsic for the address of `count` zeroed int64 that live as long as the kernel that uses it."""
+    """Return an intrinsic that gives the address of `count` static int64, zero at first, of the kernel that uses it."""
     kind = ir.ArrayType(_WORD, count)
 
     @intrinsic
@@ -94,7 +94,7 @@ def static_words(name: str, count: int) -> Any:
 
 
 def stack_words(count: int) -> Any:
-    """Make an intrinsic for the address of `count` int64 on the stack: a timespec without an allocation."""
+    """Return an intrinsic that gives the address of `count` int64 on the stack, for example for a timespec."""
 
     @intrinsic
     def words(typingctx: Any) -> Any:
@@ -111,11 +111,11 @@ def stack_words(count: int) -> Any:
 
 @kernel(types.int64(types.uintp))
 def read_word(address: int) -> int:
-    """Load a word atomically, for Python (`load_word`)."""
+    """Return a word loaded by `load_word`, for Python."""
     return int(load_word(address))
 
 
 @kernel(types.void(types.uintp, types.int64))
 def write_word(address: int, value: int) -> None:
-    """Store a word atomically, for Python (`store_word`)."""
+    """Store a word by `store_word`, for Python."""
     store_word(address, value)

@@ -1,7 +1,7 @@
-"""Struct board_setup of the firmware: the description of the rig that its ports to this computer receive.
+"""Struct board_setup of the firmware: the description of the rig for firmware that is compiled for this computer.
 
-The simulated board and the simulated drives fill it, and load their libraries with `CLibrary`. It must not hold a
-default: every field comes from the rig.
+The simulated board and the simulated drives fill it, and load their libraries with `CLibrary`. It must not
+contain a default: every field comes from the rig.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ CurrentSensor = doubles(current_sensor.CurrentSensor)
 
 
 class BoardSetup(ctypes.Structure):
-    """See `firmware/core/on_a_computer.h`; the dictionary's bytes must live as long."""
+    """The struct of `firmware/core/on_a_computer.h`; the bytes of the dictionary must exist as long as the struct."""
 
     _fields_ = [
         ("dictionary", ctypes.c_char_p),
@@ -41,7 +41,7 @@ class BoardSetup(ctypes.Structure):
 
     @classmethod
     def of(cls, model: RigModel, dictionary: bytes, fingerprint: int, rate: int) -> Self:
-        """Return that of a rig: its encoded dictionary with its hash, and the rate that it starts with (Hz)."""
+        """Return the struct for a rig: its model, encoded dictionary, hash of the dictionary, and first rate (Hz)."""
         return cls(
             dictionary=dictionary,
             dictionary_hash=fingerprint,

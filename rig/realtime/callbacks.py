@@ -1,4 +1,4 @@
-"""Plugs of the loop that call Python: for a simulation in memory, and links that compiled code cannot reach.
+"""Functions of a link for the compiled loop that call Python: for simulations, and links without compiled code.
 
 Threaded devices and simulations in memory use them. They must not serve a device in real time: each call takes the GIL.
 """
@@ -17,7 +17,7 @@ _WAIT = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 
 
 class CallbackPlugs(NamedTuple):
-    """Functions that move the bytes of a link; the handle has no meaning."""
+    """Functions that transfer the bytes of a link, for plug points of the loop; the handle is not used."""
 
     read: NativeFunction
     write: NativeFunction
@@ -32,18 +32,18 @@ def callback_plugs(
     wait: Callable[[int], bool],
     failed: Callable[[BaseException], object] = lambda failure: None,
 ) -> CallbackPlugs:
-    """Make plugs from Python functions.
+    """Return the functions of a link for the loop, made from Python functions.
 
     Parameters
     ----------
     read
-        Return the available bytes, at most so many.
+        Function that returns the available bytes, at most as many as its argument.
     write
-        Send, and return how many bytes were accepted; None means all.
+        Function that sends bytes and returns the number of accepted bytes; None means all.
     wait
-        Wait for input until a deadline (ns, the link's clock); return True if there is some.
+        Function that waits for input until a deadline (ns, the link's clock) and returns True if input is available.
     failed
-        Called with an exception that one of them raised; compiled code receives only its negative errno, or -EIO.
+        Function that receives an exception of `read`, `write` or `wait`; the loop gets only its negative errno or -EIO.
     """
 
     def native(kind: Any, function: Callable[..., int], signature: Any) -> NativeFunction:

@@ -1,4 +1,4 @@
-"""Time as an object: the kernel's monotonic clock, or a virtual one that jumps, for Python and the compiled loop.
+"""Clocks for Python and the compiled loop: the system's monotonic clock, and a virtual clock that jumps.
 
 Devices and their ports use it. It must not read the time of day, which can be set back.
 """
@@ -23,12 +23,12 @@ class Clock(Protocol):
         ...
 
     def sleep_until(self, deadline_ns: int) -> None:
-        """Sleep until the deadline; return then or later by the time that waking takes."""
+        """Sleep until the deadline (ns); waking up may take some more time."""
         ...
 
     @property
     def handle(self) -> int:
-        """Return the first argument of `now_plug`."""
+        """Return the first argument of `now_plug` and `sleep_plug`."""
         ...
 
     @property
@@ -38,12 +38,12 @@ class Clock(Protocol):
 
     @property
     def sleep_plug(self) -> Any:
-        """Return the compiled `sleep_until`, of type `rig.realtime.plugs.WAIT`."""
+        """Return the compiled function that sleeps until a deadline, of type `rig.realtime.plugs.WAIT`."""
         ...
 
 
 class MonotonicClock:
-    """CLOCK_MONOTONIC on Linux, the counter behind `time.perf_counter` elsewhere: never set back."""
+    """CLOCK_MONOTONIC on Linux, the counter of `time.perf_counter` on other systems; it is never set back."""
 
     virtual = False
     handle = 0
@@ -54,24 +54,24 @@ class MonotonicClock:
         return time.perf_counter_ns()
 
     def sleep_until(self, deadline_ns: int) -> None:
-        """Sleep until the deadline; absolute, so that waking late does not add up."""
+        """Sleep until an absolute deadline (ns), so that late waking does not add up over several calls."""
         remaining = deadline_ns - time.perf_counter_ns()
         if remaining > 0:
             time.sleep(remaining * 1e-9)
 
     @property
     def now_plug(self) -> Any:
-        """Return the compiled call of clock_gettime."""
+        """Return the compiled function that reads the clock by clock_gettime."""
         return monotonic_now
 
     @property
     def sleep_plug(self) -> Any:
-        """Return the compiled call of clock_nanosleep."""
+        """Return the compiled function that sleeps by clock_nanosleep."""
         return monotonic_sleep
 
 
 class VirtualClock:
-    """A number that is advanced by hand; one second of it costs what its events cost."""
+    """A clock whose time the caller advances; no real time passes while it sleeps."""
 
     virtual = True
 
@@ -83,12 +83,12 @@ class VirtualClock:
         return int(self._time[0])
 
     def sleep_until(self, deadline_ns: int) -> None:
-        """Jump to the deadline, or stay when it has passed."""
+        """Set the time to the deadline (ns), unless the deadline has passed."""
         self._time[0] = max(self._time[0], deadline_ns)
 
     @property
     def handle(self) -> int:
-        """Return the address of the number, which compiled code reads."""
+        """Return the address of the word with the time, which compiled code reads."""
         return int(self._time.ctypes.data)
 
     @property

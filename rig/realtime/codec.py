@@ -1,13 +1,13 @@
-"""The compiled codec of what a loop sends and receives, byte for byte equal to the readable one (framing, packing).
+"""Compiled encoder and decoder of the loop's messages, byte for byte equal to `firmware_protocol`.
 
-That is COMMAND and STATE; GET_TIME and TIME, by which it compares the clocks while it runs; BATCH, where the law runs
-on the device; and SET_BEGIN, SET_CHUNK, SET_COMMIT and ACK, by which the wall of such a law changes.
+The messages are COMMAND and STATE; GET_TIME and TIME, which compare the clocks of host and device; BATCH, if the law
+runs on the device; and SET_BEGIN, SET_CHUNK, SET_COMMIT and ACK, which change the wall of a law on the device.
 
-All integers are int64. Kernels check what comes from the wire and return negative numbers for errors; buffers belong
-to the caller and must have at least the documented size.
+All integers are int64. Kernels check received bytes and return negative numbers for errors. The caller owns the
+buffers, which must have at least the documented size.
 
-`STATE`, `COMMAND`, `GET_TIME` and so on name the places in an array of field values (``values[STATE.count]``), `HEAD`
-those in an array of header values, `SAMPLE` those in a row of a batch; all can be used inside kernels.
+`STATE`, `COMMAND`, `GET_TIME` and so on are indices into an array of field values (``values[STATE.count]``), `HEAD`
+into an array of header values, `SAMPLE` into a row of a batch. Kernels can use them.
 
 The loop, the recorder and the ping of `rig.doctor` call it. Kernels here allocate nothing.
 """
@@ -51,13 +51,13 @@ FRAME_BYTES = framing.SHORT_RAW_LIMIT + 2  # room that `encode_command` and `enc
 
 
 def field_indices(name: str) -> Any:
-    """Return a named tuple: field name of a message → its place in an array of values."""
+    """Return a named tuple with the index of each field of a message in an array of field values."""
     names = list(fixed_fields(getattr(messages, name)))
     return namedtuple(f"{name}Fields", names)(*range(len(names)))
 
 
 def _layout(cls: type) -> Ints:
-    """Return the rows of (bytes, signed) for each field, in wire order."""
+    """Return one row (number of bytes, 1 if signed) for each field of a message, in wire order."""
     rows = []
     for wire in fixed_fields(cls).values():
         size = np.dtype(FORMATS[wire.ctype]).itemsize
@@ -108,7 +108,7 @@ CHUNK_BYTES = data_limit(messages.SetChunk)
 
 
 def _sample_bytes() -> Ints:
-    """Return the bytes of each field of a sample, a row for each layout; 0 for a field that is absent."""
+    """Return the bytes of each field of a sample, one row for each layout; 0 if the layout lacks the field."""
     rows = np.zeros((len(messages.BATCH_LAYOUTS), len(SAMPLE)), dtype=np.int64)
     for layout, ctypes in messages.BATCH_LAYOUTS.items():
         assert all(ctype.startswith("i") for ctype in ctypes)  # what `_read_signed` reads
@@ -122,7 +122,7 @@ MOST_SAMPLES = (_BATCH_LIMIT - _BATCH_FIXED) // int(_SAMPLE_BYTES.sum(axis=1).mi
 
 
 def _crc_tables(slices: int) -> Ints:
-    """Return the tables of the reflected polynomial 0xEDB88320: row k holds the CRC of a byte followed by k zeros."""
+    """Return the CRC tables of the reflected polynomial 0xEDB88320: row k has the CRC of a byte followed by k zeros."""
     tables = np.zeros((slices, 256), dtype=np.int64)
     for byte in range(256):
         remainder = byte
@@ -140,9 +140,9 @@ _CRC = _crc_tables(8)
 
 @kernel(_i64(_bytes, _i64, _i64, _i64))
 def crc32(buffer: Bytes, start: int, stop: int, seed: int) -> int:
-    """Return the CRC-32/ISO-HDLC of ``buffer[start:stop]``, continuing from `seed` (0 at first), as `zlib.crc32`.
+    """Return the CRC-32/ISO-HDLC of ``buffer[start:stop]``, the same as `zlib.crc32`.
 
-    Source: "slicing by 8", Kounavis and Berry 2005.
+    `seed` is the CRC of the preceding bytes, or 0. Source: "slicing by 8", Kounavis and Berry 2005.
     """
     # Eight bytes a step: recordings check whole blocks with it, not only short frames.
     crc = seed ^ 0xFFFFFFFF
@@ -167,7 +167,7 @@ def crc32(buffer: Bytes, start: int, stop: int, seed: int) -> int:
 
 @kernel(_i64(_bytes, _i64, _bytes))
 def cobs_encode(raw: Bytes, length: int, out: Bytes) -> int:
-    """Stuff ``raw[:length]``, at most RAW_LIMIT bytes, into `out` with its delimiter; return length + 2."""
+    """Encode ``raw[:length]`` (at most RAW_LIMIT bytes) by COBS into `out`, with delimiter; return length + 2."""
     code_at = 0
     for i in range(length):
         if raw[i] == 0:
@@ -182,7 +182,7 @@ def cobs_encode(raw: Bytes, length: int, out: Bytes) -> int:
 
 @kernel(_i64(_bytes, _i64, _i64))
 def find_delimiter(buffer: Bytes, start: int, end: int) -> int:
-    """Place of the first 0x00 in ``buffer[start:end]``, or -1."""
+    """Return the index of the first 0x00 in ``buffer[start:end]``, or -1."""
     for i in range(start, end):
         if buffer[i] == 0:
             return i
@@ -191,10 +191,10 @@ def find_delimiter(buffer: Bytes, start: int, end: int) -> int:
 
 @kernel(_i64(_bytes, _i64, _i64, _bytes))
 def decode_frame(buffer: Bytes, start: int, stop: int, raw: Bytes) -> int:
-    """Undo the stuffing of ``buffer[start:stop]`` (a frame without its delimiter) and check its CRC.
+    """Decode the COBS bytes ``buffer[start:stop]`` (a frame without its delimiter) and check the CRC.
 
-    Header and payload go to `raw`, which needs RAW_BYTES of room. Returns their length, or the negative
-    `Defect`, found in the same order as by `framing.decode_frame`.
+    Writes header and payload to `raw` (at least RAW_BYTES long). Returns their length, or a negative `Defect`, the
+    same that `framing.decode_frame` reports.
     """
     size = stop - start
     # The order of checks is that of `framing.decode_frame`: both must count the same defect for the same bytes.
@@ -227,7 +227,7 @@ def decode_frame(buffer: Bytes, start: int, stop: int, raw: Bytes) -> int:
 
 @kernel(_i64(_ints, _table, _i64, _i64, _i64, _bytes))
 def _open(values: Ints, layout: Ints, type_id: int, session: int, sequence: int, out: Bytes) -> int:
-    """Write header and fields to `out` after room for the first COBS code; return their end, or BAD_VALUE."""
+    """Write header and fields to ``out[1:]``, after room for the first COBS code; return their end, or BAD_VALUE."""
     if session < 0 or session > 0xFF or sequence < 0 or sequence > 0xFFFF:
         return BAD_VALUE
     out[1] = _MAJOR
@@ -253,7 +253,7 @@ def _open(values: Ints, layout: Ints, type_id: int, session: int, sequence: int,
 
 @kernel(_i64(_bytes, _i64))
 def _seal(out: Bytes, at: int) -> int:
-    """Add CRC and stuffing to ``out[1:at]`` in place; return the number of bytes with delimiter."""
+    """Append the CRC to ``out[1:at]`` and encode both by COBS in place; return the number of bytes with delimiter."""
     crc = crc32(out, 1, at, 0)
     for k in range(_CRC_BYTES):
         out[at + k] = (crc >> (8 * k)) & 0xFF
@@ -276,7 +276,7 @@ def _encode(values: Ints, layout: Ints, type_id: int, session: int, sequence: in
 
 @kernel(_i64(_bytes, _i64, _i64), inline=True)
 def _read_unsigned(raw: Bytes, at: int, size: int) -> int:
-    """Return the unsigned number of `size` bytes at an offset, little endian."""
+    """Return the unsigned little-endian number of `size` bytes at offset `at`."""
     value = np.int64(0)
     for k in range(size):
         value |= np.int64(raw[at + k]) << (8 * k)
@@ -285,7 +285,7 @@ def _read_unsigned(raw: Bytes, at: int, size: int) -> int:
 
 @kernel(_i64(_bytes, _i64, _i64), inline=True)
 def _read_signed(raw: Bytes, at: int, size: int) -> int:
-    """Return the signed number of `size` bytes, fewer than eight."""
+    """Return the signed little-endian number of `size` bytes (fewer than eight) at offset `at`."""
     value = _read_unsigned(raw, at, size)
     return int(value - ((value >> (8 * size - 1)) << (8 * size)))
 
@@ -322,13 +322,13 @@ def _decode(
 
 @kernel(_i64(_i64, _i64, _ints, _bytes))
 def encode_command(session: int, sequence: int, values: Ints, out: Bytes) -> int:
-    """Encode a COMMAND into `out` (FRAME_BYTES of room); return its bytes with delimiter, or BAD_VALUE."""
+    """Encode a COMMAND into `out` (at least FRAME_BYTES long); return its bytes with delimiter, or BAD_VALUE."""
     return _encode(values, _COMMAND_LAYOUT, _COMMAND_TYPE, session, sequence, out)
 
 
 @kernel(_i64(_i64, _i64, _ints, _bytes))
 def encode_state(session: int, sequence: int, values: Ints, out: Bytes) -> int:
-    """Encode a STATE into `out` (FRAME_BYTES of room); return its bytes with delimiter, or BAD_VALUE."""
+    """Encode a STATE into `out` (at least FRAME_BYTES long); return its bytes with delimiter, or BAD_VALUE."""
     return _encode(values, _STATE_LAYOUT, _STATE_TYPE, session, sequence, out)
 
 
@@ -336,45 +336,45 @@ def encode_state(session: int, sequence: int, values: Ints, out: Bytes) -> int:
 def decode_command(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
     """Decode header and fields of a COMMAND from the result of `decode_frame`.
 
-    Returns 0, FOREIGN_MAJOR, OTHER_TYPE or BAD_PAYLOAD.
-    The header is filled in every case, the values (one for each field) only with 0.
+    Returns 0, FOREIGN_MAJOR, OTHER_TYPE or BAD_PAYLOAD. `header` is always written, `values` (one for each field) only
+    if the result is 0.
     """
     return _decode(raw, length, _COMMAND_LAYOUT, _PAYLOAD_LIMIT, _COMMAND_TYPE, header, values)
 
 
 @kernel(_i64(_bytes, _i64, _ints, _ints))
 def decode_state(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
-    """Decode header and fields of a STATE from the result of `decode_frame`; return as `decode_command`."""
+    """Decode header and fields of a STATE from the result of `decode_frame`; return the result of `decode_command`."""
     return _decode(raw, length, _STATE_LAYOUT, _PAYLOAD_LIMIT, _STATE_TYPE, header, values)
 
 
 @kernel(_i64(_i64, _i64, _ints, _bytes))
 def encode_get_time(session: int, sequence: int, values: Ints, out: Bytes) -> int:
-    """Encode a GET_TIME into `out` (FRAME_BYTES of room); return its bytes with delimiter, or BAD_VALUE."""
+    """Encode a GET_TIME into `out` (at least FRAME_BYTES long); return its bytes with delimiter, or BAD_VALUE."""
     return _encode(values, _GET_TIME_LAYOUT, _GET_TIME_TYPE, session, sequence, out)
 
 
 @kernel(_i64(_bytes, _i64, _ints, _ints))
 def decode_time(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
-    """Decode header and fields of a TIME from the result of `decode_frame`; return as `decode_command`."""
+    """Decode header and fields of a TIME from the result of `decode_frame`; return the result of `decode_command`."""
     return _decode(raw, length, _TIME_LAYOUT, _PAYLOAD_LIMIT, _TIME_TYPE, header, values)
 
 
 @kernel(_i64(_bytes, _i64, _ints, _ints))
 def decode_ack(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
-    """Decode header and fields of an ACK from the result of `decode_frame`; return as `decode_command`."""
+    """Decode header and fields of an ACK from the result of `decode_frame`; return the result of `decode_command`."""
     return _decode(raw, length, _ACK_LAYOUT, _PAYLOAD_LIMIT, _ACK_TYPE, header, values)
 
 
 @kernel(_i64(_i64, _i64, _ints, _bytes))
 def encode_set_begin(session: int, sequence: int, values: Ints, out: Bytes) -> int:
-    """Encode a SET_BEGIN into `out` (FRAME_BYTES of room); return its bytes with delimiter, or BAD_VALUE."""
+    """Encode a SET_BEGIN into `out` (at least FRAME_BYTES long); return its bytes with delimiter, or BAD_VALUE."""
     return _encode(values, _SET_BEGIN_LAYOUT, SET_BEGIN_TYPE, session, sequence, out)
 
 
 @kernel(_i64(_i64, _i64, _ints, _bytes))
 def encode_set_commit(session: int, sequence: int, values: Ints, out: Bytes) -> int:
-    """Encode a SET_COMMIT into `out` (FRAME_BYTES of room); return its bytes with delimiter, or BAD_VALUE."""
+    """Encode a SET_COMMIT into `out` (at least FRAME_BYTES long); return its bytes with delimiter, or BAD_VALUE."""
     return _encode(values, _SET_COMMIT_LAYOUT, SET_COMMIT_TYPE, session, sequence, out)
 
 
@@ -382,9 +382,9 @@ def encode_set_commit(session: int, sequence: int, values: Ints, out: Bytes) -> 
 def encode_set_chunk(
     session: int, sequence: int, values: Ints, block: Bytes, start: int, stop: int, out: Bytes
 ) -> int:
-    """Encode a SET_CHUNK with ``block[start:stop]`` into `out` (FRAME_BYTES of room).
+    """Encode a SET_CHUNK with ``block[start:stop]`` into `out` (at least FRAME_BYTES long).
 
-    Returns its bytes with delimiter, or BAD_VALUE, also for more data than a frame carries (`CHUNK_BYTES`).
+    Returns its bytes with delimiter, or BAD_VALUE, also if the data exceed `CHUNK_BYTES`, the most that a frame holds.
     """
     if stop - start > CHUNK_BYTES:
         return BAD_VALUE
@@ -404,18 +404,18 @@ def decode_batch(raw: Bytes, length: int, header: Ints, values: Ints, samples: I
     Parameters
     ----------
     raw, length
-        From `decode_frame`.
+        Result of `decode_frame`.
     header, values
-        As in `decode_command`.
+        Arrays for header and fields; see `decode_command`.
     samples
-        Room for `MOST_SAMPLES` rows of `SAMPLE`: the count itself, which may wrap at 32 bits, and the two currents;
-        what the layout lacks is 0.
+        Array of `MOST_SAMPLES` rows that is filled with `SAMPLE`: count (it may wrap at 32 bits) and both currents
+        (quanta); a field that the layout lacks is 0.
 
     Returns
     -------
     int
-        Samples, at least one; or FOREIGN_MAJOR, OTHER_TYPE, BAD_PAYLOAD (no whole number of samples, or none),
-        BAD_VALUE (an unknown layout).
+        Number of samples, at least 1; or FOREIGN_MAJOR, OTHER_TYPE, BAD_PAYLOAD (no sample, or not a whole number of
+        samples), BAD_VALUE (unknown layout).
     """
     found = _decode(raw, length, _BATCH_LAYOUT, _BATCH_LIMIT, _BATCH_TYPE, header, values)
     if found != 0:

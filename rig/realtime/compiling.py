@@ -1,4 +1,4 @@
-"""Listeners for the begin and end of compilation, during which a command would be silent for half a minute.
+"""Notify listeners when compilation begins and ends, so that a command can report why it waits (up to half a minute).
 
 `rig.cli` and the console's workers listen; `rig.realtime.kernel` and `rig.realtime.parts` report to it. Nothing here
 may import numba: a command that compiles nothing must not load it.
@@ -16,27 +16,27 @@ _count = {"kernels": 0}
 
 
 def listen(listener: Callable[[bool], None]) -> None:
-    """Call `listener(True)` when compiling begins, `listener(False)` when it ends, in whatever thread that is."""
+    """Call `listener(True)` whenever compilation begins and `listener(False)` when it ends, in the compiling thread."""
     _listeners.append(listener)
 
 
 def report_begin() -> None:
-    """Report that a function is being compiled; those that it calls are compiled within it."""
+    """Report that the compilation of a function begins; calls may nest."""
     _move(1)
 
 
 def report_end() -> None:
-    """Report that this function is compiled, or cannot be."""
+    """Report that the compilation of a function has ended, successfully or not."""
     _move(-1)
 
 
 def count_kernel() -> None:
-    """Count one more kernel that was typed and lowered."""
+    """Add one to the number of compiled kernels."""
     _count["kernels"] += 1
 
 
 def kernels() -> int:
-    """Return the number of kernels that this process has typed and lowered."""
+    """Return the number of kernels that numba has compiled (typed and lowered) in this process."""
     return _count["kernels"]
 
 

@@ -1,11 +1,11 @@
-"""Control words of a running loop's memory (`rig.realtime.ring`): where each is, who writes it, what it says.
+"""Control words of a running loop's memory (`rig.realtime.ring`): index, writer and meaning of each.
 
 Loop, recorder, supervisor and other processes address them by these numbers. Every word has one writer. Words 0 to 3
-and 7 keep their places in all versions, so that a run of any version can be stopped. Imports nothing: `rig stop` reads
-it before all else.
+and 7 have the same index in all versions, so that a run of any version can be stopped. This file imports nothing:
+`rig stop` reads it first.
 
-The loop, the recorder, `rig stop`, `rig set`, the console and LSL use it. The number of a word must not change unless
-`LAYOUT_VERSION` does.
+The loop, the recorder, `rig stop`, `rig set`, the console and LSL use it. If the index of a word changes, change
+`LAYOUT_VERSION` too.
 """
 
 from __future__ import annotations

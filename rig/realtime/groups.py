@@ -1,10 +1,11 @@
-"""Groups of arguments: a kernel takes a port, a controller and buffers, not the thirty functions and arrays in them.
+"""Groups of arguments for kernels, so that a kernel takes a port or a controller instead of thirty single arguments.
 
-A group is a `NamedTuple` with the mark `group`, a type of its own to numba. A field is annotated with the numba type of
-its values; a plug point (`rig.realtime.plugs`) may hold whatever fits it. A call costs as much as with single members.
+A group is a `NamedTuple` with the decorator `group`, which gives it its own numba type. Each field is annotated with
+the numba type of its values; a field for a plug point (`rig.realtime.plugs`) accepts any function with its signature. A
+call costs as much as with single arguments.
 
-Laws, ports and the loop make their groups with it, and `rig.realtime.kernel` compiles them. It must not know a
-particular group or what its members mean.
+Laws, ports and the loop define groups, and `rig.realtime.kernel` compiles them. This file must not depend on a
+particular group or on the meaning of its members.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ _GROUPS: set[type] = set()
 
 
 def group(cls: type[T]) -> type[T]:
-    """Let kernels take a `NamedTuple`, and let it be made by keyword alone."""
+    """Register a `NamedTuple` as an argument of kernels; its instances are then created by keyword arguments only."""
     # By keyword alone: among thirty positional arguments, two of one type are swapped unnoticed.
     make: Any = cls.__new__
 
@@ -58,7 +59,7 @@ def type_of(cls: type[tuple[Any, ...]]) -> Any:
 
 @cache
 def _due(cls: type[tuple[Any, ...]]) -> tuple[tuple[tuple[type, ...], tuple[Any, ...] | None], ...]:
-    """For each field the classes that it takes, and of an array dtype, dimensions, and whether it can be written."""
+    """Return for each field the accepted classes, and for an array its dtype, dimensions and writability, else None."""
     return tuple(
         (_classes(t), (as_dtype(t.dtype), t.ndim, t.mutable) if isinstance(t, types.Array) else None)
         for t in type_of(cls).types
@@ -74,7 +75,7 @@ def _classes(due: Any) -> tuple[type, ...]:
 
 
 def kind_of(value: Any) -> Any:
-    """Return the numba type of a group whose members fit their fields; None for whatever else."""
+    """Return the numba type of a group whose members fit their fields; None for any other value."""
     return _type_if_fitting(value) if type(value) in _GROUPS else None
 
 
@@ -87,7 +88,7 @@ def _type_if_fitting(value: tuple[Any, ...]) -> Any:
 
 
 def _typeof(value: tuple[Any, ...], context: Any) -> Any:
-    """Type of an instance: what does not fit its field makes it another type, which no kernel takes."""
+    """Return the numba type of a group; if a member does not fit its field, a type that no kernel accepts."""
     kind = _type_if_fitting(value)
     if kind is None:
         kind = types.BaseTuple.from_types([typeof_impl(member, context) for member in value], type(value))
@@ -113,15 +114,16 @@ def _fits(member: Any, classes: tuple[type, ...], array: tuple[Any, ...] | None)
 
 @cache
 def group_bytes(cls: type[tuple[Any, ...]]) -> int:
-    """Return the bytes of memory that a group takes; see `group_at`."""
+    """Return the size of a group in memory (bytes); see `group_at`."""
     context = cpu_target.target_context
     return int(context.get_abi_sizeof(context.get_value_type(type_of(cls))))
 
 
 def group_at(cls: type[tuple[Any, ...]]) -> tuple[Any, Any]:
-    """Make the intrinsics ``put(address, group)`` and ``get(address)`` for a plug point that is handed one number.
+    """Return two intrinsics, ``put(address, group)`` and ``get(address)``, to pass a group by its address.
 
-    The memory must be `group_bytes` long, and who puts a group there keeps it: its arrays are not counted.
+    The memory at the address must have `group_bytes` bytes. The caller of `put` must keep the group alive: references
+    to its arrays are not counted.
     """
     kind = type_of(cls)
 

@@ -1,7 +1,7 @@
-"""A hand in a small shared file: a driving program writes the wished motion, a simulated rig the resulting motion.
+"""A hand in a small shared file: a driving program writes the wanted position, a simulated rig the resulting motion.
 
-The file holds the wish (a sequence number, a position, a press) and a ring of the newest motions of hand and handle,
-each with its CRC. A driving program writes the wish several times a second even where nothing changes.
+The file has the wish (a sequence number, a position, a press) and a ring of the newest motions of hand and handle, each
+with its CRC. A driving program writes the wish several times a second, also without a change.
 
 The console and sessions write to it, simulated rigs of `rig.devices` read it. It must not load the loop or wait for the
 other side.
@@ -38,16 +38,16 @@ else:
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """Position that a hand aims at, and its press.
+    """Wanted position of the hand, and its press.
 
     Attributes
     ----------
     sequence
-        Number of writes; 0 before the first.
+        Number of writes so far; 0 before the first.
     position
-        At the link (rad or m).
+        Wanted position, at the link (rad or m).
     press
-        At the handle, into the wall (N).
+        Force of the hand at the handle, into the wall (N).
     """
 
     sequence: int
@@ -57,14 +57,14 @@ class Wish:
 
 @dataclass(frozen=True, slots=True)
 class HandMotion:
-    """How a simulated hand and its handle moved: their difference is the deflection of the coupling.
+    """Motion of a simulated hand and its handle at one time; their difference is the deflection of the coupling.
 
     Attributes
     ----------
     device_time_ns
-        Time of the sample, on the device's clock, as in the column ``device_time``.
+        Time of the sample on the device's clock (ns), as in the column ``device_time``.
     hand, handle
-        True positions, at the link (rad or m).
+        True positions of hand and handle, at the link (rad or m).
     velocity
         True velocity of the handle (rad/s or m/s).
     """
@@ -76,7 +76,7 @@ class HandMotion:
 
 
 class SharedHand:
-    """A hand in a file: `create` to move it, `open` to follow it. Close either."""
+    """A hand in a shared file: use `create` to move it and `open` to follow it; call `close` at the end."""
 
     def __init__(self, memory: mmap.mmap, path: Path) -> None:
         self.path = path
@@ -86,10 +86,10 @@ class SharedHand:
 
     @classmethod
     def create(cls, path: str | Path) -> SharedHand:
-        """Create the file of a hand to be moved, or continue with an existing one.
+        """Create the file of a hand, or open an existing one, to move the hand.
 
-        The owner of its directory removes it. Raises `ConfigError` if the name belongs to another kind of file, or the
-        file cannot be created.
+        The owner of its directory must remove the file. Raises `ConfigError` if the path is another kind of file, or if
+        the file cannot be created.
         """
         path = Path(path)
         try:
@@ -106,7 +106,7 @@ class SharedHand:
 
     @classmethod
     def open(cls, path: str | Path) -> SharedHand:
-        """Open an existing file to follow its wishes; raises `ConfigError` if it does not exist or is not a hand."""
+        """Open an existing file to follow its hand; raise `ConfigError` if it does not exist or is no such file."""
         path = Path(path)
         try:
             descriptor = os.open(path, os.O_RDWR | _NO_WAIT)
@@ -133,9 +133,9 @@ class SharedHand:
         raise ConfigError(f"{path} is not the file of a driven hand", remedy="give another file name")
 
     def move(self, position: float, press: float) -> None:
-        """Write the position of the hand (rad or m, at the link), and its press into the wall (N).
+        """Write the wanted position of the hand (rad or m, at the link), and its press into the wall (N).
 
-        Raises `ConfigError` for values that are not finite.
+        Raises `ConfigError` if a value is not finite.
         """
         if not (math.isfinite(position) and math.isfinite(press)):
             raise ConfigError(
@@ -148,7 +148,7 @@ class SharedHand:
         self._memory[len(MAGIC) : WISH_END] = _pack(Wish(sequence, position, press))
 
     def read(self) -> Wish | None:
-        """Return the newest wish; None while it is being written."""
+        """Return the newest wish; None if it is being written at this moment."""
         # No lock and no memory order: a half-written entry fails its CRC and is read again.
         for _ in range(_TRIES):
             data = self._memory[len(MAGIC) : WISH_END]
@@ -158,7 +158,7 @@ class SharedHand:
         return None
 
     def tell(self, motion: HandMotion) -> None:
-        """Say how hand and handle moved."""
+        """Write a motion of hand and handle to the ring."""
         self._latest += 1
         values = _MOTION.pack(
             self._latest, motion.device_time_ns, motion.hand, motion.handle, motion.velocity
@@ -167,13 +167,13 @@ class SharedHand:
         self._memory[place : place + _MOTION_BYTES] = values + _CRC.pack(zlib.crc32(values))
 
     def motions(self) -> list[HandMotion]:
-        """Return the motions written since the last call (`tell`), oldest first, as far as the ring still has them."""
+        """Return the motions written since the last call, oldest first, except those that the ring has overwritten."""
         fresh = [one for one in self._whole_motions() if one[0] > self._seen]
         self._seen = max((number for number, _ in fresh), default=self._seen)
         return [motion for _, motion in fresh]
 
     def _whole_motions(self) -> list[tuple[int, HandMotion]]:
-        """Return the complete motions in the ring, ascending by number."""
+        """Return number and motion of each complete entry of the ring, ascending by number."""
         found = []
         for place in range(WISH_END, SIZE, _MOTION_BYTES):
             data = self._memory[place : place + _MOTION_BYTES]
@@ -183,7 +183,7 @@ class SharedHand:
         return sorted(found, key=lambda one: one[0])
 
     def close(self) -> None:
-        """Let go of the file, which stays."""
+        """Close the file without removing it."""
         self._memory.close()
 
     def __enter__(self) -> SharedHand:

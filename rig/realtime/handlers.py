@@ -1,6 +1,7 @@
-"""Signal handlers for a while, and signals that must wait.
+"""Install signal handlers temporarily, and defer signals.
 
-Loop, recorder, doctor and sweeps call it. It must not decide what a signal stops (`rig.realtime.stop_requests`).
+The loop, the recorder, the doctor and sweeps call it. It must not decide what a signal stops
+(`rig.realtime.stop_requests`).
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ from typing import Any
 
 @contextmanager
 def handle_signals(numbers: tuple[int, ...], handler: Callable[[int, Any], None]) -> Iterator[bool]:
-    """Install `handler` for these signals, except those that are ignored, and restore the earlier handlers at the end.
+    """Install `handler` for signals, except those that are ignored; restore the previous handlers at the end.
 
-    Yields False without any change outside the main thread, which alone receives signals.
+    Yields True; outside the main thread, which alone receives signals, yields False and changes nothing.
     """
     if not _in_the_main_thread():
         yield False
@@ -40,7 +41,7 @@ _handled_by: dict[int, Any] = {}
 
 @contextmanager
 def interrupts_later() -> Iterator[None]:
-    """Defer SIGINT and SIGTERM until `interrupts_now`, or until the end of this context."""
+    """Defer SIGINT and SIGTERM until `interrupts_now` is called or this context ends."""
     # Where C calls back into Python, and where objects are finalised, the interpreter prints an exception and drops it:
     # a KeyboardInterrupt raised there, as inside a compiler, would be lost.
     if _handled_by or not _in_the_main_thread():  # within another: as that one does
@@ -58,7 +59,7 @@ def interrupts_later() -> Iterator[None]:
 
 
 def interrupts_now() -> None:
-    """Handle the deferred signals here, where an exception reaches the caller."""
+    """Handle deferred signals now, so that their exception reaches the caller of this function."""
     if _waiting and _in_the_main_thread():
         for number in _came():
             if callable(_handled_by[number]):
@@ -69,14 +70,14 @@ def interrupts_now() -> None:
 
 
 def take_no_signals() -> None:
-    """Block all signals in the calling thread, which must not be the main one: they would wake a wait early."""
+    """Block all signals in the calling thread, so that they do not end its waits early. Not for the main thread."""
     # Windows delivers signals to no thread; its interpreter notes them for the main one.
     if sys.platform != "win32":
         signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
 
 
 def _came() -> list[int]:
-    """Return those that waited, which wait no more: after the first interruption the others have none to make."""
+    """Return the deferred signals and clear them, so that each is handled once."""
     came = _waiting.copy()
     _waiting.clear()
     return came

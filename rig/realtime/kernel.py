@@ -1,7 +1,7 @@
-"""The one decorator of every compiled function of this project; its machine code is kept by `rig.realtime._cache`.
+"""Decorator of all compiled functions of this project; their machine code is cached (`rig.realtime._cache`).
 
 Laws, estimators, devices, doctor, the loop and the recorder decorate their functions with it. Kernels allocate nothing
-and raise nothing, and this file must not know what one of them computes.
+and raise nothing. This file must not depend on what a kernel computes.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ KernelCache.directory = CACHE_DIRECTORY
 
 
 class _Compilations(event.Listener):  # type: ignore[misc]
-    """Reports to `rig.realtime.compiling` when numba begins and ends to compile, not when it loads from the cache."""
+    """Listener that reports to `rig.realtime.compiling` when numba compiles, but not when it loads from the cache."""
 
     def on_start(self, event: Any) -> None:
         compiling.report_begin()
@@ -47,7 +47,7 @@ event.register("numba:compile", _Compilations())
 
 @contextlib.contextmanager
 def _without_collections() -> Iterator[None]:
-    """Switch the garbage collector off for a while."""
+    """Disable the garbage collector within this context."""
     # A compiler makes millions of objects that live as long as the program: scanning them takes time and frees none.
     collects = gc.isenabled()
     gc.disable()
@@ -59,11 +59,11 @@ def _without_collections() -> Iterator[None]:
 
 
 class Kernel(CPUDispatcher):  # type: ignore[misc]
-    """A function that is compiled, or loaded from the disk cache, when it is first needed, and then never again.
+    """A function that is compiled, or loaded from the disk cache, once, when it is first needed.
 
-    A call from Python, or a plug point that takes it, compiles the declared signatures and no others: an argument of
-    another type is converted or refused. `prepare` does so before a loop starts: inside a loop nothing may compile. A
-    kernel that calls it makes it a part of itself (`rig.realtime.parts`).
+    A call from Python, or its use at a plug point, compiles the declared signatures only: an argument of another type
+    is converted or rejected. Call `prepare` before a loop starts, because nothing may compile inside a loop. If another
+    kernel calls it, it becomes a part of that kernel (`rig.realtime.parts`).
     """
 
     declared: tuple[Any, ...] = ()
@@ -77,16 +77,16 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         self._plugged: dict[int, tuple[Any, Any]] = {}
 
     def enable_caching(self) -> None:
-        """Keep its machine code on disk, by its module."""
+        """Store the machine code on disk, in a directory named after its module."""
         self._cache = KernelCache(self.py_func)
 
     @property
     def prepared(self) -> bool:
-        """Return True if its machine code exists."""
+        """Return True if the machine code exists."""
         return not self._can_compile
 
     def prepare(self) -> None:
-        """Compile or load the declared signatures; the second time nothing happens."""
+        """Compile or load the declared signatures; a second call does nothing."""
         with (
             interrupts_later(),
             global_compiler_lock,
@@ -116,7 +116,7 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         return super().typeof_pyval(val) if kind is None else kind
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Return the types of a call in another kernel, of which this one then is a part."""
+        """Return the types of a call from another kernel, of which this kernel becomes a part."""
         if self.prepared or self.is_compiling:
             return super().get_call_template(args, kws)
         if not self._parts:
@@ -130,12 +130,12 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         return template, python_signature, args, {}
 
     def get_overload(self, sig: Any) -> Any:
-        """Return the key of the code for a call in another kernel."""
+        """Return the key of the code that is called from another kernel."""
         args = tuple(sigutils.normalize_signature(sig)[0])
         return self._parts[args][1] if args in self._parts else super().get_overload(sig)
 
     def get_compile_result(self, sig: Any) -> Any:
-        """Return the machine code for a plug point."""
+        """Return the machine code for a plug point with this signature."""
         # numba asks at each call with a plug point and compares all types then. Each plug point has one signature
         # object, so its identity suffices; it is stored with the result, or another object could get its id.
         known = self._plugged.get(id(sig))
@@ -148,20 +148,20 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         return known[1]
 
     def get_function_type(self) -> Any:
-        """Type of the plug point that it fits."""
+        """Return the function type of the plug point that this kernel fits."""
         self.prepare()
         return super().get_function_type()
 
 
 def prepare(*functions: Any) -> None:
-    """Compile or load kernels; others (a `NativeFunction`, or a plain function without the compiler) are ready."""
+    """Compile or load kernels; other functions (such as a `NativeFunction`) need no preparation and are skipped."""
     for function in functions:
         if isinstance(function, Kernel) and not function.prepared:
             function.prepare()
 
 
 def rule(function: F) -> F:
-    """Let kernels call a plain function too: Python itself runs it on memory views, whose numbers are its own."""
+    """Return a plain function that Python runs as it is and kernels may call too."""
     return cast("F", register_jitable(function))
 
 
@@ -173,20 +173,20 @@ def kernel(
     Parameters
     ----------
     signature
-        numba signature, or a list of them: what it will be compiled for, and nothing else.
+        numba signature, or a list of signatures: the only ones for which the function is compiled.
     cache
-        Keep the machine code on disk. Third parties' laws outside this project must say False, because
-        their sources are not part of the key.
+        Store the machine code on disk. Use False for laws outside this project, because their sources are not part of
+        the cache's key.
     inline
-        Ask LLVM to inline small helpers always.
+        Always inline the function into its callers; for small helpers.
     no_refcount
-        Count no references to array arguments, which the caller holds anyway. Such a kernel cannot make or return
-        an array, `carray` included. A kernel that takes a group (`rig.realtime.groups`) always does so.
+        Do not count references to array arguments, which the caller holds. Such a kernel cannot create or return an
+        array, also not by `carray`. It is always set for a kernel that takes a group (`rig.realtime.groups`).
 
     Notes
     -----
     A kernel allocates nothing and raises nothing; a value that is not finite is handled by `rig.control._guard`.
-    With ``NUMBA_DISABLE_JIT=1`` the plain function is returned, so that tests and coverage see it.
+    With ``NUMBA_DISABLE_JIT=1`` the plain function is returned, for tests and coverage.
     """
     arguments = getattr(signature, "args", ())  # a text names no group
     takes_group = any(isinstance(argument, numba.types.BaseNamedTuple) for argument in arguments)

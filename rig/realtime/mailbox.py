@@ -1,7 +1,7 @@
-"""How bytes reach a running loop: a triple buffer that neither side ever waits for.
+"""Triple buffer that passes messages (bytes) to a running loop; neither side waits for the other.
 
-Three slots hold one message each: the writer fills one, one is posted (the mail), the reader copies from one. One word
-assigns them, and every change of owner is one compare-and-exchange of it::
+There are three slots of one message each: the writer fills the first, the second is posted (the mail), the reader
+copies from the third. One word assigns the slots; each change of owner is one compare-and-exchange of this word::
 
     bits 0–1  the writer's slot       bits 4–5  the reader's slot
     bits 2–3  the slot in the mail    bit  6    FRESH: the mail has not been read
@@ -9,9 +9,9 @@ assigns them, and every change of owner is one compare-and-exchange of it::
 
 A slot has one owner at any moment, so a message is never torn.
 
-Layout from the address of the mailbox: that word and 56 bytes of padding, then three slots of `SLOT_BYTES`: number
-and length (bytes) as int64, `MOST_BYTES` bytes, padding. What the bytes mean is between writer and reader; a set of
-parameters is float64s (`set_bytes`).
+Layout from the address of the mailbox: this word and 56 bytes of padding, then three slots of `SLOT_BYTES`: number and
+length (bytes) of the message as int64, `MOST_BYTES` bytes, padding. Writer and reader define the meaning of the bytes;
+a parameter set consists of float64 numbers (`set_bytes`).
 
 The loop and the ring use it; `rig set` and the console reach it through the ring. Kernels here allocate nothing and
 never wait.
@@ -56,7 +56,7 @@ _writers = threading.Lock()
 
 @kernel(_i64(_address, _i64), inline=True)
 def slot_address(mailbox: int, slot: int) -> int:
-    """Return the address at which a slot begins."""
+    """Return the address of the first byte of a slot."""
     return mailbox + HEAD_BYTES + SLOT_BYTES * slot
 
 
@@ -74,21 +74,21 @@ def readers_slot(state: int) -> int:
 
 @kernel(_i64(_i64), inline=True)
 def state_after_publishing(state: int) -> int:
-    """State after the writer's slot has been posted: the mail is fresh, and what lay there is the writer's."""
+    """Return the word after the writer has posted its slot: the mail is fresh, its old slot is the writer's."""
     mail = state >> 2 & 3
     return (state >> NUMBER) + 1 << NUMBER | FRESH | (state & 3 << 4) | writers_slot(state) << 2 | mail
 
 
 @kernel(_i64(_i64), inline=True)
 def state_after_claiming(state: int) -> int:
-    """State after the reader has taken the fresh mail and left its own slot there."""
+    """Return the word after the reader has taken the fresh mail: the old slot of the reader becomes the mail's slot."""
     mail = state >> 2 & 3
     return state >> NUMBER << NUMBER | mail << 4 | readers_slot(state) << 2 | writers_slot(state)
 
 
 @kernel(_i64(_address, _bytes))
 def fill(mailbox: int, message: Any) -> int:
-    """Write a message of whole words into the writer's slot; returns the number that it will have."""
+    """Write a message of whole 8-byte words into the writer's slot; return the number that it gets when posted."""
     state = load_word(mailbox)
     number = (state >> NUMBER) + 1
     slot = slot_address(mailbox, writers_slot(state))
@@ -102,7 +102,7 @@ def fill(mailbox: int, message: Any) -> int:
 
 @kernel(_i64(_address))
 def publish(mailbox: int) -> int:
-    """Post the writer's slot; returns its number."""
+    """Post the message in the writer's slot; return its number."""
     # Twice at most: only the writer makes mail fresh and the reader moves fresh mail alone. A writer that is killed
     # before leaves its own slot half filled, which is never read: the word is the only shared state.
     while True:
@@ -114,7 +114,7 @@ def publish(mailbox: int) -> int:
 
 @kernel(_i64(_address))
 def claim(mailbox: int) -> int:
-    """Take the mail if it is fresh; returns the reader's slot, or -1 when there is nothing new."""
+    """Take the mail if it is fresh; return the reader's slot, or -1 if there is no new message."""
     # A bounded number of attempts, since the loop must not spin: after these a newer message is being posted.
     for _ in range(ATTEMPTS):
         state = load_word(mailbox)
@@ -128,7 +128,7 @@ def claim(mailbox: int) -> int:
 
 @kernel(_i64(_address, _i64, _bytes))
 def copy_message(mailbox: int, slot: int, into: Any) -> int:
-    """Copy the bytes of a slot, as many as there are and fit; returns the number of the message."""
+    """Copy the message of a slot into `into`, as many bytes as fit; return the number of the message."""
     place = slot_address(mailbox, slot)
     target = into.ctypes.data
     for at in range(0, min(load_word(place + _WORD), len(into)), _WORD):
@@ -138,20 +138,20 @@ def copy_message(mailbox: int, slot: int, into: Any) -> int:
 
 @kernel(_i64(_address, _bytes))
 def take(mailbox: int, into: Any) -> int:
-    """Take the newest message, if there is one that was not taken before. For the loop: it never waits.
+    """Copy the newest message, unless it was taken before. The loop calls it; it never waits.
 
     Parameters
     ----------
     mailbox
-        Address (`rig.realtime.ring.Ring.mailbox`).
+        Address of the mailbox (`rig.realtime.ring.Ring.mailbox`).
     into
-        Where the bytes go, whole words that begin at one; what the message does not fill stays as it is, what does not
-        fit is left out.
+        Destination, whole aligned 8-byte words. Bytes after the end of the message are not changed; a longer message
+        is cut off.
 
     Returns
     -------
     int
-        Number of the message, from 1 on; 0 when nothing is new, and `into` is as it was.
+        Number of the message, from 1 on; 0 if there is no new message, and `into` is then unchanged.
     """
     slot = claim(mailbox)
     if slot < 0:
@@ -161,15 +161,15 @@ def take(mailbox: int, into: Any) -> int:
 
 @kernel(_i64(_address, _bytes))
 def post_message(mailbox: int, message: Any) -> int:
-    """`fill` and `publish`: one writer at a time."""
+    """Write a message by `fill` and post it by `publish`; return its number. Only one writer at a time may call it."""
     fill(mailbox, message)
     return int(publish(mailbox))
 
 
 def set_bytes(values: ArrayLike) -> bytes:
-    """Return the bytes of a set of parameters for a loop.
+    """Return the message with a parameter set for a running loop.
 
-    Raises `ConfigError` for more than `SET_FLOATS` numbers, or one that is NaN.
+    Raises `ConfigError` for more than `SET_FLOATS` numbers, or if a number is NaN.
     """
     numbers = np.ascontiguousarray(values, dtype=np.float64).reshape(-1)
     if len(numbers) > SET_FLOATS:
@@ -186,20 +186,20 @@ def set_bytes(values: ArrayLike) -> bytes:
 
 
 def clear(mailbox: int) -> None:
-    """Make an empty mailbox of zeroed memory."""
+    """Initialise zeroed memory as an empty mailbox."""
     write_word(mailbox, EMPTY)
 
 
 class Mailbox:
-    """The writer's side.
+    """A mailbox for its writers.
 
     Parameters
     ----------
     address
         Address of the mailbox.
     descriptor
-        Descriptor of the shared memory with the mailbox, which separates the writers of several processes; -1 for
-        memory of this process only.
+        Descriptor of the shared memory; a lock on it excludes writers of other processes. -1 for memory of this process
+        only.
     keep
         Owner of the memory, which must live as long as this object.
     """
@@ -215,23 +215,23 @@ class Mailbox:
         return int(read_word(self._address)) >> NUMBER
 
     def post(self, message: bytes) -> int:
-        """Post a message of `MOST_BYTES` at most for the loop; it replaces one that was not taken yet.
+        """Post a message of at most `MOST_BYTES` bytes; it replaces a message that the loop has not taken yet.
 
         Returns
         -------
         int
-            Its number: 1 for the first message ever posted here, and so on.
+            Number of the message, 1 for the first message of this mailbox.
 
         Raises
         ------
         RigError
-            Another process holds the mailbox, stopped in the middle.
+            Another process holds the lock of the mailbox and does not release it.
         """
         with self.alone():
             return self.post_alone(message)
 
     def post_alone(self, message: bytes) -> int:
-        """Post a message as `post` does; the caller must hold `alone`."""
+        """Post a message and return its number; the caller must be within the context `alone`."""
         words = np.zeros(-(-len(message) // _WORD) * _WORD, np.uint8)
         words[: len(message)] = np.frombuffer(message, np.uint8)
         assert len(words) <= MOST_BYTES
@@ -239,7 +239,7 @@ class Mailbox:
 
     @contextmanager
     def alone(self) -> Iterator[None]:
-        """Keep other writers away, of this process and of others, for as long as the block takes."""
+        """Exclude other writers of this process and of other processes within this context."""
         with _writers:
             if self._descriptor < 0:
                 yield
@@ -252,7 +252,7 @@ class Mailbox:
 
 
 def _lock(descriptor: int) -> None:
-    """Wait for the other writers, which may be paused in the middle but not forever."""
+    """Lock the descriptor; raise `RigError` if another writer does not release the lock within `PATIENCE_S`."""
     deadline = time.monotonic() + PATIENCE_S
     while not locks.lock(descriptor):
         if time.monotonic() > deadline:

@@ -1,6 +1,6 @@
-"""Find the memories (`rig.realtime.ring`) of the loops that run on this computer, and request them to stop.
+"""Find the shared memory (`rig.realtime.ring`) of each loop that runs on this computer, and request loops to stop.
 
-Imports only modules that an interpreter has loaded anyway, and a few constants, because stopping a rig must not wait:
+This file imports only a few constants and modules that Python loads at its start, because stopping a rig must not wait:
 `rig.__main__` writes the stop word before it parses the rest of its command line.
 
 `rig.__main__`, `rig stop`, the console and the ring call it. Nothing here may import numba or numpy.
@@ -27,18 +27,18 @@ else:
 
 
 class LoopMemory:
-    """The control words of a loop, open until `close`; for a use in ``with``.
+    """The control words of a loop, open until `close`; a context manager.
 
     Attributes
     ----------
     pid
-        Process that made it.
+        Process that made the memory.
     path
-        Where that process has it open, for one ``/proc/PID/fd/N``.
+        Path to the memory in that process, for example ``/proc/PID/fd/N``.
     held
-        Where this process has (`rig.realtime._anonymous_memory.held`).
+        Path to the memory in this process (`rig.realtime._anonymous_memory.held`).
     ran
-        True if its loop was still running at `ask_to_stop`.
+        True if the loop was still running when `ask_to_stop` was called.
 
     Raises
     ------
@@ -60,20 +60,20 @@ class LoopMemory:
             raise OSError(f"{path} is not the memory of a running loop") from error
 
     def ask_to_stop(self) -> None:
-        """Set the stop word to minus the number of this process, unless it is set."""
+        """Set the stop word to minus the number of this process, unless the stop word is already set."""
         if self.words[VERSION] != 0:
             self.ran = self.words[LOOP_DONE] == 0
             if self.words[STOP] == 0:
                 self.words[STOP] = -os.getpid()
 
     def made_by(self, pid: int) -> bool:
-        """Return True if a process created this memory: others open it too, and forks inherit it without its loop."""
+        """Return True if the process `pid` created this memory; other processes and forks may have it open too."""
         if self.words[VERSION] != LAYOUT_VERSION:
             return self.words[VERSION] != 0
         return place.is_process(pid, self.words[CREATOR])
 
     def close(self) -> None:
-        """Let go of it; may be called twice."""
+        """Close the memory; a second call does nothing."""
         if not self._file.closed:
             self.words.release()
             self._file.close()
@@ -86,9 +86,9 @@ class LoopMemory:
 
 
 def memories(pid: int | None = None) -> Iterator[LoopMemory]:
-    """Yield each memory once, under the process that made it, or those of one process; the caller closes them.
+    """Yield the memory of each loop once, under the process that made it; the caller must close it.
 
-    Memories that vanish meanwhile are left out.
+    `pid` selects the loops of one process. Memories that disappear during the search are skipped.
     """
     known: set[tuple[int, int]] = set()
     for process, path in place.paths(pid):
@@ -112,7 +112,10 @@ def _made_by(memory: LoopMemory) -> bool:
 
 
 def ask_to_stop(pid: int | None = None) -> list[LoopMemory]:
-    """Set the stop words of a process's loops, or of all of this user, and return at once; the caller closes them."""
+    """Set the stop words of the loops of a process (None: of all loops of this user) and return at once.
+
+    The caller must close the returned memories.
+    """
     asked = []
     for memory in memories(pid):
         memory.ask_to_stop()

@@ -1,7 +1,8 @@
-"""Calls of C functions by address from compiled code: for libraries that are loaded while the program runs.
+"""Call C functions by address from compiled code, for libraries that are loaded while the program runs.
 
 The USB queue of `rig.devices` and stop requests call it; functions of the C library are named in `rig.realtime.system`.
-It must not put an address into compiled code as a constant: the cache would keep it for another process.
+It must not put an address into compiled code as a constant: the cached code is used in other processes, where the
+address is wrong.
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ from numba.extending import intrinsic
 
 
 def native_call(arity: int) -> Any:
-    """Make an intrinsic ``call(address, arguments…)`` for C functions ``int f(…)`` of word-sized arguments.
+    """Return an intrinsic ``call(address, arguments…)`` for C functions ``int f(…)`` with `arity` word-sized arguments.
 
-    The address must be that of such a function: nothing checks it. No GIL is taken.
+    The address is not checked: it must be that of such a function. The call does not take the GIL.
     """
     word, answer = ir.IntType(64), ir.IntType(32)
     function = ir.FunctionType(answer, [word] * arity)
@@ -51,6 +52,6 @@ def native_call(arity: int) -> Any:
 
 
 def address_of(kernel: Any, signature: Any) -> int:
-    """Return the address of a kernel as a C function; compile or load the kernel first if necessary."""
+    """Return the address of a kernel as a C function; the kernel is compiled or loaded if necessary."""
     found = kernel.get_compile_result(signature)
     return int(found.library.get_pointer_to_function(found.fndesc.llvm_cfunc_wrapper_name))

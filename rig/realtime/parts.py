@@ -1,8 +1,8 @@
-"""Kernels as parts of others: typed and lowered, but neither optimised nor turned into machine code by themselves.
+"""Compile a kernel as a part of its callers: it is optimised and turned into machine code only together with them.
 
-This file extends numba's own code libraries and disk cache; `rig.realtime.kernel` decides what is a part.
+This file extends numba's code libraries and disk cache; `rig.realtime.kernel` decides which kernels are parts.
 
-`rig.control.plain_functions` and `rig.testing` use it besides `rig.realtime.kernel`. It must not change what a kernel
+`rig.realtime.kernel`, `rig.control.plain_functions` and `rig.testing` use it. It must not change what a kernel
 computes.
 """
 
@@ -33,12 +33,12 @@ POLL_S = 0.01
 
 
 class _Linked:
-    """A library that is linked with all that its parts need, each once, callers first."""
+    """A code library that is linked with all parts that it needs, each part once, callers first."""
 
     _linking_libraries: list[Any]
 
     def parts(self) -> Iterator[Any]:
-        """Yield all libraries that it needs, directly or not: what calls a function comes before that function."""
+        """Yield all libraries that this library needs, directly or not; a caller comes before its callees."""
         seen: set[int] = set()
         waiting = list(reversed(self._linking_libraries))
         while waiting:
@@ -55,7 +55,7 @@ class _Linked:
 # Of 135 kernels that a hit reaches, 15 are entered from outside: optimised there alone, the first hit with an empty
 # cache takes 14 to 15 s of processor time instead of 23 to 24 s (numba 0.68.1, koul-compliant, 2026-11-29).
 class LinkedPart(_Linked, codegen.JITCodeLibrary):  # type: ignore[misc]
-    """Code that waits to be linked into a `Whole`."""
+    """Code of a kernel that waits to be linked into a `Whole`."""
 
     environment: Any = None  # numba knows it by its name alone
     _shared_module: Any
@@ -64,7 +64,7 @@ class LinkedPart(_Linked, codegen.JITCodeLibrary):  # type: ignore[misc]
         ll_module.data_layout = self._codegen._data_layout
 
     def finalize(self) -> None:
-        """Refuse further code from here on."""
+        """Mark the library as complete: no code may be added."""
         self._finalized = True
 
     def _get_module_for_linking(self) -> Any:
@@ -77,17 +77,17 @@ class LinkedPart(_Linked, codegen.JITCodeLibrary):  # type: ignore[misc]
 
 
 class Whole(_Linked, codegen.JITCodeLibrary):  # type: ignore[misc]
-    """Machine code, with all its parts in it."""
+    """Machine code of a kernel with all its parts."""
 
     def finalize(self) -> None:
-        """Link, optimise, and make machine code."""
+        """Link all parts, optimise, and generate machine code."""
         require_global_compiler_lock()
         self._linking_libraries = list(self.parts())
         super().finalize()
 
 
 class _Common(compiler.Flags):  # type: ignore[misc]
-    """Flags of numba's own functions (`min`, `int`, …): one object for all kernels, equal only to itself."""
+    """Compiler flags of numba's own functions (`min`, `int`, …): one object for all kernels, equal only to itself."""
 
     # numba compiles `min` once for each set of flags of a caller, and looks it up by comparing them for each operator.
 
@@ -98,10 +98,10 @@ class _Common(compiler.Flags):  # type: ignore[misc]
 
 
 class _Flags(compiler.Flags):  # type: ignore[misc]
-    """Flags of a kernel; those that hold for what it calls are common to all."""
+    """Compiler flags of a kernel; the functions that it calls get the common flags."""
 
     def copy(self) -> _Common:
-        """Return what numba calls the callees' configuration."""
+        """Return the flags for the functions that the kernel calls."""
         return _common(self.nrt)
 
 
@@ -115,7 +115,7 @@ def _common(nrt: bool) -> _Common:
 
 @cache
 def load_implementations() -> None:
-    """Let numba load what its compiler needs, without scipy.linalg."""
+    """Load the modules that numba's compiler needs, but not scipy.linalg."""
     # numba imports a BLAS there for ``numpy.cov``, which takes longer than all the rest.
     linalg = import_module("numba.np.linalg")
     ask = linalg.ensure_blas
@@ -127,10 +127,10 @@ def load_implementations() -> None:
 
 
 class PartCompiler(dispatcher._FunctionCompiler):  # type: ignore[misc,name-defined]
-    """Compiles a function as a `Whole`, which is numba's own way but for the linking, or as a `LinkedPart`."""
+    """Compiler of a kernel, as a `Whole` (like numba's own compiler except for the linking) or as a `LinkedPart`."""
 
     def part(self, signature: Any) -> tuple[Any, Any]:
-        """Return the signature with its types, and the key by which a caller's code finds the part."""
+        """Compile the function as a part; return its signature with types, and the key by which callers find it."""
         args, return_type = sigutils.normalize_signature(signature)
         result = self._compiled(args, return_type, LinkedPart)
         result.library.environment = result.environment
@@ -174,9 +174,10 @@ _named: Any = _usual._locator_classes[0]  # in a directory that is configured
 
 
 class _ByModule(_named):  # type: ignore[misc]
-    """The place of a kernel's machine code in the cache: by its module, wherever that is installed.
+    """Directory of a kernel's machine code in the cache: named after the module, wherever the module is installed.
 
-    The cache's directory has a hash of all sources, so a wheel and a clone of the same ones share it.
+    The name of the cache's directory has a hash of all sources, so a wheel and a clone with equal sources share the
+    cache.
     """
 
     # Not numba's setting CACHE_DIR: a .numba_config.yaml in the current directory can change it, and a cache is code.
@@ -189,7 +190,7 @@ class _ByModule(_named):  # type: ignore[misc]
         return super(_named, cls).from_function(py_func, py_file)  # whatever CACHE_DIR is
 
     def get_source_stamp(self) -> bytes:
-        """Return a hash of the file."""
+        """Return a hash of the source file."""
         # numba before 0.68 takes the file's time, by which every fresh checkout would be compiled again.
         return hashlib.sha256(Path(self._py_file).read_bytes()).digest()
 
@@ -199,19 +200,19 @@ class _Implementation(_usual):  # type: ignore[misc]
 
 
 class KernelCache(caching.FunctionCache):  # type: ignore[misc]
-    """numba's disk cache of one kernel, in that place.
+    """numba's disk cache of one kernel, in the directory that `_ByModule` selects.
 
     Attributes
     ----------
     directory
-        Directory of all kernels (`rig.realtime._cache`).
+        Directory of the machine code of all kernels (`rig.realtime._cache`).
     """
 
     directory: Path
     _impl_class = _Implementation
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Load machine code of a signature from the disk, None if it is not there."""
+        """Return machine code of a signature loaded from the disk; None if it is not cached."""
         # Machine code needs the runtime that counts references alone, not the whole compiler that numba would load.
         rtsys.initialize(target_context)
         with self._guard_against_spurious_io_errors():
@@ -219,7 +220,7 @@ class KernelCache(caching.FunctionCache):  # type: ignore[misc]
 
     @contextlib.contextmanager
     def alone(self) -> Iterator[None]:
-        """Let other processes wait with this kernel, and find it in the cache then, instead of compiling it too."""
+        """Exclude other processes from compiling this kernel within this context; they then find it in the cache."""
         with contextlib.ExitStack() as held:
             # Without write access or locks every process compiles by itself: slower, but not wrong.
             with contextlib.suppress(OSError):
@@ -232,7 +233,7 @@ class KernelCache(caching.FunctionCache):  # type: ignore[misc]
 
 
 def _wait_for(descriptor: int) -> None:
-    """Wait for a lock, `PATIENCE_S` at most: its owner may be a stopped process."""
+    """Wait until a lock is free, at most `PATIENCE_S`, because its owner may be a stopped process."""
     patience = time.monotonic() + PATIENCE_S
     compiling.report_begin()  # elsewhere, which takes as long
     try:
@@ -244,7 +245,7 @@ def _wait_for(descriptor: int) -> None:
 
 
 def count_allocations(run: Callable[[], object]) -> int:
-    """Count how often compiled code asks the heap for memory during a run."""
+    """Return the number of times that compiled code allocates memory while `run` is called."""
     runtime.memsys_enable_stats()
     before = runtime.memsys_get_stats_alloc()
     run()

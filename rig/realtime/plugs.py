@@ -1,11 +1,11 @@
-"""The plug points of the compiled loop: each signature, written once.
+"""Plug points of the compiled loop: the signature of each kind of function that can be plugged in.
 
-A plug point is a numba first-class function type: the loop is compiled once against the type, and any estimator, law or
-far end fits later. Pass a function made by `rig.realtime.kernel.kernel` with the signature (an exception in it then
-reaches the caller of the loop), or a `NativeFunction` for an address.
+A plug point is a numba first-class function type: the loop is compiled once for the type, and any estimator, law or
+device link with this type can be passed later. Pass a kernel (`rig.realtime.kernel.kernel`) with the signature (the
+caller of the loop gets its exceptions), or a `NativeFunction` for an address.
 
-Laws, estimators, ports and test laws take their signatures from it. A signature must not change without the laws of
-third parties and the functions in C that are made for it.
+Laws, estimators, ports and test laws use these signatures. If a signature changes, laws of third parties and functions
+in C that have it must change too.
 """
 
 from __future__ import annotations
@@ -55,8 +55,7 @@ NowPlug = Annotated[Any, NOW]
 class NativeFunction(types.WrapperAddressProtocol):
     """A function pointer (ctypes callback, C library, libusb) with its signature, ready for a plug point.
 
-    Keep the object alive as long as the loop runs: it owns nothing but remembers `keep`, for example the
-    ctypes callback.
+    Keep the object alive while the loop runs: it holds a reference to `keep`, for example the ctypes callback.
     """
 
     def __init__(self, address: int, signature: Any, keep: object = None) -> None:

@@ -1,18 +1,19 @@
-"""One block of memory between the loop, the recorder and their supervisor.
+"""Memory that the loop, the recorder and their supervisor share: control words, description of the run, mailbox, rows.
 
 Layout (version 4), every part at a multiple of 64 bytes::
 
     control words   `WORDS` int64                                 `rig.realtime.control_words`
-    info            2 × `INFO_BYTES`; one is UTF-8 JSON, the other is free
-    mailbox         `MAILBOX_BYTES` for `rig.realtime.mailbox`: parameters on their way to the loop
+    info            2 × `INFO_BYTES`; one half is UTF-8 JSON, the other is free
+    mailbox         `MAILBOX_BYTES` for `rig.realtime.mailbox`: parameter sets for the loop
     rows            `capacity` rows of `rig.core.sample.ROW`
 
 All sides load and store words through `rig.realtime.atomics`. The info describes experiment, device and recording. The
-word INFO has the length of its JSON in bits 0–19, the half in bit 20, and above them the number of changes. The loop
-writes row ``HEAD % capacity`` and then publishes HEAD + 1; the recorder copies rows up to HEAD and publishes TAIL.
+word INFO has the length of the JSON in bits 0–19, the used half in bit 20, and the number of changes from bit 32 on.
+The loop writes row ``HEAD % capacity`` and then publishes HEAD + 1; the recorder copies rows up to HEAD and publishes
+TAIL.
 
 Trials, the recorder, `rig set`, the console, LSL and the terminal of a session open it. It must not import numba before
-a loop is built, and the layout must not change without a new `LAYOUT_VERSION`.
+a loop is built. If the layout changes, change `LAYOUT_VERSION` too.
 """
 
 from __future__ import annotations
@@ -62,16 +63,17 @@ _INFO_TRIES = 10
 
 
 class Ring:
-    """The block and its views: `words` (int64) and `rows` (`rig.core.sample.ROW`).
+    """Shared memory of a loop, with views of it: `words` (int64) and `rows` (`rig.core.sample.ROW`).
 
-    `Ring.allocate` makes one, `Ring.attach` opens that of another process. As a context manager it closes itself.
+    `Ring.allocate` makes a new memory, `Ring.attach` opens that of another process. A context manager, which calls
+    `close`.
 
     Parameters
     ----------
     buffer
-        The whole block; it starts at a multiple of 8.
+        The whole memory; its address is a multiple of 8.
     descriptor
-        Descriptor of the shared memory, which `close` closes; -1 when it is not shared.
+        Descriptor of the shared memory, which `close` closes; -1 if the memory is not shared.
     """
 
     def __init__(self, buffer: NDArray[np.uint8], descriptor: int = -1) -> None:
@@ -84,21 +86,21 @@ class Ring:
 
     @classmethod
     def allocate(cls, capacity: int, *, info: Mapping[str, Any] | None = None, shared: bool = False) -> Ring:
-        """Make a zeroed ring.
+        """Return a new ring of zeroed memory.
 
         Parameters
         ----------
         capacity
-            Rows that it holds.
+            Number of rows.
         info
             Facts about the run for other processes: plain values for JSON.
         shared
-            In memory that other processes of this user can find and open.
+            True: other processes of this user can find and open the memory.
 
         Raises
         ------
         RigError
-            More info than fits, or no memory.
+            The info is longer than `INFO_BYTES`, or not enough memory is available.
         """
         from rig.realtime.mailbox import clear  # noqa: PLC0415  (numba only when a loop is built)
 
@@ -116,14 +118,16 @@ class Ring:
 
     @classmethod
     def attach(cls, path: str, *, writable: bool = True) -> Ring:
-        """Open the ring of another process by path, see `memories.LoopMemory`; writable or for reading alone.
+        """Open the ring of another process, for reading and writing or for reading only.
+
+        `path` is the attribute ``path`` or ``held`` of `rig.realtime.memories.LoopMemory`.
 
         Raises
         ------
         OSError
             The process has ended, or belongs to another user.
         RigError
-            It is no such block, not yet complete, or of a version that keeps its words elsewhere.
+            The file is not the memory of a running loop, or is not complete yet.
         """
         descriptor = os.open(path, os.O_RDWR if writable else os.O_RDONLY)
         try:
@@ -157,7 +161,7 @@ class Ring:
     def mailbox(self) -> int:
         """Return the address of the mailbox (`rig.realtime.mailbox.take`); valid until `close`.
 
-        Raises `RigError` afterwards: the memory may be unmapped.
+        Raises `RigError` after `close`, because the memory may be unmapped.
         """
         if self._closed:
             raise RigError("the memory of this loop is closed: its run has ended", remedy="start another run")
@@ -165,11 +169,11 @@ class Ring:
 
     @property
     def info(self) -> dict[str, Any]:
-        """Return the creator's description of the run; empty if it is missing, or of another version."""
+        """Return the description of the run; empty if it is missing or of another layout version."""
         return self.info_and_word()[0]
 
     def info_and_word(self) -> tuple[dict[str, Any], int]:
-        """Return the info, and the word INFO that it was read by, which `replace` compares."""
+        """Return the description of the run, and the word INFO at that time, which `replace` compares."""
         word = self.peek(INFO)
         for _ in range(_INFO_TRIES):
             text = self._info_text(word)
@@ -182,29 +186,29 @@ class Ring:
         return {}, word
 
     def get(self, word: int) -> int:
-        """Load a control word; once closed, what it was then."""
+        """Return a control word; after `close`, its value at the time of `close`."""
         from rig.realtime.atomics import read_word  # noqa: PLC0415
 
         return int(read_word(self.words.ctypes.data + 8 * word))
 
     def put(self, word: int, value: int) -> None:
-        """Store a control word; once closed, other processes do not see it."""
+        """Store a control word; after `close`, other processes do not see it."""
         from rig.realtime.atomics import write_word  # noqa: PLC0415
 
         write_word(self.words.ctypes.data + 8 * word, value)
 
     def peek(self, word: int) -> int:
-        """Load a control word without compiled code; never torn, but not ordered with other memory.
+        """Return a control word without compiled code; it is complete, but not ordered with other memory.
 
-        Nothing may be concluded from it about rows or info that are being written.
+        Do not conclude from it that rows or info have been written.
         """
         # `rig stop` must act at once: loading numba takes longer than the run may continue.
         return int(self.words[word])
 
     def clock_exchange(self) -> tuple[int, tuple[int, ...] | None]:
-        """Return the number of clock exchanges and the four stamps (ns) of the last (`rig.core.clock_fit.EXCHANGE`).
+        """Return the number of clock exchanges, and the four stamps (ns) of the last (`rig.core.clock_fit.EXCHANGE`).
 
-        None before the first, and when the loop was about to overwrite them.
+        The stamps are None before the first exchange, and if the loop was just overwriting them.
         """
         done = self.get(EXCHANGES)
         place = CLOCK + 4 * ((done - 1) % 2)
@@ -212,33 +216,33 @@ class Ring:
         return done, stamps if done > 0 and self.get(EXCHANGES) == done else None
 
     def writer(self) -> Mailbox:
-        """Return the mailbox into which parameter sets are posted."""
+        """Return the mailbox for posting parameter sets."""
         from rig.realtime.mailbox import Mailbox  # noqa: PLC0415
 
         return Mailbox(self.mailbox, descriptor=self.descriptor, keep=self.buffer)
 
     def post(self, values: ArrayLike) -> int:
-        """Hand the loop a set of parameters; returns its number. Raises as `set_bytes` and `Mailbox.post`."""
+        """Post a parameter set for the loop; return its number. For errors see `set_bytes` and `Mailbox.post`."""
         from rig.realtime.mailbox import set_bytes  # noqa: PLC0415
 
         return self.writer().post(set_bytes(values))
 
     def replace(self, values: ArrayLike, info: Callable[[int], Mapping[str, Any]], word: int) -> int:
-        """Post a set together with the info that goes with it, unless another writer has changed the info meanwhile.
+        """Post a parameter set and its new info, unless another writer has changed the info since it was read.
 
         Parameters
         ----------
         values
-            The set.
+            The parameter set.
         info
-            Makes all of the new info, given the number of the set; it is called at once or never.
+            Function that returns the complete new info for the number of the set; it is called at once or not at all.
         word
-            From `info_and_word`, when what is changed here was read.
+            Word that `info_and_word` returned when the previous info was read.
 
         Returns
         -------
         int
-            Number of the set; 0 when the info was changed meanwhile and nothing was posted.
+            Number of the set; 0 if the info was changed by another writer, and nothing was posted.
         """
         from rig.realtime.mailbox import set_bytes  # noqa: PLC0415
 
@@ -257,16 +261,16 @@ class Ring:
         return self.buffer[place : place + min(word & _INFO_LENGTH, INFO_BYTES)].tobytes()
 
     def last_rows(self, count: int) -> NDArray[np.void]:
-        """Copy the newest `count` rows, oldest first: the black box that an error carries."""
+        """Return a copy of the newest `count` rows, oldest first; an error contains them for diagnosis."""
         head = self.get(HEAD)
         first = max(0, head - min(count, self.capacity))
         return self.rows[np.arange(first, head) % max(1, self.capacity)].copy()
 
     def close(self) -> None:
-        """Let go of the memory; may be called twice.
+        """Release the memory; a second call does nothing.
 
-        The control words remain readable, as they are now. The memory is freed with the last array that refers to it; a
-        thread that holds only an address must have ended before.
+        The control words remain readable with their present values. The memory is freed with the last array that refers
+        to it. A thread that has only an address into the memory must end before.
         """
         if self._closed:
             return
@@ -303,7 +307,7 @@ def _json_of(info: Mapping[str, Any]) -> bytes:
 
 
 def _write_info(ring: Ring, text: bytes) -> None:
-    """Write the free half of the info, then publish it."""
+    """Write the info into its free half, then publish it by the word INFO."""
     # Two halves: a reader that has loaded INFO reads a half that no writer touches, unless two changes follow at once.
     word = ring.get(INFO)
     half = ~word & _INFO_HALF
@@ -313,14 +317,14 @@ def _write_info(ring: Ring, text: bytes) -> None:
 
 
 def _plain_memory(size: int) -> NDArray[np.uint8]:
-    """Return zeroed bytes that begin at a cache line."""
+    """Return `size` zeroed bytes whose address is a multiple of 64 (a cache line)."""
     memory = np.zeros(size + 64, np.uint8)
     start = -memory.ctypes.data % 64
     return memory[start : start + size]
 
 
 def _shared_memory(size: int) -> tuple[NDArray[np.uint8], int]:
-    """Return zeroed bytes that others can find, with their descriptor."""
+    """Return `size` zeroed bytes that other processes can find, and their descriptor."""
     try:
         descriptor = place.make(size)
         try:
@@ -335,6 +339,6 @@ def _shared_memory(size: int) -> tuple[NDArray[np.uint8], int]:
 
 
 def _map(descriptor: int, size: int, *, writable: bool = True) -> NDArray[np.uint8]:
-    """Return the file as an array, which owns the mapping: it is unmapped with the last view of it."""
+    """Return the file as an array that owns the mapping: it is unmapped with the last view of the array."""
     access = mmap.ACCESS_WRITE if writable else mmap.ACCESS_READ
     return np.frombuffer(mmap.mmap(descriptor, size, access=access), np.uint8)

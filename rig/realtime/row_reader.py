@@ -1,6 +1,6 @@
-"""Read the new rows of a loop's ring as an observer: the loop neither waits for its readers nor registers them.
+"""Read new rows of a loop's ring. The loop does not register readers and does not wait for them.
 
-The console and LSL follow a run with it. It must not write to the ring.
+The console and LSL use it to follow a run. It must not write to the ring.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from rig.realtime.ring import Ring
 
 
 class RowReader:
-    """Copies out what has come since the last call, from the oldest row that the ring still has.
+    """Reader of a ring; each call of `new` copies the rows that were written since the previous call.
 
     Attributes
     ----------
     rows
-        Rows handed out so far.
+        Number of rows returned so far.
     lost
-        Rows that were overwritten before they were copied.
+        Number of rows that the loop overwrote before they were copied.
     """
 
     def __init__(self, ring: Ring) -> None:
@@ -29,7 +29,7 @@ class RowReader:
         self.rows = self.lost = 0
 
     def new(self) -> NDArray[np.void]:
-        """Return the new rows (`rig.core.sample.ROW`), oldest first; what the loop overtook meanwhile is lost."""
+        """Return the new rows (`rig.core.sample.ROW`), oldest first; rows that the loop overwrote count as lost."""
         ring = self._ring
         head = ring.get(HEAD)
         first = max(self._next, head - ring.capacity)

@@ -1,8 +1,8 @@
-"""The loops that run on this computer, found and stopped from any terminal.
+"""Find and stop the loops that run on this computer, from any terminal.
 
 `rig stop`, `rig set`, `rig recording recover`, the console, LSL and sessions call it. It must not load compiled code,
-since a command that must stop a rig has no second to lose, and must not end a process: it writes the stop word and
-waits for the loop.
+because a command that stops a rig must not take a second, and must not end a process: it writes the stop word and waits
+for the loop.
 """
 
 from __future__ import annotations
@@ -28,26 +28,26 @@ POLL_S = 0.002
 
 @dataclass(frozen=True, slots=True)
 class RunningLoop:
-    """One loop as it was when looked at.
+    """State of one loop at the time of the search.
 
     Attributes
     ----------
     pid
-        Process that it runs in.
+        Process of the loop.
     since
-        When its memory was made (s, as `time.time`).
+        Time at which its memory was made (s since 1970, like `time.time`).
     ticks, phase
-        Steps of the law so far, and what it was doing (`rig.core.sample.phase_name`).
+        Steps of the law so far, and name of the phase (`rig.core.sample.phase_name`).
     stopping
         True if a stop was requested.
     done
-        The loop has returned; its process still writes or seals the recording.
+        True if the loop has returned; its process still writes or seals the recording.
     version
-        Layout of its memory; of another version only `pid`, `stopping` and `done` are known.
+        Layout version of its memory; for another version only `pid`, `stopping` and `done` are known.
     info
-        Its description of the run: url, recording, experiment.
+        Description of the run: url, recording, experiment.
     path
-        Where its memory can be opened.
+        Path by which its memory can be opened.
     """
 
     pid: int
@@ -61,7 +61,7 @@ class RunningLoop:
     path: str
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plain values, for JSON; of the info what fits on a line."""
+        """Return plain values for JSON; of `info` only url and recording."""
         return {
             "pid": self.pid,
             "since": self.since,
@@ -76,18 +76,21 @@ class RunningLoop:
 
 @dataclass(frozen=True, slots=True)
 class StoppedLoop:
-    """A loop that was asked to stop, and whether it had ended when we looked last."""
+    """A loop that was requested to stop; `ended` is True if it had ended after the wait."""
 
     loop: RunningLoop
     ended: bool
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return process, ticks and phase as plain values, for JSON."""
+        """Return the values of `RunningLoop.as_mapping` and `ended`, for JSON."""
         return {**self.loop.as_mapping(), "ended": self.ended}
 
 
 def running(*, done: bool = False) -> list[RunningLoop]:
-    """Return the loops of this user (of all users for root), the oldest first; with `done` also those about to seal."""
+    """Return the loops of this user (for root: of all users), oldest first.
+
+    With `done`, include loops that have ended but whose recording is not sealed yet.
+    """
     found = []
     for memory in memories.memories():
         with memory, suppress(OSError, RigError), Ring.attach(memory.held) as ring:
@@ -98,21 +101,21 @@ def running(*, done: bool = False) -> list[RunningLoop]:
 def stop(
     pid: int | None = None, *, asked: list[memories.LoopMemory] | None = None, patience_s: float = PATIENCE_S
 ) -> list[StoppedLoop]:
-    """Stop the loop of a process, or all loops of this user: zero effort within one tick of each.
+    """Stop the loops of a process, or all loops of this user; each sets its effort to zero within one tick.
 
     Parameters
     ----------
     pid
-        Process; all when left out.
+        Process; None for all.
     asked
-        Result of `rig.realtime.memories.ask_to_stop`, if it was called already; closed here.
+        Result of `rig.realtime.memories.ask_to_stop` if it was called before; `stop` closes these memories.
     patience_s
-        How long to wait for each to say that it has ended.
+        Longest wait for the loops to end (s).
 
     Returns
     -------
     list
-        The loops that ran; empty when none did.
+        The loops that were running; empty if no loop was running.
 
     Raises
     ------
@@ -138,9 +141,9 @@ def stop(
 
 
 def memory_of(pid: int) -> Ring | None:
-    """Return newest loop of a process that still runs, to look at only; None when it runs none. The caller closes it.
+    """Return the newest running loop of a process, for reading only; None if there is none. The caller must close it.
 
-    For those who may see the progress of a run but not its experiment: its info is not read.
+    It is for users who may see the progress of a run but not its experiment: the info is not read.
     """
     newest: Ring | None = None
     for memory in memories.memories(pid):
@@ -158,7 +161,7 @@ def memory_of(pid: int) -> Ring | None:
 
 
 def ask_to_stop(pid: int) -> int:
-    """Set the stop word of a process's loops and return at once: how many were asked. Nothing of theirs is read."""
+    """Set the stop words of the loops of a process and return at once; return the number of loops that were running."""
     asked = 0
     for memory in memories.ask_to_stop(pid):
         with memory:
@@ -167,7 +170,7 @@ def ask_to_stop(pid: int) -> int:
 
 
 def hidden() -> list[int]:
-    """Return processes that were started as ``rig`` and that this user may not look into: they may run a loop too."""
+    """Return the ``rig`` processes whose open files this user may not list; they may run a loop too."""
     return sorted(pid for pid, words in place.command_lines() if _is_rig(words))
 
 
@@ -178,12 +181,12 @@ def _is_rig(words: list[bytes]) -> bool:
 
 
 def the_loop(pid: int | None = None) -> RunningLoop:
-    """Return the only loop that runs, or that of a process.
+    """Return the only running loop, or the only running loop of a process.
 
     Raises
     ------
     ConfigError
-        No loop runs, or several do and `pid` names none of them.
+        No loop runs (in the process `pid`, if given), or more than one.
     """
     loops = [loop for loop in running() if pid is None or loop.pid == pid]
     if len(loops) == 1:
@@ -198,14 +201,14 @@ def the_loop(pid: int | None = None) -> RunningLoop:
 
 @contextmanager
 def open_loop(loop: RunningLoop) -> Iterator[Ring]:
-    """Open the memory of a loop.
+    """Open the memory of a loop within this context.
 
     Raises
     ------
     RunEndedError
-        It has ended meanwhile.
+        The loop has ended since it was found.
     RigError
-        It was started by another version of this package.
+        The loop was started by a version of this package with another layout of the memory.
     """
     if loop.version != LAYOUT_VERSION:
         raise RigError(
@@ -240,7 +243,7 @@ def _look(memory: memories.LoopMemory, ring: Ring) -> RunningLoop:
 
 
 def _wait(rings: list[Ring], patience_s: float) -> None:
-    """Return when all loops have ended, or patience has."""
+    """Wait until all loops have ended, at most `patience_s`."""
     deadline = time.monotonic() + patience_s
     while not all(ring.peek(LOOP_DONE) for ring in rings) and time.monotonic() < deadline:
         time.sleep(POLL_S)

@@ -1,7 +1,7 @@
-"""The Python files of this project, and those on which compiled code depends.
+"""Find the Python files of this project, and those on which compiled code depends.
 
-A kernel freezes the code of its helpers and the constants of every module that it names: machine code is fresh only
-while no file changed that holds a kernel or that such a file imports, directly or not.
+Compiled code of a kernel contains the code of its helpers and constants of other modules: it is outdated if a file with
+a kernel changes, or any file that such a file imports, directly or indirectly.
 
 The cache of machine code, sweeps, sessions and papers call it. It must not import a file that it examines.
 """
@@ -26,12 +26,12 @@ _NAME = re.compile(rb"(\w+)(?:[ \t]+as[ \t]+\w+)?")
 
 
 def source_files(packages: Iterable[str] = PACKAGES) -> dict[str, Path]:
-    """Return every Python file of the packages by module name, found without importing them, in a fixed order."""
+    """Return the path of each Python file of the packages by module name, in a fixed order, without importing it."""
     return {module: Path(path) for module, path in _find_files(packages).items()}
 
 
 def compiled_sources(packages: Iterable[str] = PACKAGES) -> dict[str, bytes]:
-    """Return the files with kernels and all that they import, by module name, in a fixed order."""
+    """Return the content of all files with kernels and of all that they import, by module name, in a fixed order."""
     texts = {module: _text(path) for module, path in _find_files(packages).items()}
     waiting = [module for module, text in texts.items() if _KERNEL in text]
     reached: set[str] = set()
@@ -70,7 +70,7 @@ def _text(path: str) -> bytes:
 
 
 def _find_imports(text: bytes, modules: Container[str]) -> list[str]:
-    """Return the modules of ours that a source imports anywhere in it: at its top, inside functions, for types."""
+    """Return those of `modules` that a source text imports: at its top, inside functions, or for types."""
     found: list[str] = []
     for base, names, plain in _IMPORT.findall(text):
         module = (base or plain).decode()
@@ -81,7 +81,7 @@ def _find_imports(text: bytes, modules: Container[str]) -> list[str]:
 
 @cache
 def code_version() -> str:
-    """Return the version of this package and a hash of its sources: what the results depend on."""
+    """Return the version of this package with a hash of its sources; results depend on both."""
     digest = sha256()
     for path in source_files().values():
         digest.update(path.name.encode() + b"\0" + sha256(path.read_bytes()).digest())

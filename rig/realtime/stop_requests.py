@@ -1,10 +1,10 @@
-"""Requests to stop that concern every run of this process: a signal, `rig.stop`, the end of the program.
+"""Requests to stop all runs of this process: by a signal, by `rig.stop`, or by the end of the program.
 
-One word counts them. A loop compares it in every tick with its value when the run began, so a request costs a loop one
-load, needs no GIL, and reaches any number of loops in any threads.
+One word counts the requests. In every tick a loop compares the word with its value when the run began, so a request
+needs no GIL and reaches any number of loops in any threads.
 
-Trials, the loop, sweeps, hits and motions call it. It must not end a loop itself: each compares the word and ends by
-its own rules.
+Trials, the loop, sweeps, hits and motions call it. It must not end a loop itself: each loop compares the word and
+ends by its own rules.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _getpid = types.ExternalFunction("getpid", types.int32())
 
 @kernel(_i64(_ptr, _i64))
 def _add_request(table: int, number: int) -> int:
-    """Count a request by a signal, or by this program (0); returns how many runs it stops."""
+    """Count a stop request by a signal, or by this program (number 0); return how many runs it stops."""
     store_word(table + 8 * _LAST, number)
     add_word(table + 8 * _REQUESTS, 1)
     return int(load_word(table + 8 * _RUNS))
@@ -60,9 +60,9 @@ def _add_request(table: int, number: int) -> int:
 
 @kernel(_HANDLER_SIGNATURE)
 def _on_signal(number: int, info: int, context: int) -> int:
-    """Count a signal and pass it on to the handler that stood there; for 0, which is no signal, the table's address.
+    """Count a signal and call the handler that was installed before. For number 0 return the address of the table.
 
-    The default action (to end the process) waits until the last run is sealed.
+    The default action (to end the process) is deferred until the last run is sealed.
     """
     table = _static_table()
     if number == 0:
@@ -82,7 +82,7 @@ def _on_signal(number: int, info: int, context: int) -> int:
 
 
 class _Action(ctypes.Structure):
-    """Struct sigaction of glibc and musl."""
+    """The C struct sigaction of glibc and musl."""
 
     _fields_ = [
         ("handler", ctypes.c_size_t),
@@ -93,7 +93,7 @@ class _Action(ctypes.Structure):
 
 
 class _Hook:
-    """The handler in machine code before those of `STOPPING`: `place`, also again, and `remove`."""
+    """Compiled signal handler that is installed in front of the existing handlers of `STOPPING`."""
 
     def __init__(self) -> None:
         self._handler = address_of(_on_signal, _HANDLER_SIGNATURE)
@@ -104,7 +104,7 @@ class _Hook:
         self._libc = ctypes.CDLL(None)
 
     def place(self) -> None:
-        """Install this handler before each other one, again where a later one replaced it and does not call it."""
+        """Install this handler in front of the existing handlers, also again after another handler has replaced it."""
         # Python runs its handlers in the main thread alone, and late where that thread waits in C. So this one stands
         # before them, counts, and calls the earlier one: Python's table and the wake-up descriptor of asyncio are
         # unchanged.
@@ -122,7 +122,7 @@ class _Hook:
             self._known.add(now.handler)
 
     def remove(self) -> None:
-        """Put back what stood there, except where another one took the place."""
+        """Restore the previous handlers, except where another handler has replaced this one."""
         for number, before in self._displaced.items():
             if self._action(number).handler == self._handler:
                 self._libc.sigaction(int(number), ctypes.byref(before), None)
@@ -135,7 +135,7 @@ class _Hook:
 
 
 class _Process:
-    """State of this process: the table of words, the listeners, and whether the program ends."""
+    """State of this process: table of words, number of listeners, and whether the program ends."""
 
     def __init__(self) -> None:
         self.lock = threading.RLock()
@@ -147,7 +147,7 @@ class _Process:
         write_word(self.table + 8 * _PROCESS, os.getpid())
 
     def forget(self) -> None:
-        """Begin anew in a forked child, which has none of its parent's threads."""
+        """Reset the state in a forked child, which has none of its parent's threads."""
         self.lock = threading.RLock()
         self.listeners = 0
         for word, value in ((_RUNS, 0), (_DEFERRED, 0), (_PROCESS, os.getpid())):
@@ -176,7 +176,7 @@ def _word(index: int) -> int:
 
 
 def address() -> int:
-    """Return the address of the word that counts requests, for a loop; it never moves."""
+    """Return the address of the word that counts stop requests; it never changes."""
     return _word(_REQUESTS)
 
 
@@ -191,33 +191,34 @@ def running() -> int:
 
 
 def last_signal() -> int | None:
-    """Return the signal number of the newest stop request; None when it was not a signal."""
+    """Return the signal number of the newest stop request; None if it was not a signal."""
     return int(read_word(_word(_LAST))) or None
 
 
 def requester() -> str:
-    """Name what made the newest request: a signal, or this program."""
+    """Return the name of the signal of the newest stop request, or "this program"."""
     number = last_signal()
     return "this program" if number is None else signal.Signals(number).name
 
 
 def request(number: int = 0) -> int:
-    """Stop every run of this process, and return how many there are. Waits for nothing; for signal handlers, too.
+    """Request all runs of this process to stop, and return how many there are.
 
-    `number` is the signal that asks for it, if one does.
+    It does not wait and may be called in a signal handler. `number` is the signal that caused the request, or 0.
     """
     return int(_add_request(_process().table, number))
 
 
 class RunSeries:
-    """Runs that belong together: a request ends them all, also one that comes between two of them.
+    """Runs that belong together: a stop request ends all of them, also if it comes between two runs.
 
-    As a context manager it holds for the runs that this thread makes inside; the outermost one counts.
+    As a context manager it applies to the runs of this thread within the context; of nested series the outermost
+    applies.
 
     Attributes
     ----------
     since
-        `count` when the series began.
+        Number of stop requests (`count`) when the series began.
     """
 
     def __init__(self) -> None:
@@ -239,16 +240,16 @@ class RunSeries:
         return _process().leaving or count() != self.since
 
     def check(self) -> None:
-        """Raise `StoppedError` when a stop was requested, before anything moves."""
+        """Raise `StoppedError` if a stop was requested since the series began, before anything moves."""
         if self.is_stopped:
             raise StoppedError(f"stopped by {requester()} before the next run began; the effort is zero")
 
 
 @contextmanager
 def listening() -> Iterator[RunSeries]:
-    """Count signals while this lasts, between runs too; yields the series of these runs.
+    """Count signals within this context, also between runs; yield the series of these runs.
 
-    In the main thread Python's own handlers act between runs.
+    In the main thread signals between runs are not counted: Python's own handlers act then.
     """
     if threading.current_thread() is threading.main_thread():
         yield RunSeries()
@@ -259,7 +260,7 @@ def listening() -> Iterator[RunSeries]:
 
 @contextmanager
 def together() -> Iterator[None]:
-    """Let the runs that this thread makes meanwhile be one series; for a plain function, not across a ``yield``."""
+    """Make all runs of this thread within this context one series. Do not use it across a ``yield``."""
     with listening() as series, series:
         yield
 
@@ -280,7 +281,7 @@ def _install_hook(process: _Process) -> Iterator[None]:
 
 
 def renew() -> None:
-    """Reinstall the signal handlers while a run or another listener counts signals; call it repeatedly during a run."""
+    """Reinstall the signal handlers if a run or another listener needs them; call it repeatedly during a run."""
     process = _process()
     if process.hook is not None:
         with process.lock:
@@ -290,9 +291,10 @@ def renew() -> None:
 
 @contextmanager
 def run() -> Iterator[RunSeries]:
-    """Count signals during one run, from before it arms a device until its recording is sealed; yields its series.
+    """Count signals within this context; yield the series of the run.
 
-    The end of the program waits for it, and so does a signal whose default action would end the process.
+    The context must begin before the run arms a device and end after its recording is sealed. The end of the program,
+    and a signal whose default action would end the process, wait for the end of the context.
     """
     process = _process()
     with _install_hook(process):
@@ -307,7 +309,10 @@ def run() -> Iterator[RunSeries]:
 
 
 def _count_runs(process: _Process, change: int) -> None:
-    """Keep the number of runs, and at the program's end wait for them: registered last, that comes first."""
+    """Add `change` to the number of runs; after the last run, act on a deferred signal.
+
+    While there are runs, the end of the program calls `_leave`, which is registered anew so that it is called first.
+    """
     runs = running() + change
     write_word(_word(_RUNS), runs)
     atexit.unregister(_leave)
@@ -318,7 +323,7 @@ def _count_runs(process: _Process, change: int) -> None:
 
 
 def _act_by_default(process: _Process, number: int) -> None:
-    """Do the default action of a deferred signal."""
+    """Clear a deferred signal and send it again, so that its default action ends the process."""
     write_word(_word(_DEFERRED), 0)
     if process.hook is not None:
         process.hook.remove()
@@ -326,7 +331,7 @@ def _act_by_default(process: _Process, number: int) -> None:
 
 
 def _leave() -> None:
-    """Stop the runs of other threads before the interpreter ends, and wait `LEAVE_S` at most for them."""
+    """Stop the runs of other threads before the interpreter ends, and wait for them, at most `LEAVE_S`."""
     # The interpreter does not wait for daemon threads; 3.11 and 3.12 also forget a thread whose `join` got a Ctrl-C.
     _process().leaving = True
     request()

@@ -1,10 +1,10 @@
-"""The system calls of the compiled loop, by name, without Python and without the GIL.
+"""System calls of the compiled loop, without Python and without the GIL.
 
-clock_nanosleep, ppoll and __errno_location exist on Linux alone under these names: elsewhere Python functions replace
-all of them (`rig.realtime._stand_ins`).
+clock_nanosleep, ppoll and __errno_location exist only on Linux. On other systems Python functions replace all calls
+(`rig.realtime._stand_ins`).
 
-Clocks, descriptors and USB transfers of `rig.devices`, the loop, the recorder and `rig.doctor` call it. No kernel may
-name a symbol that was not looked up before.
+Clocks, descriptors and USB transfers of `rig.devices`, the loop, the recorder and `rig.doctor` call it. A kernel
+may call only functions whose existence was checked before.
 """
 
 from __future__ import annotations
@@ -53,13 +53,13 @@ BILLION = 1_000_000_000
 
 @kernel(_i64())
 def last_error() -> int:
-    """Return the errno of the last call on this thread."""
+    """Return the errno of the last call in this thread."""
     return int(carray(_errno_location(), 1)[0])
 
 
 @kernel(NOW_SIGNATURE)
 def monotonic_now(handle: int) -> int:
-    """Return the CLOCK_MONOTONIC in ns; `handle` is not used."""
+    """Return the time of CLOCK_MONOTONIC (ns); `handle` is not used."""
     timespec = _two_words()
     _clock_gettime(CLOCK_MONOTONIC, timespec)
     return int(load_word(timespec) * BILLION + load_word(timespec + 8))
@@ -67,13 +67,13 @@ def monotonic_now(handle: int) -> int:
 
 @kernel(NOW_SIGNATURE)
 def virtual_now(handle: int) -> int:
-    """Time of a `rig.realtime.clock.VirtualClock` in ns; `handle` is the address of its word."""
+    """Return the time of a `rig.realtime.clock.VirtualClock` (ns); `handle` is the address of its word."""
     return int(load_word(handle))
 
 
 @kernel(types.void(_i64))
 def sleep_until(deadline_ns: int) -> None:
-    """Sleep on CLOCK_MONOTONIC until an absolute time; a signal does not wake it early."""
+    """Sleep until an absolute time of CLOCK_MONOTONIC (ns); a signal does not end the sleep early."""
     timespec = _two_words()
     store_word(timespec, deadline_ns // BILLION)
     store_word(timespec + 8, deadline_ns % BILLION)
@@ -83,21 +83,24 @@ def sleep_until(deadline_ns: int) -> None:
 
 @kernel(WAIT_SIGNATURE)
 def monotonic_sleep(handle: int, deadline_ns: int) -> int:
-    """`sleep_until` as a plug (`rig.devices.port.LoopPort.sleep`); `handle` is not used."""
+    """Call `sleep_until` for a plug point (`rig.devices.port.LoopPort.sleep`); `handle` is not used. Return 0."""
     sleep_until(deadline_ns)
     return 0
 
 
 @kernel(WAIT_SIGNATURE)
 def virtual_sleep(handle: int, deadline_ns: int) -> int:
-    """Jump to a deadline on a `rig.realtime.clock.VirtualClock`; `handle` is the address of its word."""
+    """Set the time of a `rig.realtime.clock.VirtualClock` to a deadline (ns) unless it has passed. Return 0.
+
+    `handle` is the address of the clock's word.
+    """
     store_word(handle, max(load_word(handle), deadline_ns))
     return 0
 
 
 @kernel(TRANSFER_SIGNATURE)
 def descriptor_read(descriptor: int, address: int, size: int) -> int:
-    """Read by read(2): bytes read, 0 when nothing is available, negative errno; the end of the file is -ENODEV."""
+    """Read by read(2); return the bytes read, 0 if none is available, or a negative errno (-ENODEV: end of file)."""
     # Polled first, so that a zero from read(2) can only mean that the other side has closed.
     pollfd = _one_word()
     timespec = _two_words()
@@ -117,7 +120,7 @@ def descriptor_read(descriptor: int, address: int, size: int) -> int:
 
 @kernel(TRANSFER_SIGNATURE)
 def descriptor_write(descriptor: int, address: int, size: int) -> int:
-    """Write once by write(2) to a non-blocking descriptor: bytes written, 0 when full, negative errno."""
+    """Write once by write(2) to a non-blocking descriptor; return the bytes written, 0 if full, or a negative errno."""
     done = _write(descriptor, address, size)
     if done >= 0:
         return int(done)
@@ -127,7 +130,7 @@ def descriptor_write(descriptor: int, address: int, size: int) -> int:
 
 @kernel(_i64(_i64))
 def descriptor_sync(descriptor: int) -> int:
-    """Sync by fdatasync(2); return 0 (also where nothing can be synced), or an errno."""
+    """Write a file to the disk by fdatasync(2); return 0, also if the file cannot be synced, or an errno."""
     if _fdatasync(descriptor) == 0:
         return 0
     error = last_error()
@@ -136,7 +139,10 @@ def descriptor_sync(descriptor: int) -> int:
 
 @kernel(WAIT_SIGNATURE)
 def descriptor_wait(descriptor: int, deadline_ns: int) -> int:
-    """Wait by ppoll(2) for input until a deadline on CLOCK_MONOTONIC: 1 readable, 0 deadline, negative errno."""
+    """Wait by ppoll(2) for input until a deadline of CLOCK_MONOTONIC (ns).
+
+    Returns 1 if input is available, 0 at the deadline, or a negative errno.
+    """
     pollfd = _one_word()
     timespec = _two_words()
     while True:

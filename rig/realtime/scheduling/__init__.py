@@ -1,11 +1,11 @@
-"""Real-time scheduling for the loop: requested, reported as obtained, undone afterwards.
+"""Request real-time scheduling for the loop, report what was granted, and undo it afterwards.
 
-    with obtained(experiment.host) as realtime:  # the process: memory, idle states; and what the thread may have
+    with obtained(experiment.host) as realtime:  # the process: memory, idle states; and a test of the thread's rights
         ...
         realtime.enter_thread()                  # in the loop's own thread: policy, processor, stack
 
-The loop, trials, `rig.doctor`, `rig serve rig` and the simulated drives request it. It must not load numba, or keep
-what it obtained after the context ends. Off Linux nothing is requested (`elsewhere`).
+The loop, trials, `rig.doctor`, `rig serve rig` and the simulated drives request it. It must not load numba.
+Nothing that was granted may remain after the context ends. On other systems than Linux nothing is requested.
 """
 
 import sys

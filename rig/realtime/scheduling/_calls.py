@@ -1,4 +1,4 @@
-"""Calls of the C library that Python has no function for; each gives 0 or an errno and never raises."""
+"""Calls of the C library for which Python has no function. They do not raise; most return 0 or an errno."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def _call(name: str, *arguments: object) -> int:
 
 
 def lock_all() -> int:
-    """Keep every page of the process in memory from its first touch on, pages to come included.
+    """Keep each present and future page of the process in memory from its first use on; return 0 or an errno.
 
     Without "on fault" the kernel would fill every mapping at once, which doubles the size of a process that has
     loaded numba and makes each new thread wait for its whole stack.
@@ -52,23 +52,23 @@ def lock_all() -> int:
 
 
 def unlock_all() -> int:
-    """Take back every lock of the process, those of `lock_range` included."""
+    """Remove all locks of the process's pages, also those of `lock_range`; return 0 or an errno."""
     return _call("munlockall")
 
 
 def lock_range(address: int, size: int, *, on_fault: bool) -> int:
-    """Lock some pages in memory, and return 0 or the error number."""
+    """Lock the pages of an address range in memory; return 0 or an errno."""
     flags = MLOCK_ONFAULT if on_fault else 0
     return _call("mlock2", ctypes.c_void_p(address), ctypes.c_size_t(size), ctypes.c_uint(flags))
 
 
 def set_timer_slack(slack_ns: int) -> int:
-    """Let the sleeps of the calling thread end this much late, at most, so that wake-ups can be shared."""
+    """Set the timer slack: the time (ns) by which sleeps of the calling thread may end late. Return 0 or an errno."""
     return _call("prctl", PR_SET_TIMERSLACK, ctypes.c_ulong(slack_ns), *(ctypes.c_ulong(0),) * 3)
 
 
 def set_slice(slice_ns: int) -> int:
-    """Let the calling thread, an ordinary one, ask for short turns: then it gets each of them soon (Linux 6.12)."""
+    """Set a short time slice (ns) for the calling, ordinary thread, so that it runs sooner; return 0 or an errno."""
     number = _SCHED_SETATTR.get(platform.machine())
     if number is None:
         return errno.ENOSYS
@@ -85,7 +85,7 @@ def timer_slack() -> int:
 
 
 def stack_top() -> int:
-    """Return the address above the stack of the calling thread; 0 where the C library does not say."""
+    """Return the address above the stack of the calling thread; 0 if the C library does not provide it."""
     library = _libc()
     if not hasattr(library, "pthread_getattr_np"):
         return 0
@@ -100,9 +100,10 @@ def stack_top() -> int:
 
 
 def touch(address: int, size: int) -> None:
-    """Bring pages into memory, ready to be written, without changing what is in them.
+    """Load the pages of an address range into memory, writable, without changing their content.
 
-    On kernels before 5.14 one byte of each page is written over itself, so no other thread may write there meanwhile.
+    On kernels before 5.14 one byte of each page is written over itself, so no other thread may write there at
+    the same time.
     """
     first = address // mmap.PAGESIZE * mmap.PAGESIZE
     length = ctypes.c_size_t(address + size - first)

@@ -1,4 +1,4 @@
-"""Scheduling where the system is not Linux: none. A law in real time runs on a board there, which needs none."""
+"""Real-time scheduling on other systems than Linux: nothing is requested; a law in real time runs on a board there."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Realtime:
-    """Request of a run on other systems: nothing is refused, because nothing is requested of the system."""
+    """Result of a request on other systems than Linux: nothing is requested, so nothing is refused."""
 
     def __init__(self, host: RealtimeRequest, *, virtual: bool) -> None:
         self.messages: list[str] = []
@@ -25,23 +25,23 @@ class Realtime:
         )
 
     def enter_thread(self) -> None:
-        """Leave the calling thread as it is."""
+        """Do nothing: the calling thread keeps its scheduling."""
 
     def leave_thread(self) -> None:
         """Do nothing: no scheduling was changed."""
 
     def prefault(self, *arrays: NDArray[Any]) -> None:
-        """Leave pages to their first use."""
+        """Do nothing: pages are loaded when they are first used."""
 
 
 @contextmanager
 def obtained(host: RealtimeRequest, *, virtual: bool = False) -> Iterator[Realtime]:
-    """As on Linux (`rig.realtime.scheduling._realtime.obtained`), with nothing obtained.
+    """Yield a `Realtime` without requesting anything; on Linux see `rig.realtime.scheduling._realtime.obtained`.
 
     Raises
     ------
     RealtimeError
-        ``realtime = "enforce"``.
+        ``realtime = "enforce"`` is set, which needs Linux.
     """
     if host.realtime == "enforce" and not virtual:
         raise RealtimeError(

@@ -1,6 +1,6 @@
-"""Keep processors from deep sleep: waking from it takes 0.1 ms and more.
+"""Keep processors from deep sleep, because waking from it takes 0.1 ms and more.
 
-The kernel keeps a request for as long as the descriptor it was written to is open, and obeys the smallest.
+The kernel applies the smallest requested latency of all open descriptors.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ DEVICE = "dev/cpu_dma_latency"
 
 
 def hold(root: Path = ROOT) -> int:
-    """Ask for `LATENCY_US` and return the descriptor that holds the request; raises `OSError`."""
+    """Request a latency of `LATENCY_US`; return the descriptor, which must stay open to hold it. Raises `OSError`."""
     descriptor = os.open(root / DEVICE, os.O_WRONLY)
     try:
         os.write(descriptor, struct.pack("=i", LATENCY_US))

@@ -1,4 +1,4 @@
-"""Locked memory of the process: no page fault reads from a disk while it lasts. Runs share one lock, by a count."""
+"""Lock the memory of the process, so that no page fault reads from a disk. All runs share one counted lock."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _MAPPING = re.compile(r"^([0-9a-f]+)-([0-9a-f]+) ")
 
 @dataclass(frozen=True, slots=True)
 class LockedRange:
-    """Pages locked by others."""
+    """A range of pages that the program had locked before a run."""
 
     start: int
     end: int
@@ -71,12 +71,12 @@ take, give_back = _LOCK.take, _LOCK.give_back
 
 
 def locked_bytes() -> int:
-    """Return the size of the locked mappings; with "on fault", their pages count from their first touch on."""
+    """Return the size of all locked mappings (bytes); with "on fault", pages are locked at their first use."""
     return status_kilobytes("VmLck") * 1024
 
 
 def locked_before() -> list[LockedRange] | None:
-    """Return the ranges that are locked now; None when the program has locked all pages, those to come included."""
+    """Return the address ranges that are locked now; None if the program has locked all present and future pages."""
     if locked_bytes() == 0:
         return []
     with mmap.mmap(-1, mmap.PAGESIZE) as probe:
@@ -88,7 +88,7 @@ def locked_before() -> list[LockedRange] | None:
 
 
 def locked_ranges(smaps: str) -> list[LockedRange]:
-    """Read the locked mappings from the text of /proc/self/smaps."""
+    """Return the locked address ranges in the text of /proc/self/smaps."""
     found = []
     start = end = 0
     for line in smaps.splitlines():

@@ -1,4 +1,4 @@
-"""The context of a run in real time: what was asked, what was obtained, and everything undone at the end."""
+"""Context of a run in real time: it requests scheduling, reports what was granted, and undoes it at the end."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ assert sys.platform == "linux"
 
 
 class Realtime:
-    """Scheduling that a run requested and was granted; made by `obtained`.
+    """Scheduling that a run requested, and what was granted; `obtained` creates it.
 
     Attributes
     ----------
     messages
-        One sentence for each refusal, with its remedy, to be printed. `enter_thread` may add to them.
+        One sentence to print for each refusal, with its remedy. `enter_thread` may add refusals.
     refusals
-        The same with their parts.
+        The refusals as checks (`rig.core.check.Check`).
     """
 
     def __init__(self, host: RealtimeRequest, *, active: bool, virtual: bool = False) -> None:
@@ -52,14 +52,14 @@ class Realtime:
 
     @property
     def messages(self) -> list[str]:
-        """Return sentences to print, each refusal with its remedy; empty when all was granted or nothing requested."""
+        """Return one sentence to print for each refusal, with its remedy; empty if nothing was refused."""
         return [check.sentence for check in self.refusals]
 
     @property
     def report(self) -> dict[str, Any]:
-        """Return what was requested, granted and refused, and the kernel's facts: JSON types, for a recording's header.
+        """Return what was requested, granted and refused, and facts of the kernel, as JSON types for a recording.
 
-        Empty in virtual time. Until a thread has entered, its part is what a thread that was tried obtained.
+        Empty in virtual time. Before `enter_thread`, "obtained" has what a test thread was granted.
         """
         if self._virtual:
             return {}
@@ -77,7 +77,7 @@ class Realtime:
         }
 
     def ask(self, undo: ExitStack) -> None:
-        """Request everything and note what is refused; `undo` takes back what was granted."""
+        """Request all scheduling and store the refusals; `undo` gets the functions that revoke what was granted."""
         self._thread, refused = thread.tried(self._host.priority, self._host.cpu)
         refusal = memory.take()
         if refusal is None:
@@ -94,14 +94,13 @@ class Realtime:
         self.refusals += refused
 
     def close(self) -> None:
-        """End the asking: a thread that comes later stays as it is."""
+        """End the requests: `enter_thread` then leaves a thread as it is."""
         self._active = False
 
     def enter_thread(self) -> ThreadState | None:
-        """Schedule the calling thread as asked and bring its stack into memory; return how it runs now.
+        """Schedule the calling thread as requested and load its stack into memory; return its new state.
 
-        It never raises: what is refused here, though it was granted a moment ago, goes to `messages`. None in
-        virtual time, where nothing is touched.
+        It never raises; refusals are added to `messages`. In virtual time it does nothing and returns None.
         """
         if self._virtual:
             return None
@@ -116,12 +115,12 @@ class Realtime:
         return self._thread
 
     def leave_thread(self) -> None:
-        """Undo the latest `enter_thread` of the calling thread; needed only by threads that live on."""
+        """Undo the last `enter_thread` of the calling thread; needed only if the thread continues afterwards."""
         if stack := self._stack():
             thread.restore(stack.pop())
 
     def prefault(self, *arrays: NDArray[Any]) -> None:
-        """Bring the pages of arrays into memory, ready to be written; their content stays. Nothing when off."""
+        """Load the pages of arrays into memory, writable, with unchanged content; do nothing if scheduling is off."""
         if not self._active:
             return
         for array in arrays:
@@ -140,23 +139,24 @@ class Realtime:
 
 @contextmanager
 def obtained(host: RealtimeRequest, *, virtual: bool = False) -> Iterator[Realtime]:
-    """Real-time scheduling for as long as the context lasts; everything is as before when it ends.
+    """Request real-time scheduling within this context; the previous state is restored at its end.
 
-    The process gets locked memory and processors that do not sleep deeply; what the loop's thread may have is tried
-    in a thread of its own, so that a refusal is known before anything moves. The thread itself calls
+    The memory of the process is locked, and processors are kept from deep sleep. The scheduling of the loop's thread is
+    tested in a separate thread, so that a refusal is known before anything moves; the loop's thread must call
     `Realtime.enter_thread`. Contexts may be nested and used from several threads.
 
     Parameters
     ----------
     host
-        ``experiment.host``. With ``realtime = "off"`` nothing is touched.
+        Request, for example ``experiment.host``. With ``realtime = "off"`` nothing is changed.
     virtual
-        Virtual time needs none of it: nothing is touched, whatever `host` is.
+        True for a run in virtual time: nothing is changed, whatever `host` requests.
 
     Raises
     ------
     RealtimeError
-        ``realtime = "enforce"`` and something is refused; the message names all of it, and nothing is changed.
+        ``realtime = "enforce"`` is set and the system refuses a part. The message names all refusals; nothing is
+        changed.
     """
     realtime = Realtime(host, active=not virtual and host.realtime != "off", virtual=virtual)
     with ExitStack() as undo:

@@ -1,4 +1,4 @@
-"""Request of a run for scheduling by the system."""
+"""Request of a run for real-time scheduling."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ class RealtimeRequest(Protocol):
 
     @property
     def cpu(self) -> int | None:
-        """Return the processor, None for any."""
+        """Return the number of the processor for the loop; None for any processor."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class BoardScheduling:
-    """Scheduling of what is a device here: a board's timer never waits, so it has priority over any host's loop."""
+    """Request of a simulated board: its timer must not wait, so its priority is above that of a host's loop."""
 
     realtime: str = "try"
     priority: int = 90

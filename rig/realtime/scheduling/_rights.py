@@ -1,4 +1,4 @@
-"""Rights of this process for scheduling: its user, groups, limits and capabilities."""
+"""Rights of this process to real-time scheduling: user, groups, limits and capabilities."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23  # linux/capability.h
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rights:
-    """Rights of this process; None means no limit; `groups` are the active ones, not those of the next login."""
+    """Rights of this process. A limit of None means no limit; `groups` are those now active, without later changes."""
 
     user: str
     groups: frozenset[str]
@@ -32,7 +32,7 @@ class Rights:
 
         @classmethod
         def here(cls, root: Path = ROOT) -> Rights:
-            """Return the rights of this process."""
+            """Return the present rights of this process."""
             return cls(
                 user=_name_of_user(os.geteuid()),
                 groups=frozenset(name_of_group(number) for number in {*os.getgroups(), os.getegid()}),
@@ -42,12 +42,12 @@ class Rights:
             )
 
     def may_schedule(self, priority: int) -> bool:
-        """Return True if limits allow SCHED_FIFO at this priority; a control group or a container may still refuse."""
+        """Return True if the limits allow SCHED_FIFO at this priority; a control group or container may still refuse."""
         allowed = self.priority_limit is None or self.priority_limit >= priority
         return allowed or self.has(CAP_SYS_NICE)
 
     def may_lock(self, size: int) -> bool:
-        """Return True if limits allow `size` bytes of locked memory."""
+        """Return True if the limits allow to lock `size` bytes of memory."""
         return self.locked_limit is None or self.locked_limit >= size or self.has(CAP_IPC_LOCK)
 
     def has(self, capability: int) -> bool:
@@ -73,7 +73,7 @@ if sys.platform == "linux":
             return str(number)
 
     def name_of_group(number: int) -> str:
-        """Return the name of a group, or its number where it has none."""
+        """Return the name of a group, or its number as a text if it has no name."""
         try:
             return grp.getgrgid(number).gr_name
         except KeyError:

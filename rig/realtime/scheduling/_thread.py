@@ -1,4 +1,4 @@
-"""Scheduling of the calling thread: policy, processor, timer slack, stack."""
+"""Scheduling of the calling thread: policy, processor, timer slack and stack."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _POLICIES = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThreadState:
-    """How a thread is scheduled. `policy` has the bit that its children do not inherit it, if that is set."""
+    """Scheduling of a thread; `policy` includes the bit SCHED_RESET_ON_FORK if it is set."""
 
     policy: int
     priority: int
@@ -47,7 +47,7 @@ class ThreadState:
 
     @property
     def is_fifo(self) -> bool:
-        """Return True if the thread runs before every ordinary thread until it waits."""
+        """Return True if the policy is SCHED_FIFO: the thread runs before every ordinary thread until it waits."""
         return self.policy & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
 
     @property
@@ -57,14 +57,14 @@ class ThreadState:
         return _POLICIES.get(plain, str(plain))
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return policy, priority and processors as JSON types."""
+        """Return policy, priority, processors and timer slack (ns) as JSON types."""
         return {**asdict(self), "policy": self.name, "cpus": list(self.cpus)}
 
 
 def raise_thread(priority: int, cpu: int | None) -> list[Check]:
-    """Give the calling thread SCHED_FIFO and its processor as far as they are granted; return what is not.
+    """Request SCHED_FIFO and a processor for the calling thread; return the refusals.
 
-    A thread that stays ordinary gets the shortest timer slack, which needs no rights.
+    If SCHED_FIFO is refused, an ordinary thread gets the shortest timer slack and time slice, which need no rights.
     """
     refused = []
     if cpu is not None:
@@ -84,7 +84,7 @@ def raise_thread(priority: int, cpu: int | None) -> list[Check]:
 
 
 def restore(before: ThreadState) -> None:
-    """Put the calling thread back into an earlier state."""
+    """Restore an earlier state of the calling thread."""
     parameter = os.sched_param(before.priority)
     try:
         os.sched_setscheduler(0, before.policy, parameter)
@@ -99,14 +99,14 @@ def restore(before: ThreadState) -> None:
 
 
 def touch_stack() -> None:
-    """Bring the stack of the calling thread into memory, as deep as the loop will need it."""
+    """Load `STACK_BYTES` of the calling thread's stack into memory, the depth that the loop needs."""
     top = calls.stack_top()
     if top and threading.current_thread() is not threading.main_thread():  # whose stack grows by itself
         calls.touch(top - STACK_BYTES, STACK_BYTES)
 
 
 def tried(priority: int, cpu: int | None) -> tuple[ThreadState, list[Check]]:
-    """Ask in a thread that ends at once, and return how it ran and what it was refused."""
+    """Request scheduling in a test thread, which ends at once; return its state and the refusals."""
     outcome: list[tuple[ThreadState, list[Check]]] = []
 
     def body() -> None:

@@ -1,6 +1,6 @@
-"""Scheduling facts that the kernel reports, read from /proc and /sys.
+"""Read facts about scheduling that the kernel reports in /proc and /sys.
 
-`root` is where those trees hang; what cannot be read is an empty text, None or an empty set.
+`root` is the directory with both trees. A fact that cannot be read is an empty text, None or an empty set.
 
 Scheduling reports them and `rig.doctor` judges them. This file must not judge or change anything.
 """
@@ -20,7 +20,7 @@ _CPUS = "sys/devices/system/cpu"
 
 
 def text_of(path: Path) -> str:
-    """Return the content of a small file, stripped."""
+    """Return the stripped content of a small file; "" if it cannot be read."""
     try:
         return path.read_text("utf-8", errors="replace").strip()
     except OSError:
@@ -28,7 +28,7 @@ def text_of(path: Path) -> str:
 
 
 def number_of(path: Path) -> int | None:
-    """Return the one integer in a file."""
+    """Return the integer in a file; None if the file does not contain exactly one."""
     try:
         return int(text_of(path))
     except ValueError:
@@ -36,7 +36,7 @@ def number_of(path: Path) -> int | None:
 
 
 def preemption(root: Path = ROOT) -> str:
-    """Return how the kernel lets one task interrupt another: PREEMPT_RT, PREEMPT, PREEMPT_DYNAMIC (mode), or none."""
+    """Return how the kernel preempts tasks: PREEMPT_RT, PREEMPT_DYNAMIC (with its mode if known), PREEMPT, or none."""
     version = text_of(root / "proc/sys/kernel/version")
     if text_of(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in version:
         return "PREEMPT_RT"
@@ -47,14 +47,14 @@ def preemption(root: Path = ROOT) -> str:
 
 
 def _dynamic_mode(root: Path) -> str:
-    """Return the active mode: debugfs knows it (for root alone), the command line or the build chose it."""
+    """Return the active mode of PREEMPT_DYNAMIC, from debugfs (root only), command line or build; "" if unknown."""
     chosen = re.search(r"\((\w+)\)", text_of(root / "sys/kernel/debug/sched/preempt"))
     chosen = chosen or re.search(r"\bpreempt=(\w+)", text_of(root / "proc/cmdline"))
     return chosen[1] if chosen else _built_mode(root)
 
 
 def _built_mode(root: Path) -> str:
-    """Return the preemption mode that the kernel was built to start with; empty if its configuration is unavailable."""
+    """Return the preemption mode that the kernel was built with; "" if its configuration cannot be read."""
     try:
         built = gzip.decompress((root / "proc/config.gz").read_bytes()).decode(errors="replace")
     except (OSError, EOFError, zlib.error):
@@ -66,27 +66,27 @@ def _built_mode(root: Path) -> str:
 
 
 def rt_runtime_us(root: Path = ROOT) -> int | None:
-    """Return how much of each period real-time tasks may run before the kernel stops them; -1: without end."""
+    """Return the time (µs) that real-time tasks may run in each period (`rt_period_us`); -1 means no limit."""
     return number_of(root / "proc/sys/kernel/sched_rt_runtime_us")
 
 
 def rt_period_us(root: Path = ROOT) -> int | None:
-    """Return the period that belongs to `rt_runtime_us`."""
+    """Return the period (µs) to which `rt_runtime_us` applies."""
     return number_of(root / "proc/sys/kernel/sched_rt_period_us")
 
 
 def clock_source(root: Path = ROOT) -> str:
-    """Return the hardware counter behind CLOCK_MONOTONIC."""
+    """Return the name of the hardware counter that CLOCK_MONOTONIC uses."""
     return text_of(root / "sys/devices/system/clocksource/clocksource0/current_clocksource")
 
 
 def clock_sources(root: Path = ROOT) -> list[str]:
-    """Return the counters that the kernel could use."""
+    """Return the names of the hardware counters that the kernel could use."""
     return text_of(root / "sys/devices/system/clocksource/clocksource0/available_clocksource").split()
 
 
 def governors(root: Path = ROOT) -> dict[int, str]:
-    """Return who chooses the frequency of each processor; empty where frequencies are fixed or hidden."""
+    """Return the frequency governor of each processor by its number; empty if frequencies are fixed or hidden."""
     found = {}
     for path in (root / _CPUS).glob("cpu[0-9]*/cpufreq/scaling_governor"):
         found[int(path.parent.parent.name[3:])] = text_of(path)
@@ -94,7 +94,7 @@ def governors(root: Path = ROOT) -> dict[int, str]:
 
 
 def idle_driver(root: Path = ROOT) -> str:
-    """Return the driver that puts idle processors to sleep; empty without one."""
+    """Return the name of the driver that puts idle processors to sleep; "" if there is no driver."""
     name = text_of(root / _CPUS / "cpuidle/current_driver")
     return "" if name == "none" else name
 
@@ -105,12 +105,12 @@ def online_cpus(root: Path = ROOT) -> set[int]:
 
 
 def isolated_cpus(root: Path = ROOT) -> set[int]:
-    """Return the processors that the scheduler leaves alone (``isolcpus`` on the kernel's command line)."""
+    """Return the processors without ordinary tasks (``isolcpus`` on the kernel's command line)."""
     return cpu_list(text_of(root / _CPUS / "isolated"))
 
 
 def cpu_list(text: str) -> set[int]:
-    """Read a list of processors as the kernel writes it, like ``0-3,8``; what is no such list is empty."""
+    """Return the processors in a list of the kernel such as ``0-3,8``; parts that are not numbers are skipped."""
     found: set[int] = set()
     for part in text.split(","):
         first, _, last = part.strip().partition("-")
@@ -120,13 +120,13 @@ def cpu_list(text: str) -> set[int]:
 
 
 def status_kilobytes(name: str, root: Path = ROOT) -> int:
-    """Return a size of this process in kB, like VmLck, from /proc/self/status; 0 when it is not there."""
+    """Return a size of this process (kB) by its name in /proc/self/status, such as VmLck; 0 if it is missing."""
     match = re.search(rf"^{name}:\s*(\d+) kB", text_of(root / "proc/self/status"), re.MULTILINE)
     return int(match[1]) if match else 0
 
 
 def describe_scheduling(cpu: int | None, root: Path = ROOT) -> dict[str, Any]:
-    """Return all of it for a recording; `cpu` is where the loop runs, None anywhere."""
+    """Return all facts for a recording; `cpu` is the processor of the loop, None for any."""
     chosen = governors(root)
     of_cpu = [chosen[cpu]] if cpu in chosen else sorted(set(chosen.values()))
     return {

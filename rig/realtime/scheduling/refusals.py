@@ -1,6 +1,6 @@
-"""Refusals of the kernel, as checks (`rig.core.check`): why, and the command that grants the request.
+"""Refusals of the kernel as checks (`rig.core.check`): the reason, and the command by which a user gets the right.
 
-Scheduling and `rig.doctor` report them. This file must not run a command that it names.
+Scheduling and `rig.doctor` report them. This file must not run these commands.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def _refused(name: str, text: str, remedy: str = "") -> Check:
 
 
 def of_policy(priority: int, rights: Rights, number: int, root: Path = ROOT) -> Check:
-    """Say why SCHED_FIFO was refused with this errno."""
+    """Return the check that gives the reason why SCHED_FIFO was refused with the errno `number`."""
     what = f"SCHED_FIFO {priority} is refused"
     if not rights.may_schedule(priority):
         text = f"{what}: the limit of real-time priorities is {rights.priority_limit}"
@@ -60,7 +60,10 @@ def of_policy(priority: int, rights: Rights, number: int, root: Path = ROOT) -> 
 
 
 def group_refusal(priority: int, root: Path = ROOT) -> Check | None:
-    """Say whether this process' control group has no share of real time (RT_GROUP_SCHED); None when it has."""
+    """Return the check that this process's control group has no share of real time; None if it has a share.
+
+    Only kernels with RT_GROUP_SCHED have such shares.
+    """
     group = real_time_group(root)
     if group is None or (rt_runtime_us(root) or 0) < 0:
         return None
@@ -75,10 +78,10 @@ def group_refusal(priority: int, root: Path = ROOT) -> Check | None:
 
 
 def real_time_group(root: Path = ROOT) -> tuple[str, str] | None:
-    """Return the control group of this process, and the file with its share of real time, if groups have shares.
+    """Return the control group of this process and the file with its share of real time; None without such a file.
 
-    Only version 1 has such a file; in version 2 real-time tasks of a kernel with RT_GROUP_SCHED live in the
-    root group.
+    Only version 1 of control groups has such a file; in version 2 real-time tasks of a kernel with RT_GROUP_SCHED
+    must be in the root group.
     """
     for line in text_of(root / "proc/self/cgroup").splitlines():
         _, controllers, name = [*line.split(":", 2), "", ""][:3]
@@ -93,7 +96,7 @@ def real_time_group(root: Path = ROOT) -> tuple[str, str] | None:
 
 
 def of_processor(cpu: int, number: int, root: Path = ROOT) -> Check:
-    """Say why the loop may not be kept on a processor."""
+    """Return the check that gives the reason why the loop may not run on the processor `cpu`."""
     online = sorted(online_cpus(root))
     if online and cpu not in online:
         return _refused(
@@ -109,7 +112,10 @@ def of_processor(cpu: int, number: int, root: Path = ROOT) -> Check:
 
 
 def of_memory(rights: Rights, number: int = 0, root: Path = ROOT) -> Check:
-    """Say why memory is not locked; `number` is 0 when it was not even tried, for want of room under the limit."""
+    """Return the check that gives the reason why memory is not locked.
+
+    `number` is the errno, or 0 if locking was not tried because the limit is too low.
+    """
     if rights.locked_limit is not None and (number in (0, errno.ENOMEM, errno.EPERM)):
         size = status_kilobytes("VmSize", root) // 1024
         limit = rights.locked_limit // _MIB
@@ -119,7 +125,7 @@ def of_memory(rights: Rights, number: int = 0, root: Path = ROOT) -> Check:
 
 
 def of_idle(number: int, root: Path = ROOT) -> Check | None:
-    """Return why processors are not kept from deep sleep; None where there is no deep sleep."""
+    """Return the check that gives the reason why processors sleep deeply; None if they have no deep sleep."""
     if number == errno.ENOENT:
         if not idle_driver(root):
             return None
