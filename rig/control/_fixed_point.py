@@ -96,7 +96,7 @@ class Format:
         least, greatest = self.limits
         if not least <= integer <= greatest:
             raise ConfigError(
-                f"{what} = {value:g} does not fit {self}, which ends at {greatest * self.lsb:g}",
+                f"{what} = {value:g} does not fit {self}, whose largest value is {greatest * self.lsb:g}",
                 remedy="choose a longer word or fewer fractional bits",
             )
         return integer
@@ -165,19 +165,21 @@ def design_biquad(
     if not (at_rest > 0 and abs(a1) < one + a2 and abs(a2) < one) or abs(at_rest / wanted - 1.0) > TOLERANCE:
         raise ConfigError(
             f"in coefficients of {form}, 1 + a1 + a2 = {wanted:.4g} LSB is rounded to {at_rest}, "
-            "which changes the filter",
+            f"which changes the filter by more than {100 * TOLERANCE:.0f} %",
             remedy=more_bits,
         )
     if unit_gain:
         b1 += at_rest - (b0 + b1 + b2)
     dc_gain = (b0 + b1 + b2) / at_rest
     if abs(dc_gain - 1.0) > TOLERANCE:
-        raise ConfigError(f"in coefficients of {form} the gain at rest is {dc_gain:.3g}", remedy=more_bits)
+        raise ConfigError(
+            f"in coefficients of {form} the gain at rest is {dc_gain:.3g} instead of 1", remedy=more_bits
+        )
     largest = (abs(b0) + abs(b1) + abs(b2) + abs(a1) + abs(a2)) << (state.word_bits - 1)
     if largest + one > GREATEST:
         raise ConfigError(
             f"products of {form} and {state} overflow 64 bits",
-            remedy="choose shorter words: 60 bits together",
+            remedy="choose shorter words, of at most 60 bits together",
         )
     index = ROUNDINGS.index(rounding)
     error = 0.5 if index == NEAREST else 1.0

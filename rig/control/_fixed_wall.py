@@ -165,7 +165,7 @@ def design_wall(
     if not 0 <= limit <= CURRENT_GREATEST:
         raise ConfigError(
             f"effort limit {effort_limit:g} is {limit} current quanta; allowed are 0 to {CURRENT_GREATEST}",
-            remedy="lower the limit or take a larger current quantum",
+            remedy="lower the effort limit or choose a larger current quantum",
         )
     for name, value in (*gains.items(), ("constant effort", abs(constant))):
         if not 0.0 <= value <= GAIN_GREATEST:
@@ -179,7 +179,7 @@ def design_wall(
             raise ConfigError(
                 f"{name} is {value:.3g} quanta per LSB, which {shift} fractional bits can represent "
                 f"only as {whole[name]}",
-                remedy="raise it, or take a velocity with fewer fractional bits",
+                remedy=f"raise the {name}, or choose a velocity format with fewer fractional bits",
             )
     return FixedWall(
         reference=reference_count,

@@ -97,8 +97,8 @@ class Multisine:
         off = np.abs(self.lines_hz * self.period_s - self.harmonics)
         if self.harmonics[0] < 1 or (np.diff(self.harmonics) < 1).any() or off.max() > ON_GRID:
             raise ConfigError(
-                f"the lines are not ascending multiples of 1/{self.period_s:g} s",
-                remedy="choose lines, or a period, that fit",
+                f"the lines are not ascending multiples of 1/period, {1.0 / self.period_s:g} Hz",
+                remedy="choose ascending multiples of 1/period, or another period",
             )
 
     @classmethod
@@ -229,7 +229,7 @@ class Multisine:
         if samples < 1 or abs(rate_hz * self.period_s - samples) > ON_GRID:
             raise ConfigError(
                 f"a period of {self.period_s:g} s is not a whole number of samples at {rate_hz:g} Hz",
-                remedy="choose a period that is",
+                remedy=f"choose a whole multiple of 1/({rate_hz:g} Hz)",
             )
         if 2 * self.harmonics[-1] >= samples:
             raise ConfigError(
@@ -367,14 +367,14 @@ def _spectrum(spectrum: Spectrum, lines: Floats) -> Floats:
     if isinstance(spectrum, str):
         if spectrum not in ("flat", "mass"):
             raise ConfigError(
-                f"unknown spectrum {spectrum!r}", remedy="choose flat or mass, or give amplitudes"
+                f"unknown spectrum {spectrum!r}", remedy="choose flat or mass, or give a list of amplitudes"
             )
         return np.ones_like(lines) if spectrum == "flat" else lines / lines[-1]
     amplitudes = np.array(spectrum, dtype=np.float64).reshape(-1)
     if len(amplitudes) != len(lines) or not (amplitudes >= 0.0).all() or not amplitudes.any():
         raise ConfigError(
             f"{len(amplitudes)} amplitudes for {len(lines)} lines; there must be one for each line, "
-            "none below zero, at least one above",
+            "none below 0, at least one above 0",
             remedy="give one amplitude for each line",
         )
     return amplitudes
@@ -386,7 +386,9 @@ def _wrap_phase(phases: Floats) -> Floats:
 
 def _scale_to_size(shape: Multisine, spectrum: Spectrum, rms: float | None, peak: float | None) -> Multisine:
     if rms is not None and peak is not None:
-        raise ConfigError("both an rms and a peak are given", remedy="give one of them")
+        raise ConfigError(
+            f"both rms = {rms:g} and peak = {peak:g} are given", remedy="leave out one of the two"
+        )
     if rms is None and peak is None:
         if isinstance(spectrum, str):
             raise ConfigError(

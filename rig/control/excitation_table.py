@@ -140,7 +140,8 @@ class ExcitationTable:
             )
         if self.lines * self.amplitude > MOST_SUM:
             raise ConfigError(
-                f"{self.lines} lines of {self.amplitude / 2**LINE_BITS:g} quanta each are too large for the device",
+                f"{self.lines} lines of {self.amplitude / 2**LINE_BITS:g} quanta each exceed the device's sum of "
+                f"{MOST_SUM / 2**LINE_BITS:g} quanta",
                 remedy="choose a smaller excitation",
             )
 
@@ -191,7 +192,7 @@ class ExcitationTable:
         if abs(ticks - round(ticks)) > 1e-6:
             raise ConfigError(
                 f"a period of {multisine.period_s:g} s is not a whole number of ticks at {rate_hz:g} Hz",
-                remedy="choose a period that is",
+                remedy=f"choose a whole multiple of 1/({rate_hz:g} Hz)",
             )
         table = cls(
             lines=len(harmonics),

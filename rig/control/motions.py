@@ -156,7 +156,7 @@ def make_nudging_law(
 
     def design(wall: Mapping[str, Any]) -> list[float]:
         if wall["side"] != 1:
-            raise ValueError("nudges count along the position")
+            raise ValueError(f"wall side = {wall['side']}: small pushes need side 1")
         return [
             effort_per_s / rate_hz,
             most_effort,

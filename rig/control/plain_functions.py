@@ -154,7 +154,7 @@ def compile_function(
 def unknown_name(what: str, noun: str, name: str, known: Iterable[str]) -> ConfigError:
     """Return the error for an unknown name; its remedy names the closest known name, or else all known names."""
     close = get_close_matches(name, list(known), n=1)
-    choice = f"it has {', '.join(known)}" if list(known) else "none is defined"
+    choice = f"choose one of: {', '.join(known)}" if list(known) else f"remove it: no {noun} is defined"
     return ConfigError(
         f"{what}: unknown {noun} {name!r}", remedy=f"did you mean {close[0]}?" if close else choice
     )
@@ -192,7 +192,7 @@ def _arguments(form: Form, what: str, function: Callable[..., float], memory: Se
             close = get_close_matches(argument.name, known, n=1)
             choice = "; ".join(f"{name}: {meaning}" for name, meaning in known.items())
             raise ConfigError(
-                f"{where} is not among the arguments that are passed",
+                f"{where} is unknown",
                 remedy=f"did you mean {close[0]}?" if close else f"choose from {choice}",
             )
         if argument.name == MEMORY and not memory:

@@ -328,7 +328,7 @@ def _other_version(how: str) -> RecordingError:
 def _record(dtype: np.dtype[Any], values: Mapping[str, Any]) -> Record:
     differing = set(dtype.names or ()) ^ set(values)
     if differing:
-        raise _other_version(f"{', '.join(sorted(differing))} in only one of them")
+        raise _other_version(f"{', '.join(sorted(differing))} exists in only one of both versions")
     record = np.zeros(1, dtype=dtype)
     for name, value in values.items():
         record[name] = value

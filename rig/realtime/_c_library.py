@@ -83,7 +83,7 @@ class CLibrary:
             return [sys.executable, "-P", "-m", ZIG, "cc"]
         raise ConfigError(
             f"there is no C compiler: {self.purpose}, compiled on first use",
-            remedy="install one (Debian: apt install gcc libc6-dev; elsewhere: pip install ziglang) or name it in CC"
+            remedy="install one (Debian: apt install gcc libc6-dev; elsewhere: pip install ziglang) or set CC to it"
             + (f"; or {self.instead}" if self.instead else ""),
         )
 
@@ -108,7 +108,7 @@ class CLibrary:
         except (OSError, AttributeError) as error:
             raise ConfigError(
                 f"the {self.name} library {path} does not open: {error}",
-                remedy="remove this file; it is then built again",
+                remedy="remove this file; the next run builds it again",
             ) from error
 
     def key(self, command: list[str]) -> str:
@@ -122,7 +122,7 @@ class CLibrary:
         return digest.hexdigest()[:16]
 
     def _compile(self, command: list[str]) -> None:
-        remedy = "name another compiler in CC" + (f", or {self.instead}" if self.instead else "")
+        remedy = "set the variable CC to another compiler" + (f", or {self.instead}" if self.instead else "")
         try:
             done = subprocess.run(
                 command,

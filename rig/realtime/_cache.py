@@ -96,7 +96,8 @@ def _made_private(place: Path) -> Path | None:
     except (OSError, RuntimeError):
         return None
     _log.warning(
-        "%s, so no compiled code is taken from there; chmod 700, or name another in HAPTIC_RIG_CACHE", reason
+        "%s, so no compiled code is loaded from it; run chmod 700, or set HAPTIC_RIG_CACHE to another directory",
+        reason,
     )
     return None
 

@@ -100,8 +100,8 @@ class SharedHand:
                 return cls._mapped(file.fileno(), path)
         except OSError as error:
             raise ConfigError(
-                f"{path}: cannot be created: {error.strerror}",
-                remedy="give a file in a directory that you may write",
+                f"{path}: the file of a driven hand cannot be created: {error.strerror}",
+                remedy="give a path in a directory that you may write to",
             ) from None
 
     @classmethod
@@ -130,7 +130,10 @@ class SharedHand:
                 memory.close()
         except (OSError, ValueError):  # a directory, a pipe
             pass
-        raise ConfigError(f"{path} is not the file of a driven hand", remedy="give another file name")
+        raise ConfigError(
+            f"{path} is not the file of a driven hand",
+            remedy="give the path that the driving program uses, or a new path",
+        )
 
     def move(self, position: float, press: float) -> None:
         """Write the wanted position of the hand (rad or m, at the link), and its press into the wall (N).

@@ -180,7 +180,7 @@ def set_bytes(values: ArrayLike) -> bytes:
     if np.isnan(numbers).any():
         place = int(np.isnan(numbers).argmax())
         raise ConfigError(
-            f"parameter {place} for a running loop is not a number", remedy="give finite values"
+            f"parameter {place} for a running loop is NaN, not a number", remedy="give a finite number"
         )
     return numbers.tobytes()
 

@@ -48,7 +48,7 @@ def native_call(arity: int) -> Any:
             return types.int64(types.uintp, types.uintp, types.uintp, types.uintp), codegen
 
         return call_three
-    raise ValueError(f"no call of {arity} arguments is written")
+    raise ValueError(f"arity = {arity} is not supported: use 1, 2 or 3")
 
 
 def address_of(kernel: Any, signature: Any) -> int:

@@ -133,7 +133,8 @@ class Ring:
         try:
             if not place.is_memory(path) or not place.is_sound(descriptor):
                 raise RigError(
-                    f"{path} is not the memory of a running loop", remedy="rig stop --list shows what runs"
+                    f"{path} is not the memory of a running loop",
+                    remedy="list the running loops by rig stop --list",
                 )
             size = os.fstat(descriptor).st_size
             if size < _INFO_AT:
@@ -334,7 +335,8 @@ def _shared_memory(size: int) -> tuple[NDArray[np.uint8], int]:
             raise
     except OSError as error:
         raise RigError(
-            f"no shared memory of {size / 1e6:.0f} MB: {error.strerror}", remedy="free some memory"
+            f"cannot allocate {size / 1e6:.0f} MB of shared memory: {error.strerror}",
+            remedy="free some memory",
         ) from error
 
 

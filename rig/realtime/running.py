@@ -141,7 +141,7 @@ def stop(
 
 
 def memory_of(pid: int) -> Ring | None:
-    """Return the newest running loop of a process, for reading only; None if there is none. The caller must close it.
+    """Return the newest running loop of a process, for reading only, or None. The caller must close it.
 
     It is for users who may see the progress of a run but not its experiment: the info is not read.
     """
@@ -193,10 +193,12 @@ def the_loop(pid: int | None = None) -> RunningLoop:
         return loops[0]
     if loops:
         names = ", ".join(str(loop.pid) for loop in loops)
-        raise ConfigError(f"{len(loops)} loops run: {names}", remedy="choose one by its `pid`")
+        raise ConfigError(
+            f"{len(loops)} loops run: {names}", remedy="choose one by its process number (`pid`)"
+        )
     if pid is not None:
         raise _not_here(pid)
-    raise ConfigError("no loop runs in real time on this computer", remedy="start one: rig hit --realtime")
+    raise ConfigError("no loop runs in real time on this computer", remedy="start a loop: rig hit --realtime")
 
 
 @contextmanager
@@ -212,14 +214,15 @@ def open_loop(loop: RunningLoop) -> Iterator[Ring]:
     """
     if loop.version != LAYOUT_VERSION:
         raise RigError(
-            f"process {loop.pid} was started by another version of haptic-rig (layout {loop.version})",
-            remedy="use that version, or `rig stop`, which works with all",
+            f"process {loop.pid} was started by another version of haptic-rig (layout {loop.version}, here "
+            f"{LAYOUT_VERSION})",
+            remedy="use that version; only `rig stop` works with all versions",
         )
     try:
         ring = Ring.attach(loop.path)
     except (OSError, RigError) as error:
         raise RunEndedError(
-            f"the loop of process {loop.pid} has ended", remedy="start another one"
+            f"the loop of process {loop.pid} has ended", remedy="start another run"
         ) from error
     with ring:
         yield ring
@@ -257,5 +260,7 @@ def _not_here(pid: int) -> ConfigError:
                 remedy=f"run the command as its owner, or: sudo rig stop {pid}",
             )
     except ProcessLookupError:
-        return ConfigError(f"there is no process {pid}", remedy="rig stop --list shows what runs")
-    return ConfigError(f"process {pid} runs no loop in real time", remedy="rig stop --list shows what runs")
+        return ConfigError(f"there is no process {pid}", remedy="list the running loops by rig stop --list")
+    return ConfigError(
+        f"process {pid} runs no loop in real time", remedy="list the running loops by rig stop --list"
+    )

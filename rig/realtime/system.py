@@ -26,7 +26,8 @@ if sys.platform == "linux":
     _MISSING = [name for name in _NAMES if not hasattr(ctypes.CDLL(None), name)]
     if _MISSING:
         raise RigError(
-            f"the C library of this Linux has no {', '.join(_MISSING)}", remedy="use one with glibc or musl"
+            f"the C library of this Linux has no {', '.join(_MISSING)}",
+            remedy="use a Linux with glibc or musl",
         )
 else:
     stand_ins.stand_in()

@@ -211,8 +211,8 @@ def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> l
     turn = (intensity / r) ** (1.0 / (2 * order))  # ω0·T
     if printed and turn > PRINTED_LIMIT:
         raise ConfigError(
-            f"estimator kalman: the printed noise gives negative variances at ω0·T = {turn:.3g}",
-            remedy=f'choose noise = "integral", or a q or bandwidth with ω0·T up to {PRINTED_LIMIT:g}',
+            f'estimator kalman: noise = "printed" gives negative variances at ω0·T = {turn:.3g}',
+            remedy=f'choose noise = "integral", or a lower q or bandwidth_hz (ω0·T up to {PRINTED_LIMIT:g})',
         )
     noise = intensity * process_noise(order, printed=printed)
     gain = np.zeros(3)
@@ -260,7 +260,7 @@ def _intensity(
         if bandwidth_hz != DEFAULT_BANDWIDTH_HZ:
             raise ConfigError(
                 f"estimator kalman: q = {q:g} and bandwidth_hz = {bandwidth_hz:g} Hz are both given",
-                remedy="give one of them",
+                remedy="give one of the two",
             )
         return float(q * period_s ** (2 * order - 1) / resolution**2)
     if bandwidth_hz >= 0.5 / period_s:

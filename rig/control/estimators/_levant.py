@@ -140,13 +140,13 @@ def multipliers(settings: Mapping[str, Any], estimator: str = "levant") -> tuple
         if mu1 or mu2:
             raise ConfigError(
                 f"estimator {estimator}: gains = {gains!r} fixes mu1 and mu2, but {mu1:g} and {mu2:g} are given",
-                remedy="leave them out, or choose gains = 'custom', 'hba' or 'lfba'",
+                remedy="leave out mu1 and mu2, or choose gains = 'custom', 'hba' or 'lfba'",
             )
         return levant_regions.NAMED_GAINS[gains]
     if not (mu1 and mu2):
         raise ConfigError(
             f"estimator {estimator}: gains = {gains!r} needs mu1 and mu2",
-            remedy="give both; `rig theory levant-regions` shows which pairs converge",
+            remedy="give mu1 and mu2; `rig theory levant-regions` shows which pairs converge",
         )
     if gains == "hba" and not levant_regions.in_hba(mu1, mu2):
         raise _outside(

@@ -76,7 +76,9 @@ def whole_numbers(values: ArrayLike, what: str, also: tuple[str, ...] = ()) -> N
     """
     array = _floats_if_missing(values, what)
     if array.ndim != 1:
-        raise ConfigError(f"{what} has {array.ndim} dimensions", remedy="give a flat array")
+        raise ConfigError(
+            f"{what} has {array.ndim} dimensions instead of 1", remedy="give a one-dimensional array"
+        )
     if len(array) == 0:
         return np.zeros(0, np.int64)
     if array.dtype.kind in "iu":
@@ -163,7 +165,7 @@ def unwrap(values: NDArray[Any], width: Any, elapsed: Ints) -> Ints:
     if len(beyond):
         raise ConfigError(
             f"counts[{beyond[0] + 1}] differs by {steps[beyond[0]]} from the one before; allowed is less than 2^31",
-            remedy="check the counts there",
+            remedy="check the counts of these two samples",
         )
     return counts
 

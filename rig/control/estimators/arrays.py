@@ -197,7 +197,8 @@ def inputs(
     edges = real_numbers(edge_time, EDGE_TIME, "s")
     if edges.shape != whole.shape:
         raise ConfigError(
-            f"{len(whole)} counts, but edge_time has shape {edges.shape}", remedy="give one for each count"
+            f"{len(whole)} counts, but edge_time has shape {edges.shape}",
+            remedy="give one time for each count",
         )
     age = time_s - edges
     if not (age >= -FUTURE_S).all():  # also finds NaN
@@ -218,7 +219,7 @@ def _counts_and_steps(
     steps = whole_numbers(elapsed, ELAPSED).astype(np.int64)
     if len(steps) != len(held):
         raise ConfigError(
-            f"{len(held)} counts, but {len(steps)} values of elapsed", remedy="give one for each count"
+            f"{len(held)} counts, but {len(steps)} values of elapsed", remedy="give one value for each count"
         )
     if len(steps) and steps.min() < 1:
         raise ConfigError(

@@ -111,7 +111,8 @@ class Estimator(Shown):
             if name not in known:
                 choice = ", ".join(known) or "none"
                 raise ConfigError(
-                    f"estimator {self.name}: unknown parameter {name!r}", remedy=f"its parameters: {choice}"
+                    f"estimator {self.name}: unknown parameter {name!r}",
+                    remedy=f"remove it; the estimator's parameters are: {choice}",
                 )
         values = {
             name: self._checked(setting, given.get(name, setting.default)) for name, setting in known.items()

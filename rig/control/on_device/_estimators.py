@@ -33,12 +33,12 @@ ESTIMATORS = (  # in the order of the parameter `estimator`
     "kalman",
 )
 _SAME_RECURSION = {"tracking": "kalman", "disturbance": "kalman"}  # with other gains, and an input
-_EDGES = ": this one needs the time of each encoder edge"
+_EDGES = ": it needs the time of each encoder edge"
 _ABSENT = {  # why a built-in one is not there
     "period": _EDGES,
     "period-frequency": _EDGES,
-    "foaw-levant": ": this one exists on the host only",
-    "optimal": ": this one exists on the host only",
+    "foaw-levant": ": it runs on the host only",
+    "optimal": ": it runs on the host only",
 }
 BAND_BITS = 8  # of a noise band in counts
 WORD_BITS = 32

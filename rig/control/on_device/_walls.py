@@ -12,7 +12,7 @@ from rig.control._fixed_point import Format
 from rig.control._fixed_wall import DEPTH, GAIN_GREATEST, MOST_SHIFT, FixedWall, design_wall
 from rig.control._wall import DAMPING, ENTRY_ONLY, MAY_PULL, PARAMETERS, STIFFNESS
 from rig.control.estimators.estimator import Floats
-from rig.control.on_device._errors import refusal
+from rig.control.on_device._errors import ELSE_HOST, refusal
 from rig.core.errors import ConfigError, PlanError
 
 LAWS = ("spring-damper", "bilateral", "excited")
@@ -52,7 +52,7 @@ def common_parameters(name: str, law: Floats) -> Values:
             raise PlanError(
                 'controller.friction_compensation with controller.loop = "device": the firmware does '
                 "not compensate friction",
-                remedy='set it to 0, or let the host run the law (controller.loop = "host")',
+                remedy=f"set controller.friction_compensation to 0, or {ELSE_HOST}",
             )
         raise refusal(
             "wall.law", name, "a device does not have this law", f"choose one of: {', '.join(LAWS)}"
@@ -188,7 +188,9 @@ def fixed_guard(c: Control, velocity: Format) -> Values:
     if not shifts:
         name, gain = max(gains.items(), key=lambda item: item[1])
         key = f"homing.{name}"
-        raise refusal(key, c[f"home_{name}"], f"it is {gain:.3g} quanta per LSB, beyond 2^30", "lower it")
+        raise refusal(
+            key, c[f"home_{name}"], f"it is {gain:.3g} quanta per LSB; allowed are up to 2^30", f"lower {key}"
+        )
     shift = shifts[-1]
     return {
         "fixed_trial_slew": min(round(c["trial_slew"] / quantum * 2**SLEW_BITS), I32_GREATEST),

@@ -42,7 +42,7 @@ class Rights:
             )
 
     def may_schedule(self, priority: int) -> bool:
-        """Return True if the limits allow SCHED_FIFO at this priority; a control group or container may still refuse."""
+        """Return True if limits allow SCHED_FIFO at this priority; a control group or container may still refuse it."""
         allowed = self.priority_limit is None or self.priority_limit >= priority
         return allowed or self.has(CAP_SYS_NICE)
 

@@ -102,7 +102,7 @@ def of_processor(cpu: int, number: int, root: Path = ROOT) -> Check:
         return _refused(
             PROCESSOR,
             f"processor {cpu} of host.cpu is not running: this machine has {', '.join(map(str, online))}",
-            "set host.cpu to one of them",
+            "set host.cpu to one of these processors",
         )
     return _refused(
         PROCESSOR,

@@ -204,7 +204,11 @@ REFUSED = {
         r'controller.prediction = "extrapolate"',
         '"float32"',
     ),
-    "friction": ({"friction_compensation": 0.5}, "controller.friction_compensation", "set it to 0"),
+    "friction": (
+        {"friction_compensation": 0.5},
+        "controller.friction_compensation",
+        "friction_compensation to 0",
+    ),
 }
 
 

@@ -215,7 +215,7 @@ def remembers(memory: Memory) -> float:
     [
         (
             named,
-            r"argument 'penetraton' is not among the arguments that are passed; did you mean penetration\?",
+            r"argument 'penetraton' is unknown; did you mean penetration\?",
         ),
         (
             unknown,
