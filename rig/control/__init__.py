@@ -1,1 +1,1 @@
-"""Everything inside one tick, and the verdict on it; numbers only."""
+"""Compute one tick of the controller, and the verdict of a trial; numbers only, no devices and no files."""

@@ -49,5 +49,5 @@ class PreparedLaw:
     state: NDArray[np.float64]
 
     def fits(self) -> bool:
-        """Return True if stored memory has the size that the compiled code requires."""
+        """Return True if parameters and memory have the sizes that the compiled code requires."""
         return self.parameters.ndim == 1 and self.state.shape == (max(1, self.law.floats),)

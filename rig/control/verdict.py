@@ -239,7 +239,7 @@ def kinds(numbers: Numbers, thresholds: Thresholds) -> NDArray[np.int64]:
 
 
 def decide(numbers: np.void, thresholds: Thresholds) -> tuple[Kind, tuple[str, ...]]:
-    """Return the kind of one trial (a record of `rig.control._measure.NUMBERS`) and the reasons for it."""
+    """Return the outcome of one trial (a record of `rig.control._measure.NUMBERS`), and the texts of its reasons."""
     found = Objection(int(objections(numbers, thresholds)))
     kind = KINDS[int(_codes(int(found)))]
     shown = {Kind.INVALID: INVALID, Kind.UNSTABLE: UNSTABLE | EXCEEDED}.get(kind, EXCEEDED)
@@ -273,7 +273,7 @@ class Measured:
 
     @property
     def kind(self) -> Kind:
-        """Return the verdict that the objections imply."""
+        """Return the outcome that the objections and `thrown_out` imply."""
         if self.thrown_out and not self.found & Objection.CURRENT:
             return Kind.UNSTABLE if self.numbers["contact_s"] >= 0.0 else Kind.INVALID
         return KINDS[int(_codes(int(self.found)))]

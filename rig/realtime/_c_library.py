@@ -70,10 +70,7 @@ class CLibrary:
         return [path for part in self.parts for path in sorted((self.root / part).glob("*.c"))]
 
     def compiler(self) -> list[str]:
-        """Return the command of the C compiler: ``$CC``, else the first of `COMPILERS`, else `ZIG`.
-
-        Raises `ConfigError` if none of them is installed.
-        """
+        """Return the compiler's command: ``$CC``, one of `COMPILERS`, or `ZIG`; raise `ConfigError` without one."""
         named = shlex.split(os.environ.get("CC", ""))
         for command in (named, *([name] for name in COMPILERS)):
             found = find_program(command[0]) if command else None

@@ -91,10 +91,7 @@ def monotonic_sleep(handle: int, deadline_ns: int) -> int:
 
 @kernel(WAIT_SIGNATURE)
 def virtual_sleep(handle: int, deadline_ns: int) -> int:
-    """Set the time of a `rig.realtime.clock.VirtualClock` to a deadline (ns) unless it has passed. Return 0.
-
-    `handle` is the address of the clock's word.
-    """
+    """Set a `VirtualClock` (`handle`: address of its word) to a deadline (ns) unless it has passed; return 0."""
     store_word(handle, max(load_word(handle), deadline_ns))
     return 0
 

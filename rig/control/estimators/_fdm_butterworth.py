@@ -38,10 +38,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the filtered velocity (rad/s or m/s).
-
-    Over a gap the filter runs once for each lost period, with the mean slope over the gap as input.
-    """
+    """Return the filtered velocity (rad/s or m/s). After a gap the filter runs once for each lost period."""
     slope = fdm.update(count, edge_age_s, elapsed_ticks, effort, state_f, state_i, parameters)
     out = slope
     for _ in range(min(elapsed_ticks, LONGEST_GAP)):

@@ -56,10 +56,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the filtered velocity (rad/s or m/s).
-
-    Over a gap the filter runs once for each lost period, with the mean slope over the gap as input.
-    """
+    """Return the filtered velocity (rad/s or m/s). After a gap the filter runs once for each lost period."""
     if state_i[fdm.STARTED] == 0:
         state_i[fdm.STARTED] = 1
         state_i[fdm.PREVIOUS] = count

@@ -40,10 +40,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the slope of the longest accepted line (rad/s or m/s); zero for the first sample.
-
-    A line through two samples is always accepted.
-    """
+    """Return the slope of the longest accepted line (rad/s or m/s); zero for the first sample."""
     newest = foaw.remember(count, elapsed_ticks, state_i)
     position, period = state_i[COUNTS + newest], state_i[PERIODS + newest]
     band, limit, anchor = parameters[BAND], int(parameters[LIMIT]), int(parameters[ANCHOR])

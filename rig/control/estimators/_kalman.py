@@ -78,7 +78,7 @@ _SIX = types.UniTuple(types.float64, 6)
 def _propagate(
     p11: float, p12: float, p13: float, p22: float, p23: float, p33: float
 ) -> tuple[float, float, float, float, float, float]:
-    """Return A·P·Aᵀ over one period, A = [[1, 1, ½], [0, 1, 1], [0, 0, 1]]."""
+    """Return the covariance A·P·Aᵀ after one period, with A = [[1, 1, ½], [0, 1, 1], [0, 0, 1]]."""
     a12 = p12 + p22 + 0.5 * p23
     a13 = p13 + p23 + 0.5 * p33
     a23 = p23 + p33

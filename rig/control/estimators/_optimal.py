@@ -68,10 +68,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the slope of the chosen chord (rad/s or m/s); zero for the first sample.
-
-    Samples older than the longest chord are not used.
-    """
+    """Return the slope of the chosen chord (rad/s or m/s); zero for the first sample."""
     newest = foaw.remember(count, elapsed_ticks, state_i)
     position, period = state_i[COUNTS + newest], state_i[PERIODS + newest]
     bend, limit = parameters[BEND], int(parameters[LIMIT])

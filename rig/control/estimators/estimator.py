@@ -163,7 +163,7 @@ class Prepared:
     state_i: Ints
 
     def fits(self) -> bool:
-        """Return True if stored memory has the sizes that the compiled code requires."""
+        """Return True if parameters and memory have the sizes that the compiled code requires."""
         sizes = (max(1, self.estimator.floats),), (max(OWN_INTS, self.estimator.ints),)
         enough = self.parameters.ndim == 1 and len(self.parameters) >= COMMON
         return enough and (self.state_f.shape, self.state_i.shape) == sizes

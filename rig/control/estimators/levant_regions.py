@@ -36,12 +36,12 @@ def lfba_mu1(mu2: float) -> float:
 
 
 def in_hba(mu1: float, mu2: float) -> bool:
-    """Return True if equation (10) holds: α > C and λ² ≥ 4·C·(α + C)/(α − C)."""
+    """Return True if (μ1, μ2) lies in the homogeneity-based region, equation (10): α > C, λ² ≥ 4·C·(α + C)/(α − C)."""
     return mu2 > 2.0 and mu1 >= hba_mu1(mu2)
 
 
 def in_lfba(mu1: float, mu2: float) -> bool:
-    """Return True if equation (14) holds: α > 3·C + 2·C²/λ², λ > 0."""
+    """Return True if (μ1, μ2) lies in the Lyapunov-function-based region, equation (14): α > 3·C + 2·C²/λ², λ > 0."""
     return mu2 > 0.0 and mu1 > lfba_mu1(mu2)
 
 

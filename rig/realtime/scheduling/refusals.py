@@ -60,10 +60,7 @@ def of_policy(priority: int, rights: Rights, number: int, root: Path = ROOT) -> 
 
 
 def group_refusal(priority: int, root: Path = ROOT) -> Check | None:
-    """Return the check that this process's control group has no share of real time; None if it has a share.
-
-    Only kernels with RT_GROUP_SCHED have such shares.
-    """
+    """Return the check that this process's control group has no share of real time; None if it has a share."""
     group = real_time_group(root)
     if group is None or (rt_runtime_us(root) or 0) < 0:
         return None
