@@ -65,7 +65,7 @@ if sys.platform == "win32":
     _USER = ""  # whose temporary files are his own already
 
     def writable_by_others(place: Path) -> str:
-        """Return "": on Windows file modes do not show it, and a user's profile is private by default."""
+        """Return "": Windows file modes do not show write access, and a user's profile is private by default."""
         return ""
 
 else:

@@ -344,7 +344,7 @@ def decode_command(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
 
 @kernel(_i64(_bytes, _i64, _ints, _ints))
 def decode_state(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
-    """Decode header and fields of a STATE from the result of `decode_frame`; return the result of `decode_command`."""
+    """Decode a STATE into `header` and `values`; return the same codes as `decode_command`."""
     return _decode(raw, length, _STATE_LAYOUT, _PAYLOAD_LIMIT, _STATE_TYPE, header, values)
 
 
@@ -356,13 +356,13 @@ def encode_get_time(session: int, sequence: int, values: Ints, out: Bytes) -> in
 
 @kernel(_i64(_bytes, _i64, _ints, _ints))
 def decode_time(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
-    """Decode header and fields of a TIME from the result of `decode_frame`; return the result of `decode_command`."""
+    """Decode a TIME into `header` and `values`; return the same codes as `decode_command`."""
     return _decode(raw, length, _TIME_LAYOUT, _PAYLOAD_LIMIT, _TIME_TYPE, header, values)
 
 
 @kernel(_i64(_bytes, _i64, _ints, _ints))
 def decode_ack(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
-    """Decode header and fields of an ACK from the result of `decode_frame`; return the result of `decode_command`."""
+    """Decode an ACK into `header` and `values`; return the same codes as `decode_command`."""
     return _decode(raw, length, _ACK_LAYOUT, _PAYLOAD_LIMIT, _ACK_TYPE, header, values)
 
 
