@@ -82,13 +82,13 @@ class Multisine:
         if not (math.isfinite(self.period_s) and self.period_s > 0.0):
             raise ConfigError(
                 f"period_s = {self.period_s!r} s is not a period: it must be above 0 and finite",
-                remedy="give a time above zero",
+                remedy="give a period above 0 s",
             )
         n = len(self.lines_hz)
         if n == 0 or len(self.amplitudes) != n or len(self.phases) != n:
             raise ConfigError(
                 f"there are {n} lines, but {len(self.amplitudes)} amplitudes and {len(self.phases)} phases",
-                remedy="give one of each for every line, and at least one line",
+                remedy="give one amplitude and one phase for each line, and at least one line",
             )
         if not all(np.isfinite(a).all() for a in (self.lines_hz, self.amplitudes, self.phases)):
             raise ConfigError(

@@ -134,7 +134,7 @@ class ExcitationTable:
             raise ConfigError(f"unknown phases {self.phases!r}", remedy=f"choose one of {', '.join(PHASES)}")
         if int(self.harmonics[-1]) > (self.period - 1) // 2:
             raise ConfigError(
-                f"the excitation's line {int(self.harmonics[-1])} is beyond half of its period of "
+                f"the excitation has harmonic {int(self.harmonics[-1])}, which is beyond half of its period of "
                 f"{self.period} ticks",
                 remedy=f"end the band below harmonic {(self.period + 1) // 2}",
             )
@@ -142,7 +142,7 @@ class ExcitationTable:
             raise ConfigError(
                 f"{self.lines} lines of {self.amplitude / 2**LINE_BITS:g} quanta each exceed the device's sum of "
                 f"{MOST_SUM / 2**LINE_BITS:g} quanta",
-                remedy="choose a smaller excitation",
+                remedy="lower the rms or the peak of the excitation",
             )
 
     @classmethod
@@ -218,7 +218,7 @@ class ExcitationTable:
                 return better
         raise ConfigError(
             f"the peak of the excitation exceeds {GREATEST} current quanta",
-            remedy="choose a smaller excitation",
+            remedy="lower the rms or the peak of the excitation",
         )
 
     @property

@@ -202,7 +202,7 @@ def _check_jumps(values: NDArray[Any], counts: Ints, steps: Ints) -> None:
         raise ConfigError(
             f"counts[{at}] is {values[at]} after {values[at - 1]}, more than half of the range of all "
             f"counts ({span}): the counter wraps, or was reset",
-            remedy="give the bits of the counter, such as width=16; one that wraps at N counts: "
+            remedy="give the bits of the counter, such as width=16; if it wraps at another number N: "
             "numpy.unwrap(counts, period=N); if the handle moved so far in one sample, width=32",
         )
 
