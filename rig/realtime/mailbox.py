@@ -74,7 +74,7 @@ def readers_slot(state: int) -> int:
 
 @kernel(_i64(_i64), inline=True)
 def state_after_publishing(state: int) -> int:
-    """Return the word after the writer has posted its slot: the mail is fresh, its old slot is the writer's."""
+    """Return the word after the writer has posted its slot: fresh mail; the writer owns the old mail's slot."""
     mail = state >> 2 & 3
     return (state >> NUMBER) + 1 << NUMBER | FRESH | (state & 3 << 4) | writers_slot(state) << 2 | mail
 
