@@ -372,13 +372,8 @@ _TEXTS: dict[Objection, Callable[[np.void, Thresholds], str]] = {
         f"{Opening.STILL_SETTLING}when the tail began, {n['settling_in_tail_s']:.3g} s too early: lengthen the trial"
     ),
     Objection.EXITS: lambda n, _: f"left the wall {_times(n['exits_in_tail'], 'time')} in the tail",
-    Objection.GROWS: lambda n, thresholds: (
-        f"ripple grows {n['growth']:.3g}-fold over the tail (limit {thresholds.growth:.3g})"
-    ),
-    Objection.SATURATES: lambda n, thresholds: (
-        f"saturates in {percent(n['saturated_fraction_in_tail'])} of the tail (limit "
-        f"{percent(thresholds.saturated_fraction)})"
-    ),
+    Objection.GROWS: lambda n, _: f"ripple grows {n['growth']:.3g}-fold over the tail",
+    Objection.SATURATES: lambda n, _: f"saturates in {percent(n['saturated_fraction_in_tail'])} of the tail",
     Objection.FELT: lambda n, thresholds: f"felt {n['felt']:.3g} above {thresholds.felt_velocity:.3g}",
     Objection.HEARD: lambda n, thresholds: f"heard {n['heard']:.3g} above {thresholds.heard_effort:.3g}",
     Objection.MOVED: lambda n, thresholds: f"moved {n['moved']:.3g} above {thresholds.moved:.3g}",
