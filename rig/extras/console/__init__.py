@@ -1,22 +1,22 @@
-"""The live page in the browser, and what it starts.
+"""The live page in the browser, and the processes that it starts.
 
-* `access`: who may open the page at all: token, Host, Origin, and what a browser may load;
-* `follow`, `history`, `trigger`, `view`: from a loop's rows to what one scope shows;
-* `lease`: who operates, and what happens when they are gone;
-* `live`, `runs`: the loop that is looked at; what a page starts and changes;
-* `jobs`, `worker`: runs, in a process of their own, through the functions of the commands;
-* `errands`, `errand_worker`: what is read, drawn and computed for a page, apart from the server;
-* `maps`, `map_jobs`, `map_errands`: maps that fill in, and the hits of one;
-* `recordings`, `recording_errands`, `place`, `trash`: what the runs left;
-* `regions`: which walls theory finds stable and passive;
-* `requests`: what a page may ask for;
-* `sessions`, `session_desk`, `session_lists`, `session_requests`: the operator's seat, the session's side of it, what
-  may be begun, and what is asked;
-* `consent`, `terminal`: what a person at the rig agrees to, and where;
-* `bounds`: how much of the server its clients may take;
+* `access`: checks token, Host and Origin of a request, and limits what a browser may load;
+* `follow`, `history`, `trigger`, `view`: convert the rows of a control loop to the points that one scope draws;
+* `lease`: decides which page operates the rig, and detects that the page is gone;
+* `live`, `runs`: the loop that the pages show; the runs and changes that a page starts;
+* `jobs`, `worker`: runs in a process of their own, through the functions of the commands;
+* `errands`, `errand_worker`: reading, drawing and computing for a page, outside the server's process;
+* `maps`, `map_jobs`, `map_errands`: stiffness maps, also while they are being measured, and single hits of a map;
+* `recordings`, `recording_errands`, `place`, `trash`: recordings of earlier runs;
+* `regions`: the stiffnesses that linear theory finds stable and passive;
+* `requests`: the requests that a page may send;
+* `sessions`, `session_desk`, `session_lists`, `session_requests`: the operator's page of a session, the session's
+  process, the sessions that may be begun or resumed, and the requests of that page;
+* `consent`, `terminal`: the confirmation by a person at the rig, typed in the console's terminal;
+* `bounds`: limits of how much of the server its clients may use;
 * `server`: sockets and the page;
 * `page/`: the page itself, plain modules and one vendored library.
 
-A defect costs what it spoils: one reply, one page's scope, the loop that is followed. A session whose desk it was is
-left, to be resumed; a defect in the watch over leases ends all that this console moves, and the console.
+A defect must affect as little as possible: one reply, one page's scope, or the followed loop. A defect in the page of
+a session ends the session, which can be resumed. A defect in the supervision of leases ends the runs and the console.
 """

@@ -1,4 +1,4 @@
-"""Start a process of a console: ``python -P -m rig.extras.console job`` for a job, ``… errands`` for errands."""
+"""Start a process of a console: ``python -P -m rig.extras.console job`` runs a job, ``… errands`` runs errands."""
 
 import sys
 

@@ -1,6 +1,6 @@
-"""Check who may open the page, and what a browser may load with it.
+"""Check that a request may open the page, and limit what a browser may load with the page.
 
-The server calls it for every request. A participant's screen has a token of its own, which opens nothing but that
+The server calls `Access` for every request. A participant's screen has a token of its own, which opens only that
 screen.
 """
 
@@ -28,19 +28,19 @@ HEADERS = {
 
 
 class Access:
-    """The door.
+    """Checks of host name, origin and token for one served page.
 
     Parameters
     ----------
     port
-        On which the page is served.
+        Port on which the page is served.
     hosts
-        Further names, NAME:PORT, under which a browser may reach it: the local end of a tunnel.
+        Further names, NAME:PORT, under which a browser may reach the page, such as the local end of a tunnel.
 
     Attributes
     ----------
     url
-        Of the page, with its token.
+        URL of the page, with its token.
     participants
         Token of participants' screens.
     """
@@ -53,31 +53,31 @@ class Access:
         self.url = f"http://127.0.0.1:{port}/#{self._token}"
 
     def host_allowed(self, headers: Headers) -> bool:
-        """Return True if a request was meant for this page."""
+        """Return True if the request has exactly one Host header, and it is an allowed name of this page."""
         # The Host as well as the Origin: a foreign DNS name that points at this computer (DNS rebinding) makes the two
         # agree.
         return _only(headers, "Host") in self._hosts
 
     def origin_allowed(self, headers: Headers) -> bool:
-        """Return True if this page opened the socket: a browser always sends an Origin, so one without is refused."""
+        """Return True if this page opened the socket. Browsers always send an Origin; without it, return False."""
         origin = _only(headers, "Origin")
         return origin.removeprefix("http://") in self._hosts and origin.startswith("http://")
 
     def token_right(self, token: object) -> bool:
-        """Return True if this is the token, in a time that says nothing of how much of it is right."""
+        """Return True if `token` is the page's token; compare in constant time, so that the duration leaks nothing."""
         return _same(token, self._token)
 
     def participants_right(self, token: object) -> bool:
-        """Return True if this is the token of a participant's screen, likewise."""
+        """Return True if `token` is that of participants' screens, compared in constant time."""
         return _same(token, self.participants)
 
     def bearer_right(self, headers: Headers) -> bool:
-        """Return True if a download shows the token."""
+        """Return True if the Authorization header of a download contains the page's token."""
         kind, _, token = _only(headers, "Authorization").partition(" ")
         return kind == "Bearer" and self.token_right(token)
 
     def guest(self, request: HttpRequest) -> str | None:
-        """Return the name of the page that opens a socket with the right token; None for any other request."""
+        """Return the name that a page gives itself when it opens a socket; None if its token or name is not valid."""
         path, _, query = request.path.partition("?")
         # The second subprotocol: the only header that a page can add to the opening of a socket.
         token = _only(request.headers, "Sec-WebSocket-Protocol").partition(SHOWN)[2]
@@ -88,7 +88,7 @@ class Access:
 
 
 def _only(headers: Headers, name: str) -> str:
-    """Return a header's value; "" if it is missing, or ambiguous because it was sent twice."""
+    """Return the value of a header; "" if the header is missing or was sent more than once."""
     values = headers.get_all(name)
     return values[0] if len(values) == 1 else ""
 

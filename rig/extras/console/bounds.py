@@ -1,9 +1,10 @@
-"""Limit what a connection may cost the server: before its token, and after it in sockets and messages a second.
+"""Limit what a connection may use of the server: before its token is checked, and then in sockets and messages.
 
-Before the token a connection may send the head of one HTTP request, of bounded size, and has one of a few places for a
-bounded time; the newest takes the place of the oldest. A frame is parsed only after the token.
-Connections are accepted one at a time, between turns of the sockets of pages, so that a flood keeps no page out and
-delays no STOP (`tests/benchmarks/console_flood.py`).
+Before its token is checked, a connection may send only the head of one HTTP request, of at most `MOST_HEAD_BYTES`. It
+holds one of `MOST_AT_DOOR` places for at most `DOOR_S`; if all are taken, the newest connection replaces the oldest.
+Frames are parsed only after the token was checked. Connections are accepted one at a time, between turns of the
+sockets of pages, so that a flood of connections blocks no page and delays no STOP
+(`tests/benchmarks/console_flood.py`).
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ MOST_A_SECOND = 200.0  # messages of a socket
 
 
 class Places(Generic[One]):
-    """A limited number of places; when all are taken, the member that was silent longest is dropped.
+    """A limited number of members; if there are too many, the one that was silent longest is dropped.
 
     Parameters
     ----------
     most
-        Number of places.
+        Greatest number of members.
     lose
         Called with the member that is dropped.
     """
@@ -41,7 +42,7 @@ class Places(Generic[One]):
         self._taken: dict[One, None] = {}  # silent longest first
 
     def hear(self, one: One) -> None:
-        """Give `one` a place, or note that it sent something."""
+        """Add `one` as a member, or note that this member has just sent something."""
         self._taken.pop(one, None)
         self._taken[one] = None
         if len(self._taken) > self._most:
@@ -50,18 +51,18 @@ class Places(Generic[One]):
             self._lose(lost)
 
     def leave(self, one: One) -> None:
-        """Free the place of `one`, if it has one."""
+        """Remove the member `one`, if it is a member."""
         self._taken.pop(one, None)
 
 
 class Allowance:
-    """Messages that a socket may send, `MOST_A_SECOND` of them at once."""
+    """Rate limit of one socket: `MOST_A_SECOND` messages a second, and as many in one burst."""
 
     def __init__(self) -> None:
         self._left, self._counted = MOST_A_SECOND, time.monotonic()
 
     def take(self) -> bool:
-        """Count a message; False when it is one too many."""
+        """Count a message. Return False if it exceeds the rate limit."""
         now = time.monotonic()
         self._left = min(MOST_A_SECOND, self._left + (now - self._counted) * MOST_A_SECOND) - 1.0
         self._counted = now
@@ -69,7 +70,7 @@ class Allowance:
 
 
 class Knocking(ServerConnection):
-    """A connection that stands at the door, for `DOOR_S` at most, until it is let in."""
+    """A connection whose token is not checked yet. It is aborted after `DOOR_S` unless `let_in` is called."""
 
     def __init__(self, door: Places[Knocking], *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
@@ -83,7 +84,7 @@ class Knocking(ServerConnection):
         self._door.hear(self)
 
     def data_received(self, data: bytes) -> None:
-        """Give the library a whole head and nothing behind it; abort what sends more before it is let in."""
+        """Pass one complete HTTP head to the library; abort a connection that sends more before it has been let in."""
         if self._head is not None:
             self._head += data
             end = self._head.find(HEAD_END)
@@ -96,12 +97,12 @@ class Knocking(ServerConnection):
         super().data_received(data)
 
     def let_in(self) -> None:
-        """The token was shown: read on without these bounds."""
+        """Remove the limits of this connection: its token was right."""
         self._head = None
         self.leave_door()
 
     def leave_door(self) -> None:
-        """Free the place of a connection that has shown its token."""
+        """Free the connection's place, and cancel its timeout."""
         self._due.cancel()
         self._door.leave(self)
 
@@ -112,11 +113,11 @@ class Knocking(ServerConnection):
 
 
 def let_in(socket: ServerConnection) -> None:
-    """Let a connection of `door` in: it has shown the token."""
+    """Remove the limits of a connection that `door` made: its token was right."""
     assert isinstance(socket, Knocking)
     socket.let_in()
 
 
 def door() -> Any:
-    """Make the connections of one server, which share its door: for `serve`, in place of `ServerConnection`."""
+    """Return a constructor of connections that share `MOST_AT_DOOR` places; `serve` uses it for `ServerConnection`."""
     return partial(Knocking, Places[Knocking](MOST_AT_DOOR, lambda socket: socket.transport.abort()))

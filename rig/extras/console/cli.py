@@ -28,7 +28,7 @@ from rig.core import program
 def console(
     port: int, hosts: tuple[str, ...], verified: bool, own: bool, output: Path, as_json: bool
 ) -> None:
-    """See and touch a rig in the browser: a live scope, the wall's sliders, a handle to drag, STOP.
+    """Operate a rig in the browser: a live scope, the wall's sliders, a handle to drag, STOP.
 
     Prints one URL to open; a browser with this URL may operate. Without a rig it offers the simulated one. It shows any
     loop that runs on this computer in real time, and starts runs itself, each in its own process. A real rig is armed

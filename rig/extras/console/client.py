@@ -1,6 +1,6 @@
-"""One page at its socket: what it is still to be sent, in a bounded memory, however slowly it reads.
+"""The queue of messages to one page: bounded in memory, however slowly the page reads.
 
-A page that reads slowly gets the newest state and one long piece of scope, not many short ones, and delays no other.
+A page that reads slowly receives the newest state and few long frames of its scope. It delays no other page.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ class Client:
     Attributes
     ----------
     name
-        Random, of the page's own choosing: its two sockets say the same.
+        Random name that the page chose; its two sockets give the same name.
     participant
-        Whether it is a participant's screen, which shows and asks only what a participant may know.
+        Whether it is a participant's screen, which shows and requests only what a participant may know.
     shown, paused
-        What its scope shows.
+        Columns, window and trigger of its scope, and whether the scope is paused.
     allowance
-        Of its messages.
+        Rate limit of the messages that it sends.
     """
 
     def __init__(self, socket: ServerConnection, name: str, *, participant: bool = False) -> None:
@@ -53,7 +53,7 @@ class Client:
         self.put(json.dumps(answer))
 
     def put(self, message: str | bytes) -> None:
-        """Send a message that may not be left out; a page that leaves too many waiting is cut off."""
+        """Queue a message that must be sent; close the socket if `MOST_REPLIES` messages are waiting already."""
         if len(self._replies) < MOST_REPLIES:
             self._replies.append(message)
         else:
@@ -61,24 +61,24 @@ class Client:
         self._wake.set()
 
     def put_newest(self, message: Mapping[str, Any]) -> None:
-        """Send a message unless a newer one of its kind comes before it can leave."""
+        """Queue a message. It replaces an unsent message with the same value of "say"."""
         self._newest[str(message["say"])] = json.dumps(plain(message))
         self._wake.set()
 
     def compiles(self, busy: bool) -> None:
-        """Machine code that an answer to this page needs is being made, or is made."""
+        """Report to the page that machine code for its reply is being compiled (`busy`), or that it is ready."""
         self.put_newest({"say": "compiling", "busy": busy})
 
     def show(
         self, followed: Followed | None, shown: ViewRequest | None = None, *, paused: bool | None = None
     ) -> None:
-        """Show something else, or the same of another loop."""
+        """Set the loop, the columns or the pause of the page's scope; None leaves `shown` or `paused` unchanged."""
         self.shown = shown or self.shown
         self.paused = self.paused if paused is None else paused
         self._view = None if followed is None else View(followed.history, followed.rate, self.shown)
 
     def wake(self) -> None:
-        """Let the sender look for new rows of the history."""
+        """Wake `send`, so that it sends new rows of the history."""
         self._wake.set()
 
     async def send(self) -> None:
@@ -94,7 +94,7 @@ class Client:
                 await self._socket.send(frame)
 
     def _frames(self) -> list[bytes]:
-        """Return the frames that the page's scope has not received; a defect here only disables its scope."""
+        """Return the scope's unsent frames. An error here disables only this page's scope."""
         if self._view is None or self.paused:
             return []
         try:
@@ -111,6 +111,6 @@ def trouble(error: RigError) -> str:
 
 
 def defect(do: str, error: BaseException) -> RigError:
-    """Return the error that a page shows for a defect of ours; print its traceback where the console runs."""
+    """Return the error that a page shows for a defect of this program; print its traceback in the terminal."""
     traceback.print_exception(error)
     return RigError(f"{do}: {error!r}", remedy="report it with the traceback in the console's terminal")

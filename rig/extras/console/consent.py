@@ -1,7 +1,7 @@
-"""What a person at the rig agrees to, in lines: the terminal asks with them, and the page that wants it shows the same.
+"""The lines that a person at the rig confirms: the terminal and the page that requests the run show the same lines.
 
-One line is a digest of all that decides what the rig does, so that the person who agrees and the operator can check
-that they mean the same; the job refuses another digest, since a file may change while a person reads.
+One line is a digest of all settings that decide what the rig does, so that the person and the operator can check that
+both mean the same run. The job refuses to start if the digest has changed, for example because a file was edited.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ ENDS = "ends when no page operates the rig any more"
 
 
 def describe_run(request: Run, experiment: Experiment, digest: str) -> list[str]:
-    """Return lines for a run on a real rig; `experiment` is that in effect."""
+    """Return the lines to confirm for a run on a real rig; `experiment` includes the request's changes."""
     trial, wall = experiment.trial, experiment.wall
     stiffness, damping = (unit_of(name, experiment.rig.motion) for name in ("stiffness", "damping"))
     longest_s = trial.duration_s + trial.hold_s
@@ -35,7 +35,7 @@ def describe_run(request: Run, experiment: Experiment, digest: str) -> list[str]
 
 
 def describe_session(request: BeginSession, url: str, digest: str) -> list[str]:
-    """Return lines for a session on a real rig."""
+    """Return the lines to confirm for a session on a real rig."""
     whose = f"{request.code} with {request.protocol}"
     if request.directory:
         whose = f"{request.directory}, resumed{' at the block' if request.at == 'block' else ''}"
@@ -55,7 +55,7 @@ def describe_session(request: BeginSession, url: str, digest: str) -> list[str]:
 
 
 async def insist(terminal: Terminal, client: Client, url: str, lines: Sequence[str]) -> None:
-    """Show the lines in both places, and raise `ConfigError` unless a person at the terminal agrees."""
+    """Show the lines on the page and in the terminal; raise `ConfigError` unless the person at the terminal agrees."""
     client.put_newest({"say": "consent", "lines": list(lines)})
     try:
         await terminal.insist(url, lines)

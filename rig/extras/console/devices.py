@@ -1,4 +1,4 @@
-"""The view of devices: what is connected, what a link can do, and what each fault means."""
+"""The page's view of devices: the connected devices, the quality of a link, and the meaning of each fault."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from rig.extras.console.talk import Talk
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AskDevices(Request):
-    """What is connected, and the faults that a device can report."""
+    """Request the connected devices, and the faults that a device can report."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Examine(Request):
-    """Examine this machine, and a device if there is a URL; nothing moves."""
+    """Request an examination of this computer and, if `url` is not empty, of that device; nothing moves."""
 
     rig: Name = "koul-compliant"
     url: Name = ""
@@ -57,7 +57,7 @@ class Devices(Service):
 
 
 def doctor(content: Mapping[str, Any], talk: Talk) -> Any:
-    """The job: examine, and say what was found."""
+    """Run the examination job; return its items for the page, and its error, or None."""
     url = str(content["url"])
     question = ExaminationRequest(
         experiment=experiment_of(content),

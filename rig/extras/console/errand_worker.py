@@ -1,7 +1,7 @@
-"""The process that errands are done in (`rig.extras.console.errands`).
+"""The process that runs errands (`rig.extras.console.errands`).
 
-``python -P -m rig.extras.console errands``: each line of input is an errand; its answer is a line with its result and
-the number of bytes that follow it, or with its error. The end of the input ends the process.
+``python -P -m rig.extras.console errands``: each line of standard input is an errand. Its reply is one line, with the
+result and the number of bytes that follow, or with the error. The process ends when its input ends.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ ERRANDS: dict[str, Callable[..., Any]] = {
 
 
 def main() -> None:
-    """Do errands until standard input ends."""
+    """Run the errands from standard input until it ends."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is no answer
     compiling.listen(lambda busy: _write_message(answers, {"compiling": busy}))

@@ -1,7 +1,7 @@
-"""Errands: what the page's server has read, drawn or computed elsewhere, so that STOP never waits for it.
+"""Errands: reading, drawing and computing for a page in other processes, so that a STOP never waits for the server.
 
-A few processes (`rig.extras.console.errand_worker`), started when they are needed, each with one errand at a time; what
-they have read stays with them for the next one. They end with the server, also when it is killed: their input ends.
+At most `MOST` processes (`rig.extras.console.errand_worker`) are started when they are needed. Each runs one errand at
+a time and caches the files that it has read. They end with the server, also if it is killed, because their input ends.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ END_S = 2.0
 
 
 class Errands:
-    """Sends errands out; closed with the server."""
+    """Run errands in a pool of processes; the server closes it."""
 
     def __init__(self) -> None:
         self._room = asyncio.Semaphore(MOST)
@@ -32,7 +32,7 @@ class Errands:
     async def run(
         self, errand: str, *, compiling: Callable[[bool], None] = lambda busy: None, **content: Any
     ) -> tuple[Any, bytes]:
-        """Have an errand done (`rig.extras.console.errand_worker.ERRANDS`); its result, and bytes where it has some.
+        """Run one of `rig.extras.console.errand_worker.ERRANDS`; return its result and its bytes, which may be empty.
 
         `compiling` is called with True when a compilation begins, and with False when it ends. Raises `RigError` if
         the errand fails or its process dies.

@@ -1,4 +1,4 @@
-"""The loops of this computer as a console sees them: found, one of them looked at, its rows kept."""
+"""Find the control loops that run on this computer, and read the rows of one of them."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ _COUNTERS = {
 
 
 class Followed:
-    """One loop that is looked at: only the stop word is ever written.
+    """A control loop whose rows are read; of its shared memory only the stop word is ever written.
 
     Attributes
     ----------
     pid, info
-        Process of the loop, and what it says of its run.
+        Process of the loop, and the facts that the loop publishes about its run.
     rate
         Rows a second (Hz).
     history
-        Its rows.
+        Rows read so far.
     """
 
     def __init__(self, loop: RunningLoop, history: History) -> None:
@@ -56,21 +56,21 @@ class Followed:
         self.ended = False
 
     def poll(self) -> None:
-        """Take over the rows that have come."""
+        """Read the new rows into the history, and check whether the loop has ended."""
         done = self._ring.get(control_words.LOOP_DONE) != 0  # before the rows: what follows is then all
         self.history.add(self._reader.new())
         self.ended = done
 
     def stop(self) -> None:
-        """Set the stop word: zero effort within one tick."""
+        """Set the loop's stop word: the effort becomes zero within one tick."""
         self._ring.put(STOP, -os.getpid())
 
     def changed(self) -> bool:
-        """Return True if its info is another one than at the last call."""
+        """Return True if the loop's info has changed since the last call."""
         return self._look_at_info()
 
     def state(self) -> dict[str, Any]:
-        """Return how it stands, as plain values."""
+        """Return phase, counters, end reason and newest values of the loop, as plain values."""
         ring, newest = self._ring, self.history.raw(self.history.rows - 1, self.history.rows)
         state = {
             "pid": self.pid,
@@ -95,7 +95,7 @@ class Followed:
         return state
 
     def about(self) -> dict[str, Any]:
-        """Return the facts about the run as plain values."""
+        """Return the facts about the run (process, rate, experiment, recording) as plain values."""
         return {
             "pid": self.pid,
             "since": self.since,
@@ -107,7 +107,7 @@ class Followed:
         }
 
     def close(self) -> None:
-        """Release its shared memory; rows that were read stay in the history."""
+        """Release the loop's shared memory; rows that were read stay in the history."""
         self._ring.close()
 
     def _look_at_info(self) -> bool:
@@ -119,14 +119,14 @@ class Followed:
 
 
 def attach(loop: RunningLoop, history: History) -> Followed | None:
-    """Look at a loop; None where it has just ended, or was started by another version of this package."""
+    """Begin to read a loop. Return None if it has just ended, or was started by another version of this package."""
     with suppress(OSError, RigError):
         return Followed(loop, history) if loop.version == LAYOUT_VERSION else None
     return None
 
 
 def _rate_of(info: Mapping[str, Any]) -> float:
-    """Return rows a second; `RigError` where another program left what is no rate."""
+    """Return the rows a second (Hz). Raise `RigError` if the loop's info contains no valid rate."""
     try:
         rate = float(((info.get("experiment") or {}).get("controller") or {}).get("position_rate") or 1000.0)
     except (AttributeError, TypeError, ValueError):
@@ -137,7 +137,7 @@ def _rate_of(info: Mapping[str, Any]) -> float:
 
 
 def newest(pid: int | None = None) -> RunningLoop | None:
-    """Return the loop that began last, of all or of one process."""
+    """Return the loop that began last, of all processes or of process `pid`; None if no loop is running."""
     found = [loop for loop in running() if pid in (None, loop.pid)]
     return found[-1] if found else None
 

@@ -1,7 +1,7 @@
-"""The last minute or more of a loop in a fixed memory: the newest rows as they are, older ones by bucket.
+"""The last minute or more of a loop in a memory of fixed size: the newest rows completely, older rows in buckets.
 
-A bucket keeps the least and the greatest value of each column over `BUCKET` rows, so that no spike is lost when a
-minute at 20 kHz is drawn a thousand points wide.
+A bucket stores the least and the greatest value of each column over `BUCKET` rows, so that no spike is lost when a
+minute at 20 kHz is drawn as a thousand points.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ _PLACES = {name: place for place, name in enumerate(NAMES)}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HistoryExcerpt:
-    """Some columns over a stretch of rows.
+    """Points of some columns over a range of rows.
 
     Attributes
     ----------
     first, step
-        Number of the first row, and rows that each point stands for.
+        Number of the first row, and number of rows that each point combines.
     times
-        Of the first row of each point, since the first row of the loop (s, device clock).
+        Time of the first row of each point since the loop's first row (s, device clock).
     low, high
-        Least and greatest value of each column (columns × points); with a step of 1 the same array.
+        Least and greatest value of each column (columns × points); the same array if `step` is 1.
     """
 
     first: int
@@ -46,14 +46,14 @@ class HistoryExcerpt:
 
 
 class History:
-    """Rows of one loop, counted from 0 in the order in which they came.
+    """Rows of one loop, numbered from 0 in the order of arrival.
 
     Attributes
     ----------
     rows
-        Rows so far.
+        Number of rows so far.
     start_ns
-        When the first one was, on the device's clock.
+        Time of the first row (ns, device clock).
     """
 
     def __init__(self, raw_rows: int = RAW_ROWS, buckets: int = BUCKETS) -> None:
@@ -64,13 +64,13 @@ class History:
         self.clear()
 
     def clear(self) -> None:
-        """Discard all rows, before another loop is followed."""
+        """Discard all rows; call it before another loop is followed."""
         self.rows = 0
         self._buckets = 0
         self.start_ns = 0
 
     def add(self, rows: NDArray[np.void]) -> None:
-        """Append rows of a loop, and update the buckets of least and greatest values."""
+        """Append rows of the loop, and update the buckets."""
         if self.rows == 0 and len(rows):
             self.start_ns = int(rows["device_time"][0])
         most = len(self._raw) // 2
@@ -92,43 +92,43 @@ class History:
 
     @property
     def oldest_row(self) -> int:
-        """Return the first row that is still there as it was."""
+        """Return the number of the oldest row that is stored completely, not only in a bucket."""
         return max(0, self.rows - len(self._raw))
 
     def raw(self, first: int, last: int) -> NDArray[np.void]:
-        """Copy rows from `first` up to before `last`, as far as they are still there."""
+        """Return a copy of rows `first` to `last` - 1, without those that are no longer stored completely."""
         return self._rows_of(max(first, self.oldest_row), min(last, self.rows))
 
     def row_at(self, seconds: float) -> int:
-        """Return the number of the row that came so long after the first one, or the nearest there is."""
+        """Return the number of the row at `seconds` (s since the first row); the nearest stored one, to a bucket."""
         if self._buckets == 0 or seconds >= self._newest_s():
             return self.rows
         kept = np.arange(max(0, self._buckets - len(self._times)), self._buckets)
         return int(kept[0] + np.searchsorted(self._times[kept % len(self._times)], seconds)) * BUCKET
 
     def seconds_at(self, row: int) -> float:
-        """Return when a row came that is still there as it was (s since the first)."""
+        """Return the time of a row since the first row (s, device clock); the row must be stored completely."""
         return float(self._seconds(self._raw[row % len(self._raw)][np.newaxis])[0])
 
     def received_at(self, row: int) -> float | None:
-        """Return when a row was received, on the page's clock (ms since 1970); None if it was not received yet."""
+        """Return the time at which the host received a row (ms since 1970); None if no such row was received yet."""
         if not 0 <= row < self.rows:
             return None
         age_ns = time.monotonic_ns() - int(self._raw["received_at"][row % len(self._raw)])
         return (time.time_ns() - age_ns) * 1e-6
 
     def seconds_of(self, device_time_ns: int) -> float:
-        """Return when something was on the device's clock (s since the first row)."""
+        """Convert a time of the device's clock (ns) to seconds since the first row."""
         return (device_time_ns - self.start_ns) * 1e-9
 
     def _newest_s(self) -> float:
         return self.seconds_at(self.rows - 1)
 
     def cut(self, columns: Sequence[str], first: int, last: int, step: int) -> HistoryExcerpt:
-        """Return columns from row `first` up to before `last`, each point over `step` rows.
+        """Return points of some columns from row `first` to `last` - 1, each over `step` rows.
 
-        Whole points only. Where rows are no longer there as they were, `step` becomes a whole number of buckets; what
-        is no longer there at all is left out.
+        Only complete points are returned. If rows are stored only in buckets, `step` is rounded up to whole buckets.
+        Rows that are in no bucket any more are left out.
         """
         last = min(last, self.rows)
         if first >= self.oldest_row:

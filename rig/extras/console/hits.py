@@ -1,4 +1,4 @@
-"""Jobs that hit a wall: the motor does it, or a person who drags the handle of a simulated rig."""
+"""Jobs that hit a wall: by the motor, or by a person who drags the handle of a simulated rig."""
 
 from __future__ import annotations
 
@@ -31,36 +31,36 @@ SIMULATED = "sim://"
 
 
 def experiment_of(content: Mapping[str, Any]) -> Experiment:
-    """Return the experiment that a page names: a built-in rig or a file."""
+    """Return the experiment of the rig that a page names: a built-in rig or a file."""
     return presets.load_named(str(content.get("rig") or "koul-compliant"))
 
 
 def apply_changes(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
-    """Return an experiment in real time with a page's changes: keys checked, and that its estimator can be realised."""
+    """Return the experiment in real time with a page's changes; raise `RigError` if a key or value is wrong."""
     found = config.with_realtime(experiment, changes)
     for_experiment(found, current_quantum_a=found.rig.amplifier.current_quantum_a)
     return found
 
 
 def describe_rig(rig: str, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return an experiment in effect as a mapping, and its digest."""
+    """Return the experiment with a page's changes as a mapping, and its digest."""
     experiment = apply_changes(experiment_of({"rig": rig}), changes)
     return {"experiment": config.as_mapping(experiment), "digest": digest_of(experiment)}
 
 
 def digest_of(experiment: Experiment) -> str:
-    """Return the short digest of all that decides a hit: two that are equal mean the same experiment."""
+    """Return a short digest of all settings of an experiment: equal digests mean the same experiment."""
     return short(canonical_json(config.as_mapping(experiment)))
 
 
 def short(data: bytes) -> str:
-    """Digest that two people can compare."""
+    """Return the first 8 hex digits of the SHA-256 of `data`, which two people can compare by eye."""
     found = hashlib.sha256(data).hexdigest()
     return f"{found[:4]} {found[4:8]}"
 
 
 def hit(content: Mapping[str, Any], talk: Talk) -> Any:
-    """Run an automated hit in real time, or a person's on a real rig; refuse another experiment than was agreed to."""
+    """Run a hit in real time. Raise `ConfigError` if the experiment is not the one that was agreed to."""
     experiment, changes = experiment_of(content), dict(content.get("changes") or {})
     agreed = content.get("digest")
     if agreed is not None and agreed != digest_of(apply_changes(experiment, changes)):
@@ -72,7 +72,7 @@ def hit(content: Mapping[str, Any], talk: Talk) -> Any:
 
 
 def play(content: Mapping[str, Any], talk: Talk) -> Any:
-    """Run a simulated rig whose hand a person drags, through the file `hand` (`rig.realtime.hand`)."""
+    """Run a simulated rig whose handle a person drags; the page writes the motion to the file `hand`."""
     url = str(content.get("url") or SIMULATED)
     if not url.startswith("sim:"):
         raise ConfigError(

@@ -1,4 +1,4 @@
-"""Jobs of a console: one at a time, each a process of its own (`rig.extras.console.worker`) that ends with it."""
+"""Jobs of a console: one at a time, each in a process (`rig.extras.console.worker`) that ends with the console."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ LINE_BYTES = 1 << 24  # of a message: a result with all its numbers
 
 
 class Job:
-    """One that runs.
+    """A running job.
 
     Attributes
     ----------
     name, content
-        What it is, and what it was given.
+        Name of the job (`rig.extras.console.worker.JOBS`), and its arguments.
     is_detached
-        Whether it continues after its operator has left.
+        Whether the job continues after its operator has left.
     asks
-        Whether a STOP makes it ask the operator how to continue, instead of ending it.
+        Whether the job asks the operator after a STOP how to continue, instead of ending.
     """
 
     def __init__(
@@ -54,9 +54,9 @@ class Job:
         return self._process.pid
 
     def end(self) -> None:
-        """Zero effort by the stop word of its loop, or an interrupt where no loop runs yet. Never waits.
+        """Set the stop word of the job's loops, or interrupt the job if no loop runs yet. Never waits.
 
-        A job that `asks` gets a stop message instead of the interrupt: it continues as the operator then decides.
+        A job that `asks` receives a stop message instead of the interrupt, and continues as the operator then decides.
         """
         loops = ask_to_stop(self.pid)
         if self.asks:
@@ -73,12 +73,12 @@ class Job:
             self._process.stdin.write(json.dumps(value).encode() + b"\n")
 
     def beat(self) -> None:
-        """Say that the console is there."""
+        """Send a heartbeat: the console still runs."""
         if self._process.stdin is not None and self._process.stdin.transport.get_write_buffer_size() == 0:
             self._process.stdin.write(b"\n")
 
     async def follow(self, tell: Callable[[Mapping[str, Any]], None]) -> int:
-        """Hand on its messages until it has ended; its exit code."""
+        """Pass the job's messages to `tell` until its process has ended; return the exit code."""
         assert self._process.stdout is not None
         has_ended = False
         async for line in self._process.stdout:
@@ -96,7 +96,7 @@ class Job:
         return code
 
     async def close(self) -> None:
-        """Let it end, or make it."""
+        """End the job; kill its process if it has not ended after `END_S`."""
         if self._process.returncode is None:
             self.end()
             if self.asks and self._process.stdin is not None:
@@ -109,7 +109,7 @@ class Job:
                 await self._process.wait()
 
     async def _complaints(self) -> str:
-        """Return the last line that it leaves on its standard error."""
+        """Return the last line that the process prints on standard error, once it has ended."""
         assert self._process.stderr is not None
         kept = b""
         while data := await self._process.stderr.read(TAIL_BYTES):
@@ -119,7 +119,7 @@ class Job:
 
 
 def _message(line: bytes) -> dict[str, Any] | None:
-    """Return the message in a line; None for other output, such as that of a library."""
+    """Return the message in a line of output; None for other output, such as that of a library."""
     try:
         found = json.loads(line)
     # Lists within lists, a few kilobytes of brackets, exhaust the parser's recursion.
@@ -129,7 +129,7 @@ def _message(line: bytes) -> dict[str, Any] | None:
 
 
 class Jobs:
-    """Starts jobs; only one runs at a time.
+    """Start jobs; only one runs at a time.
 
     Parameters
     ----------
@@ -148,14 +148,14 @@ class Jobs:
     async def start(
         self, name: str, content: Mapping[str, Any], *, is_detached: bool = False, asks: bool = False
     ) -> Job:
-        """Start a job, one of `rig.extras.console.worker.JOBS`.
+        """Start the job `name`, one of `rig.extras.console.worker.JOBS`.
 
         Raises
         ------
         ConfigError
-            Another one runs.
+            Another job runs, or the console is shutting down.
         RigError
-            No process for it.
+            The process of the job could not be started.
         """
         busy = self._starts if self.running is None else self.running.name
         if busy:
@@ -189,18 +189,18 @@ class Jobs:
         return job
 
     def end(self) -> None:
-        """End what runs, or what is just being started; as `Job.end`."""
+        """End the running job, or the job that is just being started; see `Job.end`."""
         self._stops += 1
         if self.running is not None:
             self.running.end()
 
     def beat(self) -> None:
-        """Say to what runs that the console is there."""
+        """Send a heartbeat to the running job."""
         if self.running is not None:
             self.running.beat()
 
     async def close(self) -> None:
-        """End the running job, unless it continues without a console, and start no other."""
+        """End the running job, unless it is detached, and refuse to start another."""
         self._closed = True
         self._stops += 1
         if self.running is not None and not self.running.is_detached:

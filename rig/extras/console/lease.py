@@ -1,7 +1,7 @@
-"""Decide who operates: one page, as long as its heartbeats arrive; the others only watch.
+"""Decide which page operates: one page, while its heartbeats arrive; the other pages only watch.
 
-The server calls `expire` every `LOOK_S`. The page's heartbeat comes from a worker of its own, since browsers throttle
-the timers of hidden pages, and shows that the page itself has answered that worker.
+The server calls `expire` every `LOOK_S`. A web worker of the page sends the heartbeats, because browsers throttle the
+timers of hidden pages. It sends them only while the page itself replies to the worker.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ LOOK_S = 0.05
 
 @dataclass(frozen=True, slots=True)
 class LeaseState:
-    """State of the lease: the page that has it (None: no page), and whether its heartbeat is overdue."""
+    """The page that operates (None: no page), and whether its heartbeat is overdue."""
 
     by: str | None
     overdue: bool
 
 
 class Lease:
-    """One operator at a time.
+    """The right to operate, which one page has at a time.
 
     Parameters
     ----------
     now
-        The time (s, monotonic).
+        Function that returns the time (s, monotonic).
     """
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
@@ -40,18 +40,18 @@ class Lease:
         self._doubted = False  # a late look has found it silent
 
     def take(self, client: str) -> bool:
-        """Make `client` the operator if there is no other; return True if `client` operates now."""
+        """Make `client` the operator if no page operates. Return True if `client` operates now."""
         if self._by is None:
             self._by, self._last_beat_s, self._doubted = client, self._now(), False
         return self._by == client
 
     def beat(self, client: str) -> None:
-        """Note a heartbeat; only the operator's counts."""
+        """Note a heartbeat of `client`; it is ignored unless `client` operates."""
         if client == self._by:
             self._last_beat_s, self._doubted = self._now(), False
 
     def release(self, client: str) -> None:
-        """End the lease of a page, if it has it."""
+        """End the lease of `client`, if it operates."""
         if client == self._by:
             self._by = None
 
@@ -60,9 +60,9 @@ class Lease:
         return LeaseState(self._by, self._by is not None and self._now() - self._last_beat_s > BEAT_S)
 
     def expire(self) -> str | None:
-        """Take the lease from a page that was silent for more than `LOST_S`; return that page once, else None.
+        """End the lease of a page that was silent for more than `LOST_S`; return the page's name once, else None.
 
-        Call it every `LOOK_S`: beats that wait in the socket at a late call can be read before the next one.
+        Call it every `LOOK_S`. After a late call the lease ends one call later, so that waiting heartbeats can be read.
         """
         now = self._now()
         late, self._looked = now - self._looked > 2.0 * LOOK_S, now

@@ -1,4 +1,4 @@
-"""The live view: the loop that is looked at, and what each page's scope shows of it."""
+"""The live view: the control loop that is followed, and what each page's scope shows of it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Live(Service):
     Parameters
     ----------
     own
-        As `rig.extras.console.server.ConsoleSettings`.
+        Follow only runs that this console started.
     """
 
     def __init__(self, shared: ServiceContext, hand: SharedHand, terminal: Terminal, *, own: bool) -> None:
@@ -91,7 +91,7 @@ class Live(Service):
         )
 
     async def _cut(self, client: Client, request: asked.Cut) -> object:
-        """Cut what was recorded, at full rate, of which the history has a part or points."""
+        """Save a time span from the recording file, since the history does not contain all rows at full rate."""
         self._shared.must_operate(client)
         followed = self._followed
         recorded = None if followed is None else followed.info.get("recording")
@@ -114,19 +114,19 @@ class Live(Service):
         await self.search()
 
     def looked_at(self) -> Followed:
-        """Return the loop that is looked at; raises `ConfigError` where none runs."""
+        """Return the loop that is followed. Raise `ConfigError` if no loop is running."""
         if self._followed is None or self._followed.ended:
             raise ConfigError("no loop is running", remedy="start a run first")
         return self._followed
 
     def look_at_newest(self) -> None:
-        """From now on look at whichever loop begins."""
+        """Follow whichever loop begins next."""
         self._pid = None
 
     # Periodic tasks.
 
     async def every_frame(self) -> None:
-        """Take over rows and hand them on, sixty times a second."""
+        """Read new rows and wake the pages' senders, sixty times a second."""
         due = 0.0
         while True:
             with self._surviving("reading the followed loop"):
@@ -155,7 +155,7 @@ class Live(Service):
             raise
 
     async def every_search(self) -> None:
-        """Search periodically for a loop to follow."""
+        """Search for a loop to follow every `SEARCH_S`."""
         while True:
             with self._surviving("searching for loops"), suppress(OSError):
                 await self.search()  # out of descriptors, perhaps because of another program: try again
@@ -163,7 +163,7 @@ class Live(Service):
 
     @contextmanager
     def _surviving(self, what: str) -> Iterator[None]:
-        """Report a defect of ours once per `DEFECT_S` at most; it must not end the server, which takes a STOP."""
+        """Report an exception to the pages, at most once per `DEFECT_S`; the server must survive to receive a STOP."""
         try:
             yield
         except Exception as error:
@@ -173,7 +173,7 @@ class Live(Service):
                 self._shared.report_trouble(defect(what, error))
 
     async def search(self) -> None:
-        """Follow the wanted loop, unless it is followed already; follow none while its operator must be blinded."""
+        """Follow the loop that the page or the job wants. Follow no loop while the operator must not see the wall."""
         if self._shared.blinded:
             self._withhold()
             return

@@ -31,12 +31,12 @@ JOB = "map"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AskMaps(Request):
-    """Which maps there are."""
+    """Request the list of maps."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RunMap(Request, MapRequest):
-    """Map a simulated rig."""
+    """Request a map of a simulated rig."""
 
     domain: Literal["time", "frequency"] = "time"
     rig: Name = "koul-compliant"
@@ -47,26 +47,26 @@ class RunMap(Request, MapRequest):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EndMap(Request):
-    """End the map that runs; what is done stays, and the same map resumes from there."""
+    """Request the end of the running map; finished cells stay, and the same map resumes after them."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class WatchMap(Request):
-    """Show a map, and update it as it grows; an empty name shows none."""
+    """Request a map and its updates while it grows; an empty name ends the updates."""
 
     map: Name
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AskTheory(Request):
-    """What linear theory says of a map's schemes."""
+    """Request the stiffness limits of linear theory for the schemes of a map."""
 
     map: Name
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AskHit(Request):
-    """The recording of a map's hit: `key` of its series, and its stiffness."""
+    """Request the recording of one hit of a map: `key` of its series, and its stiffness (N/m or N·m/rad)."""
 
     map: Name
     key: Name
@@ -75,17 +75,17 @@ class AskHit(Request):
 
 @dataclass(slots=True)
 class Watched:
-    """A map that some page shows.
+    """A map that at least one page shows.
 
     Attributes
     ----------
     facts, columns
-        What it maps, and what its journal held when we looked last.
+        Axes and schemes of the map, and the columns of its journal that were read so far.
     place
-        In the journal, where the next line will begin.
+        Byte offset in the journal at which the next line will begin.
     begun_s, begun_weight
-        When the first column was seen (s), and the work done by then: the remaining time is extrapolated from later
-        work only, so that compilation does not count.
+        Time of the first column (s, monotonic), and the weight of all columns until then: the remaining time is
+        extrapolated from later work only, without compilation.
     """
 
     path: Path
@@ -103,7 +103,7 @@ class Watched:
         return len(self.facts["schemes"]) * len(self.facts["dampings"]) * len(self.facts["stripes"])
 
     def take(self, grown: Mapping[str, Any], now_s: float) -> None:
-        """Take over what an errand has read."""
+        """Append the columns, the journal's offset and the state that the errand `map growth` returned."""
         self.columns += grown["columns"]
         self.place = grown["place"]
         self.state = "finished" if len(self.columns) >= self.total else grown["state"]
@@ -111,7 +111,7 @@ class Watched:
             self.begun_s, self.begun_weight = now_s, self._weight()
 
     def progress_message(self, columns: list[dict[str, Any]], now_s: float, *, anew: bool) -> str:
-        """Return some columns as a message, and how far the map is; `anew`: they are all that there are."""
+        """Return a message with `columns` and the map's progress; `anew`: the page replaces its columns by these."""
         return json.dumps(
             {
                 "say": "cells", "map": self.path.name, "anew": anew, "columns": columns, "state": self.state,
@@ -124,7 +124,7 @@ class Watched:
         return float(sum(schemes[column["scheme"]]["weight"] for column in self.columns))
 
     def _left_s(self, now_s: float) -> float | None:
-        """At the speed since we first looked; None before anything has come, or where nothing runs."""
+        """Return the remaining time (s) at the mean speed so far; None if the map is not running or no column came."""
         came, each = (
             self._weight() - self.begun_weight,
             len(self.facts["dampings"]) * len(self.facts["stripes"]),
@@ -203,7 +203,7 @@ class MapService(Service):
         return watched.facts
 
     async def _follow(self, watched: Watched) -> None:
-        """Tell the pages that show a map what its journal gains, until it is finished or no page is left."""
+        """Send new columns of the journal to the pages that show a map, until it is finished or no page shows it."""
         try:
             while watched.state != "finished" and watched.clients:
                 anew = not watched.columns

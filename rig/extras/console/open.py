@@ -1,4 +1,4 @@
-"""Open a console, from a program or a command. Without its extra this raises `ConfigError` when it is imported."""
+"""Open a console from a program or a command. Without the extra `console`, importing this raises `ConfigError`."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ def open_console(
     output: str | Path = "recordings",
     announce: Callable[[str], None] = print,
 ) -> None:
-    """Serve the page on loopback until Ctrl-C; arguments as `rig.extras.console.server.ConsoleSettings`.
+    """Serve the page on loopback until Ctrl-C; for the arguments see `rig.extras.console.server.ConsoleSettings`.
 
     Raises
     ------
     ConfigError
-        A host is no NAME:PORT, or the port is taken.
+        A host is not of the form NAME:PORT, or the port is in use.
     """
     for host in hosts:
         name, colon, number = host.rpartition(":")
@@ -52,10 +52,10 @@ def open_console(
 
 
 def end_on_signal(serve: Callable[[asyncio.Event], Coroutine[None, None, None]]) -> None:
-    """Serve until a signal sets the event; a program that has not ended `END_S` after it is ended at once.
+    """Serve until a signal sets the event. Exit the process if it has not ended `END_S` after the signal.
 
-    A thread that waits for a missing disk would keep it running for ever. By then all that moves has received its stop
-    request, and a job's process brings its recording to rest by itself.
+    Otherwise a thread that waits for a missing disk would keep the process running for ever. By then every loop has
+    received its stop word, and each job's process completes its own recording.
     """
     late = threading.Timer(END_S, _leave)
     late.daemon = True

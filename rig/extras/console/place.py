@@ -1,4 +1,4 @@
-"""Names that a page may say: of what lies in one directory, never a way out of it."""
+"""Convert names that a page sends to paths: only of entries of one directory, never of anything outside it."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from rig.core.errors import ConfigError
 
 
 def file_in(directory: Path, name: str) -> Path:
-    """Return a plain file of a directory; `ConfigError` for a path, a link, a hidden file, or what is not there."""
+    """Return the path of a regular file of a directory; raise `ConfigError` for a path, a link, or a hidden file."""
     return _entry(directory, name, stat.S_ISREG, "file")
 
 
 def directory_in(directory: Path, name: str) -> Path:
-    """Return a directory of a directory; errors as `file_in`."""
+    """Return the path of a subdirectory; raise `ConfigError` for a path, a link, or a hidden directory."""
     return _entry(directory, name, stat.S_ISDIR, "directory")
 
 
@@ -27,4 +27,4 @@ def _entry(directory: Path, name: str, right: Callable[[int], bool], kind: str) 
             return path
     except (OSError, ValueError):  # not there, or no name of a file at all
         pass
-    raise ConfigError(f"{name!r} is not a {kind} here", remedy="choose one of the list")
+    raise ConfigError(f"{name!r} is not a {kind} here", remedy=f"choose a {kind} that the page lists")

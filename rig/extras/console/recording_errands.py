@@ -1,4 +1,4 @@
-"""What a page is shown of recordings: a list, cuts of one, a replay beside it, its picture, and its exports."""
+"""Errands about recordings: the list, a time span of one, its replay, its picture, and its exports."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ MIME = {"csv": "text/csv; charset=utf-8", "json": "application/json"}
 
 
 def list_recordings(directory: str, search: str, first: int) -> dict[str, Any]:
-    """Recordings of a directory, the newest first, from the `first` on; only those with every word of `search`."""
+    """Return up to `PAGE` recordings that contain every word of `search`, newest first, from number `first`."""
     entries = (_entry(path, changed_ns) for path, changed_ns in _newest(Path(directory)))
     words = search.lower().split()
     if words:
@@ -82,7 +82,7 @@ def _entry(path: Path, changed_ns: int) -> dict[str, Any]:
 
 
 def _settings(facts: Recording) -> dict[str, Any]:
-    """Return a recording's facts for the list; the header may come from another program, with any experiment."""
+    """Return a recording's facts for the list; a fact is None where the header has no valid value for it."""
     header, trailer = facts.header, facts.trailer or {}
     parts = {name: part for name, part in facts.experiment.items() if isinstance(part, dict)}
     wall, rates, trial, operator = (
@@ -119,7 +119,7 @@ def _number(value: Any) -> float | None:
 
 
 def _text(entry: Mapping[str, Any]) -> str:
-    """Return the text that a search is applied to: every value, and numbers as K=100."""
+    """Return the text that is searched: every value of the entry, and stiffness and damping as k=100 and b=5."""
     words = [str(value) for value in entry.values()]
     numbers = {"k": entry.get("stiffness"), "b": entry.get("damping")}
     words += [f"{sign}={value:g}" for sign, value in numbers.items() if value is not None]
@@ -144,7 +144,7 @@ def _open(path: str) -> Recording:
 
 
 def describe_recording(path: str) -> dict[str, Any]:
-    """Return what a scope needs before it draws: the recording's columns, wall, length and lost samples."""
+    """Return the facts that a scope needs before it draws: columns with units, wall, length (s) and lost samples."""
     recording = _open(path)
     times = recording.time_s
     trial = recording.rows["penetration"] > 0.0
@@ -166,9 +166,10 @@ def describe_recording(path: str) -> dict[str, Any]:
 def cut(
     path: str, columns: Sequence[str], first_s: float, last_s: float, changes: Mapping[str, Any] | None = None
 ) -> tuple[None, bytes]:
-    """Return some columns over a time span as `rig.extras.console.view.pack`; with `changes`, of a replay with these.
+    """Return columns between `first_s` and `last_s` (s since the first row), packed by `rig.extras.console.view.pack`.
 
-    Errors as `rig.recording.data.Recording.column` and `rig.experiments.trials.replay.replay`.
+    With `changes`, replay the recording with them and return the columns `COMPARED` of the replay. Errors as
+    `rig.recording.data.Recording.column` and `rig.experiments.trials.replay.replay`.
     """
     recording = _open(path)
     rows, extra = recording.rows, dict[str, Any]()
@@ -188,7 +189,7 @@ def cut(
 def save_cut(
     path: str, first_s: float, last_s: float, output: str, zero_ns: int | None = None
 ) -> dict[str, Any]:
-    """Save a time span as a recording; return its name, and why it has no replay."""
+    """Save a time span as a recording; return its name, its rows, and why it cannot be replayed, or None."""
     made = cut_recording(path, first_s, last_s, output=output, zero_ns=zero_ns)
     return {"name": made.path.name, "rows": made.rows, "no_replay": made.no_replay}
 
@@ -201,7 +202,7 @@ def _replay(path: str, changed_ns: int, changes: tuple[tuple[str, Any], ...]) ->
 def _cut(
     times: NDArray[np.float64], rows: NDArray[np.void], columns: Sequence[str], first_s: float, last_s: float
 ) -> HistoryExcerpt:
-    """Each point the least and the greatest value of its rows, so that no spike is lost; the last one of fewer rows."""
+    """Return the least and greatest value of each group of rows; all groups but the last have the same size."""
     first = int(np.searchsorted(times, first_s, "left"))
     last = int(np.searchsorted(times, last_s, "right"))
     step = max(1, -(-(last - first) // POINTS))
@@ -214,17 +215,17 @@ def _cut(
 
 
 def picture(path: str, draw: bool) -> tuple[str, bytes]:
-    """Return the picture beside a recording, and its type; if it is missing, draw it there if `draw`, else raise."""
+    """Return type and bytes of a recording's picture; if it is missing, draw it (`draw`) or raise `ConfigError`."""
     found = _picture(Path(path))
     if found is None:
         if not draw:
-            raise ConfigError(f"{Path(path).name} has no picture", remedy="draw it")
+            raise ConfigError(f"{Path(path).name} has no picture", remedy="request the picture with draw=1")
         found = draw_hit(path)
     return PICTURES[found.suffix], found.read_bytes()
 
 
 def export_recording(path: str, form: str) -> tuple[str, bytes]:
-    """A recording for another program (`rig.recording.export`), or as ``json`` what describes a CSV; and its type."""
+    """Return type and bytes of an export (`rig.recording.export`); ``json`` is the description of a CSV export."""
     if form not in (*EXPORTERS, "json"):
         raise ConfigError(
             f"{form!r} is not an export format", remedy=f"choose one of {', '.join((*EXPORTERS, 'json'))}"

@@ -1,7 +1,7 @@
-"""The view of recordings: a list with search, one of them in a scope, replayed, exported; nothing is ever deleted.
+"""The page's view of recordings: list and search, show one in a scope, replay, export; no recording is deleted.
 
-Files come as downloads that show the token: ``/recordings/NAME/cut``, ``picture`` and ``export``. A recording of a map
-on a device is named with its map, and is only looked at.
+Files are downloads that require the token: ``/recordings/NAME/cut``, ``picture`` and ``export``. For a recording of a
+device's map the request also contains the name of the map; such a recording cannot be moved or deleted.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ TRASH = "trash"  # directory inside that of the recordings
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AskRecordings(Request):
-    """Recordings with every word of `search`, the newest first, from number `first` on; or those in the trash."""
+    """Request recordings that contain every word of `search`, newest first, from number `first`; or the trash."""
 
     search: Name = ""
     first: Annotated[int, Ge(0), Le(2**31)] = 0
@@ -41,7 +41,7 @@ class AskRecordings(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AskRecording(Request):
-    """What a scope needs of one recording, and through which estimators it may be replayed."""
+    """Request the facts that a scope needs of one recording, and the estimators with which it can be replayed."""
 
     name: Name
     map: Name = ""
@@ -49,7 +49,7 @@ class AskRecording(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CutRecording(Request):
-    """Save a stretch of a recording (s since its first row) as a recording of its own."""
+    """Request that a time span of a recording (s since its first row) is saved as a new recording."""
 
     name: Name
     map: Name = ""
@@ -59,14 +59,14 @@ class CutRecording(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ThrowAway(Request):
-    """Move a recording and its pictures to the trash."""
+    """Request that a recording and its pictures are moved to the trash."""
 
     name: Name
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Restore(Request):
-    """Move a recording and its pictures back."""
+    """Request that a recording and its pictures are moved back from the trash."""
 
     name: Name
 
@@ -164,8 +164,8 @@ class Recordings(Service):
 
 
 def _recording_in(directory: Path, name: str) -> Path:
-    """Return the path of a recording in the list, readable or not; raise `ConfigError` for any other file."""
+    """Return the path of a recording, readable or not; raise `ConfigError` for any other file."""
     path = file_in(directory, name)
     if path.suffix not in SUFFIXES:
-        raise ConfigError(f"{name!r} is not a recording", remedy="choose one of the list")
+        raise ConfigError(f"{name!r} is not a recording", remedy=f"choose a file with {' or '.join(SUFFIXES)}")
     return path

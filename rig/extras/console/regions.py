@@ -1,4 +1,4 @@
-"""Which stiffnesses linear theory finds passive, stable and risky at a damping: what lies under a slider's thumb."""
+"""Compute the stiffness limits of linear theory at one damping, which a page shows beside its slider."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from rig.extras.console.hits import apply_changes, experiment_of
 
 @dataclass(frozen=True, slots=True)
 class Regions:
-    """Limits of stiffness at one damping, for the scheme and the delay in effect.
+    """Stiffness limits (SI) at one damping, for the rates, estimator and delay of an experiment.
 
     Attributes
     ----------
     damping
-        B (SI).
+        Damping of the wall (SI).
     passive
-        Largest passive stiffness; None where no wall is passive or theory does not say.
+        Largest passive stiffness; None if no wall is passive or theory gives no limit.
     stable
-        Largest stiffness that is stable in every hand, and the hand that binds; None where theory says nothing.
+        Largest stiffness that is stable with every model of the hand; None if theory gives no limit.
     stable_own
-        Largest one that is stable in the experiment's own hand, or without one.
+        Largest stiffness that is stable with the experiment's own hand, or without a hand.
     hand
-        In which `stable` binds.
+        Hand with the smallest limit, which is `stable`.
     note
-        What the numbers leave out, or why they are missing.
+        What the limits do not include, or why they are missing.
     """
 
     damping: float
@@ -43,21 +43,21 @@ class Regions:
 
 
 def find_regions(rig: str, changes: Mapping[str, Any], damping: float, delay_ticks: int) -> Regions:
-    """Return limits for a rig with a page's changes, as `rig.extras.console.hits.apply_changes` has it."""
+    """Return the limits for a rig with a page's changes (`rig.extras.console.hits.apply_changes`)."""
     return regions(apply_changes(experiment_of({"rig": rig}), changes), delay_ticks, damping)
 
 
 def regions(experiment: Experiment, delay_ticks: int, damping: float) -> Regions:
-    """Find the limits.
+    """Compute the limits; if theory gives none, they are None and `note` contains the reason.
 
     Parameters
     ----------
     experiment
-        In effect: rates, estimator and hand count, its wall does not.
+        Experiment with all changes; its rates, estimator and hand are used, its wall is not.
     delay_ticks
-        That the link was measured to have.
+        Measured delay of the link (ticks).
     damping
-        Of the wall (SI).
+        Damping of the wall (SI).
     """
     try:
         late = LateLoops.of(experiment, delay_ticks)
@@ -78,7 +78,7 @@ def regions(experiment: Experiment, delay_ticks: int, damping: float) -> Regions
 
 
 def _passive(late: LateLoops, dampings: Sequence[float]) -> list[float]:
-    """Largest passive stiffness at each damping, the smaller of the velocity rates; no hand belongs to the bound."""
+    """Return the largest passive stiffness at each damping: the smallest over the velocity rates, without a hand."""
     return [
         min(curve)
         for curve in zip(*(passive_curve(loop, dampings) for loop in late.by_hand["none"]), strict=True)

@@ -1,4 +1,4 @@
-"""What a page may ask for: one JSON object each, `do` names what, `number` is the page's own and comes back.
+"""Requests of a page: JSON objects. `do` names the request, `number` is chosen by the page and comes back in the reply.
 
 Every field is checked by type and range before anything is done; an unknown field is an error.
 """
@@ -28,7 +28,7 @@ MOST_BYTES = 1 << 16  # of a message
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Request:
-    """Any request."""
+    """Fields of every request."""
 
     do: Name
     number: Annotated[int, Ge(0), Le(2**53)] = 0
@@ -38,19 +38,19 @@ class Request:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Operate(Request):
-    """Operate, or operate no more: of all pages one does."""
+    """Request to operate (`take`), or to stop operating; only one page operates at a time."""
 
     take: bool
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Stop(Request):
-    """Zero effort for every loop of this user. Any page may."""
+    """Request zero effort of every loop of this user; any page may send it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Run(Request):
-    """Start a run: `rig` is a built-in one or a file, `is_detached` lets it outlive the page."""
+    """Request a run on a rig, built-in or of a file; with `is_detached` it continues without a page."""
 
     job: Literal["hit", "play"]
     rig: Name = "koul-compliant"
@@ -62,14 +62,14 @@ class Run(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Set(Request):
-    """Change the wall of the loop that is looked at, as `rig set` does."""
+    """Request changes of the wall of the followed loop, like the command `rig set`."""
 
     changes: Changes
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Hand(Request):
-    """Where the dragged hand wants to be (rad or m, at the link), and its press (N)."""
+    """Position to which the hand is dragged (rad or m, at the link), and the force with which it presses (N)."""
 
     position: float
     press: float = 0.0
@@ -77,7 +77,7 @@ class Hand(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Show(Request):
-    """What the page's scope shows from now on; `paused`: nothing new."""
+    """Set columns, window and trigger of the page's scope; while `paused` it receives no new rows."""
 
     columns: Annotated[tuple[Name, ...], MaxLen(100)] = DEFAULT
     window_s: float = 2.0
@@ -87,7 +87,7 @@ class Show(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Zoom(Request):
-    """A stretch of what the loop has left (s since its first row), in detail, while paused."""
+    """Request a time span of the loop's history (s since its first row) in detail, while the scope is paused."""
 
     columns: Annotated[tuple[Name, ...], MaxLen(100)] = DEFAULT
     first_s: float
@@ -96,7 +96,7 @@ class Zoom(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Cut(Request):
-    """Save a stretch of the loop that is looked at (s since its first row) as a recording of its own."""
+    """Request that a time span of the followed loop (s since its first row) is saved as a new recording."""
 
     first_s: float
     last_s: float
@@ -104,14 +104,14 @@ class Cut(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Look(Request):
-    """Look at the loop of another process; 0: at whichever began last."""
+    """Request to follow the loop of process `pid`; 0: the loop that began last."""
 
     pid: Annotated[int, Ge(0), Le(2**31)]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AskRegions(Request):
-    """Which walls are passive and stable at a damping, on a rig with some changes, in real time."""
+    """Request the largest passive and stable stiffness at a damping (SI), for a rig with changes, in real time."""
 
     damping: Annotated[float, Ge(0), Le(1e9)]
     rig: Name = "koul-compliant"
@@ -121,7 +121,7 @@ class AskRegions(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AskExperiment(Request):
-    """The experiment as it would run in real time, with what may be set in it."""
+    """Request the experiment as it would run in real time with the changes."""
 
     rig: Name = "koul-compliant"
     changes: Changes = field(default_factory=dict)
@@ -131,12 +131,12 @@ _adapters: dict[type[Request], Any] = {}
 
 
 def request_of(text: str | bytes, kinds: Mapping[str, type[Request]]) -> Request:
-    """Check a message, of one of these kinds by its `do`.
+    """Return the checked request in a message; `kinds` gives the class for each value of `do`.
 
     Raises
     ------
     ConfigError
-        It is no request, or a field of it is wrong.
+        The message is not a request, or one of its fields is wrong.
     """
     do = json_of(text).get("do")
     if not isinstance(do, str) or do not in kinds:
@@ -156,7 +156,7 @@ def request_of(text: str | bytes, kinds: Mapping[str, type[Request]]) -> Request
 
 
 def number_of(text: str | bytes) -> int:
-    """Return the number that a page gave its message, right or wrong; 0: none."""
+    """Return the number of a message, also of an invalid one; 0 if it has none."""
     number = json_of(text).get("number")
     return number if isinstance(number, int) and not isinstance(number, bool) else 0
 
@@ -172,7 +172,7 @@ def refuse_reserved(changes: Mapping[str, Any]) -> None:
 
 
 def json_of(text: str | bytes) -> dict[str, Any]:
-    """Return the object that a message holds; an empty one where it holds none."""
+    """Return the JSON object in a message; an empty dictionary if the message is not a JSON object."""
     try:
         value = json.loads(text)
     # Lists within lists, a few kilobytes of brackets, exhaust the parser's recursion.

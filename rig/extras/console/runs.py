@@ -1,6 +1,6 @@
-"""What a page starts and changes: runs, the wall of the one that is looked at, the handle that is dragged; and who may.
+"""Runs that a page starts, changes of the followed loop's wall, the dragged handle, and the right to operate.
 
-What moves ends when no page operates, unless it was started to continue without one.
+A run ends when no page operates any more, unless it was started as detached.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class Runs(Service):
     Parameters
     ----------
     live
-        What is looked at.
+        The live view, whose followed loop is changed.
     verified
-        As `rig.extras.console.server.ConsoleSettings`.
+        See `rig.extras.console.server.ConsoleSettings`.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class Runs(Service):
         return await self._start(request)
 
     async def _run_agreed(self, client: Client, request: asked.Run) -> dict[str, Any]:
-        """Start what a person at the rig agrees to; meanwhile the page's other requests are answered."""
+        """Start the run after a person at the rig has agreed; other requests are answered while the person decides."""
         found = await self._described(request.rig, request.changes)
         digest = str(found["digest"])
         lines = consent.describe_run(

@@ -1,8 +1,8 @@
-"""The server of the page: sockets in, the loop that is looked at, jobs and their operator.
+"""The server of the page: it accepts sockets and downloads, and starts the services that handle their requests.
 
-It runs in a process of its own: in a loop's process it would delay its ticks. Two sockets belong to a page: ``/live``
-for everything, and ``/hold`` for heartbeats and STOP alone, which so wait behind nothing. A participant's screen has
-``/participant`` in place of the first: nothing goes over it but what that screen shows, and what it may answer.
+It runs in a process of its own, because it would delay the ticks of a control loop. A page opens two sockets:
+``/live`` for everything, and ``/hold`` for heartbeats and STOP alone, which therefore never wait for other messages.
+A participant's screen opens ``/participant`` instead of ``/live``; it can send only the requests of `PARTICIPANTS`.
 """
 
 from __future__ import annotations
@@ -63,22 +63,22 @@ UTF8 = "; charset=utf-8"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ConsoleSettings:
-    """How a console is served.
+    """Settings of a console's server.
 
     Attributes
     ----------
     port
-        On loopback; 0: any that is free.
+        Port on loopback; 0: any free port.
     hosts
-        Further NAME:PORT under which a browser may reach it.
+        Further names NAME:PORT under which a browser may reach the page.
     output
         Directory of the recordings.
     verified
-        The polarity of encoder and motor of a real rig was checked, and its handle is at position zero.
+        Whether the operator has checked the polarity of encoder and motor, with the handle at position zero.
     own
-        Look at runs of this console only.
+        Show only runs that this console started.
     announce
-        Called with the URL, once it is served.
+        Called with the URL once the server accepts connections.
     """
 
     port: int = 0
@@ -90,7 +90,7 @@ class ConsoleSettings:
 
 
 class Console:
-    """What all pages share."""
+    """The services and the state that all pages share."""
 
     def __init__(self, settings: ConsoleSettings, hand: SharedHand, terminal: Terminal) -> None:
         self._shared = ServiceContext(set(), Lease(), Jobs(self._job_says), settings.output)
@@ -127,7 +127,7 @@ class Console:
                 await self._live(socket, Client(socket, name, participant=path == "/participant"))
 
     async def _hold(self, socket: ServerConnection, name: str) -> None:
-        """Heartbeats, and STOP before anything else."""
+        """Receive heartbeats and STOP on a socket; a STOP is carried out before the rate limit is checked."""
         allowance = Allowance()
         try:
             self._holds.hear(socket)
@@ -196,14 +196,14 @@ class Console:
                 client.put(json.dumps(envelope))
 
     async def download(self, path: str) -> Download | None:
-        """Return the file of a path, of whichever service has it."""
+        """Return the file at a path from the first service that has it, or None."""
         for service in self.services:
             if (found := await service.download(path)) is not None:
                 return found
         return None
 
     async def close(self) -> None:
-        """Close all services, which ends running jobs."""
+        """End the running job and close all services."""
         await self._shared.jobs.close()
         for service in self.services:
             await service.close()
@@ -228,7 +228,7 @@ def _facts() -> dict[str, Any]:
 
 
 def _estimator(name: str) -> dict[str, Any]:
-    """Return one of the registry with its settings, as it says them itself; `problem` where it cannot be used."""
+    """Return name and settings of an estimator; `problem` is not empty if it cannot be used."""
     if problem := estimators.broken(name):
         return {"name": name, "settings": [], "problem": problem}
     settings = estimators.get(name).settings
@@ -246,9 +246,9 @@ async def run(settings: ConsoleSettings, terminal: Terminal, ended: asyncio.Even
     Raises
     ------
     ConfigError
-        The port is taken.
+        The port is in use.
     RigError
-        A defect of ours, after what moved was ended.
+        A defect of this program; the runs were ended before.
     """
     static = _page()
     async with AsyncExitStack() as stack:
@@ -317,7 +317,7 @@ def _page() -> dict[str, tuple[str, bytes]]:
 async def _respond(
     console: Console, static: Mapping[str, tuple[str, bytes]], socket: ServerConnection, request: HttpRequest
 ) -> Response | None:
-    """Return the response to a request; None lets it open a socket."""
+    """Return the response to a request, or None if the request may open a socket."""
     access, headers = console.access, request.headers
     if not access.host_allowed(headers):
         return _response(

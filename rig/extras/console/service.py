@@ -1,4 +1,4 @@
-"""What a view of the page needs of the server: requests that it answers, and files that it gives."""
+"""Base class of the server's services: each handles the requests, job messages and downloads of one view."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Handler = Callable[[Client, Any], Awaitable[Any]]
 
 @dataclass(frozen=True, slots=True)
 class Download:
-    """A file for a page that shows the token."""
+    """A file to download: its media type and its content."""
 
     kind: str
     body: bytes
@@ -30,20 +30,20 @@ class Download:
 
 @dataclass(slots=True)
 class ServiceContext:
-    """What all services have in common.
+    """State that all services share.
 
     Attributes
     ----------
     clients
-        The pages that are open.
+        Open pages.
     participants
-        The participants' screens that are open.
+        Open participants' screens.
     lease, jobs
-        Who operates, and what they have started.
+        The right to operate, and the job that the operator has started.
     output
         Directory of the recordings.
     errands
-        What is read, drawn and computed elsewhere.
+        Processes that read, draw and compute for a page.
     blinded
         Whether the operator must not know the wall of the current run: no page then shows its loop.
     """
@@ -62,7 +62,7 @@ class ServiceContext:
             raise ConfigError("another page operates the rig", remedy="close that page first")
 
     async def save_cut(self, path: Path, first_s: float, last_s: float, zero_ns: int | None = None) -> Any:
-        """Have a stretch of a recording saved beside the others (`rig.extras.console.recording_errands.save_cut`)."""
+        """Save a time span (s since the first row) of a recording as a new recording; return its name and facts."""
         saved, _ = await self.errands.run(
             "save cut",
             path=str(path),
@@ -74,7 +74,7 @@ class ServiceContext:
         return saved
 
     def report_trouble(self, error: RigError) -> None:
-        """Tell every page what went wrong, where none has asked."""
+        """Send an error to every page, outside of any request."""
         for client in self.clients:
             client.put(trouble(error))
 
@@ -83,14 +83,14 @@ LATER = object()  # what a handler returns that will answer by itself
 
 
 class Service(ABC):
-    """The server's side of a view."""
+    """The server's part of one view of the page."""
 
     @cached_property
     def _working(self) -> set[asyncio.Task[None]]:
         return set()
 
     def answer_later(self, client: Client, request: Request, work: Coroutine[Any, Any, Any]) -> object:
-        """Answer a request when some work is done, and meanwhile take the page's next ones; return `LATER`."""
+        """Reply to a request when `work` is done, and handle the page's next requests meanwhile; return `LATER`."""
 
         async def answered() -> None:
             try:
@@ -104,7 +104,7 @@ class Service(ABC):
         return LATER
 
     def run_beside(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-        """Do something beside; it ends with the service at the latest."""
+        """Run `work` as a task; `close` cancels it if it still runs."""
         task = asyncio.create_task(work)
         self._working.add(task)
         task.add_done_callback(self._working.discard)
@@ -112,17 +112,17 @@ class Service(ABC):
 
     @abstractmethod
     def handlers(self) -> Mapping[str, tuple[type[Request], Handler]]:
-        """Return by `do` the kind of a request and what answers it; it raises `RigError` for what cannot be done."""
+        """Return class and handler of each request, by its `do`. A handler raises `RigError` to refuse a request."""
 
     def greet(self, client: Client) -> None:  # noqa: B027  (most have nothing to say)
-        """Send a newly connected page what it must know."""
+        """Send a newly connected page its initial messages."""
 
     def handle_job_message(self, job: Job, message: Mapping[str, Any]) -> bool:
-        """Take a message of a job; return True if it is for this service alone, and not for the pages."""
+        """Handle a message of a job. Return True if it must not be sent to the pages."""
         return False
 
     async def download(self, path: str) -> Download | None:
-        """Return the file of a path, or None where it is not of this service."""
+        """Return the file at a path, or None if this service does not serve the path."""
         return None
 
     async def close(self) -> None:

@@ -1,11 +1,11 @@
-"""The job `session`: a participant's session, or a rehearsal of one, whose desk is a page.
+"""The job `session`: a participant's session, or a rehearsal, that is operated from a page.
 
-The engine and its desk run in the job's process; the seat, all that a page shows and what a key there does, is the
-server's (`rig.extras.console.sessions`). Between them, besides what every job says (`rig.extras.console.worker`):
+The session engine and its desk run in the job's process. The server (`rig.extras.console.sessions`) renders the pages
+and interprets keys. Besides the messages of every job (`rig.extras.console.worker`) the two processes exchange:
 
 ======  ===========================================================================
-to it   ``setup`` process, keys, hand; ``view``; ``ask`` number, question
-from    ``reply`` number, action, value, shown_s; ``stop``
+server  ``setup`` process, keys, hand; ``view``; ``ask`` number, question
+job     ``reply`` number, action, value, shown_s; ``stop``
 ======  ===========================================================================
 """
 
@@ -32,18 +32,19 @@ REMEDY = "continue with `rig session resume`, or on the page"
 
 
 class PageDesk(AskingDesk):
-    """A person at a page of the console.
+    """The desk of a session whose operator uses a page of the console.
 
     Parameters
     ----------
     talk
-        The line to the console.
+        Messages to and from the console.
     keymap
-        Of the protocol.
+        Keys of the protocol.
     hand
-        By what the simulated hand is moved on the page, and its press (N); None where it plays its script.
+        Device that moves the simulated hand on the page (mouse or keyboard), and its press (N); None if the hand plays
+        its script.
     silence_s
-        How long the console may be silent while a hit runs (s).
+        Longest time without a message from the console during a hit (s).
     """
 
     def __init__(
@@ -74,7 +75,7 @@ class PageDesk(AskingDesk):
 
 
 def digest_of(protocol: str, directory: str) -> str:
-    """Short digest of a session's protocol and the experiment that it stands on, or of those that a log began with."""
+    """Return a short digest of protocol and experiment: of a protocol file or, if `directory` is given, of its log."""
     if directory:
         began = read(Path(directory) / LOG)[0].content
         return short(canonical_json([began["protocol"], began["experiment"]]))
@@ -83,7 +84,7 @@ def digest_of(protocol: str, directory: str) -> str:
 
 
 def session(content: Mapping[str, Any], talk: Talk) -> dict[str, Any]:
-    """Run or resume a session: `content` as in `rig.extras.console.sessions`, `digest` of what was agreed to."""
+    """Run or resume a session. `content` comes from `rig.extras.console.sessions`; `digest` is what was agreed to."""
     agreed = content["digest"]
     if agreed is not None and agreed != digest_of(content["protocol"], content["directory"]):
         raise ConfigError(

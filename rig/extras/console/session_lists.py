@@ -1,4 +1,4 @@
-"""Which sessions a page may begin, and which it may resume: what lies in the working directory, and the templates."""
+"""List the sessions that a page may begin or resume: from the working directory, and from the templates."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rig.core.errors import RigError
 from rig.session.conducting import LOG, REHEARSALS, SESSIONS, read_person, session_state, took_place
 from rig.session.protocols import template_names, template_path, template_subject
 
-MOST = 100  # of each
+MOST = 100  # protocol files, and sessions that may be resumed, in one list
 
 
 def list_sessions() -> dict[str, Any]:
@@ -21,7 +21,7 @@ def list_sessions() -> dict[str, Any]:
 
 
 def describe_resumption(directory: str) -> dict[str, Any]:
-    """Return what a session's log says about resuming it: whether it is a rehearsal, the device, and real time."""
+    """Return facts from a session's log for resuming it: whether it is a rehearsal, its device, and real time."""
     place = took_place(Path(directory))
     return {
         "rehearsed": read_person(Path(directory)) is not None,
@@ -31,7 +31,7 @@ def describe_resumption(directory: str) -> dict[str, Any]:
 
 
 def protocols() -> list[dict[str, str]]:
-    """Return protocol files here, and the templates: name, and what it is about."""
+    """Return name and title of each protocol file in the working directory and of each template."""
     found = []
     for path in sorted(Path().glob("*.toml"))[:MOST]:
         with suppress(RigError):
@@ -43,12 +43,12 @@ def protocols() -> list[dict[str, str]]:
 
 
 def resumable() -> list[dict[str, Any]]:
-    """Return sessions here that are not over, the newest first: directory, whose, and where it stands."""
+    """Return the unfinished sessions below the working directory, newest first: directory, code, title, trials."""
     return [session for log in _logs()[:MOST] if (session := _describe_unfinished(log)) is not None]
 
 
 def protocol_file(name: str) -> Path:
-    """Return the file of a protocol: of the package, where the name is that of a template."""
+    """Return the path of a template if `name` is a template's name, else `name` as a path."""
     if name in template_names():
         return template_path(name)
     return Path(name)
@@ -65,7 +65,7 @@ def _logs() -> list[Path]:
 
 
 def _describe_unfinished(log: Path) -> dict[str, Any] | None:
-    """None for one that is over, or whose log cannot be read: `rig session resume` says what to do about that."""
+    """Return the facts of an unfinished session; None if it is finished or its log cannot be read."""
     with suppress(RigError):
         state, events = session_state(log.parent)
         if state.ended is None:

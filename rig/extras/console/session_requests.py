@@ -1,4 +1,4 @@
-"""What a page may ask for of sessions; as `rig.extras.console.requests`."""
+"""Requests of a page about sessions; checked like those of `rig.extras.console.requests`."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ Key = Annotated[str, MaxLen(40)]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ListSessions(Request):
-    """What may be begun and resumed."""
+    """Request the protocols that may be begun and the sessions that may be resumed."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SessionPerson:
-    """Who is rehearsed (`rig.session.engine._rehearsal.Person`)."""
+    """The simulated participant of a rehearsal (`rig.session.engine._rehearsal.Person`)."""
 
     __pydantic_config__ = STRICT
 
@@ -32,9 +32,9 @@ class SessionPerson:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BeginSession(Request):
-    """Begin a session of a protocol, or resume that of a directory; as `rig session run` and `resume`.
+    """Begin a session of `protocol`, or resume that of `directory`; see `rig session run` and `rig session resume`.
 
-    `study` is the directory of all participants, unless empty.
+    `study` is the directory that contains all participants, or empty.
     """
 
     protocol: Name = ""
@@ -57,7 +57,7 @@ class BeginSession(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PressKey(Request):
-    """A key at the desk, `shown_s` after question `asked` could be read."""
+    """A key that was pressed `shown_s` (s) after question number `asked` was shown."""
 
     key: Key
     asked: int = 0
@@ -66,7 +66,7 @@ class PressKey(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TypeLine(Request):
-    """A line where one is wanted: a note, or the answer to an item."""
+    """A typed line, a note or the answer to an item, that was sent `shown_s` (s) after question `asked` was shown."""
 
     text: Annotated[str, MaxLen(2000)]
     asked: int = 0
@@ -75,7 +75,7 @@ class TypeLine(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Reach(Request):
-    """How far the dragged hand reaches, as a share of its way, and whether it presses with full force."""
+    """How far the dragged hand reaches, as a share (0 to 1) of its range, and whether it presses with full force."""
 
     share: Annotated[float, Ge(0), Le(1)]
     held: bool = False

@@ -1,9 +1,9 @@
-"""The sessions' view: begins and resumes sessions, and is the seat of a session's operator, as a terminal is.
+"""The page's view of sessions: begin and resume sessions, and operate one as at a terminal.
 
-What a page shows comes as texts (`rig.session.terminal._words`), and what it sends are keys and lines, so that a page
-is a terminal of another kind: one conversation, one set of rules. A key names the question that was open when it was
-pressed; a key for an earlier question answers nothing. A participant's screen shows what a participant may see, and
-answers verdicts and items alone.
+The server sends texts (`rig.session.terminal._words`) and receives keys and lines, so that a page follows the same
+rules as a terminal. A key is sent with the number of the question that was open when it was pressed; a key for an
+earlier question is ignored. A participant's screen shows only what a participant may see, and can answer only
+verdicts and items.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Sessions(Service):
         }
 
     def greet(self, client: Client) -> None:
-        """A page that comes, or comes back, sees what stands there."""
+        """Send a page that connects the present state of the session."""
         for pages, message in self._messages():
             if client.participant == (pages is self._shared.participants):
                 client.put_newest(message)
@@ -107,7 +107,7 @@ class Sessions(Service):
     async def _begin_agreed(
         self, client: Client, request: BeginSession, content: dict[str, Any], *, asks: bool
     ) -> dict[str, Any]:
-        """Begin what a person at the rig agrees to; meanwhile the page's other requests are answered."""
+        """Begin the session after a person at the rig has agreed; other requests are answered meanwhile."""
         url = content["url"]
         content["digest"], _ = await self._shared.errands.run(
             "session digest", protocol=request.protocol, directory=request.directory
@@ -154,7 +154,7 @@ class Sessions(Service):
             self._seat.hand.pointer.point(request.share, held=request.held)
 
     def _may(self, client: Client, seat: Seat, request: PressKey | TypeLine, kind: str) -> bool:
-        """Return True if a page may send this now; a participant may only answer the open question."""
+        """Return True if a page may send this request now; a participant may only answer the open question."""
         talk = seat.talk
         if request.asked != talk.asked:
             return False
@@ -210,7 +210,7 @@ class Sessions(Service):
             self._rounds = None
 
     async def _every_round(self, job: Job) -> None:
-        """Read the loop and the clock, and update the pages; an error ends the session, which can be resumed."""
+        """Update the session's state and the pages every `ROUND_S`. An error ends the session, which can be resumed."""
         try:
             while True:
                 if self._seat is not None:

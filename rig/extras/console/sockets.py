@@ -1,4 +1,4 @@
-"""The library behind the page's sockets, which comes with the extra ``console``."""
+"""Import of the library `websockets`, which is installed with the extra ``console``."""
 
 import logging
 

@@ -1,4 +1,4 @@
-"""A job's line to its console; see `rig.extras.console.worker` for the messages."""
+"""Messages between a job and its console; `rig.extras.console.worker` lists them."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ class Talk:
             self._gone.set()
 
     def progress(self, **content: Any) -> None:
-        """Report how far the job is.
+        """Send the progress of the job.
 
-        Raises `StoppedError` when the console is gone and the job does not continue without it.
+        Raises `StoppedError` if the console is gone or silent for `SILENT_S`, unless the job is detached.
         """
         if time.monotonic() - self._last_line_s > SILENT_S:  # the console hangs: a STOP could not arrive
             self._gone.set()
@@ -54,7 +54,7 @@ class Talk:
         self.tell("progress", **content)
 
     def ask(self, **content: Any) -> Any:
-        """Ask the operator, and wait for the answer. Raises `StoppedError` when the console is gone."""
+        """Send a question to the operator and return the answer. Raise `StoppedError` if the console is gone."""
         self.tell("asks", **content)
         answer = None if self._gone.is_set() else self._answers.get()
         if answer is None:
@@ -64,7 +64,7 @@ class Talk:
         return answer
 
     def hear(self, patience_s: float) -> Any:
-        """Return the console's next message; None after `patience_s` (s). Raises `StoppedError` when it is gone."""
+        """Return the console's next message, or None after `patience_s` (s). Raise `StoppedError` if it is gone."""
         try:
             message = self._answers.get(timeout=patience_s) if patience_s else self._answers.get_nowait()
         except Empty:
@@ -76,7 +76,7 @@ class Talk:
 
     @property
     def silent_s(self) -> float:
-        """Time since the last line from the console (s)."""
+        """Return the time since the last line from the console (s)."""
         return time.monotonic() - self._last_line_s
 
     def listen(self) -> None:

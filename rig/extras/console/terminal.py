@@ -1,4 +1,4 @@
-"""The person at the rig: what a page may not decide is asked on the terminal that runs the console.
+"""Ask the person at the rig to confirm, on the terminal that runs the console, what a page may not decide.
 
 Through a tunnel every page looks local, and the person at the browser may be unable to see the handle.
 """
@@ -24,7 +24,7 @@ LONGEST = 2000  # characters that a person can be expected to read
 
 
 class Terminal:
-    """Asks on standard input, where that is a terminal."""
+    """Ask on standard input, if it is a terminal."""
 
     def __init__(self) -> None:
         # On Windows no question can be asked: a loop of asyncio does not watch a terminal there.
@@ -32,7 +32,7 @@ class Terminal:
         self._asked: asyncio.Future[str] | None = None
 
     async def insist(self, url: str, lines: Sequence[str]) -> None:
-        """Raise `ConfigError` unless the person at the terminal, shown these lines, lets a real rig be armed."""
+        """Show these lines on the terminal, and raise `ConfigError` unless the person there types the word to arm."""
         if not self.there:
             raise _refusal(
                 url,
@@ -75,7 +75,7 @@ class Terminal:
             self._asked = None
 
     def withdraw(self) -> None:
-        """Withdraw the open question: a STOP came, or the page that asked for it has gone."""
+        """Withdraw the open question, because a STOP came or the page that sent the request is gone."""
         if self._asked is not None and not self._asked.done():
             self._asked.set_result("")
             click.echo("\nrig: the request was withdrawn; nothing is armed")
@@ -93,5 +93,5 @@ def _refusal(url: str, why: str, remedy: str) -> ConfigError:
 
 
 def _printable(text: str) -> str:
-    """Return a page's text without what a terminal would obey: escapes, new lines, changes of direction."""
+    """Return a page's text without characters that control a terminal: escapes, new lines, changes of direction."""
     return "".join(one if one.isprintable() else "�" for one in text)

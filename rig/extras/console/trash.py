@@ -1,4 +1,4 @@
-"""Recordings that the operator puts aside: moved with their pictures, never removed, and never over another."""
+"""Move recordings and their pictures to the trash and back; never delete or overwrite a file."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from rig.views.plots.style import FORMATS
 
 
 def throw_away(recording: Path, trash: Path) -> None:
-    """Move a recording and its pictures into a directory, under a free name.
+    """Move a recording and its pictures into the directory `trash`, under a free name.
 
-    Raises `ConfigError` where the trash is a link to elsewhere, `RecordingError` when the disk refuses.
+    Raises `ConfigError` if `trash` is a symbolic link, `RecordingError` if a file cannot be moved.
     """
     refuse_link(trash)
     make_directories(trash)
@@ -26,15 +26,15 @@ def throw_away(recording: Path, trash: Path) -> None:
 
 
 def refuse_link(trash: Path) -> None:
-    """Raise `ConfigError` where the trash is a link: nothing is moved to elsewhere, or from there."""
+    """Raise `ConfigError` if `trash` is a symbolic link, so that no file is moved through a link."""
     if trash.is_symlink():
         raise ConfigError(f"{trash} is a symbolic link", remedy="replace it by a directory")
 
 
 def restore(recording: Path, directory: Path) -> None:
-    """Move a recording and its pictures back.
+    """Move a recording and its pictures from the trash into `directory`.
 
-    Raises `ConfigError` where the trash is a link to elsewhere, `RecordingError` where something of their name exists.
+    Raises `ConfigError` if the trash is a symbolic link, `RecordingError` if a file of this name exists.
     """
     refuse_link(recording.parent)
     moved = _with_pictures(recording)
@@ -45,7 +45,7 @@ def restore(recording: Path, directory: Path) -> None:
 
 
 def _with_pictures(recording: Path) -> list[Path]:
-    """Return the recording last: while its pictures move, it is still where it was."""
+    """Return the pictures, then the recording, which is moved last so that an interrupted move can be repeated."""
     pictures = [recording.with_suffix(f".{ending}") for ending in FORMATS]
     return [*(path for path in pictures if path.is_file()), recording]
 

@@ -1,4 +1,4 @@
-"""When a scope starts a sweep: at a contact, or where a column crosses a level."""
+"""The trigger of a scope: a sweep starts at a contact, or where a column crosses a level."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ CONTACT = "contact"
 
 @dataclass(frozen=True, slots=True)
 class Trigger:
-    """What to wait for.
+    """Condition that starts a sweep.
 
     Attributes
     ----------
     on
         ``contact``, the first sample inside the wall, or a column of the row.
     level, edge
-        Of the column (its unit); of a contact, ``falling`` is the first sample outside again.
+        Threshold of the column (in its unit) and direction; for a contact, ``falling`` is the first sample outside.
     before
-        Share of the window that lies before it.
+        Share of the window (0 to 1) before the trigger.
     single
-        Stop after the first.
+        Stop after the first sweep.
     """
 
     on: Annotated[str, MaxLen(4096)] = CONTACT
@@ -41,7 +41,7 @@ class Trigger:
     __pydantic_config__ = STRICT
 
     def first(self, rows: NDArray[np.void]) -> int | None:
-        """Place of the first row at which it happens, the one before having been on the other side; None: nowhere."""
+        """Return the index of the first row that crosses the level in the direction of `edge`; None if no row does."""
         inside = (rows["flags"] & int(RowFlag.INSIDE)) != 0
         above = inside if self.on == CONTACT else rows[self.on] > self.level
         crossed = above[1:] & ~above[:-1] if self.edge == "rising" else above[:-1] & ~above[1:]

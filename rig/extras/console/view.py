@@ -1,4 +1,4 @@
-"""What one scope shows: columns, a window, a trigger; and the points that it has not been sent yet."""
+"""One page's scope: its columns, window and trigger, and the points that it has not received yet."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DEFAULT = ("position", "velocity", "effort_wanted", "effort_sent", "effort_appli
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewRequest:
-    """What a page asks to be shown; `trigger` None: as it comes."""
+    """Settings of a scope that a page requests; without a `trigger` the scope shows rows as they arrive."""
 
     columns: tuple[str, ...] = DEFAULT
     window_s: float = 2.0
@@ -52,7 +52,7 @@ class ViewRequest:
 
 
 class View:
-    """One page's scope on a history.
+    """Reader of a history for one page's scope.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class View:
         self._done = False
 
     def frames(self) -> Iterator[bytes]:
-        """Return what to send now: new points, or complete sweeps."""
+        """Yield the frames to send now: new points or, with a trigger, complete sweeps."""
         trigger = self._shown.trigger
         if trigger is None:
             last = self._history.rows // self._step * self._step
@@ -106,7 +106,7 @@ class View:
 
 
 def pack(cut: HistoryExcerpt, columns: tuple[str, ...], **header: Any) -> bytes:
-    """A cut as one message: length of the header, the header as JSON, then float64: times, low, and high if it differs.
+    """Return an excerpt as one message: header length, JSON header, then float64 times, low, and high unless step is 1.
 
     The numbers begin at a multiple of 8 bytes.
     """

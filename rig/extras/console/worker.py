@@ -1,20 +1,20 @@
-"""The process that a job runs in, so that no loop shares a process with the page's server.
+"""The process of a job, so that no control loop shares a process with the page's server.
 
-``python -P -m rig.extras.console job``: the first line of standard input is the job; each further one an answer to what
-it asks, or empty; the end of input means that the console is gone, and 2 s of silence that it hangs. Each line of
-standard output is one message:
+``python -P -m rig.extras.console job``: the first line of standard input is the job. Each further line is an answer to
+a question of the job, or an empty line, the heartbeat. The end of input means that the console has ended, and 2 s of
+silence that it hangs. Each line of standard output is one message:
 
 =========  =======================================================================================
 say        content
 =========  =======================================================================================
-compiling  busy: machine code is being made
-progress   what the job says of itself while it runs
+compiling  whether machine code is being compiled
+progress   state of the job while it runs
 asks       a question to the operator; the next line of input answers it
 done       its result; the process ends
 failed     why it ended early (`RigError.as_mapping`); the process ends
 =========  =======================================================================================
 
-Without its console a job ends as by its stop word, unless it was started to continue without one.
+If its console is gone, a job ends as after a STOP, unless it was started as detached.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ JOBS: Mapping[str, Work] = {
 
 
 def main() -> int:
-    """Do the job on standard input."""
+    """Run the job on standard input and return its exit code."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     job: Mapping[str, Any] = json.loads(sys.stdin.readline())
     talk = Talk(bool(job.get("is_detached")))
