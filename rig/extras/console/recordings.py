@@ -167,5 +167,7 @@ def _recording_in(directory: Path, name: str) -> Path:
     """Return the path of a recording, readable or not; raise `ConfigError` for any other file."""
     path = file_in(directory, name)
     if path.suffix not in SUFFIXES:
-        raise ConfigError(f"{name!r} is not a recording", remedy=f"choose a file with {' or '.join(SUFFIXES)}")
+        raise ConfigError(
+            f"{name!r} is not a recording", remedy=f"choose a file with {' or '.join(SUFFIXES)}"
+        )
     return path

@@ -1,10 +1,10 @@
-"""From the logs of a study to its tables and statistics: limits, intervals, differences, agreement, order and fatigue.
+"""Analyse the logs of a study: limits with intervals, differences, agreement, order and fatigue.
 
     found = analyse([Path("sessions/study")])
     found.over_participants         # K_max by condition and damping
     write_study_tables(found, Path("out"))
 
-Nothing but the logs is needed; recordings are compared with their hashes.
+Only the logs are needed; recordings are compared with the hashes in the logs.
 """
 
 from rig.extras.study.analyse import AnalysisOptions, StudyAnalysis, analyse, analyse_study

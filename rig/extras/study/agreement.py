@@ -1,9 +1,10 @@
-"""Measure how well a person's verdicts and the automatic ones agree: Cohen's kappa, and the tables behind it.
+"""Compute Cohen's kappa of a person's and the automatic verdicts, and the tables of confusions behind it.
 
     κ = (p_o − p_e) / (1 − p_e)
 
-p_o is the share on which both agree, p_e the share on which they would by chance, both weighted where classes have an
-order. An automatic limit cycle is a buzz. ``rig/session/README.md`` states how often the interval holds.
+p_o is the share of trials with equal verdicts, p_e the share that is expected by chance; both are weighted if the
+classes have an order. The automatic class "limit cycle" corresponds to "buzz". ``rig/session/README.md`` states how
+often the interval contains the true value.
 """
 
 from __future__ import annotations
@@ -40,26 +41,26 @@ class Agreement:
     name
         "two classes", "three classes" or "four classes".
     condition
-        That the trials are of; empty for all.
+        Condition of the trials; empty for all conditions.
     weights
-        How much a confusion of distant classes counts more.
+        How a confusion counts by the distance of its classes; see `kappa`.
     classes
-        Of rows and columns.
+        Names of the classes, for rows and columns.
     counts
         Trials: a row for each class of the person, a column for each of the automatic verdict.
     trials, left_out
-        In the table; and judged ones that could not be, because one of the two verdicts is missing.
+        Trials in the table; judged trials left out because one of the two verdicts is missing.
     people
-        Who judged them.
+        Number of people who judged the trials.
     share
-        On which both agree, without weights.
+        Share of trials with equal verdicts, without weights.
     positive, negative
-        Agreement on "stable" and on "not stable": of the verdicts that are of this class by one or the other, the share
-        that are by both. None without any, and for tables of more than two classes.
+        Agreement on "stable" and on "not stable": 2 n_both / (n_person + n_automatic) of the class. None without such
+        verdicts, and for tables of more than two classes.
     kappa
-        None where chance alone would agree on everything.
+        Cohen's kappa; None if agreement by chance is already complete.
     low, high
-        Interval of 95 % over people (jackknife); None where `problem` says why.
+        95 % interval over people (jackknife); None if `problem` gives a reason.
     """
 
     name: str
@@ -80,20 +81,20 @@ class Agreement:
 
 
 def two_classes(trial: TrialRow) -> tuple[str | None, str | None]:
-    """Return the two classes that the search uses: stable or not, by the person and by the study's criterion."""
+    """Return person's and automatic class, "stable" or "not stable" under the study's criterion; None if missing."""
     person = {"stable": TWO[0], "buzz": TWO[1], "unstable": TWO[1]}.get(trial.verdict)
     automatic = None if trial.automatic_stable is None else TWO[0] if trial.automatic_stable else TWO[1]
     return person, automatic
 
 
 def three_classes(trial: TrialRow) -> tuple[str | None, str | None]:
-    """Stable, buzz, unstable, which have an order; the automatic limit cycle is a buzz."""
+    """Return person's and automatic class: stable, buzz or unstable, in this order; None if missing."""
     person = trial.verdict if trial.verdict in THREE else None
     return person, AUTOMATIC.get(trial.automatic)
 
 
 def four_classes(trial: TrialRow) -> tuple[str | None, str | None]:
-    """The same and unsure: the person's, or a criterion of the automatic verdict that could not be measured."""
+    """Return person's and automatic class of four; "unsure" is automatic if its criterion could not be measured."""
     automatic = "unsure" if trial.automatic_stable is None else AUTOMATIC.get(trial.automatic)
     return trial.verdict or None, automatic
 
@@ -109,7 +110,7 @@ _KINDS: tuple[
 
 
 def agreements(trials: Sequence[TrialRow]) -> tuple[Agreement, ...]:
-    """Return all tables, of all trials that count and of each condition; none where no person judged."""
+    """Return all tables: of all trials that count, and of each condition; empty if no person judged."""
     judged = [
         trial for trial in trials if not trial.void and not trial.practice and trial.judged_by in _PEOPLE
     ]
@@ -169,7 +170,7 @@ def _agreement(
 
 
 def _problem(counts: Floats, classes: Sequence[str], value: float | None) -> str:
-    """Return why κ of a table of verdicts has no interval; empty when it may have one."""
+    """Return why kappa of this table has no interval; empty if it can have one."""
     if not counts.any():
         return "no trial has both verdicts"
     for who, axis in (("the person's verdict", 1), ("the automatic verdict", 0)):
@@ -188,7 +189,7 @@ def _specific(counts: Floats, place: int) -> float | None:
 
 
 def _jackknife(tables: Floats, weights: Weights) -> tuple[float, float] | str:
-    """Return the interval of kappa for other people of the same kind, by leaving out one at a time, or why none."""
+    """Return the 95 % interval of kappa over people, leaving out one at a time, or why there is none."""
     tables = tables[tables.sum(axis=(1, 2)) > 0.0]
     people = len(tables)
     if people < LEAST_PEOPLE:
@@ -214,14 +215,14 @@ def kappa(counts: Floats | Sequence[Sequence[float]], weights: Weights = "none")
     Parameters
     ----------
     counts
-        Shape (classes, classes).
+        Number of trials, shape (classes, classes).
     weights
-        "none": every confusion counts alike; "linear", "quadratic": by the distance of the classes, or its square.
+        "none": all confusions count equally; "linear", "quadratic": by the distance of the classes, or its square.
 
     Returns
     -------
     float
-        NaN without trials, or when all of them are in one class for both: then there is nothing to explain.
+        NaN without trials, or if all verdicts of both judges are of one class.
     """
     table = np.asarray(counts, dtype=np.float64)
     total = table.sum()
@@ -237,7 +238,7 @@ def kappa(counts: Floats | Sequence[Sequence[float]], weights: Weights = "none")
 
 
 def _alike(classes: int, weights: Weights) -> Floats:
-    """Return how much of an agreement each pair of classes is: 1 on the diagonal."""
+    """Return the weight of each pair of classes as an agreement, 0 to 1 (classes × classes); 1 on the diagonal."""
     place = np.arange(classes)
     distance = np.abs(place[:, None] - place[None, :]).astype(np.float64)
     if weights == "none":

@@ -1,4 +1,4 @@
-"""From sessions on disk to all results of a study."""
+"""Compute all results of a study from its sessions on disk."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from rig.extras.study.kmax import (
     over_participants,
 )
 from rig.extras.study.mixed import Mixed, fit_mixed
-from rig.extras.study.people import answers_of, fates, participants_of
+from rig.extras.study.people import answers_of, count_trial_uses, participants_of
 from rig.extras.study.psychometric import PsychometricFit, complete_runs, gather_verdicts, psychometrics
 from rig.extras.study.rows import (
     ENDED_BY_MOST,
@@ -54,21 +54,21 @@ _JUDGES: dict[Measure, str] = {"rule": "followed", "K50 person": "person", "K50 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnalysisOptions:
-    """How to analyse.
+    """Options of an analysis.
 
     Attributes
     ----------
     measure
-        Which comes first in a report; all are computed.
+        Definition of the limits that a report shows first; all measures are computed.
     hashes
         Whether recordings are compared with the hashes in the logs.
     across
         Keys of the protocol in which sessions may differ although they can decide a result; see `read_study`.
     seed
-        Of all bootstraps: the same gives the same intervals.
+        Seed of all bootstraps; the same seed gives the same intervals.
     include_marked
-        Whether limits count that their verdicts do not show: of searches that ended by `most` before they had their
-        turns, outside of their own interval, or not between a wall judged stable and one that was not.
+        Whether doubtful limits are used: of searches that stopped at their trial limit before enough turns, outside of
+        their own interval, or not between a wall judged stable and one judged not stable.
     """
 
     measure: Measure = "rule"
@@ -85,19 +85,19 @@ class StudyAnalysis:
     Attributes
     ----------
     study, options
-        What was analysed, and how.
+        The sessions that were analysed, and the options.
     schemes
-        What samples and estimates in each condition, in words.
+        Description of sampling and estimator of each condition, by its name.
     trials, runs
-        The tables behind everything else.
+        One row for each trial and each run, from which all other results are computed.
     participants, answers
-        Who took part, and what they answered.
+        One row for each participant, and one for each answer to the questionnaire.
     of_participants, over_participants, paired
-        K_max, and differences of conditions, of all measures.
+        K_max of each participant, its mean over participants, and paired differences of conditions, by all measures.
     mixed
-        A mixed model for each measure that any run has.
+        One mixed model for each measure for which a run has a limit.
     agreements, psychometrics, slopes, blocks
-        See the modules of these names.
+        Results of the modules of these names; slopes and blocks are from `effects`.
     """
 
     study: Study
@@ -118,7 +118,7 @@ class StudyAnalysis:
 
     @property
     def messages(self) -> tuple[str, ...]:
-        """Return messages for the reader: about the sessions, and about what was left out."""
+        """Return messages for the reader: about the sessions, and about trials and runs that were left out."""
         left = [run for run in self.runs if run.state != "complete"]
         found = []
         fast = sum(trial.too_fast and trial.counts for trial in self.trials)
@@ -176,18 +176,18 @@ class StudyAnalysis:
 
     @property
     def runs_as_counted(self) -> tuple[RunRow, ...]:
-        """Return runs as K_max, models and slopes count them, see `rig.extras.study.rows.runs_as_counted`."""
+        """Return the runs that K_max, models and slopes use; see `rig.extras.study.rows.runs_as_counted`."""
         return runs_as_counted(self.runs, include_marked=self.options.include_marked)
 
     def counts(self) -> dict[str, int]:
-        """Return trials by what became of them; "counted" ones made limits."""
+        """Return the number of trials by their use; "counted" trials contribute to limits."""
         return {
             "recorded": len(self.trials),
-            **dict(sorted(fates(self.trials, self.runs_as_counted).items())),
+            **dict(sorted(count_trial_uses(self.trials, self.runs_as_counted).items())),
         }
 
     def _of_marked(self) -> Iterator[str]:
-        """Yield runs that ended by `most`, and limits that their verdicts contradict."""
+        """Yield messages about runs that stopped at their trial limit, and limits that their verdicts contradict."""
         taken = (
             "included"
             if self.options.include_marked
@@ -197,7 +197,7 @@ class StudyAnalysis:
         if short:
             names = [f"{run.participant}, run {run.run}: {run.note}" for run in short]
             runs = f"{_plural(len(short), 'run')} {_was(len(short))}"
-            yield f"{runs} ended by search.settings.most, {taken}: {_list_names(names)}"
+            yield f"{runs} stopped at the trial limit (search.settings.most), {taken}: {_list_names(names)}"
         names = [
             f"{run.participant}, run {run.run}: {limit.mark}"
             for run in self.runs
@@ -212,7 +212,7 @@ class StudyAnalysis:
             yield f"{_plural(len(names), 'limit')} {_is(len(names))} marked, {taken}: {_list_names(names)}"
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plain values, for JSON; trials are in their table."""
+        """Return all results as plain values for JSON; single trials are only in their table."""
         study, protocol = self.study, self.study.protocol
         return {
             "title": protocol.study.title,
@@ -257,9 +257,9 @@ def analyse(
     paths
         Directories of sessions or of studies.
     options
-        How.
+        Options of the analysis.
     watch
-        Called with what is being done, how many steps of it are done, and of how many.
+        Called with the name of a step, the number of its parts done, and their total.
 
     Raises
     ------
@@ -329,18 +329,18 @@ def analyse_study(
     places
         Directories of participants or of studies.
     measure
-        How limits are defined in what is shown first: by the search's ``"rule"``, or where half of the verdicts are
+        Definition of the limits that are shown first: by the search's ``"rule"``, or where half of the verdicts are
         stable, ``"K50 person"`` or ``"K50 automatic"``. All are computed.
     hashes
         Compare recordings with their hashes in the logs.
     across
         Keys of the protocol in which sessions may differ although they can decide a result.
     seed
-        Of the bootstraps.
+        Seed of the bootstraps.
     include_marked
-        Count limits that their verdicts do not show.
+        Use limits that their verdicts do not support, too; see `AnalysisOptions`.
     watch
-        Called with a step, how much of it is done, and of how much.
+        Called with the name of a step, the number of its parts done, and their total.
 
     Returns
     -------
@@ -362,7 +362,7 @@ def analyse_study(
 
 
 def _pool(study: Study, runs: Sequence[RunRow]) -> dict[tuple[Measure, str, Cell], LimitInterval]:
-    """The stiffness that each measure aims at, from all verdicts of a participant's complete runs under a condition."""
+    """Return the limit from all verdicts of a participant's complete runs, by measure, participant and cell."""
     complete = complete_runs(runs)
     shares = {(run.condition, m): limit.share for run in runs for m, limit in run.limits.items()}
     grids = levels_by_participant(study)

@@ -1,8 +1,8 @@
-"""A study's raw data as a BIDS-motion dataset, so that common tools can read it (BIDS 1.10).
+"""Export a study's raw data as a BIDS-motion dataset, so that common tools can read it (BIDS 1.10).
 
-One recording is one run of the task ``wallhit``, numbered by its trial; the wall and its verdict are in the
-scans file of its participant, for practice, redone and invalid trials too. Of the session's log only that and the
-answers to the questionnaire are exported: notes are free text and stay where they are.
+One recording is one run of the task ``wallhit``, numbered by its trial. The scans file of a participant contains the
+wall and verdict of each run, also of practice, redone and invalid trials. From the session's log only these and the
+answers to the questionnaire are exported; the operator's notes are free text and are not exported.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _EVENT_COLUMNS: Mapping[str, Mapping[str, Any]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BidsOptions:
-    """How a dataset is written.
+    """Options of the export.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class BidsOptions:
     shift_dates
         Move the dates of each participant so that the first recording was made on 1 January 1925.
     authors, licence
-        Of the dataset.
+        Authors and licence of the dataset.
     """
 
     every: int = 1
@@ -78,7 +78,7 @@ class BidsOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Dataset:
-    """What was written: where, how much, and which trials were left out, as sentences."""
+    """The written dataset: directory, number of participants and recordings, and a sentence for each trial left out."""
 
     directory: Path
     participants: int
@@ -89,26 +89,26 @@ class Dataset:
 def export_bids(
     study: Study, directory: Path, options: BidsOptions | None = None, watch: Watch | None = None
 ) -> Dataset:
-    """Write a dataset; the directory appears when all of it is there.
+    """Write a dataset; the directory appears only when it is complete.
 
     Parameters
     ----------
     study
-        Its sessions, in the order in which they shall stand.
+        Study whose sessions are written, in their order.
     directory
-        Made; must not exist.
+        Directory that is made; it must not exist.
     options
         See `BidsOptions`.
     watch
-        Called with how many recordings are done, and of how many.
+        Called with the number of recordings done, and the total.
 
     Raises
     ------
     ConfigError
-        Two codes that are one in BIDS, a decimation below 1.
+        Two participant codes are equal in BIDS, or `every` is below 1.
     RecordingError
-        The directory exists, a recording cannot be read, or the disk refuses. What is missing or was changed is
-        left out and named.
+        The directory exists, a recording cannot be read, or a file cannot be written. Recordings that are missing or
+        changed raise no error; they are listed in `Dataset.left_out`.
     """
     options = options or BidsOptions()
     if options.every < 1:
@@ -132,7 +132,7 @@ def export_bids(
 
 
 def label_of(code: str) -> str:
-    """A participant's code as BIDS takes it, letters and digits alone; raises `ConfigError` when nothing is left."""
+    """Return the letters and digits of a participant's code, its BIDS label; raise `ConfigError` if it has none."""
     label = re.sub(r"[^0-9A-Za-z]", "", code)
     if not label:
         raise ConfigError(
@@ -142,7 +142,7 @@ def label_of(code: str) -> str:
 
 
 class _Writer:
-    """Where a dataset stands while it is written."""
+    """Writer of one dataset; it counts recordings and collects the trials that are left out."""
 
     def __init__(self, root: Path, options: BidsOptions, watch: Watch | None, total: int) -> None:
         self._root = root
@@ -205,7 +205,7 @@ class _Writer:
         )
 
     def dataset(self, study: Study, labels: Mapping[str, str]) -> None:
-        """Write what stands at the root."""
+        """Write the files at the root of the dataset."""
         described: dict[str, Any] = {
             "Name": study.protocol.study.title,
             "BIDSVersion": BIDS_VERSION,
@@ -338,7 +338,7 @@ def _date(acquired: datetime | None, shift: timedelta | None) -> str | None:
 
 
 def _cell(value: Any) -> str:
-    """Return a cell of a table: no tabs, no line ends, never empty."""
+    """Return a value as a cell of a table, without tabs and line ends; ``n/a`` if it is missing."""
     if value is None or value == "":
         return MISSING
     if isinstance(value, bool):

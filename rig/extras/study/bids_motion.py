@@ -1,11 +1,11 @@
-"""One recording in the words of BIDS-motion: channels, rows, what is known of them, and events.
+"""Convert one recording to BIDS-motion: channels, rows, metadata and events.
 
 Types follow the BIDS specification, version 1.10, "Motion". The handle of a rotary rig has one angle: an orientation
-(ORNT, rad) about its axis, which is called z here. It is no joint angle (JNTANG): those lie between two parts of a
-body, in degrees. Its angular velocity is of type GYRO, the only one that the standard has for that quantity (VEL is
-linear); the description says that no gyrometer measured it. A linear handle has POS and VEL along its way, called x.
-Efforts, currents and the penetration into a virtual wall are MISC: they are no motion of a body. LATENCY holds the
-device's clock, so that a lost sample shows.
+(ORNT, rad) about its axis, which is called z here. It is not a joint angle (JNTANG), which is measured between two
+parts of a body in degrees. Its angular velocity has the type GYRO, the only one for that quantity in the standard (VEL
+is linear); the description states that no gyrometer measured it. A linear handle has POS and VEL along its axis, called
+x. Efforts, currents and the penetration into a virtual wall are MISC, because they are not motions of a body. LATENCY
+contains the device's time, so that lost samples are visible.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ EVENTS: Mapping[str, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One column of a motion file: a row of its channels file, and the column of the recording that it comes from."""
+    """One column of a motion file: its row in the channels file, and the column of the recording that is its source."""
 
     name: str
     column: str
@@ -63,7 +63,7 @@ class Channel:
     description: str
 
     def as_row(self) -> dict[str, str]:
-        """Return cells of the channels file, in the order that the standard wants."""
+        """Return the channel's row of the channels file, in the order of the standard."""
         return {
             "name": self.name,
             "component": self.component,
@@ -77,7 +77,7 @@ class Channel:
 
 
 def channels(motion: Motion, estimator: str) -> tuple[Channel, ...]:
-    """Columns of a motion file, for a rotary or a linear rig; unit and meaning are those of the recording's columns."""
+    """Return the columns of a motion file of a rotary or linear rig, with units and meanings of the recording."""
     rotary = motion == "rotary"
     axis = "z" if rotary else "x"
     moving = {
@@ -96,18 +96,18 @@ def channels(motion: Motion, estimator: str) -> tuple[Channel, ...]:
 
 
 def write_motion(file: BinaryIO, recording: Recording, columns: Sequence[Channel], every: int = 1) -> None:
-    """Write the rows: tabs, no head, shortest digits that read back equal.
+    """Write rows separated by tabs, without a header, with the shortest digits that read back equal.
 
     Parameters
     ----------
     file
-        Takes the bytes.
+        File that is written.
     recording
-        Whose rows.
+        Recording whose rows are written.
     columns
-        Which of them, in this order.
+        Channels to write, in this order.
     every
-        Only every n-th row; nothing is averaged or filtered.
+        Write only every n-th row; nothing is averaged or filtered.
     """
     table = {
         channel.name: _cells(
@@ -124,9 +124,9 @@ def write_motion(file: BinaryIO, recording: Recording, columns: Sequence[Channel
 def sidecar(
     recording: Recording, columns: Sequence[Channel], every: int, extra: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return the contents of a motion file's JSON, from the recording alone; `extra` is added.
+    """Return the metadata of a motion file, from the recording alone; `extra` is added.
 
-    Raises `RecordingError` when the recording has no rows.
+    Raises `RecordingError` if the recording has no rows.
     """
     if not len(recording):
         raise RecordingError(
@@ -175,7 +175,7 @@ def sidecar(
 
 
 def spans(recording: Recording) -> list[tuple[str, float, float]]:
-    """Return the kind, onset and duration (s) of what happened in a recording, in the order of time."""
+    """Return kind, onset and duration (s since the first row) of each phase, contact and sync edge, sorted by onset."""
     time, phases = recording.time_s, recording.column("phase")
     found: list[tuple[str, float, float]] = []
     if not len(time):
@@ -199,7 +199,7 @@ def spans(recording: Recording) -> list[tuple[str, float, float]]:
 
 
 def _pins(recording: Recording) -> list[tuple[str, float, float]]:
-    """Return edges at the device's sync pins, from the first row on."""
+    """Return name, time (s since the first row) and duration 0 of each edge at the device's sync pins."""
     origin = int(recording.rows["device_time"][0])
     return [
         (mark.name, (mark.device_time - origin) * 1e-9, 0.0)
@@ -209,7 +209,7 @@ def _pins(recording: Recording) -> list[tuple[str, float, float]]:
 
 
 def frame(motion: Motion) -> dict[str, Any]:
-    """Return the reference frame, for a channels file's JSON."""
+    """Return the description of the reference frame for the JSON of a channels file."""
     what = (
         "The handle turns about one axis, called z; the angle is zero at the rig's reference"
         if motion == "rotary"
@@ -230,12 +230,12 @@ def frame(motion: Motion) -> dict[str, Any]:
 
 
 def unit(text: str) -> str:
-    """Return a unit as BIDS writes it."""
+    """Return a unit in the spelling of BIDS, such as N.m for N·m."""
     return _UNITS.get(text, text.replace("·", ".").replace("²", "^2"))
 
 
 def _cells(values: Any) -> Any:
-    """Return a column for the writer; what is not finite becomes the word for a missing value."""
+    """Return a column for the writer; values that are not finite become ``n/a``."""
     if values.dtype.kind == "f" and not np.isfinite(values).all():
         return [repr(value) if np.isfinite(value) else MISSING for value in values.tolist()]
     return values

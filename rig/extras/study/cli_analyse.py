@@ -63,9 +63,8 @@ def analyse(
 ) -> None:
     """Analyse a study: limits with intervals, differences, agreement, order and fatigue.
 
-    DIR is the directory of a study or of a participant. What the rig recorded and what was judged is read from the
-    logs alone, corrections included; tables are written as CSV and Parquet, with a dictionary of their columns, and
-    one HTML file reports everything, with pictures and the methods as a paper prints them.
+    DIR is the directory of a study or of a participant. Trials and verdicts are read from the logs alone, with later
+    corrections; tables are written as CSV and Parquet, with a dictionary of their columns, and
     """
     chosen = AnalysisOptions(
         measure=MEASURES[measure],  # type: ignore[arg-type]
@@ -96,7 +95,7 @@ def analyse(
 
 
 def beside(places: tuple[Path, ...], found: StudyAnalysis) -> Path:
-    """Return the directory ``analysis`` in the only place that was named, or where all sessions lie."""
+    """Return the directory ``analysis`` in the only given place, or in the common parent of all sessions."""
     if len(places) == 1:
         return (places[0] if places[0].is_dir() else places[0].parent) / "analysis"
     parents = {session.directory.resolve().parent for session in found.study.sessions}
@@ -104,7 +103,7 @@ def beside(places: tuple[Path, ...], found: StudyAnalysis) -> Path:
 
 
 class Steps:
-    """Says on standard error what is being done, on a terminal only."""
+    """Print the current step on standard error, if it is a terminal."""
 
     def __init__(self, *, quiet: bool) -> None:
         self._quiet = quiet or not output.on_terminal()
@@ -118,7 +117,7 @@ class Steps:
             click.echo("\r\033[K", nl=False, err=True)
 
     def watch(self, what: str, done: int, total: int) -> None:
-        """Show a step, a few times a second at most."""
+        """Print a step and its progress, at most every `_OFTEN_S`."""
         now = time.monotonic()
         if not self._quiet and (done in (0, total) or now - self._printed_s >= _OFTEN_S):
             self._printed_s = now
@@ -126,7 +125,7 @@ class Steps:
 
 
 def show(found: StudyAnalysis) -> None:
-    """Print what matters most: the first tables of the report."""
+    """Print the first tables of the report: limits, differences, agreement and slopes."""
     study, measure, counts = found.study, found.options.measure, found.counts()
     people = "simulated participant" if study.rehearsed else "participant"
     click.echo(
@@ -153,7 +152,7 @@ def show(found: StudyAnalysis) -> None:
 
 
 def _differences(found: StudyAnalysis) -> Iterator[Item]:
-    """Yield why there is no model, the differences, and what must be known of them."""
+    """Yield why there is no model, the table of differences, and notes on them."""
     model, first = tables.first_contrasts(found)
     if model is not None and model.problem:
         yield f"No mixed model: {model.problem}"

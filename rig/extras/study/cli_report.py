@@ -1,4 +1,4 @@
-"""Pictures and page of a study, as `rig session analyse` writes them."""
+"""Draw the pictures and write the page of a study, for `rig session analyse`."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ PICTURES = "pictures"
 def write_report(
     found: StudyAnalysis, directory: Path, ending: str, watch: Callable[[str, int, int], None]
 ) -> tuple[dict[str, Path], Path]:
-    """Draw all pictures and write the page; returns the paths of the pictures by name, and that of the page.
+    """Draw all pictures and write the page; return the paths of the pictures by name, and the path of the page.
 
-    Pictures are PNGs, which the page needs, and beside them files of that ending.
+    Each picture is written as PNG, which the page contains, and in the format `ending`.
 
     Raises
     ------
     RecordingError
-        The disk refuses.
+        A file cannot be written.
     """
     place = directory / PICTURES
     with plain_errors("make", place):

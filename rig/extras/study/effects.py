@@ -1,7 +1,7 @@
 """Estimate order and fatigue: whether limits, verdicts and trials change during a session.
 
-These slopes were not planned: they are exploratory, and p of those of one quantity are corrected for their number
-(Holm).
+The slopes were not planned: they are exploratory, and the p values of the slopes of one quantity are corrected for
+their number (Holm).
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Slope:
-    """How a quantity changes along another: mean over participants of their slopes, with an interval of 95 %.
+    """Mean over participants of the slopes of a quantity along the session, with a 95 % interval.
 
     Attributes
     ----------
     of, along
-        "limit", "response time" (its natural logarithm) or "invalid" (0 or 1); against "order" (place in the
-        block), "block", "trial" (number in the session).
+        Quantity, "limit" (stiffness), "response time" (natural logarithm of s) or "invalid" (0 or 1); against "order"
+        (place in the block), "block", or "trial" (number in the session).
     measure
-        Of a limit; empty for others.
+        Measure of the limit; empty for the other quantities.
     count
-        Values.
+        Number of values.
     participants
-        Who have a slope.
+        Number of participants who have a slope.
     slope, low, high, p, holm
-        For each place, block or trial; NaN where `problem` says why. `holm` is p after Holm's correction for the slopes
-        of the same quantity: a limit by one measure, the response time, the share of invalid trials.
+        Change per place, block or trial, its interval and p; NaN if `problem` gives a reason. `holm` is p after Holm's
+        correction for the slopes of the same quantity (limits are a quantity for each measure).
     """
 
     of: str
@@ -58,18 +58,18 @@ class Slope:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BlockRow:
-    """A block of one participant.
+    """Summary of one block of one participant.
 
     Attributes
     ----------
     trials
-        Recorded, those that do not count included.
+        Recorded trials, also those that do not count.
     invalid, redone, aborted
         Invalid trials; trials repeated at the operator's request; trials cut off for safety.
     unsure
-        Verdicts.
+        Verdicts "unsure".
     response_s
-        Median time to a verdict; None without one.
+        Median time to a verdict (s); None without a verdict.
     """
 
     participant: str
@@ -182,14 +182,14 @@ def _slope(
 
 
 def within_slopes(at: Floats, values: Floats, cells: Sequence[tuple[str, str, float]]) -> dict[str, float]:
-    """Return the slope of values along places, one for each participant; those whose places allow none are left out.
+    """Return the slope of `values` along `at` for each participant who has different places.
 
     Parameters
     ----------
     at, values
-        Of each value: where in the session it was, and the value.
+        Place in the session, and value (same shape).
     cells
-        Participant, condition and damping of each.
+        Participant, condition and damping of each value.
     """
     if not cells:
         return {}
@@ -207,7 +207,7 @@ def within_slopes(at: Floats, values: Floats, cells: Sequence[tuple[str, str, fl
 def _rounding_of_slopes(
     at: Floats, roundings: Floats, cells: Sequence[tuple[str, str, float]], each: Mapping[str, float]
 ) -> float:
-    """Return the standard deviation of the slopes that rounding of the values to their levels makes."""
+    """Return the standard deviation of the slopes that follows from rounding the values to their levels."""
     moved, codes = less_means(at, cells), np.array([cell[0] for cell in cells])
     own = [codes == code for code in each]
     return rounding_of(
@@ -220,8 +220,8 @@ def _over(
 ) -> tuple[float, float, float, float] | str:
     """Return mean, 95 % interval and p of the participants' slopes, by Student over participants; or why not.
 
-    Where all have the conditions' means in common, those are estimated from the same values and leave one slope fewer
-    free: of two conditions, each searched once, this is the two-sample test of a crossover.
+    If `shared`, the means of the conditions are estimated from the same values, which takes one more degree of freedom:
+    with two conditions, each searched once, this is the two-sample test of a crossover.
     """
     # A slope for each person, and Student's interval over these: an interval over trials would take 150 trials of a
     # person for 150 people.
@@ -244,12 +244,12 @@ def _over(
 
 
 def _is_shared(cells: Sequence[tuple[str, str, float]]) -> bool:
-    """Return True if no participant has two values per condition and damping, so that means come from all of them."""
+    """Return True if no participant has two values of one condition and damping: means then need all participants."""
     return len(set(cells)) == len(cells)
 
 
 def less_means(values: Floats, cells: Sequence[tuple[str, str, float]]) -> Floats:
-    """Return values less the means of participants and conditions, see above; residuals by rounding become zero."""
+    """Return values minus the means of participants and conditions; residuals by rounding errors become zero."""
     if not cells:
         return values
     if _is_shared(cells):

@@ -1,4 +1,4 @@
-"""The recordings of a study for other programs, one file a trial, and a table that says what each was."""
+"""Export the recordings of a study for other programs: one file for each trial, and a table of the trials."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Watch = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exported:
-    """What was written: where, how many recordings, and which trials were left out, as sentences."""
+    """The written export: directory, number of recordings, and a sentence for each trial left out."""
 
     directory: Path
     recordings: int
@@ -31,26 +31,26 @@ class Exported:
 
 
 def export_trials(study: Study, directory: Path, kind: str, watch: Watch | None = None) -> Exported:
-    """Write each recording as ``CODE/t0001.…`` in a directory of its own, which appears when all of it is there.
+    """Write each recording as ``CODE/t0001.…`` into a new directory, which appears only when it is complete.
 
     Parameters
     ----------
     study
-        Whose.
+        Study whose recordings are written.
     directory
-        Made; must not exist.
+        Directory that is made; it must not exist.
     kind
-        One of `rig.recording.export.EXPORTERS`.
+        Format, one of `rig.recording.export.EXPORTERS`.
     watch
-        Called with how many recordings are done, and of how many.
+        Called with the number of recordings done, and the total.
 
     Raises
     ------
     ConfigError
-        Codes that would share a directory.
+        Two participant codes would share a directory.
     RecordingError
-        The directory exists, there is no such format, a recording cannot be read, or the disk refuses. What is missing
-        or was changed is left out and named.
+        The directory exists, the format is unknown, a recording cannot be read, or a file cannot be written. Recordings
+        that are missing or changed raise no error; they are listed in `Exported.left_out`.
     """
     trials = [row for row in trials_of(study) if row.recorded != "none"]
     sources = {session.code: session.directory for session in study.sessions}

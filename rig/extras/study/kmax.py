@@ -1,8 +1,8 @@
 """Estimate K_max by condition and damping: of each participant, with an interval over repeats, and over participants.
 
-By the rule it is the mean over repeats; K50 is estimated from all verdicts together. A limit beyond the levels is
-*censored*: it enters with the end of the levels and is counted, so a mean with censored limits is a bound.
-``rig/session/README.md`` states how often these intervals hold.
+By the rule, K_max is the mean over repeats; K50 is estimated from all verdicts together. A limit beyond the levels is
+*censored*: it is replaced by the nearest level and counted, so a mean that contains censored limits is a bound.
+``rig/session/README.md`` states how often these intervals contain the true value.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Cell = tuple[str, float]  # condition, damping
 
 @dataclass(frozen=True, slots=True)
 class Beyond:
-    """How many limits there are, how many lie beyond the stiffest or the softest level, and how many are marked."""
+    """Numbers of limits, of limits beyond the stiffest or the softest level, and of marked limits."""
 
     limits: int = 0
     above: int = 0
@@ -59,7 +59,7 @@ class Beyond:
 
     @property
     def mostly(self) -> bool:
-        """Return True if most are, so that a mean of them is little more than the end of the levels."""
+        """Return True if most limits are censored, so that their mean is little more than the end of the levels."""
         # Then a mean is little more than the end of the levels, and scatters as little: no interval, and no difference
         # with it has an interval or p.
         return 2 * self.count > self.limits
@@ -75,22 +75,21 @@ class OfParticipant:
     Attributes
     ----------
     repeats
-        Runs behind it; those that are not complete and those without the measure are left out.
+        Number of complete runs that have the measure.
     mean, deviation
-        Over repeats; as K50, the median of the posterior, and no deviation (NaN).
+        Mean and standard deviation over repeats; for K50 the median of the posterior, and NaN.
     low, high, interval
-        95 %, and what it is of: "Student" or "bootstrap" over repeats, the single "run", all "verdicts", or "none"
-        (NaN). That of all verdicts is of the stiffness that they show, and need not hold the mean of the rule's limits.
-        Beyond the levels it is open: from zero, or to infinity.
+        95 % interval and its source: "Student" or "bootstrap" over repeats, the single "run", all "verdicts", or "none"
+        (NaN). The interval from all verdicts is of the stiffness that they show, and need not contain the mean of the
+        rule's limits. Beyond the levels it is open: from zero, or to infinity.
     student_low, student_high, bootstrap_low, bootstrap_high
-        Both intervals over repeats; NaN for one, for repeats that came out alike or of which most are censored, and for
-        K50. The bootstrap takes three.
+        Both intervals over repeats; NaN for K50, fewer than three repeats, equal repeats, or if most are censored.
     limits, above, below
-        Values behind it, and how many of them lie beyond the stiffest or the softest level.
+        Number of values, and of those beyond the stiffest or the softest level.
     rounding
         Standard deviation of the error of `mean` that rounding to the levels makes.
     marked
-        How many of the values are marked (`rig.extras.study.rows.LimitInterval`); 0 unless they were asked for.
+        Number of marked values (`rig.extras.study.rows.LimitInterval`); 0 unless `include_marked`.
     """
 
     measure: Measure
@@ -121,10 +120,10 @@ class OfParticipant:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OverParticipants:
-    """K_max of a condition at one damping: mean over participants, each by the mean of the repeats.
+    """K_max of a condition at one damping: mean over participants of each one's mean over repeats.
 
-    `low` and `high` are Student's interval for other participants of the same kind; NaN where `problem` says why.
-    `above` and `below` count those of the `limits` that lie beyond the levels.
+    `low` and `high` are Student's 95 % interval over participants; NaN if `problem` gives a reason. `above` and `below`
+    are the numbers of those of the `limits` that lie beyond the levels.
     """
 
     measure: Measure
@@ -147,11 +146,10 @@ class OverParticipants:
 class Paired:
     """Difference of two conditions within participants: Student's paired test of their means over repeats.
 
-    `damping` None: of the mean over the dampings that both have. `holm` is p after Holm's correction for all
-    differences of the same measure, whatever the damping. `beyond` counts the limits behind it, and `bound` says on
-    which side censored ones leave it open: the difference is at "least" or at "most" this, or "unknown" when they do
-    both. Interval and p are NaN where `problem` says why; `withheld` is True where the reason is that most limits of a
-    cell are censored.
+    With `damping` None it is the difference of the means over the dampings that both conditions have. `holm` is p after
+    Holm's correction for all differences of the same measure. `beyond` counts the limits used. Censored limits make the
+    difference a bound: `bound` is "least", "most", or "unknown" if they do both. Interval and p are NaN if `problem` is
+    not empty; `withheld` is True if the reason is that most limits of a condition and damping are censored.
     """
 
     measure: Measure
@@ -174,7 +172,7 @@ Pooled = Mapping[tuple[Measure, str, Cell], LimitInterval]  # by measure, partic
 
 
 def beyond_of(limits: Iterable[tuple[str, float, LimitInterval]]) -> dict[Cell, Beyond]:
-    """Count limits and censored ones of each condition and damping."""
+    """Return the numbers of limits, censored limits and marked limits of each condition and damping."""
     found: dict[Cell, Beyond] = {}
     for condition, damping, limit in limits:
         one = Beyond(1, limit.censored == "above", limit.censored == "below", limit.mark != "")
@@ -183,7 +181,7 @@ def beyond_of(limits: Iterable[tuple[str, float, LimitInterval]]) -> dict[Cell, 
 
 
 def bound_of(beyond: Mapping[Cell, Beyond], condition: str, against: str) -> Bound:
-    """On which side a difference of two conditions is open, by the censored limits of the cells behind it."""
+    """Return on which side the difference `condition` minus `against` is open, because of censored limits."""
     sides = {
         name: sum((b for (of, _), b in beyond.items() if of == name), NONE_BEYOND)
         for name in (condition, against)
@@ -231,7 +229,7 @@ def _collect_limit(measure: Measure, runs: Sequence[RunRow], limit: LimitInterva
 
 
 def estimate_participants(runs: Sequence[RunRow], pooled: Pooled, seed: int = 0) -> tuple[OfParticipant, ...]:
-    """Return K_max of each participant, by measure, condition and damping; `seed` is that of the bootstrap."""
+    """Return K_max of each participant, by measure, condition and damping; `seed` is for the bootstrap."""
     found = []
     for measure in MEASURES:
         groups: dict[tuple[str, Cell], list[Observed]] = {}
@@ -279,7 +277,7 @@ def estimate_participants(runs: Sequence[RunRow], pooled: Pooled, seed: int = 0)
 def over_participants(
     each: Sequence[OfParticipant], conditions: Sequence[str]
 ) -> tuple[OverParticipants, ...]:
-    """Return K_max over participants, by measure, then the conditions in this order, then damping."""
+    """Return K_max over participants, sorted by measure, by the order of `conditions`, and by damping."""
     groups: dict[tuple[Measure, str, float], list[OfParticipant]] = {}
     for one in each:
         groups.setdefault((one.measure, one.condition, one.damping), []).append(one)
@@ -317,7 +315,7 @@ def over_participants(
 
 
 def compare_pairs(each: Sequence[OfParticipant], conditions: Sequence[str]) -> tuple[Paired, ...]:
-    """Return differences between all pairs of conditions, at each damping that both have and over all of them."""
+    """Return differences between all pairs of conditions, at each common damping and over all common dampings."""
     return tuple(
         one for measure in MEASURES for one in _correct_holm(_compare_pairs(each, measure, conditions))
     )
@@ -378,7 +376,7 @@ def _compare_pairs(
 def _behind(
     beyond: Mapping[Cell, Beyond], against: str, condition: str, damping: float | None
 ) -> dict[Cell, Beyond]:
-    """Return the cells that a difference is of, with their censored limits."""
+    """Return the conditions and dampings that contribute to a difference, with their numbers of censored limits."""
     both = {b for name, b in beyond if name == against} & {b for name, b in beyond if name == condition}
     return {
         (name, b): one
@@ -389,7 +387,7 @@ def _behind(
 
 @dataclass(frozen=True, slots=True)
 class Student:
-    """Student's interval of 95 % for a mean, and two-sided p that it is zero; NaN where `problem` says why."""
+    """Student's 95 % interval of a mean, and two-sided p that the mean is zero; NaN if `problem` gives a reason."""
 
     low: float = math.nan
     high: float = math.nan
@@ -402,14 +400,14 @@ def student(
 ) -> Student:
     """Return Student's interval and test of a mean, by scipy.
 
-    `problem` says why they are missing: fewer than `LEAST_VALUES` values, or scatter no larger than from rounding.
+    `problem` gives the reason if there is none: fewer than `LEAST_VALUES` values, or scatter no larger than rounding.
 
     Parameters
     ----------
     values
-        One for each participant or repeat.
+        One value for each participant or repeat.
     rounding
-        Standard deviation that rounding to the levels makes, see `rig.session.search._resolution`.
+        Standard deviation that follows from rounding to the levels, see `rig.session.search._resolution`.
     of, what
         Words for the values in `Student.problem`.
     """
@@ -424,18 +422,18 @@ def student(
 
 
 def too_few_words(count: int, of: str) -> str:
-    """Return the sentence that explains why so few participants or repeats have no interval."""
+    """Return the text that too few participants or repeats (`of`) have no interval."""
     noun = of.replace("participants", "participant").replace("repeats", "repeat") if count == 1 else of
     return f"{count} {noun}; an interval and a p value need {LEAST_VALUES} or more"
 
 
 def rounding_of(roundings: Sequence[float]) -> float:
-    """Return the standard deviation that rounding makes in values whose own roundings have these ones."""
+    """Return the root mean square of the values' standard deviations by rounding."""
     return math.sqrt(sum(one**2 for one in roundings) / len(roundings))
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """Correct a family of p (Holm, Scandinavian Journal of Statistics 6, 1979); NaN stays, and counts for none."""
+    """Return p values after Holm's correction (Scandinavian Journal of Statistics 6, 1979); NaN is not counted."""
     known = sorted((value, place) for place, value in enumerate(p) if math.isfinite(value))
     adjusted, largest = [math.nan] * len(p), 0.0
     for rank, (value, place) in enumerate(known):
@@ -445,7 +443,7 @@ def holm(p: Sequence[float]) -> list[float]:
 
 
 def bootstrap(values: Floats, seed: int = 0) -> tuple[float, float]:
-    """BCa interval of 95 % for a mean, by scipy; percentiles where BCa has none, NaN where `student` has none."""
+    """Return the 95 % BCa interval of a mean, or the percentile interval; NaN if `student` has no interval."""
     if student(values).problem:
         return math.nan, math.nan
     for method in ("BCa", "percentile"):
@@ -484,9 +482,9 @@ def _differences(
     condition: str,
     damping: float | None,
 ) -> tuple[Floats, float]:
-    """Return condition less the other, of each participant who has both (at every damping that both have).
+    """Return `condition` minus `against` for each participant who has both (over `damping`, or all common dampings).
 
-    The second value is the standard deviation that rounding to the levels makes in them.
+    The second value is the standard deviation of the differences that follows from rounding to the levels.
     """
     participants = dict.fromkeys(code for code, _, _ in known)
     of = {name: {b for _, other, b in known if other == name} for name in (against, condition)}
@@ -504,7 +502,7 @@ def _differences(
 
 
 def _less(one: float, other: float) -> float:
-    """Return the difference of two means, or 0 where it is floating-point rounding."""
+    """Return the difference of two means; 0 if it is only a floating-point error."""
     return 0.0 if math.isclose(one, other, rel_tol=FLOATING) else one - other
 
 

@@ -1,11 +1,11 @@
-"""Fit differences between conditions over participants: a linear mixed model of their limits, by statsmodels.
+"""Fit a linear mixed model of the participants' limits, by statsmodels, to compare conditions and dampings.
 
     limit ~ 0 + condition:damping + order + block
             + (1 | participant) + (1 | participant:condition) + (1 | participant:damping)
 
-Estimates are REML with Student's intervals, which for two conditions are the paired test; whether a factor matters is a
-likelihood ratio of ML fits. Without statsmodels (``haptic-rig[report]``), or where the model does not converge,
-`Mixed.problem` gives the reason, and the paired tests of `rig.extras.study.kmax` remain.
+Estimates are REML with Student's intervals; for two conditions these equal the paired test. The test of a factor is a
+likelihood ratio of ML fits. Without statsmodels (``haptic-rig[report]``), or if the model does not converge,
+`Mixed.problem` contains the reason, and the paired tests of `rig.extras.study.kmax` are used.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _LOST = 1e-3  # of log likelihood, that statsmodels may end below the optimum th
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Term:
-    """A number of the model with its interval of 95 %; NaN for terms that are only taken out."""
+    """An estimate of the model with its 95 % interval; NaN for covariates, whose effect is only removed."""
 
     name: str
     value: float
@@ -55,9 +55,9 @@ class Term:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contrast:
-    """`condition` less `against`, at a damping, or over the dampings that both have (None).
+    """Difference `condition` minus `against` at a damping, or over the dampings that both have (None).
 
-    `holm`, `bound` and `beyond` as in `rig.extras.study.kmax.Paired`.
+    `holm`, `bound` and `beyond` are defined in `rig.extras.study.kmax.Paired`.
     """
 
     condition: str
@@ -74,10 +74,10 @@ class Contrast:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LikelihoodRatio:
-    """Whether a factor matters: twice the log ratio of likelihoods, against χ² with so many degrees of freedom.
+    """Likelihood-ratio test of a factor: twice the log ratio of likelihoods, against χ² with `degrees` of freedom.
 
-    "condition, at any damping" asks for the condition and its interaction at once, and so does damping; "condition ×
-    damping" asks for the interaction alone.
+    "condition, at any damping" tests the condition and its interaction together, and so does "damping, in any
+    condition"; "condition × damping" tests the interaction alone.
     """
 
     factor: str
@@ -88,29 +88,29 @@ class LikelihoodRatio:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mixed:
-    """The model of one measure.
+    """The mixed model of the limits by one measure, in units of stiffness.
 
     Attributes
     ----------
     problem
-        Why there is no model; empty when there is one. All that follows is empty then.
+        Why there is no model; empty if there is one. Without a model all other fields are empty.
     notes
-        What must be known beside the numbers.
+        Sentences about limitations of the model.
     participants, runs, beyond
-        Behind it; and how many of its limits are censored, and enter with the end of the levels.
+        Participants and runs used, and the number of censored limits, which are replaced by the nearest level.
     degrees
-        Of freedom, of all intervals.
+        Degrees of freedom of all intervals.
     means
-        Of each condition and damping, at the middle of order and block; the name is (condition, damping).
+        Mean of each condition and damping, at the mean order and block; the key is (condition, damping).
     slopes
-        Of order and block, in stiffness for each place and each block; taken out, so they have no interval.
+        Change of the limit per place (order) and per block, if it could be separated; without an interval.
     contrasts
-        Differences.
+        Differences between conditions.
     tests
-        Likelihood ratios; none below `ENOUGH_PARTICIPANTS`.
+        Likelihood ratios; empty for fewer than `ENOUGH_PARTICIPANTS` participants.
     deviations
-        Standard deviation of each random part (`PARTS`, as far as they can be estimated; 0 where the estimate is zero),
-        and of the residual.
+        Standard deviation of each random part (`PARTS`) that can be estimated, 0 where its estimate is zero, and of the
+        residual.
     """
 
     measure: Measure
@@ -128,9 +128,9 @@ class Mixed:
 
 
 def fit_mixed(values: Sequence[Observed], measure: Measure, conditions: Sequence[str]) -> Mixed:
-    """Fit the model to limits by a measure; never raises, says what is in the way.
+    """Fit the model to the limits by one measure. It raises no error: `Mixed.problem` contains the reason.
 
-    `conditions` are in the order in which they are compared: each with those before it.
+    Each of `conditions` is compared with those before it in the sequence.
     """
     beyond = beyond_of((one.condition, one.damping, one.limit) for one in values)
     # A cell of which most limits are censored has the end of the levels as its mean.
@@ -190,7 +190,7 @@ def _sort_cells(cells: Iterable[Cell], conditions: Sequence[str]) -> list[Cell]:
 
 
 def _problem(kept: Sequence[Observed], cells: Sequence[Cell], *, censored: bool) -> str:
-    """Return why there can be no model; empty when there can."""
+    """Return why no model can be fitted; empty if one can."""
     participants = len({one.participant for one in kept})
     problem = ""
     if censored and not cells:
@@ -223,20 +223,20 @@ def _is_installed() -> bool:
 
 @dataclass(frozen=True)
 class _Design:
-    """What is modelled: a row of `frame` for each participant and cell, with limits in units of their deviation.
+    """Data of the model: a row of `frame` for each participant and cell, with limits minus `middle` divided by `scale`.
 
     Attributes
     ----------
     cells
-        In the order of their labels in the frame.
+        Conditions and dampings, in the order of their labels in the frame.
     middle, scale
         Mean and standard deviation of the limits, in stiffness.
     rounding
         Standard deviation of the error of the limits that rounding to the levels makes, in stiffness.
     covariates
-        Of order and block, those that can be separated from cells and participants.
+        Those of order and block whose effect can be separated from cells and participants.
     notes
-        Which could not.
+        Sentences about covariates that could not be separated.
     """
 
     frame: Any
@@ -286,7 +286,7 @@ class _Design:
         return design
 
     def columns(self, *terms: str) -> Floats:
-        """The columns of ``0 + terms``: one for each value of the first factor, all but the first of another's."""
+        """Return the design matrix of ``0 + terms``: all values of the first factor, all but one of the others."""
         made = [
             pandas.get_dummies(self.frame[[term]], drop_first=place > 0, dtype=np.float64)
             for place, term in enumerate(terms)
@@ -298,7 +298,7 @@ class _Design:
         return int(np.linalg.matrix_rank(self.columns(*terms)))
 
     def by_person(self, values: Floats) -> Floats:
-        """A row for each participant and in it one for each of their values; zeros where one has fewer than others."""
+        """Return `values` as an array (participants, most values of one), padded with zeros for fewer values."""
         of = self.frame.groupby("participant")
         person, own = of.ngroup().to_numpy(), of.cumcount().to_numpy()
         rows = np.zeros((person.max() + 1, own.max() + 1, *values.shape[1:]))
@@ -306,7 +306,7 @@ class _Design:
         return rows
 
     def alike(self, part: str) -> Floats:
-        """Return 1 where two values of a participant have this random part in common, else 0."""
+        """Return 1 for each pair of a participant's values that share this random part, else 0 (participants, n, n)."""
         groups = self.frame.groupby(["participant", *part.split(" × ")[1:]]).ngroup().to_numpy()
         number = self.by_person(groups + 1.0)
         return np.asarray((number[:, :, None] == number[:, None]) & (number[:, :, None] > 0.0), np.float64)
@@ -318,27 +318,27 @@ class _Design:
 
     @cached_property
     def degrees(self) -> int:
-        """Degrees of freedom of a difference within participants: what people leave, or values where that is less."""
+        """Return the degrees of freedom of a difference: participants - 1, or fewer if there are too few values."""
         taken = self.rank("cell", "participant", *self.covariates)
         return min(self.participants - 1, len(self.frame) - taken)
 
     @cached_property
     def residual_deviation(self) -> float:
-        """Standard deviation, in stiffness, that cells, participants and covariates leave by least squares."""
+        """Return the residual SD (stiffness) of a least-squares fit of cells, participants and covariates."""
         columns, limits = self.columns("cell", "participant", *self.covariates), self.frame["limit"]
         rest = limits - columns @ np.linalg.lstsq(columns, limits, rcond=None)[0]
         free = len(limits) - int(np.linalg.matrix_rank(columns))
         return math.sqrt(float(rest @ rest) / free) * self.scale
 
     def unresolved(self, deviation: float) -> str:
-        """Return why a residual of this deviation gives no interval and no p, or an empty text if it does."""
+        """Return why a residual of this standard deviation gives no interval and no p; empty if it does."""
         if is_resolved(deviation, self.rounding, abs(self.middle) + self.scale):
             return ""
         return unresolved_words("the residuals within participants", deviation, self.rounding)
 
     @cached_property
     def parts(self) -> list[str]:
-        """Random parts that can be estimated: of a factor, where each person has several values of it, repeatedly."""
+        """Return the random parts that can be estimated: their factor must have repeated values within participants."""
         found = ["participant"]
         for part in list(PARTS)[1:]:
             factor = part.split()[-1]
@@ -348,7 +348,7 @@ class _Design:
         return found
 
     def weights(self, of: Mapping[Cell, float]) -> Floats:
-        """Return a linear combination of the fixed effects, by weights of the cells."""
+        """Return the weights of all fixed effects: those in `of` for the cells, 0 for the covariates."""
         return np.array([*(of.get(cell, 0.0) for cell in self.cells), *(0.0 for _ in self.covariates)])
 
 
@@ -357,7 +357,7 @@ class _Design:
 
 @dataclass(frozen=True)
 class _Optimum:
-    """The largest (log) likelihood, and variances of the random parts there, in units of the residual's."""
+    """The largest log likelihood, and the variances of the random parts there, divided by the residual's."""
 
     likelihood: float
     variances: Mapping[str, float]
@@ -366,10 +366,10 @@ class _Optimum:
 def _minus_log_likelihood(
     variances: Floats, count: int, limits: Floats, fixed: Floats, parts: Sequence[Floats], reml: bool
 ) -> tuple[float, Floats]:
-    """Return minus the log likelihood at variances of the random parts, in the residual's, and its gradient.
+    """Return minus the log likelihood and its gradient, for variances of the random parts divided by the residual's.
 
-    Fixed effects and the residual's variance are the likeliest there. All arrays are as `_Design.by_person` has them:
-    `count` values, and zeros that add nothing to any sum.
+    Fixed effects and residual variance are at their maximum-likelihood values. The arrays have the form of
+    `_Design.by_person`: `count` values, padded with zeros that add nothing to a sum.
     """
     covariance = np.eye(limits.shape[1]) + sum(v * part for v, part in zip(variances, parts, strict=True))
     inverse = np.linalg.inv(covariance)
@@ -392,7 +392,7 @@ def _minus_log_likelihood(
 
 
 def _optimum(design: _Design, fixed: Floats, *, reml: bool = True) -> _Optimum | None:
-    """Search for the largest likelihood with these fixed columns; None where the search does not converge.
+    """Return the largest likelihood with these fixed columns; None if the search does not converge.
 
     The optimisers of statsmodels work on square roots of the variances, where the likelihood is flat at a variance of
     zero. Tried on 2026-11-29 (statsmodels 0.15.0, 70 fits to 14 studies): those with gradients stop up to 0.63 short of
@@ -423,7 +423,7 @@ def _optimum(design: _Design, fixed: Floats, *, reml: bool = True) -> _Optimum |
 
 @dataclass(frozen=True)
 class _Model:
-    """A fit: fixed effects (cells, then covariates) with their covariance, in units of stiffness."""
+    """A fitted model: fixed effects (cells, then covariates) and their covariance, in units of stiffness."""
 
     mean: Floats
     covariance: Floats
@@ -433,7 +433,7 @@ class _Model:
 
     @classmethod
     def of(cls, design: _Design) -> _Model | None:
-        """Return REML estimates of statsmodels at the optimum, without the parts whose variance is zero there."""
+        """Return REML estimates at the optimum, without random parts of zero variance; None if they do not converge."""
         optimum = _optimum(design, design.columns("cell", *design.covariates))
         if optimum is None:
             return None
@@ -473,19 +473,19 @@ class _Model:
         )
 
     def term(self, name: str, weights: Floats) -> Term:
-        """Return a linear combination of the fixed effects."""
+        """Return a linear combination of the fixed effects with its 95 % interval."""
         value, deviation = float(weights @ self.mean), self.deviation(weights)
         low, high = stats.t.interval(0.95, self.degrees, value, deviation)
         return Term(name=name, value=value, low=float(low), high=float(high))
 
     def p(self, weights: Floats) -> float:
-        """Return the two-sided p that a linear combination is zero."""
+        """Return the two-sided p that this linear combination of the fixed effects is zero."""
         return float(
             2.0 * stats.t.sf(abs(float(weights @ self.mean)) / self.deviation(weights), self.degrees)
         )
 
     def deviation(self, weights: Floats) -> float:
-        """Return the standard error of a linear combination."""
+        """Return the standard error of this linear combination of the fixed effects."""
         return math.sqrt(float(weights @ self.covariance @ weights))
 
 
@@ -528,7 +528,7 @@ def _contrasts(
 def _difference(
     cells: Iterable[Cell], condition: str, against: str, damping: float | None
 ) -> dict[Cell, float]:
-    """Weights of the cells in a difference; empty where there is no such damping, or no two of them for their mean."""
+    """Return the weights of the cells in a difference; empty if there is no, or for None only one, common damping."""
     of = {name: {b for other, b in cells if other == name} for name in (condition, against)}
     both = of[condition] & of[against]
     if damping is not None:
@@ -541,7 +541,7 @@ def _difference(
 def _tests(design: _Design) -> tuple[LikelihoodRatio, ...]:
     """Return likelihood ratios of the full model against those without condition, damping, and their interaction.
 
-    A factor that cannot be separated from the rest has none, and one of which a fit does not converge.
+    A factor is left out if it cannot be separated from the others, or if one of its fits does not converge.
     """
     several = design.frame["condition"].nunique() > 1 and design.frame["damping"].nunique() > 1
     reduced = {

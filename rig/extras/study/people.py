@@ -1,4 +1,4 @@
-"""Who took part: a row for each participant, and what they answered."""
+"""Tables of the participants and of their answers, and the number of trials by their use."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def participants_of(
 
 
 def answers_of(study: Study) -> tuple[AnswerRow, ...]:
-    """Return all answers, in the order in which they were given; corrections included."""
+    """Return the final answer to each item of each block; earlier answers of a restarted block are left out."""
     when = {item.name: item.when for item in study.protocol.question}
     return tuple(
         AnswerRow(
@@ -34,24 +34,24 @@ def answers_of(study: Study) -> tuple[AnswerRow, ...]:
     )
 
 
-def fates(trials: Sequence[TrialRow], runs: Sequence[RunRow]) -> Counter[str]:
-    """Count trials by their use: "counted" ones contribute to a limit, each other one has its reason.
+def count_trial_uses(trials: Sequence[TrialRow], runs: Sequence[RunRow]) -> Counter[str]:
+    """Return the number of trials by use: "counted" trials contribute to a limit, each other use is a reason why not.
 
-    Unsure verdicts do not contribute, save the last of so many in a row that the protocol takes them for not stable.
+    An unsure verdict is not "counted", unless it is the last of a row of them that the protocol treats as not stable.
     """
     states = {(run.participant, run.run): run.state for run in runs}
-    return Counter(_fate(trial, states.get((trial.participant, trial.run), "complete")) for trial in trials)
+    return Counter(_use_of(trial, states.get((trial.participant, trial.run), "complete")) for trial in trials)
 
 
-def _fate(trial: TrialRow, state: str) -> str:
+def _use_of(trial: TrialRow, state: str) -> str:
     if trial.practice:
         return "practice"
     if trial.void:
         return trial.void
     if state == ENDED_BY_MOST:
-        return "of searches that ended by most"
+        return "in searches stopped at the trial limit"
     if state != "complete":
-        return f"of {state} searches"
+        return f"in {state} searches"
     return "catch trials" if trial.catch else "unsure" if trial.verdict == "unsure" else "counted"
 
 
@@ -66,7 +66,7 @@ def _row(session: StudySession, trials: Sequence[TrialRow], runs: Sequence[RunRo
         ended=session.state.ended or "",
         active_s=session.state.active_s,
         trials=len(theirs),
-        counted=fates(theirs, searches)["counted"],
+        counted=count_trial_uses(theirs, searches)["counted"],
         caught=sum((run.caught for run in searches), CatchTrials()),
         answers={item: answer for (item, _), answer in session.state.answered.items() if item in asked_once},
     )

@@ -1,7 +1,7 @@
 """Pictures of a study: the Z-width over participants, tracks, psychometric functions, agreement, order and fatigue.
 
-One colour and one marker for each condition in all of them. Verdicts differ in colour and in shape. Triangles mark
-limits that lie beyond the levels: ▲ above the stiffest, ▼ below the softest.
+Each condition has one colour and one marker in all pictures. Verdicts differ in colour and in shape. Triangles mark
+limits beyond the levels: ▲ above the stiffest, ▼ below the softest.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ Draw = Callable[[StudyAnalysis], Any]
 
 
 def pictures(found: StudyAnalysis) -> dict[str, Draw]:
-    """Return the pictures that the results allow, by name; each is a function of the analysis that returns a figure."""
+    """Return the functions that draw the pictures for which there are results, by name of the picture."""
     chosen: dict[str, Draw] = {}
     if found.over_participants:
         chosen["zwidth"] = partial(zwidth_figure, measure=found.options.measure)
@@ -88,30 +88,30 @@ def draw_session(
     watch: Callable[[int, int], None] | None = None,
     on_failure: Callable[[Exception, str], None] | None = None,
 ) -> dict[str, Path]:
-    """Draw everything into a directory, which is there.
+    """Draw all pictures into an existing directory.
 
     Parameters
     ----------
     found
-        What is drawn.
+        Results that are drawn.
     directory
-        Takes the files; earlier ones of the same names are replaced.
+        Directory of the pictures; existing files of the same names are replaced.
     endings
-        Of the files, as `rig.views.plots.style.FORMATS` has them.
+        File formats, some of `rig.views.plots.style.FORMATS`.
     watch
         Called with the number of pictures done, and the total.
     on_failure
-        Called with the error and the name of a picture that fails, in place of raising it.
+        Called with the error and the picture's name if a picture fails; None: raise the error.
 
     Returns
     -------
     dict
-        Path by name of the file.
+        Path of each picture by its file name.
 
     Raises
     ------
     RecordingError
-        The disk refuses.
+        A file cannot be written.
     """
     written: dict[str, Path] = {}
     chosen = pictures(found)
@@ -131,7 +131,7 @@ def draw_session(
 
 
 def tracks_name(code: str) -> str:
-    """Name of the picture of a participant's tracks."""
+    """Return the name of the picture of a participant's tracks."""
     return f"{TRACKS}{file_name(code)}"
 
 
@@ -140,9 +140,9 @@ def tracks_name(code: str) -> str:
 
 @style.own_style()
 def zwidth_figure(found: StudyAnalysis, measure: Measure) -> Any:
-    """Return K_max against B by condition: a thin line for each participant, a thick one with intervals for their mean.
+    """Draw K_max over B by condition: a thin line for each participant, a thick one with intervals for the mean.
 
-    With a single damping the conditions stand beside each other, and a line joins what belongs to one participant.
+    With a single damping the conditions are side by side, and a line joins the values of each participant.
     """
     each = [one for one in found.of_participants if one.measure == measure]
     over = [one for one in found.over_participants if one.measure == measure]
@@ -231,7 +231,7 @@ def _means(
     marker: str,
     name: str,
 ) -> None:
-    """Means with their intervals: over participants, or of the one there is."""
+    """Draw means with 95 % intervals: over participants, or over repeats of a single participant."""
     ends = [_ends(one, each) for one in means]
     lengths = np.array(
         [
@@ -266,7 +266,7 @@ def _ends(one: OverParticipants, each: Sequence[OfParticipant]) -> tuple[float, 
 def _draw_censored(
     axes: Any, x: float, y: float, above: int, below: int, colour: str, *, size: float, alpha: float
 ) -> None:
-    """Arrows where some of the runs lie beyond the levels."""
+    """Draw a triangle for limits above, and one for limits below the searched levels."""
     for count, marker in ((above, "^"), (below, "v")):
         if count:
             axes.scatter([x], [y], marker=marker, s=size, color=colour, alpha=alpha, zorder=5)
@@ -277,9 +277,9 @@ def _draw_censored(
 
 @style.own_style()
 def psychometric_figure(found: StudyAnalysis) -> Any:
-    """Share of stable verdicts over stiffness: a row of panels for each condition, a column for each damping.
+    """Draw the share of stable verdicts over stiffness: a row of panels for each condition, a column for each damping.
 
-    Functions are drawn where K50 lies among the levels; `CURVES` says what is what.
+    A function is drawn if its K50 lies within the levels; `CURVES` lists the lines and markers.
     """
     judge = "person" if any(one.judge == "person" for one in found.psychometrics) else "automatic"
     names = _conditions(found)
@@ -315,7 +315,7 @@ def psychometric_figure(found: StudyAnalysis) -> Any:
 
 
 def _functions(axes: Any, of: Sequence[PsychometricFit], judge: str, colour: str, most: int) -> set[str]:
-    """Draw a panel; the largest circle stands for `most` verdicts. Returns which of `CURVES` are in it."""
+    """Draw one panel; the largest circle stands for `most` verdicts. Return the keys of `CURVES` that were drawn."""
     mine = [one for one in of if one.judge == judge]
     together = _together(mine)
     if together is None:
@@ -353,7 +353,7 @@ def _functions(axes: Any, of: Sequence[PsychometricFit], judge: str, colour: str
 
 
 def _k50(one: PsychometricFit) -> str:
-    """Return K50, as a bound, or the number of censored ones where there are both kinds."""
+    """Return K50 as text: with ≥ or ≤ if it is a bound, or the number of censored K50 if both occur."""
     if one.above and one.below:
         return f"K50 of {one.above + one.below} of {one.participants} censored"
     mark = "≥" if one.above else "≤" if one.below else "="
@@ -361,7 +361,7 @@ def _k50(one: PsychometricFit) -> str:
 
 
 def _together(of: Sequence[PsychometricFit]) -> PsychometricFit | None:
-    """Return the function of all participants, or of the only one."""
+    """Return the function of all participants together, or that of the only participant."""
     for one in of:
         if one.participant == "":
             return one
@@ -373,7 +373,7 @@ def _together(of: Sequence[PsychometricFit]) -> PsychometricFit | None:
 
 @style.own_style()
 def tracks_figure(found: StudyAnalysis, code: str) -> Any:
-    """Draw which walls each run of a participant asked for, trial by trial, and their verdicts."""
+    """Draw the stiffness of each trial of a participant's runs, and the verdicts."""
     runs = [run for run in found.runs if run.participant == code]
     trials = [trial for trial in found.trials if trial.participant == code and not trial.practice]
     columns = min(_RUNS_IN_A_ROW, max(len(runs), 1))
@@ -445,7 +445,7 @@ def _paint(colour: str, filled: bool) -> dict[str, Any]:
 
 
 def _key(axes: Any, trials: Sequence[TrialRow]) -> None:
-    """Add the legend of the marks of these trials."""
+    """Add a legend of the markers that these trials need."""
     for verdict, (colour, marker) in VERDICTS.items():
         if any(_verdict_of(trial) == verdict for trial in trials):
             name = _VERDICT_WORDS.get(verdict, verdict)
@@ -463,7 +463,7 @@ def _key(axes: Any, trials: Sequence[TrialRow]) -> None:
 
 @style.own_style()
 def agreement_figure(found: StudyAnalysis) -> Any:
-    """Return tables of confusions of the person's verdicts and the automatic ones, all conditions together."""
+    """Draw the tables of confusions of the person's and the automatic verdicts, over all conditions."""
     tables = _unlike([one for one in found.agreements if one.condition == "" and one.trials])
     figure = style.new_figure(1.0 + 3.3 * len(tables), 3.7)
     panels = figure.subplots(1, len(tables), squeeze=False)[0]
@@ -475,7 +475,7 @@ def agreement_figure(found: StudyAnalysis) -> Any:
 
 
 def _unlike(tables: Sequence[Agreement]) -> list[Agreement]:
-    """Return one table of each kind: weights change kappa, not the table."""
+    """Return one table of each name; tables with other weights have the same counts."""
     by_name: dict[str, Agreement] = {}
     for table in tables:
         by_name.setdefault(table.name, table)
@@ -509,10 +509,10 @@ def _confusions(axes: Any, table: Agreement) -> None:
 
 @style.own_style()
 def effects_figure(found: StudyAnalysis) -> Any:
-    """Limits against the place in the block, the block and the trial, less the mean of each participant and condition.
+    """Draw limits minus the mean of participant and condition against place in the block, block and trial.
 
     Below: the time to a verdict along the session, and the share of trials of each block that were invalid,
-    redone, or were cut off.
+    redone or cut off.
     """
     measure = found.options.measure
     runs = [run for run in found.runs_as_counted if run.state == "complete" and measure in run.limits]
@@ -568,7 +568,7 @@ def _slope(axes: Any, found: StudyAnalysis, of: str, along: str, measure: str, a
 
 
 def _response(axes: Any, found: StudyAnalysis) -> None:
-    """A line of medians for each participant: trial by trial they would hide each other."""
+    """Draw medians of `_TOGETHER` verdict times, a line for each participant; single trials would hide each other."""
     for number, session in enumerate(found.study.sessions):
         timed = [
             (trial.trial, trial.response_time_s)
@@ -651,7 +651,7 @@ def _count_runs(axes: Any, runs: Sequence[RunRow]) -> None:
 
 
 def style_of(number: int) -> str:
-    """Colour of a condition by its place in the protocol."""
+    """Return the colour of a condition by its place in the protocol."""
     return style.SERIES[number % len(style.SERIES)]
 
 
@@ -660,7 +660,7 @@ def _conditions(found: StudyAnalysis) -> list[str]:
 
 
 def _plain(text: str) -> str:
-    """Return a text of the user's for matplotlib: no formula, and nothing that a legend would hide."""
+    """Return a user's text for matplotlib, so that it is not read as a formula or hidden from a legend."""
     text = text.replace("$", r"\$")
     return f" {text}" if text.startswith("_") else text
 

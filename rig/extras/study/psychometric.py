@@ -1,7 +1,7 @@
-"""Fit psychometric functions: where verdicts change from stable to not, how gradually, and how often a person lapses.
+"""Fit psychometric functions: stiffness at which verdicts change, how gradually, and how often a person lapses.
 
-The posterior on the grid of `rig.session.search._psychometric`, of all verdicts of a participant's complete runs under
-a condition at one damping, whatever rule asked for them; catch trials are left out, as in the searches.
+The posterior is computed on the grid of `rig.session.search._psychometric`, from all verdicts of a participant's
+complete runs under a condition at one damping, for any search rule; catch trials are left out.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Judge = Literal["person", "automatic"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Posterior:
-    """A parameter: posterior mean, of K50 the median, and interval of 95 % (NaN: none)."""
+    """Estimate of a parameter: posterior mean (for K50 the median), and 95 % interval (NaN: no interval)."""
 
     mean: float
     low: float
@@ -36,25 +36,24 @@ class Posterior:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PsychometricFit:
-    """The function of one participant, or of all (`participant` is empty then).
+    """Psychometric function of one participant, or of all together (`participant` is empty).
 
     Attributes
     ----------
     judge
-        Whose verdicts.
+        Source of the verdicts, "person" or "automatic".
     participants
-        How many are behind it.
+        Number of participants whose verdicts were used.
     threshold, spread
-        K50 and s, in the units of stiffness. Beyond the levels K50 is their end, see
-        `rig.session.search._psychometric.Located`; over participants the mean of theirs.
-    above, below
-        How many of the participants behind it have their K50 above or below the levels.
+        K50 and scale s, in units of stiffness. If K50 lies beyond the levels, it is the nearest level, see
+        `rig.session.search._psychometric.Located`; over participants it is the mean of their K50.
+        Number of participants whose K50 lies above or below the levels.
     lapse_rate
-        λ, the share of verdicts turned round.
+        λ, the share of inverted verdicts (0 to 1).
     levels, verdicts, stable
-        Of each level that was judged: stiffness, verdicts, and how many of them were stable.
+        For each judged level: stiffness, number of verdicts, and number of stable verdicts.
     step, mark
-        Distance of the levels about K50; and why K50 is no limit that the verdicts show, as of a `LimitInterval`.
+        Distance of the levels around K50 (stiffness); why the verdicts do not support K50, as in `LimitInterval`.
     """
 
     participant: str
@@ -75,11 +74,11 @@ class PsychometricFit:
 
     @property
     def bounded(self) -> bool:
-        """Return True if every K50 behind it lies among the levels."""
+        """Return True if the K50 of every participant lies within the levels."""
         return not self.above and not self.below
 
     def share(self, stiffness: Floats) -> Floats:
-        """Share of stable verdicts along stiffness, at these parameters."""
+        """Return the share of stable verdicts (0 to 1) at each stiffness."""
         return share_stable(stiffness, self.threshold.mean, self.spread.mean, self.lapse_rate.mean)
 
 
@@ -89,12 +88,12 @@ Verdicts = list[tuple[float, bool]]
 def psychometrics(
     study: Study, complete: Container[tuple[str, int]], *, include_marked: bool = False
 ) -> tuple[PsychometricFit, ...]:
-    """All functions: by judge, condition and damping, each participant and then all of them (without marked ones).
+    """Return all functions, by judge, condition and damping: of each participant, then of all without marked ones.
 
     Parameters
     ----------
     complete
-        Participants and numbers of the runs that count, see `complete_runs`.
+        Participant and number of each run that counts, see `complete_runs`.
     """
     found: list[PsychometricFit] = []
     judges: tuple[Judge, ...] = ("person", "automatic")
@@ -120,21 +119,21 @@ def psychometrics(
 
 
 def complete_runs(runs: Sequence[RunRow]) -> set[tuple[str, int]]:
-    """Return participants and numbers of the runs that limits are made of."""
+    """Return participant and number of each complete run."""
     return {(run.participant, run.run) for run in runs if run.state == "complete"}
 
 
 def gather_verdicts(
     study: Study, judge: str, complete: Container[tuple[str, int]]
 ) -> dict[tuple[str, float], dict[str, Verdicts]]:
-    """Return verdicts by condition and damping, and by participant.
+    """Return verdicts (stiffness, stable) by condition and damping, and by participant.
 
     Parameters
     ----------
     judge
         See `rig.extras.study.trials.answers`.
     complete
-        Participants and numbers of the runs that count.
+        Participant and number of each run that counts.
     """
     found: dict[tuple[str, float], dict[str, Verdicts]] = {}
     for session in study.sessions:
@@ -156,7 +155,7 @@ def fit(
     levels: tuple[float, ...],
     verdicts: Sequence[tuple[float, bool]],
 ) -> PsychometricFit:
-    """Return the function that verdicts (stiffness, stable) of one participant on these levels show."""
+    """Return the function fitted to the verdicts (stiffness, stable) of one participant on these levels."""
     grid = of_levels(tuple(levels))
     posterior = grid.posterior(verdicts)
     half = half_way(levels, verdicts)
@@ -186,7 +185,7 @@ def fit(
 def together(
     each: Sequence[PsychometricFit], levels: tuple[float, ...], verdicts: Sequence[tuple[float, bool]]
 ) -> PsychometricFit:
-    """Return the function of several participants under one condition, of whose verdicts these are all."""
+    """Return the common function of several participants under one condition; `verdicts` are those of all of them."""
     # Student's interval over people's own K50: it shows a K50 that drifts between repeats, for which the posterior's is
     # too narrow.
     own = np.array([one.threshold.mean for one in each])
@@ -209,7 +208,7 @@ def together(
 
 
 def _marginal(values: Floats, weights: Floats, *, geometric: bool = False) -> Posterior:
-    """Mean (of the logarithm, if geometric) and interval of a parameter that has few values, from value to value."""
+    """Return mean (geometric if asked) and 95 % interval of a parameter with the discrete `values`."""
     share = weights / weights.sum()
     below = np.cumsum(share)
     low, high = (min(int(np.searchsorted(below, edge)), len(values) - 1) for edge in (0.025, 0.975))

@@ -1,6 +1,6 @@
-"""A study as one HTML page: results, what was planned and what happened, and the methods, for print.
+"""Write a study as one HTML page: results, plan, deviations from the plan, and the methods, for print.
 
-Everything is in the file: pictures inline, all numbers as JSON in the element ``numbers``. The words stand in
+The file contains everything: pictures inline, all numbers as JSON in the element ``numbers``. The text is in
 ``session.html.j2``.
 """
 
@@ -36,9 +36,9 @@ def render(found: StudyAnalysis, pictures: Mapping[str, bytes]) -> str:
     Parameters
     ----------
     found
-        What it reports.
+        Results that the page reports.
     pictures
-        PNGs by name (`rig.extras.study.plots.pictures`); the page says where one is missing.
+        PNGs by name (`rig.extras.study.plots.pictures`); the page states which are missing.
     """
     model, _ = tables.first_contrasts(found)
     searched = {run.participant for run in found.runs}
@@ -66,9 +66,9 @@ def render(found: StudyAnalysis, pictures: Mapping[str, bytes]) -> str:
 def write_session_report(
     found: StudyAnalysis, pictures: Mapping[str, bytes], directory: Path
 ) -> tuple[Path, Path]:
-    """Write the page and its numbers into a directory, which is there; returns both paths.
+    """Write the page and its numbers into an existing directory; return both paths.
 
-    Earlier ones are replaced. Raises `rig.core.errors.RecordingError` when the disk refuses.
+    Existing files are replaced. Raises `rig.core.errors.RecordingError` if a file cannot be written.
     """
     page = render(found, pictures).encode()
     data = json.dumps(numbers(found), ensure_ascii=False, allow_nan=False, indent=1).encode()
@@ -95,7 +95,7 @@ def numbers(found: StudyAnalysis) -> dict[str, Any]:
 
 
 def provenance(found: StudyAnalysis) -> dict[str, Any]:
-    """Return where the numbers come from: logs with their hashes, devices, versions, seeds."""
+    """Return the origin of the numbers: logs with their hashes, devices, versions, seeds, protocol, experiments."""
     sessions = found.study.sessions
     return {
         "logs": {

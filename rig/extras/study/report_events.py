@@ -1,6 +1,6 @@
-"""What did not go as planned in the sessions of a study, in the order in which it happened, from the logs alone.
+"""List deviations from the plan in the sessions of a study, in order of time, from the logs alone.
 
-The sentences stand in ``session_events.j2``.
+The text of an event is in ``session_events.j2``.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _REASON = re.compile(r"\b(felt|heard|moved) [-+.\de]+ above [-+.\de]+")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Deviation:
-    """Something that happened: to whom, how long after the session's begin (s), what, and the details."""
+    """A deviation: participant, time since the session's start (s), what happened, and details."""
 
     participant: str
     at_s: float
@@ -37,11 +37,11 @@ class Deviation:
 
 
 def deviations(study: Study) -> tuple[Deviation, ...]:
-    """Decisions and interruptions: redone, amended, restarted, skipped, tried again, stopped, resumed, ended early.
+    """Return decisions and interruptions: redone, amended, restarted, skipped, retried, stopped, resumed, ended early.
 
-    First come values of the protocol that are not those of most participants. An opening of the rig is one where this
-    computer or the link was measured to lose samples.
-    Recordings that are missing or were changed stand at the end of each session.
+    First come values of the protocol that differ from those of most participants. The opening of a rig is listed if the
+    computer or the link lost samples in the measurement before it. Recordings that are missing or changed are last in
+    each session.
     """
     found = list(_of_protocols(study))
     for session in study.sessions:
@@ -66,7 +66,7 @@ def _of_protocols(study: Study) -> Iterator[Deviation]:
 
 
 def invalid_trials(study: Study) -> tuple[Deviation, ...]:
-    """Return trials that were invalid or cut off for safety, with the reasons."""
+    """Return the trials that were invalid or cut off for safety, with the reasons."""
     found: list[Deviation] = []
     for session in study.sessions:
         for event in session.of_kind("trial"):
@@ -97,7 +97,7 @@ def _deviation(session: StudySession, event: Event, what: str, detail: str) -> D
 
 
 def _sentence(session: StudySession, event: Event) -> str:
-    """Return an event and what belongs to it, filled into the template."""
+    """Return the description of an event, from the template."""
     content, before = event.content, session.events[: event.number]
     trial = content.get("trial")
     verdicts = [one.content["verdict"] for one in session.of_kind("judged") if one.content["trial"] == trial]
@@ -123,7 +123,7 @@ def _sentence(session: StudySession, event: Event) -> str:
 
 
 def _away_s(session: StudySession, event: Event) -> float | None:
-    """Return how long a session had rested before it was resumed or continued."""
+    """Return the pause (s) before a session was resumed or continued; None for other events."""
     since = [
         one
         for one in session.events[: event.number]
@@ -133,7 +133,7 @@ def _away_s(session: StudySession, event: Event) -> float | None:
 
 
 def _with_units(session: StudySession, reasons: str) -> str:
-    """Return reasons of a verdict, which have numbers alone, with their units."""
+    """Return the reasons of a verdict with units added to their numbers."""
     return _REASON.sub(lambda found: f"{found[0]} {_unit(session, _MEASURED[found[1]])}", reasons)
 
 

@@ -1,7 +1,7 @@
-"""The methods of a study as paragraphs that a paper can print, filled from the protocol, the logs and the results.
+"""Describe the methods of a study in paragraphs for a paper, from the protocol, the logs and the results.
 
-The text stands in ``session_methods.j2``; here is what it is filled with. A reader who repeats the study needs the
-protocol file and this.
+The text is in ``session_methods.j2``; this module computes the values in it. To repeat the study, a reader needs the
+protocol file and these paragraphs.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class _Setting:
 
 @dataclass(frozen=True, slots=True)
 class _Condition:
-    """A condition; `controller`: None if its estimator is not installed here."""
+    """A condition; `controller` and `estimator` are None if its estimator is not installed here."""
 
     name: str
     fit: str
@@ -78,7 +78,7 @@ class _Condition:
 
 @dataclass(frozen=True, slots=True)
 class _StatedSearch:
-    """A search: that of the study (`condition` None), or a condition's own."""
+    """Settings of a search: of the study (`condition` None), or of one condition that has its own."""
 
     condition: str | None
     levels: tuple[float, ...]
@@ -91,7 +91,7 @@ class _StatedSearch:
 
 @dataclass(frozen=True, slots=True)
 class _Prior:
-    """What was assumed before any verdict, on these levels."""
+    """Prior of the psychometric function on these levels, before any verdict."""
 
     levels: tuple[float, ...]
     grid: PsychometricGrid
@@ -105,7 +105,7 @@ def methods(found: StudyAnalysis) -> tuple[Paragraph, ...]:
 
 
 def effective(found: StudyAnalysis) -> dict[str, Experiment | RigError]:
-    """Return the experiment of each condition at its first damping and softest wall, or why it cannot be had here."""
+    """Return each condition's experiment at its first damping and softest wall, or the error if it is not available."""
     state = found.study.sessions[0].state
     walls = walls_in(state)
     experiments: dict[str, Experiment | RigError] = {}
@@ -118,14 +118,14 @@ def effective(found: StudyAnalysis) -> dict[str, Experiment | RigError]:
 
 
 def first_experiment(found: StudyAnalysis) -> Experiment:
-    """Return that of the first condition, or what it changes where its estimator is not installed here."""
+    """Return the experiment of the first condition; the study's base experiment if its estimator is not installed."""
     protocol = found.study.protocol
     first = effective(found)[protocol.condition[0].name]
     return first if isinstance(first, Experiment) else walls_in(found.study.sessions[0].state).base
 
 
 def analysed_with() -> dict[str, str]:
-    """Return versions of what this analysis was computed with."""
+    """Return the versions of the programs and libraries of this analysis."""
     found = {}
     for name in ("haptic-rig", "numpy", "scipy", "statsmodels", "matplotlib"):
         try:
@@ -216,7 +216,7 @@ def _conditions(
 def _settings(
     found: StudyAnalysis, changes: Mapping[str, Any], elsewhere: tuple[str, ...]
 ) -> tuple[_Setting, ...]:
-    """Return changed numbers of the experiment, without the keys that other sentences have."""
+    """Return the changed settings of the experiment, without keys that begin with one of `elsewhere`."""
     known, motion = parameters(), found.study.motion
     settings = []
     for key, value in changes.items():
@@ -230,7 +230,7 @@ def _settings(
 
 
 def _searches(found: StudyAnalysis) -> Iterator[_StatedSearch]:
-    """Yield the study's search, unless every condition has its own, and those."""
+    """Yield the study's search, unless each condition has its own, and the conditions' own searches."""
     protocol = found.study.protocol
     own = [(one.name, one.search) for one in protocol.condition if one.search is not None]
     shared = [(None, protocol.search)] if len(own) < len(protocol.condition) else []
@@ -253,7 +253,7 @@ def _priors(found: StudyAnalysis) -> list[_Prior]:
 
 
 def _collect_opened(found: StudyAnalysis, *names: str) -> list[tuple[Any, ...]]:
-    """Return values of these entries each time that a device was opened, each combination once."""
+    """Return the values of these entries of each event "opened" in the logs, each combination once."""
     every = [
         tuple(event.content.get(name, "unknown") for name in names)
         for session in found.study.sessions
@@ -263,7 +263,7 @@ def _collect_opened(found: StudyAnalysis, *names: str) -> list[tuple[Any, ...]]:
 
 
 def _versions(found: StudyAnalysis) -> Iterator[str]:
-    """Yield versions that sessions ran with, each set once."""
+    """Yield the software versions of the sessions as text, each set once."""
     sets = dict.fromkeys(tuple((s.began.get("versions") or {}).items()) for s in found.study.sessions)
     for versions in filter(None, sets):
         named = [f"{name} {text}" for name, text in versions if name not in ("sources", "protocol")]

@@ -1,4 +1,4 @@
-"""The tables of a study: what the page of `rig session analyse` shows, and of which the terminal prints some."""
+"""Format the tables of a study for the page of `rig session analyse`; the terminal prints some of them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _SAME = 0.005  # of a lapse rate: no further from the mean of its prior
 
 
 def over_participants(found: StudyAnalysis, measure: Measure) -> Table:
-    """Return K_max of each condition and damping, over participants."""
+    """Return a table of K_max over participants, for each condition and damping."""
     rows = [
         (
             one.condition,
@@ -109,7 +109,7 @@ def likelihood_ratios(model: Mixed) -> Table:
 
 
 def terms(found: StudyAnalysis, model: Mixed) -> Table:
-    """Return the terms of the mixed model."""
+    """Return a table of the mixed model's means, slopes and standard deviations (stiffness)."""
     named = [
         *[(f"{condition}, B = {damping:g}", term) for (condition, damping), term in model.means],
         *[(f"slope per {place(slope.name)}", slope) for slope in model.slopes],
@@ -156,7 +156,7 @@ def _is_mostly_censored(one: PsychometricFit) -> bool:
 
 
 def agreement(some: Iterable[Agreement]) -> Table:
-    """Return Cohen's kappa of each table of confusions."""
+    """Return a table with Cohen's kappa of each table of confusions."""
     rows = [
         (
             one.condition or "all",
@@ -193,7 +193,7 @@ def agreement(some: Iterable[Agreement]) -> Table:
 
 
 def slopes(found: StudyAnalysis, some: Iterable[Slope]) -> Table:
-    """Return how limits, response times and invalid trials change along a session."""
+    """Return a table of the slopes of limits, response times and invalid trials along a session."""
     units = {"limit": found.study.unit("stiffness"), "response time": "ln s"}
     rows = [
         (
@@ -216,7 +216,7 @@ def slopes(found: StudyAnalysis, some: Iterable[Slope]) -> Table:
 
 
 def blocks(found: StudyAnalysis) -> Table:
-    """Return trials of each block, practice aside."""
+    """Return a table of the trials of each block, without practice."""
     rows = [
         (
             one.participant, one.block, one.trials, one.invalid, one.redone, one.aborted, one.unsure,
@@ -262,7 +262,7 @@ def searches(found: StudyAnalysis) -> Table:
 
 
 def orders(found: StudyAnalysis) -> Table:
-    """In which order each participant had the searches."""
+    """Return a table with the order of the searches in each block of each participant."""
     rows = [
         (
             session.code,
@@ -361,13 +361,13 @@ def answers(found: StudyAnalysis) -> Table:
 
 
 def events(some: Iterable[Deviation], caption: str) -> Table:
-    """Return a table of events: participant, time and text."""
+    """Return a table of events: participant, time since the session's start, and text."""
     rows = [(one.participant, clock(one.at_s), one.what, one.detail) for one in some]
     return Table(("participant", "since the begin", "what", "details"), rows, caption, words=4)
 
 
 def drop_empty_columns(table: Table) -> Table:
-    """Return a table without the columns in which nothing but dashes stands."""
+    """Return a table without the columns that contain only dashes."""
     kept = [
         i for i in range(len(table.head)) if not table.rows or any(row[i] != NOTHING for row in table.rows)
     ]
@@ -379,9 +379,9 @@ def drop_empty_columns(table: Table) -> Table:
 
 
 def first_contrasts(found: StudyAnalysis) -> tuple[Mixed | None, list[tuple[Contrast | Paired, str]]]:
-    """Return the model, and the differences to begin with, each with its method: the model's, else the paired ones.
+    """Return the mixed model, and the differences to show first, each with its method: the model's, else paired.
 
-    Paired differences that are no more than bounds stand beside the model's.
+    Paired differences that are only bounds are added to the model's.
     """
     measure = found.options.measure
     paired = [one for one in found.paired if one.measure == measure and one.participants > 1]
@@ -398,7 +398,7 @@ def is_tested(one: Contrast | Paired) -> bool:
 
 
 def summarise_differences(found: StudyAnalysis) -> Iterator[tuple[Contrast | Paired, str]]:
-    """Differences of a summary: over all dampings, or at each where the mean over them is no more than a bound."""
+    """Yield the differences for a summary: over all dampings or, if that is only a bound, at each damping."""
     _, first = first_contrasts(found)
     overall = {(one.condition, one.against) for one, _ in first if one.damping is None and is_tested(one)}
     for one, method in first:
@@ -407,21 +407,21 @@ def summarise_differences(found: StudyAnalysis) -> Iterator[tuple[Contrast | Pai
 
 
 def write_bounded(value: float, above: int, below: int, marked: object = "") -> str:
-    """Return a value with the sign of a bound, where so many limits behind it lie above or below the levels.
+    """Return a value with ≥, ≤ or ? if limits `above` or `below` the levels make it a bound.
 
-    An asterisk follows where some of them are marked.
+    An asterisk follows if `marked`: the verdicts do not support some of the limits.
     """
     bound = "? " if above and below else "≥ " if above else "≤ " if below else ""
     return f"{bound}{number(value)}{MARK if marked else ''}"
 
 
 def lapse_rate(mean: float) -> str:
-    """Return a lapse rate; a dash where it is absent, or still the mean of its prior."""
+    """Return a lapse rate in percent; a dash if it is missing, or equals the mean of its prior."""
     return NOTHING if abs(mean - PRIOR_LAPSE_RATE) < _SAME else percent(mean, 1)
 
 
 def place(along: str) -> str:
-    """Return in words along which quantity a slope is."""
+    """Return the text for the quantity along which a slope is computed."""
     return "place in the block" if along == "order" else along
 
 
@@ -435,7 +435,7 @@ def _units(found: StudyAnalysis) -> Sequence[str]:
 
 
 def whole(found: StudyAnalysis) -> tuple[list[PsychometricFit], list[PsychometricFit]]:
-    """Return psychometric functions of all participants (or the only one), and those of each."""
+    """Return the psychometric functions of all participants together (or of the only one), and those of each."""
     alone = len(found.study.sessions) == 1
     every = list(found.psychometrics)
     together = [one for one in every if alone or not one.participant]
@@ -443,7 +443,7 @@ def whole(found: StudyAnalysis) -> tuple[list[PsychometricFit], list[Psychometri
 
 
 def no_slope(found: StudyAnalysis) -> dict[str, list[str]]:
-    """Return why there are slopes without a value: what of and along, by problem."""
+    """Return, for each reason, the slopes that have no value."""
     problems: dict[str, list[str]] = {}
     for one in found.slopes:
         if one.problem:
@@ -453,7 +453,7 @@ def no_slope(found: StudyAnalysis) -> dict[str, list[str]]:
 
 
 def no_interval(found: StudyAnalysis) -> dict[str, list[str]]:
-    """Return why tables of confusions have no interval: tables by problem."""
+    """Return, for each reason, the tables of confusions whose kappa has no interval."""
     problems: dict[str, list[str]] = {}
     for one in found.agreements:
         name = one.name + (f" of {one.condition}" if one.condition else "")
@@ -463,7 +463,7 @@ def no_interval(found: StudyAnalysis) -> dict[str, list[str]]:
 
 
 def no_mean_interval(found: StudyAnalysis, measure: Measure) -> dict[str, list[str]]:
-    """Return why means over participants have no interval: conditions and dampings by problem."""
+    """Return, for each reason, the conditions and dampings whose mean over participants has no interval."""
     problems: dict[str, list[str]] = {}
     for one in found.over_participants:
         if one.measure == measure and one.problem:
@@ -472,7 +472,7 @@ def no_mean_interval(found: StudyAnalysis, measure: Measure) -> dict[str, list[s
 
 
 def group_untested(found: StudyAnalysis, some: Iterable[Paired]) -> dict[str, list[str]]:
-    """Return differences without an interval, in words, by problem."""
+    """Return, for each reason, the differences without an interval, as text."""
     unit, problems = found.study.unit("stiffness"), dict[str, list[str]]()
     for one in some:
         if one.problem:

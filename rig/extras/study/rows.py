@@ -1,7 +1,7 @@
-"""What an analysis works on: one row for each trial, one for each run (a search through the stiffnesses).
+"""The rows of an analysis: one for each trial, one for each run (a search through the stiffnesses).
 
-Unit (or quantity, `rig.core.sample.unit_of`) and meaning of a column stand on its field: tables on disk, their
-dictionary and the sidecars of exports are generated from them.
+Unit (or quantity, `rig.core.sample.unit_of`) and meaning of each column are annotations of its field. The tables on
+disk, their dictionary and the sidecars of exports are generated from them.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MEASURES: tuple[Measure, ...] = ("rule", "K50 person", "K50 automatic")
 
 @dataclass(kw_only=True)
 class TrialRow(RecordedTrial):
-    """A trial of the log, with what the study adds: whose it is, and whether and how it counts."""
+    """A trial of the log, with its participant, its place in the study, and whether it counts."""
 
     participant: Annotated[str, Quantity("", "code")]
     row: Annotated[int, Quantity("", "participant's row of the order, from 0")]
@@ -67,7 +67,7 @@ class TrialRow(RecordedTrial):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParticipantRow:
-    """One participant; `answers` are those asked once, at the start or the end, by item."""
+    """One participant; `answers` contains, by item, the answers that were asked once, at the start or the end."""
 
     participant: Annotated[str, Quantity("", "code")]
     row: Annotated[int, Quantity("", "of the order, from 0")]
@@ -95,13 +95,13 @@ class AnswerRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LimitInterval:
-    """Where a limit lies: value, interval of 95 %, and the end of the levels beyond which it lies ("above", "below").
+    """A limit: value (stiffness), 95 % interval, and "above" or "below" if it lies beyond the searched levels.
 
-    There the interval is open: `high` is infinite, or `low` zero.
+    Beyond the levels the interval is open: `high` is infinite, or `low` is zero.
 
-    `share` is the share of stable verdicts at the value; None for the ascending rule, which aims at none. `step` is the
-    distance of the levels between which it was found; 0 for a value that is not of levels. `mark` says why the value is
-    no limit that its verdicts show (`rig.session.search._rule.mark_contradictions`); it is left out by default.
+    `share` is the share of stable verdicts at the value; None for the ascending rule, which has no target share. `step`
+    is the distance of the levels around the value; 0 if the value is not from levels. `mark` gives the reason if the
+    verdicts do not support the value (`rig.session.search._rule.mark_contradictions`); it is left out by default.
     """
 
     value: float
@@ -114,7 +114,7 @@ class LimitInterval:
 
     @property
     def rounding(self) -> float:
-        """Return the standard deviation of the error of the value that rounding to the levels makes."""
+        """Return the standard deviation (stiffness) of the error by rounding to the levels."""
         return rounding_deviation(self.step)
 
 
@@ -122,10 +122,10 @@ class LimitInterval:
 class RunRow:
     """One search: one condition, one damping, one repeat.
 
-    `limits` are by measure; K50 is the median of its posterior. A measure is left out when nothing determines it: no
-    verdicts, or the rule's own after verdicts were amended that it had followed (then the walls that it asked for are
-    no longer those of its walk). Of `caught`, catch trials at an end of the levels beyond which the limit lies are not
-    counted.
+    `limits` contains the limit by each measure; K50 is the median of its posterior. A measure is missing if nothing
+    determines it: there are no verdicts or, for the rule, verdicts that the search had used were amended afterwards, so
+    that it would have chosen other walls. `caught` does not count catch trials at an end of the levels beyond which the
+    limit lies.
     """
 
     participant: Annotated[str, Quantity("", "code")]
@@ -160,19 +160,19 @@ class RunRow:
 
     @property
     def catches(self) -> int:
-        """Return the catch trials that count, in complete runs."""
+        """Return the number of catch trials that count."""
         return self.caught.count
 
     @property
     def lapses(self) -> int:
-        """Return those judged against what is known."""
+        """Return the number of catch trials with a wrong verdict."""
         return self.caught.lapses
 
 
 def runs_as_counted(runs: Iterable[RunRow], *, include_marked: bool = False) -> tuple[RunRow, ...]:
-    """Return runs as K_max, models and slopes count them.
+    """Return the runs that K_max, models and slopes use.
 
-    A marked limit is left out, and a run that ended by `most` does not count as complete, unless `include_marked`.
+    Marked limits are removed, and a run that stopped at its trial limit is not complete, unless `include_marked`.
     """
     if include_marked:
         return tuple(replace(run, state="complete") if run.state == ENDED_BY_MOST else run for run in runs)
@@ -184,18 +184,18 @@ def runs_as_counted(runs: Iterable[RunRow], *, include_marked: bool = False) -> 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observed:
-    """One value that K_max and the mixed model are made of.
+    """One limit that K_max and the mixed model use.
 
-    By the rule, a run's limit. As K50, that of all verdicts of a participant under a condition at a damping: a single
-    run may tell K50 so badly (a series has one verdict that is not stable, which may be a lapse) that a mean over runs
-    would be where it was looked for, not where it is.
+    For the rule it is the limit of a run. For K50 it is that of all verdicts of a participant under a condition at a
+    damping, because a single run may determine K50 badly: if its only verdict "not stable" is a lapse, its K50 lies
+    where the search looked for it, and so does a mean over runs.
 
     Attributes
     ----------
     order, block
-        Place in the block, and number of it; means over the runs behind the value.
+        Place in the block, and number of the block; means over the runs that were used.
     runs
-        How many are behind it.
+        Number of runs that were used.
     """
 
     measure: Measure

@@ -1,8 +1,8 @@
-"""The sessions of a study, read from disk: which there are, whether they belong together, what of them is missing.
+"""Read the sessions of a study from disk, and check that they belong together and are complete.
 
-A session is its log. What cannot be one study is refused (another criterion, a rehearsal among real sessions, a
-participant twice), unless a difference is stated (`across`); what a reader must know is reported (a session that
-is not over, another version of the software, a recording that is gone).
+A session is read from its log. Sessions that cannot be one study are refused (another criterion, a rehearsal among real
+sessions, a participant twice), unless the difference is allowed by `across`. Other differences are messages for the
+reader (an unfinished session, another version of the software, a missing recording).
 """
 
 from __future__ import annotations
@@ -46,17 +46,17 @@ class StudySession:
     Attributes
     ----------
     directory
-        Where it lies.
+        Directory of the session.
     events
-        Of its log.
+        Events of the session's log.
     state
-        Their replay: what counts.
+        State of the session after all events, which decides what counts.
     began
-        Content of the first event.
+        Content of the log's first event.
     recordings
-        By trial: "ok", "missing", "changed", or "not checked"; trials without a recording are left out.
+        State of each trial's recording: "ok", "missing", "changed", or "not checked"; only trials with a recording.
     amended
-        Trials of which a verdict was amended.
+        Numbers of the trials whose verdict was amended.
     """
 
     directory: Path
@@ -73,20 +73,20 @@ class StudySession:
 
     @property
     def complete(self) -> bool:
-        """Return True if all that was planned was done."""
+        """Return True if the session was completed as planned."""
         return self.state.ended == "complete"
 
     @property
     def began_at(self) -> float:
-        """Return when it began (s since 1970)."""
+        """Return the time at which the session began (s since 1970)."""
         return self.events[0].at
 
     def of_kind(self, kind: str) -> list[Event]:
-        """Return events of one kind, as they were written."""
+        """Return the events of one kind, in the order of the log."""
         return [event for event in self.events if event.kind == kind]
 
     def devices(self) -> dict[int, Mapping[str, Any]]:
-        """Return the log's entry on the device of each trial, by the trial's number, where the log has one."""
+        """Return the log's entry about the device of each trial, by trial number, if the log has one."""
         found: dict[int, Mapping[str, Any]] = {}
         opened: Mapping[str, Any] | None = None
         for event in self.events:
@@ -99,7 +99,7 @@ class StudySession:
 
 @dataclass(frozen=True, kw_only=True)
 class Study:
-    """Sessions under one protocol, in the order of the rows of the plan, and messages for the reader."""
+    """Sessions under one protocol, sorted by row of the plan, with messages for the reader."""
 
     sessions: tuple[StudySession, ...]
     messages: tuple[str, ...] = field(default=())
@@ -107,7 +107,7 @@ class Study:
 
     @property
     def protocol(self) -> Protocol:
-        """Return the protocol that they have in common."""
+        """Return the protocol of the first session, which the others share except for `differences`."""
         return self.sessions[0].state.protocol
 
     @property
@@ -121,7 +121,7 @@ class Study:
         return self.sessions[0].state.rehearsal is not None
 
     def unit(self, quantity: str) -> str:
-        """Return SI unit of a quantity on this rig."""
+        """Return the SI unit of a quantity for this rig's motion."""
         return unit_of(quantity, self.motion)
 
 
@@ -132,7 +132,7 @@ def read_study(
     across: Sequence[str] = (),
     watch: Watch | None = None,
 ) -> Study:
-    """Read sessions.
+    """Read the sessions of a study, sorted by row of the plan.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def read_study(
     across
         Keys of the protocol, or sections of keys, in which the sessions may differ although they can decide a result.
     watch
-        Called with the number of sessions read and of all.
+        Called with the number of sessions read, and the total.
 
     Raises
     ------
@@ -172,7 +172,7 @@ def read_study(
 
 
 def _with_trials(sessions: list[StudySession]) -> tuple[list[StudySession], list[str]]:
-    """Those that have trials, if any has, and what to say of the others: one that was only begun decides nothing."""
+    """Return the sessions with trials, and a message about those without; all sessions if none has trials."""
     empty = [session for session in sessions if not session.state.trials]
     if not empty or len(empty) == len(sessions):
         return sessions, []
@@ -181,7 +181,7 @@ def _with_trials(sessions: list[StudySession]) -> tuple[list[StudySession], list
 
 
 def find_sessions(paths: Iterable[Path]) -> list[Path]:
-    """Return directories of sessions at these places, each once."""
+    """Return the directories of the sessions at these paths, each once."""
     found: dict[Path, Path] = {}
     for path in paths:
         with plain_errors("read", path):
@@ -200,7 +200,7 @@ def find_sessions(paths: Iterable[Path]) -> list[Path]:
 
 
 def read_session(directory: Path, *, hashes: bool = True) -> StudySession:
-    """Read one session; raises as `read_study`."""
+    """Read one session; errors as `read_study`."""
     path = directory / LOG
     events = read(path)
     try:
@@ -259,7 +259,7 @@ def _refuse(sessions: Sequence[StudySession]) -> None:
 
 
 def _protocol_differences(sessions: Sequence[StudySession], across: Sequence[str]) -> list[Difference]:
-    """In what the protocols differ; raises `ConfigError` for what can decide a result and is not stated."""
+    """Return the differences of the protocols; raise `ConfigError` if one affects results and is not in `across`."""
     differ = protocol_differences(
         {one.code: settings_of(one.state.protocol, one.state.experiment) for one in sessions}
     )
@@ -280,7 +280,7 @@ def _protocol_differences(sessions: Sequence[StudySession], across: Sequence[str
 
 
 def _decides_cells(one: Difference) -> bool:
-    """Return True if no analysis has a place for this difference: other conditions or dampings, another unit."""
+    """Return True if sessions with this difference cannot be analysed together: other conditions, dampings or unit."""
     if one.key == "condition":  # in another order they are the same
         return len({frozenset(names) for names in one.values.values()}) > 1
     if one.key.startswith("condition.") and ".changes." not in one.key:
@@ -373,7 +373,7 @@ def _trials(numbers: Sequence[str]) -> str:
 
 
 def _facts(sessions: Sequence[StudySession]) -> dict[str, dict[str, str]]:
-    """Return facts that sessions of a study should have in common, by participant."""
+    """Return facts that should be equal in all sessions of a study: name of the fact, participant, value."""
 
     def version(session: StudySession, name: str) -> str:
         return str((session.began.get("versions") or {}).get(name, "unknown"))

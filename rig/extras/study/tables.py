@@ -1,8 +1,8 @@
-"""Tables on disk: CSV for people and any program, Parquet with types and units, and a dictionary of every column.
+"""Write tables to disk: as CSV, as Parquet with types and units, and a dictionary of all columns.
 
-A column's name ends in its unit (``stiffness_n_m_per_rad``); the dictionary (``tables.json``) has the unit as it is
-written, the type and the meaning, and the columns of the Parquet files carry both. What is not known is an empty field
-in CSV and null in Parquet.
+A column's name ends in its unit (``stiffness_n_m_per_rad``). The dictionary (``tables.json``) contains the unit in its
+usual spelling, the type and the meaning; the columns of the Parquet files carry unit and meaning, too. Unknown values
+are empty in CSV and null in Parquet.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ PRIOR_LAPSE_RATE = sum(LAPSE_RATES) / len(LAPSE_RATES)
 
 @dataclass(frozen=True, slots=True)
 class DataColumn:
-    """One column: its name without the unit, its type, the quantity (or unit) it is of, its meaning, and its value."""
+    """One column: name without unit, type, quantity or unit, meaning, and the function that returns a row's value."""
 
     name: str
     kind: type
@@ -53,7 +53,7 @@ class DataColumn:
 
 @dataclass(frozen=True, slots=True)
 class DataTable:
-    """A table: its file's name, what a row is, its columns, and the objects behind its rows."""
+    """A table: name of its file, meaning of a row, its columns, and the objects whose values are its rows."""
 
     name: str
     row: str
@@ -62,7 +62,7 @@ class DataTable:
 
 
 def write_study_tables(found: StudyAnalysis, directory: str | Path) -> dict[str, Path]:
-    """Write all tables into a directory, made when it is not there; tables of an earlier analysis are replaced.
+    """Write all tables into a directory, which is made if it is missing; existing tables are replaced.
 
     Returns
     -------
@@ -72,7 +72,7 @@ def write_study_tables(found: StudyAnalysis, directory: str | Path) -> dict[str,
     Raises
     ------
     RecordingError
-        The disk refuses.
+        A file cannot be written.
     """
     place = Path(directory)
     make_directory(place)
@@ -100,7 +100,7 @@ def write_study_tables(found: StudyAnalysis, directory: str | Path) -> dict[str,
 
 
 def column_name(column: DataColumn, found: StudyAnalysis) -> str:
-    """Name of a column with its unit; one without a unit, or that says it already, is left as it is."""
+    """Return a column's name with its unit; unchanged if it has no unit or already ends in it."""
     unit = _unit(column, found)
     slug = unit.lower().replace("·", "_").replace("/", "_per_").replace("²", "2")
     return column.name if unit in ("", "1") or column.name.endswith(f"_{slug}") else f"{column.name}_{slug}"
@@ -111,7 +111,7 @@ def _unit(column: DataColumn, found: StudyAnalysis) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """None for what is not known; numpy's scalars as Python's."""
+    """Return a cell's value; None if it is not finite."""
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
@@ -179,12 +179,12 @@ def tables(found: StudyAnalysis) -> tuple[DataTable, ...]:
 
 
 def _own(name: str, kind: type, quantity: str, meaning: str, field: str = "") -> DataColumn:
-    """Return a column that is a field of its row, of the same name or another one."""
+    """Return a column whose value is the row's field `field`, or the field of the column's name."""
     return DataColumn(name, kind, quantity, meaning, lambda row: getattr(row, field or name))
 
 
 def columns_of(described: type, *names: str) -> tuple[DataColumn, ...]:
-    """Columns of a row's annotated fields, or of those named, in that order; type, unit and meaning are the field's."""
+    """Return columns of all annotated fields of a row, or of the fields `names`, with type, unit and meaning."""
     known, hints = quantities(described), get_type_hints(described)
     return tuple(
         DataColumn(
@@ -199,7 +199,7 @@ def columns_of(described: type, *names: str) -> tuple[DataColumn, ...]:
 
 
 def _kind(hint: Any) -> type:
-    """Return the type of a field, whether or not it may be None."""
+    """Return the type of a field's values: bool, int, float or str; None is ignored."""
     kinds = (
         [one for one in get_args(hint) if one is not type(None)] if isinstance(hint, UnionType) else [hint]
     )
@@ -569,7 +569,7 @@ _BLOCKS = (
 
 
 def _items(found: StudyAnalysis) -> tuple[DataColumn, ...]:
-    """Return a column for each question that was asked once: whole numbers of a scale, or text."""
+    """Return a column for each question that was asked once: integer for a scale, else text."""
     return tuple(
         DataColumn(
             f"answer_{item.name}", int if item.kind == "scale" else str, "", item.text, _answer(item.name)
@@ -584,7 +584,7 @@ def _answer(item: str) -> Callable[[ParticipantRow], Any]:
 
 
 def _differences(found: StudyAnalysis) -> list[Mapping[str, Any]]:
-    """Return differences by all methods, as one list."""
+    """Return the paired differences and those of the mixed models as rows of one table."""
     rows: list[Mapping[str, Any]] = [
         _difference(one, one.measure, "paired", one.participants) for one in found.paired
     ]

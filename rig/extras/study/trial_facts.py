@@ -1,4 +1,4 @@
-"""What is exported of a trial besides its recording: some columns of its row, under the names that files have."""
+"""Select the columns of a trial's row that are exported beside its recording, and their names in files."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def facts_of(row: TrialRow) -> dict[str, Any]:
 
 
 def unusable(row: TrialRow) -> str | None:
-    """Return why the recording of a trial must not be exported, as a sentence; None when it may."""
+    """Return why a trial's recording must not be exported, as a sentence; None if it may be."""
     if row.recorded in {"missing", "changed"}:
         return f"{row.participant}, trial {row.trial}: its recording is {row.recorded}"
     return None
 
 
 def file_name(code: str) -> str:
-    """Return a participant's code as the name of a file or directory: what a path could mean otherwise is left out."""
+    """Return a participant's code as a file name, without characters that have a meaning in paths."""
     return re.sub(r"[^\w.+-]", "-", code).lstrip(".") or "-"

@@ -1,4 +1,4 @@
-"""The two tables behind everything else: all trials of a study, and its runs with the limits that they show."""
+"""Compute the two basic tables of an analysis: all trials of a study, and its runs with their limits."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ Watch = Callable[[int, int], None]
 
 
 def trials_of(study: Study) -> tuple[TrialRow, ...]:
-    """Return all recorded hits, participant by participant, also those that do not count (`TrialRow.void`)."""
+    """Return all recorded hits, by participant, also those that do not count (`TrialRow.void`)."""
     schemes = schemes_of(study)
     rows: list[TrialRow] = []
     for session in study.sessions:
@@ -65,7 +65,7 @@ def trials_of(study: Study) -> tuple[TrialRow, ...]:
 
 
 def runs_of(study: Study, *, watch: Watch | None = None) -> tuple[RunRow, ...]:
-    """Return all runs that were begun, in the order of the sessions."""
+    """Return all runs with at least one trial, in the order of the sessions."""
     schemes = schemes_of(study)
     rows: list[RunRow] = []
     for number, session in enumerate(study.sessions):
@@ -80,7 +80,7 @@ def runs_of(study: Study, *, watch: Watch | None = None) -> tuple[RunRow, ...]:
 
 
 def schemes_of(study: Study) -> dict[str, str]:
-    """Return a description of each condition by name: sampling, estimator and other changes."""
+    """Return a description of each condition by its name: sampling, estimator and other changes."""
     base = study.sessions[0].state.experiment["controller"]
     prefix = "controller."
 
@@ -101,7 +101,7 @@ def schemes_of(study: Study) -> dict[str, str]:
 
 
 def _scheme_words(text: str | None, own: Mapping[str, Any]) -> str:
-    """Return rates, estimator and its settings, as far as scheme and experiment say them: no estimator is looked up."""
+    """Return rates, estimator and settings as text, from the scheme or the experiment; loads no estimator."""
     if text is None:
         rates = own["position_rate"], own["velocity_rate"]
         settings, estimator = dict(own["parameters"]), own["estimator"]
@@ -127,7 +127,7 @@ def _scheme_words(text: str | None, own: Mapping[str, Any]) -> str:
 
 
 def levels(protocol: Protocol, condition: str) -> tuple[float, ...]:
-    """Return stiffnesses that a condition's search may ask for."""
+    """Return the stiffnesses that a condition's search may use."""
     return tuple(levels_of(protocol.search_of(protocol.condition_named(condition))))
 
 
@@ -143,10 +143,10 @@ def levels_by_participant(study: Study) -> dict[tuple[str, str], tuple[float, ..
 def half_way(
     grid: Sequence[float], verdicts: Sequence[tuple[float, bool]], share: float | None = None
 ) -> LimitInterval:
-    """Return the stiffness with this share of stable verdicts (None: a half), as the median of its posterior.
+    """Return the stiffness with this share of stable verdicts (None: 0.5), the median of its posterior.
 
-    Verdicts of several runs are taken for those of one limit: where it wanders from run to run, the interval is too
-    narrow. Beyond the levels it is their end, see `rig.session.search._psychometric.Located`.
+    Verdicts of several runs are treated as if the limit were the same in all of them; if it drifts, the interval is
+    too narrow. Beyond the levels it is the nearest level, see `rig.session.search._psychometric.Located`.
 
     Parameters
     ----------
@@ -174,8 +174,8 @@ def answers(state: SessionState, run: SearchRun, judge: str) -> list[JudgedProbe
     Parameters
     ----------
     judge
-        "followed": the answers that the rule received. "person": the same, or none if no person judged any.
-        "automatic": whether each wall holds under the study's criterion.
+        "followed": the answers that the search rule received. "person": the same answers, or an empty list if no person
+        judged a trial. "automatic": whether each wall is stable under the study's criterion.
     """
     if judge == "followed":
         return state.judged_probes(run)
@@ -187,7 +187,7 @@ def answers(state: SessionState, run: SearchRun, judge: str) -> list[JudgedProbe
 
 
 def _runs_in_order(state: SessionState) -> Iterable[tuple[int, int, SearchRun]]:
-    """Return the block, place in it, and run, in the order of the plan; practice aside."""
+    """Yield block number, place in the block, and run, in the order of the plan, without practice."""
     for block in state.blocks:
         if not block.practice:
             for order, run in enumerate(block.runs, start=1):
@@ -273,7 +273,7 @@ def _caught(
 
 
 def _limits(state: SessionState, run: SearchRun, rule: str) -> tuple[dict[Measure, LimitInterval], str]:
-    """Return the limits of a run by each measure that there is, and what must be known of them."""
+    """Return the limits of a run by each measure that has one, and a note about them."""
     found: dict[Measure, LimitInterval] = {}
     grid = levels(state.protocol, run.condition)
     probes, note = answers(state, run, "followed"), ""
@@ -293,7 +293,7 @@ def _limits(state: SessionState, run: SearchRun, rule: str) -> tuple[dict[Measur
 
 
 def _describe_series(rule: Ascending, probes: Sequence[JudgedProbe]) -> str:
-    """Return how many series failed at the softest wall already, where that is not the limit of all of them."""
+    """Return a note if some, but not all, series of an ascending search failed at the softest wall, else ""."""
     series = rule.series(probes)
     failed = sum(one.censored == "below" for one in series)
     if failed in (0, len(series)):
@@ -317,7 +317,7 @@ def _add(found: dict[Measure, LimitInterval], measure: Measure, estimate: Estima
 def _follows(
     state: SessionState, run: SearchRun, name: str, probes: Sequence[JudgedProbe], grid: Sequence[float]
 ) -> bool:
-    """Return True if a rule would have asked for these walls after these answers."""
+    """Return True if the search rule would have chosen these walls after these answers."""
     if name not in WALKING:
         return all(answer.probe.level in grid for answer in probes)
     rule = state.rule(run)

@@ -325,14 +325,17 @@ def test_a_search_that_ended_by_most_is_marked_and_left_out_unless_asked_for(
         assert "rule" not in run.limits or run.limits["rule"].mark in run.note
     assert found.of_participants == found.paired == ()
     assert any(
-        "6 runs were ended by search.settings.most, excluded from K_max" in message
+        "6 runs were stopped at the trial limit (search.settings.most), excluded from K_max" in message
         for message in found.messages
     )
-    assert found.counts()["of searches that ended by most"] == len(found.trials)
+    assert found.counts()["in searches stopped at the trial limit"] == len(found.trials)
     taken = analyse([tmp_path], AnalysisOptions(include_marked=True))
     assert {one.marked for one in taken.of_participants if one.measure == "rule"} <= {0, 1}
     assert any(one.marked for one in taken.over_participants)
-    assert any("6 runs were ended by search.settings.most, included" in message for message in taken.messages)
+    assert any(
+        "6 runs were stopped at the trial limit (search.settings.most), included" in message
+        for message in taken.messages
+    )
     write_study_tables(taken, tmp_path / "out")
     runs = pq.read_table(tmp_path / "out" / "runs.parquet").to_pylist()
     assert {row["state"] for row in runs} == {"ended by most"}
@@ -417,7 +420,7 @@ def test_skipped_and_unfinished_runs_stay_in_their_table_and_out_of_the_limits(t
     assert found.of_participants == found.over_participants == found.psychometrics == ()
     assert any("not complete" in message for message in found.messages)
     assert any("1 run was skipped" in message for message in found.messages)
-    assert found.counts() == {"recorded": 8, "of skipped searches": 3, "of unfinished searches": 5}
+    assert found.counts() == {"recorded": 8, "in skipped searches": 3, "in unfinished searches": 5}
     assert all("participants" in model.problem for model in found.mixed)
 
 

@@ -299,7 +299,7 @@ def test_methods_have_every_number_of_protocol_experiment_and_result_and_no_key_
         for part in some:
             assert str(part) in paragraphs[heading], (heading, part)
     whole = " ".join(paragraphs.values())
-    assert {"of skipped searches", "of unfinished searches", "practice", "redone", "restarted"} <= set(counts)
+    assert {"in skipped searches", "in unfinished searches", "practice", "redone", "restarted"} <= set(counts)
     assert not re.search(r"\bnan\b|None|\{|\}|  |\.\.| [.,;:)]|\( ", whole)
     keys = {*parameters(), *(f"{section}.{key}" for section, key in protocol_keys())}
     assert not [key for key in keys if re.search(rf"\b{re.escape(key)}\b", whole)]
