@@ -1,1 +1,1 @@
-"""Sweeps on the machines of a Dask cluster."""
+"""Run sweeps on the machines of a Dask cluster."""

@@ -1,7 +1,7 @@
-"""An executor of sweeps: the workers of a Dask scheduler. Needs the package distributed (extra ``cluster``).
+"""Executor of sweeps on the workers of a Dask scheduler. Needs the package distributed (extra ``cluster``).
 
-A worker that dies takes nothing with it: the scheduler gives its tasks to others, and computes a result that died with
-it again. One that runs other code is refused by `perform` itself, whenever it joins.
+If a worker dies, the scheduler gives its tasks to other workers, and computes results that are lost with it again. A
+worker with other code is refused by `perform` whenever it joins.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ CENSUS_S = 1.0  # how often the workers are counted
 
 
 class Cluster:
-    """The workers of one scheduler. They may join and leave; without workers nothing is sent."""
+    """Executor on the workers of one scheduler. Workers may join and leave; without workers no task is sent."""
 
     ahead = 2  # the next task waits at the worker: sending one takes some 10 ms
 
@@ -39,7 +39,7 @@ class Cluster:
         self._threads, self._counted_s = 0, -math.inf
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
-        """Send a call to the scheduler."""
+        """Send a call to the scheduler; return its future."""
         future: Future[Any] = self._pool.submit(function, *arguments)
         return future
 
@@ -54,7 +54,7 @@ class Cluster:
         return self._threads
 
     def explain(self, error: BaseException) -> Failure:
-        """Say what an exception of a future means; raise `RigError` when the scheduler is gone."""
+        """Return the failure that an exception of a future means; raise `RigError` if the scheduler is gone."""
         if isinstance(error, CancelledError):
             raise self._lost() from error
         if isinstance(error, self._dask.KilledWorker):
@@ -69,7 +69,7 @@ class Cluster:
         )
 
     def close(self) -> None:
-        """Withdraw what is still out, and leave the scheduler."""
+        """Cancel unfinished tasks, and disconnect from the scheduler."""
         self._client.close()
 
     def _connect(self) -> Any:

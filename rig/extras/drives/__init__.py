@@ -1,13 +1,13 @@
-"""Drives that people already own, as devices: the firmware on this computer, with a drive as its encoder and amplifier.
+"""Use a commercial motor drive (moteus, ODrive) as a device: this computer runs the firmware in place of a board.
 
-A bridge is a port of the firmware (`firmware_protocol/firmware/bridge`), so that loop, gate, safety and recordings are
-those of any device. Before it runs, the drive is asked who it is and how it is set up (`moteus`, `odrive`): nothing
-that could move the handle otherwise than the experiment says is let through.
+A bridge is a port of the firmware (`firmware_protocol/firmware/bridge`) whose encoder and amplifier are a drive, so
+that loop, gate, safety and recordings are the same as with any device. Before a bridge runs, it reads the drive's
+identity and settings (`moteus`, `odrive`), and refuses settings with which the drive would not move as commanded.
 
 * `library`: the C code, compiled on first use
 * `bus`: an adapter's serial port, or a CAN interface of Linux
-* `moteus`, `odrive`: a drive, and what must be true of it; `fitting`: what any of them must agree about with a rig
-* `address`: what a URL says of a drive
-* `faults`: what a drive may report
+* `moteus`, `odrive`: one kind of drive, and its requirements; `fitting`: requirements of any drive for a rig
+* `address`: the address of a drive in a URL
+* `faults`: the faults that a bridge reports
 * `serve`: the process that runs a bridge; `link` starts one for a run
 """

@@ -1,4 +1,4 @@
-"""What a URL says of a drive, and how one of that kind is found and compared with a rig."""
+"""Read the address of a drive from a URL, find the drive on its bus, and compare it with a rig."""
 
 from __future__ import annotations
 
@@ -42,19 +42,19 @@ class DriveFacts(Protocol):
 
 
 class Address(Protocol):
-    """Where a drive is, and what is known of it before it is asked."""
+    """Address of a drive, with the settings that the URL contains."""
 
     def look(self, bus: Bus) -> DriveFacts:
-        """Identify the drive without changing it; raises `RigError` if it would not execute commands as sent."""
+        """Identify the drive without changing it; raise `RigError` if it would not execute commands as sent."""
         ...
 
     def find(self, bus: Bus, model: RigModel) -> FittedDrive:
-        """Ask it, and compare it with a rig; raises `RigError` as `look`, and for one that is another's."""
+        """Identify the drive and compare it with a rig; raise `RigError` as `look`, or if it does not match the rig."""
         ...
 
 
 def number(url: DeviceUrl, name: str, default: int, largest: int) -> int:
-    """Return a whole number among the options of a URL; `ConfigError` for another."""
+    """Return a whole number from the options of a URL; raise `ConfigError` if it is not from 0 to `largest`."""
     text = url.options.get(name, str(default))
     try:
         value = int(text, 0)
@@ -69,7 +69,7 @@ def number(url: DeviceUrl, name: str, default: int, largest: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class MoteusAddress:
-    """Its id, the prefix of its bus, and what is wired to its pins."""
+    """Address of a moteus: its id, the prefix of its bus, and the switches on its pins."""
 
     drive: int
     prefix: int
@@ -96,7 +96,7 @@ class MoteusAddress:
 
 @dataclass(frozen=True, slots=True)
 class OdriveAddress:
-    """Its node, and the endpoints of its firmware."""
+    """Address of an ODrive: its node, and the endpoints of its firmware."""
 
     node: int
     endpoints: odrive.Endpoints
@@ -123,5 +123,5 @@ class OdriveAddress:
 
 
 def address_of(url: DeviceUrl) -> Address:
-    """Read what a URL says; raises `ConfigError`."""
+    """Return the address of the drive in a URL; raise `ConfigError` for an invalid URL."""
     return OdriveAddress.of(url) if url.scheme == "odrive" else MoteusAddress.of(url)

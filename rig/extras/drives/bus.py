@@ -1,6 +1,6 @@
-"""A bus with drives on it: an adapter on a serial port, or a CAN interface of Linux. Frames, before a bridge runs.
+"""Send and receive frames on a bus with drives, before a bridge runs: by a serial adapter, or a CAN interface of Linux.
 
-Bytes and frames are turned into each other by the bridge's own C code.
+The bridge's own C code converts between bytes and frames.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _FRAME_KIND = 1  # SOCKETCAN_FRAME of socketcan.h
 
 @dataclass(frozen=True, slots=True)
 class CanFrame:
-    """An identifier and up to 64 bytes; `classic` has eight at most, and as `remote` asks for such a frame."""
+    """A CAN frame with up to 64 bytes; a `classic` frame has at most eight, a `remote` one requests such a frame."""
 
     id: int
     data: bytes
@@ -46,25 +46,25 @@ class CanFrame:
     remote: bool = False
 
     def as_struct(self) -> CanFrameBytes:
-        """Return it for the C code."""
+        """Return the frame as a struct of the C code."""
         return CanFrameBytes(
             self.id, len(self.data), (ctypes.c_uint8 * 64)(*self.data), self.classic, self.remote
         )
 
 
 class Bus(Protocol):
-    """Frames to and from a bus, by Python; a bridge has its descriptor afterwards.
+    """A bus that Python uses to find the drive; afterwards the bridge uses its descriptor.
 
     Attributes
     ----------
     place
-        Its name in URLs and messages.
+        Name of the bus in URLs and messages.
     descriptor
-        Of the open port or socket; no call on it blocks.
+        Descriptor of the open port or socket; no call on it blocks.
     checksum, is_socket
-        Whether frames carry a checksum, and whether it is a socket: settings of a bridge.
+        Whether frames contain a checksum, and whether the descriptor is a socket: settings of a bridge.
     messages
-        What could not be obtained, one sentence each with its remedy.
+        Settings that could not be obtained, one sentence each with its remedy.
     """
 
     place: str
@@ -78,7 +78,7 @@ class Bus(Protocol):
         ...
 
     def receive(self, timeout_s: float) -> CanFrame | None:
-        """Return the next frame from any sender, None after the timeout; raises `LinkLostError`."""
+        """Return the next frame from any sender, None after the timeout; raise `LinkLostError` if the bus failed."""
         ...
 
     def close(self) -> None:
@@ -87,12 +87,12 @@ class Bus(Protocol):
 
 
 def open_bus(url: DeviceUrl) -> Bus:
-    """Open what a URL names: ``moteus:///dev/fdcanusb?checksum=off``, ``odrive://can0``, or a socket as `_connect`.
+    """Open the bus of a URL: ``moteus:///dev/fdcanusb?checksum=off``, ``odrive://can0``, or a Unix socket (`_connect`).
 
     Raises
     ------
     ConfigError
-        It names neither, or an option is wrong.
+        The URL names no bus, or an option is wrong.
     DeviceNotFoundError
         The port or interface does not exist, or another program uses it.
     """
@@ -111,7 +111,7 @@ def open_bus(url: DeviceUrl) -> Bus:
 
 
 def _connect(place: str) -> socket.socket:
-    """Return a Unix socket whose messages are those of a raw CAN socket: a program in the place of a bus."""
+    """Return a connected Unix socket with the messages of a raw CAN socket, for a program that simulates a bus."""
     end = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     try:
         end.connect(place)
@@ -151,7 +151,7 @@ class AdapterBus:
 
     @property
     def refused(self) -> int:
-        """Return lines that the adapter did not take."""
+        """Return the number of lines that the adapter refused."""
         return int(self._adapter.refused)
 
     def send(self, frame: CanFrame) -> None:
@@ -176,7 +176,7 @@ class AdapterBus:
 
 
 class CanBus:
-    """A CAN interface of Linux, such as can0, by a raw socket."""
+    """A CAN interface of Linux, such as can0, as a raw socket."""
 
     checksum = False
     is_socket = True

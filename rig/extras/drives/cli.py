@@ -1,4 +1,4 @@
-"""``rig serve moteus`` and ``rig serve odrive``: drives that people already own, as devices."""
+"""``rig serve moteus`` and ``rig serve odrive``: run the bridge to a drive, which is then a device."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ if sys.platform == "linux":
 
 
 def _bridge_options(numbers: click.IntRange, default: int, called: str) -> Callable[[options.F], options.F]:
-    """Add the options of the commands of all drives; `numbers`, `default` and `called` are of the drive's id."""
+    """Return a decorator with the options of all drives; range, default and name of the drive's id are given."""
     return options.added(
         options.rig_option(given=True),
         click.option(
@@ -56,7 +56,7 @@ def _bridge_options(numbers: click.IntRange, default: int, called: str) -> Calla
 
 
 def _run(url: DeviceUrl, preset: str, *, describe: bool, as_json: bool) -> None:
-    """Describe the drive, or run its bridge."""
+    """Print an experiment file for the drive, or run its bridge."""
     refuse_real_time("a bridge", "let a board drive the motor")
     if sys.platform == "linux":
         if describe:

@@ -1,6 +1,6 @@
 """Write an initial experiment file from what a drive reports about itself: encoder, torque constant, limits.
 
-The mechanics on its shaft are unknown to the drive: they are assumed, marked so, and `rig identify` measures them.
+The mechanics on its shaft are unknown to the drive: the file contains assumed values, which `rig identify` measures.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ lowpass_hz = 400.0
 
 
 def text(found: DriveFacts, url: str) -> str:
-    """Return the file, for a drive that `url` names."""
+    """Return the text of the experiment file, for a drive at `url`."""
     output = found.output
     decoding = DECODING if output.counts % DECODING == 0 else 1
     most = output.torque_constant * output.most_current
@@ -109,12 +109,12 @@ def text(found: DriveFacts, url: str) -> str:
 
 
 def _down(value: float) -> float:
-    """Round down to four digits: the drive gives no more."""
+    """Round down to four digits, so that the value does not exceed the drive's limit."""
     step = 10.0 ** (math.floor(math.log10(value)) - 3)
     return math.floor(value / step) * step
 
 
 def _align(line: str) -> str:
-    """Put the comment behind a value where the others are."""
+    """Align the comment behind a value with the other comments."""
     value, mark, comment = line.partition(" #")
     return f"{value.rstrip():36}{mark}{comment}" if mark and value.strip() else line

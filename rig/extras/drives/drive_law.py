@@ -1,7 +1,7 @@
-"""Describe the wall that a moteus renders itself, by its mode 13, "stay within", and check what must be true of it.
+"""Describe the wall that a moteus renders itself, by its mode 13, "stay within", and check the required settings.
 
 Beyond a bound: torque = −kp_scale·kp·(position − bound) − kd_scale·kd·velocity + feed-forward, limited by the command's
-maximum torque. No page clamps it, so it pulls a handle that leaves. Source: mjbots/moteus at db1a762,
+maximum torque. The torque is not clamped to pushing, so it pulls a handle that leaves. Source: mjbots/moteus db1a762,
 docs/protocol/registers.md 0x000, 0x023, 0x024 and 0x040 to 0x048; docs/protocol/diagnostic.md "d within";
 docs/reference/configuration.md servo.pid_position, servo.pwm_rate_hz, pll_filter_hz; fw/bldc_servo_control.h
 ISR_DoStayWithinBounds and ISR_DoPositionCommon; fw/pid.h.
@@ -26,15 +26,15 @@ class DriveLaw:
     kp, kd
         Gains at its output (N·m/turn, N·m·s/turn).
     pwm_rate_hz
-        Of its PWM; its law runs once in each period, or in every second one above 30 kHz.
+        Frequency of the PWM; the law runs once in each period, or in every second one above 30 kHz.
     filter_hz
-        3 dB frequency of the loop that follows its encoder, which gives position and velocity.
+        3 dB frequency of the tracking loop (Hz) that computes position and velocity from the encoder.
     sign
-        Of its controller.
+        Sign of its controller, which must be 1.
     threshold
-        Velocity below which it damps nothing (turns/s).
+        Velocity below which there is no damping (turns/s).
     position_slip, velocity_slip
-        How far its set point may be from the handle (turns, turns/s), NaN: anywhere.
+        Largest distance of the set point from the handle (turns, turns/s); NaN: no limit.
     """
 
     kp: float
@@ -48,7 +48,7 @@ class DriveLaw:
 
     @classmethod
     def read(cls, setting: Callable[[str], float], source: str) -> Self:
-        """Ask for the settings; `source` is the group of its output's encoder."""
+        """Read the settings from the drive; `source` is the group of settings of the output's encoder."""
         pid = "servo.pid_position"
         return cls(
             kp=setting(f"{pid}.kp"),
@@ -68,7 +68,7 @@ class DriveLaw:
 
     @property
     def objection(self) -> str:
-        """Reason why the drive would render another wall than the commanded one; empty if it renders that wall."""
+        """Return why the drive would render another wall than the commanded one; empty if it renders that wall."""
         if not (self.kp > 0.0 and self.kd > 0.0):
             return "servo.pid_position.kp or kd is 0: a wall is rendered as a fraction of these gains"
         if self.sign != 1:
@@ -83,11 +83,11 @@ class DriveLaw:
 
     @property
     def gains(self) -> tuple[float, float] | None:
-        """Return the spring and damper that a share of 1 gives, or None where it is not to render a wall."""
+        """Return stiffness and damping (N·m/turn, N·m·s/turn) for a scale of 1; None if there is an objection."""
         return None if self.objection else (self.kp, self.kd)
 
     def describe(self, transmission: float) -> dict[str, int | float | str]:
-        """Return entries of a device's dictionary; `transmission`: output angle (rad) for 1 rad or 1 m of the rig."""
+        """Return entries for the device's dictionary; `transmission`: output angle (rad) per rad or m of the rig."""
         scale = transmission**2 / (2.0 * math.pi)
         facts: dict[str, int | float | str] = {"drive_kp": self.kp, "drive_kd": self.kd}
         facts |= {"drive_law_hz": self.rate_hz, "drive_filter_hz": self.filter_hz}

@@ -1,4 +1,4 @@
-"""What a bridge may find wrong with a drive: codes of its own, which its dictionary explains to a host.
+"""Faults of a drive that a bridge reports: own codes, which its dictionary explains to the host.
 
 The numbers are those of `enum bridge_fault` in ``firmware/bridge/drive.h``. The texts of a moteus are those of its
 register 0x00f (mjbots/moteus, docs/protocol/registers.md); an ODrive's errors have the names of its maker's
@@ -15,7 +15,7 @@ AGAIN = "then clear the fault"
 
 
 class DriveFault(IntEnum):
-    """Codes of a bridge, behind those of the firmware."""
+    """Fault codes of a bridge, after those of the firmware."""
 
     DRIVE_SILENT = 20
     OTHER_MASTER = 21
@@ -139,5 +139,5 @@ TEXTS = {"moteus": MOTEUS, "odrive": ODRIVE}
 
 
 def explain_faults(kind: str) -> tuple[CodeInfo, ...]:
-    """Return all of them, for the dictionary of a kind of drive."""
+    """Return the explanations of all faults, for the dictionary of a kind of drive."""
     return tuple(CodeInfo(int(code), code.name, text, remedy) for code, (text, remedy) in TEXTS[kind].items())

@@ -1,4 +1,4 @@
-"""A drive compared with the rig of an experiment: what any drive must agree about, and the bounds that it sets."""
+"""Compare a drive with the rig of an experiment: values in which they must agree, and limits that the drive sets."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ Difference = tuple[str, str]  # what is otherwise, and its remedy
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Output:
-    """The output of a drive, as the drive reports it.
+    """Properties of a drive's output, as the drive reports them.
 
     Attributes
     ----------
     encoder, counts
         Encoder that measures the position, and its counts per turn of that encoder.
     counts_per_turn
-        Counts for a turn of the output.
+        Counts per turn of the output.
     torque_constant, most_current
-        N·m at the output for 1 A; the most that it gives (A).
+        Torque at the output (N·m) for 1 A; largest current (A).
     most_speed
-        Speed (turns/s) above which it does not follow the commanded torque; inf for no limit.
+        Speed (turns/s) above which the drive does not give the commanded torque; inf: no limit.
     minimum, maximum
-        Turns, outside of which it gives no torque; NaN for none.
+        Positions (turns) outside of which the drive gives no torque; NaN: no limit.
     kind
-        Of drive.
+        Kind of drive, "moteus" or "odrive".
     encoder_setting, scale_setting, current_setting
-        What of the drive chooses the encoder, the torque constant and the most current.
+        Settings of the drive for the encoder, the torque constant and the largest current.
     scale_remedy
-        What to do about a wrong torque constant.
+        Remedy for a wrong torque constant.
     """
 
     kind: str
@@ -59,7 +59,7 @@ class Output:
         return 2.0 * math.pi / (self.counts_per_turn * model.encoder.resolution)
 
     def ranges(self, model: RigModel) -> dict[str, tuple[int, int]]:
-        """Return ranges of the device's parameters that the drive sets."""
+        """Return the ranges of the device's parameters that the drive limits, by name."""
         effort = self.most_current * self.torque_constant * self.transmission(model)
         most = min(peak_current(model), math.floor(effort / model.amplifier.effort_quantum * (1.0 + 1e-6)))
         low, high = (
@@ -80,7 +80,7 @@ class Output:
         return default if math.isnan(turns) else round(max(-EXACT_COUNTS, min(EXACT_COUNTS, counts)))
 
     def differences(self, model: RigModel) -> Iterator[Difference]:
-        """Yield the differences between the drive and the rig."""
+        """Yield each difference between the drive and the rig, with its remedy."""
         encoder, amplifier = model.encoder, model.amplifier
         if encoder.counts_per_revolution is not None:
             counts = encoder.counts_per_revolution * encoder.decoding

@@ -1,6 +1,7 @@
-"""The bridge's C code as a library of this machine: the firmware's core with a drive for its hardware.
+"""Load the bridge's C code as a library: the firmware's core, with a drive in place of its hardware.
 
-`Bridge` is the software alone: bytes and times. `rig.extras.drives.serve` lets it run in real time, a test as it likes.
+`Bridge` is the software alone, with bytes and times as input. `rig.extras.drives.serve` runs it in real time; tests run
+it step by step.
 """
 
 from __future__ import annotations
@@ -106,7 +107,7 @@ class BridgeFacts(ctypes.Structure):
     ]  # fmt: skip
 
     def quantile_us(self, share: float) -> float:
-        """Round trip to the drive that this share of all did not exceed (µs, rounded up to a bin); 0 without any."""
+        """Return the round-trip time to the drive (µs, rounded up to a bin) at this quantile; 0 without replies."""
         counted = list(self.round_trips)
         left = share * sum(counted)
         for number, count in enumerate(counted):
@@ -116,7 +117,7 @@ class BridgeFacts(ctypes.Structure):
         return 0.0
 
     def as_mapping(self) -> dict[str, float]:
-        """Return plain numbers, for a recording."""
+        """Return the facts as plain numbers for a recording; add median and 99.9 % quantile of the round trip (µs)."""
         names = [str(field[0]) for field in self._fields_ if field[1] is ctypes.c_int64]
         return {
             **{name: int(getattr(self, name)) for name in names},
@@ -155,7 +156,7 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
 
 
 def load(path: Path) -> ctypes.CDLL:
-    """Open a library that was compiled, with its signatures."""
+    """Open a compiled library, and set the signatures of its functions."""
     library = ctypes.CDLL(str(path))
     for name, (result, arguments) in _SIGNATURES.items():
         function = getattr(library, name)
@@ -165,13 +166,13 @@ def load(path: Path) -> ctypes.CDLL:
 
 @cache
 def library() -> ctypes.CDLL:
-    """Open the library, compiled before if it has to be; `ConfigError` where that fails."""
+    """Open the library; compile it first if needed. Raise `ConfigError` if that fails."""
     return BRIDGE.opened(CACHE_DIRECTORY, load)
 
 
 @dataclass(frozen=True, slots=True)
 class Switches:
-    """Input pins of a drive: the register that contains them (0: none), and the bits that are 1 in the run state."""
+    """Input pins of a drive: their register (0: no switches), and the bits that are 1 while the rig may run."""
 
     register: int = 0
     hold: int = 0
@@ -180,32 +181,32 @@ class Switches:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FittedDrive:
-    """A drive that was found fit for a rig, in the terms of a bridge.
+    """A drive that matches a rig, described by the settings of a bridge.
 
     Attributes
     ----------
     kind
-        Which of `DRIVES`.
+        Kind of drive, one of `DRIVES`.
     firmware
-        What runs on it, in words.
+        Name and version of its firmware.
     id, prefix
-        Its address, and that of its bus.
+        Id of the drive, and prefix of its bus.
     counts_per_turn
-        Encoder counts for a turn of its output.
+        Encoder counts per turn of its output.
     transmission
         Angle of its output (rad) for 1 rad or 1 m of the rig.
     ranges
-        Of parameters that it cannot leave, by their names.
+        Ranges of the device's parameters that the drive limits, by name.
     settings
-        What else is worth a recording.
+        Further facts for the recording.
     switches
-        What is wired to its pins.
+        Switches on its pins.
     rate_maximum
-        Samples a second that it gives at most.
+        Largest number of samples a second.
     cycle_us, beat_us
         Period of the samples and of the heartbeats that the drive sends unrequested (µs); 0 if the bridge polls them.
     gains
-        Of its own law, spring and damper (N·m/turn and N·m·s/turn at its output); None: it renders no wall.
+        Gains of its own law, spring and damper (N·m/turn and N·m·s/turn at its output); None: it renders no wall.
     """
 
     kind: str
@@ -243,9 +244,9 @@ class Bridge:
     Attributes
     ----------
     dictionary
-        Sent to the host that identifies the bridge.
+        Dictionary that the bridge sends to a host.
     facts
-        What happened on the bus.
+        Statistics of the bus.
     """
 
     def __init__(
@@ -296,7 +297,7 @@ class Bridge:
             self._library.bridge_narrow(self._address, _INDEX[parameter.name], low, high)
 
     def run(self, *, host: int, bus: int, wake: int, host_stays: bool) -> None:
-        """Run in real time on these descriptors until `wake` is readable or a host that does not stay has gone."""
+        """Run in real time on these descriptors until `wake` is readable or, unless `host_stays`, the host is gone."""
         ends = Ends(host=host, bus=bus, wake=wake, host_stays=host_stays)
         self._library.bridge_run(self._address, ctypes.byref(ends))
 
@@ -307,17 +308,17 @@ class Bridge:
         self._library.bridge_start(self._address, now)
 
     def tick(self, now: int) -> bytes:
-        """Let a period be over; return what goes to the bus."""
+        """End a period at time `now`; return the bytes for the bus."""
         self._library.bridge_tick(self._address, now)
         return self._bus()
 
     def receive_bus(self, data: bytes, now: int) -> bytes:
-        """Hand in bytes of the bus; return what goes to the bus."""
+        """Process bytes from the bus; return the bytes for the bus."""
         self._library.bridge_receive_bus(self._address, data, len(data), now)
         return self._bus()
 
     def receive_host(self, data: bytes, now: int) -> bytes:
-        """Hand in bytes of the host and let the main loop turn; return what goes to the bus."""
+        """Process bytes from the host and run the main loop once; return the bytes for the bus."""
         if data:
             self._library.bridge_receive_host(self._address, data, len(data), now)
         self._library.bridge_poll(self._address, now)
@@ -328,7 +329,7 @@ class Bridge:
         self._library.bridge_lose_bus(self._address, now)
 
     def stop(self) -> bytes:
-        """End; return what goes to the bus."""
+        """Stop the bridge; return the bytes for the bus."""
         self._library.bridge_stop(self._address)
         return self._bus()
 
@@ -339,7 +340,7 @@ class Bridge:
 
     @property
     def due(self) -> int:
-        """Return the device time at which the next period begins."""
+        """Return the device time (1/16 µs) at which the next period begins."""
         return int(self._library.bridge_due(self._address))
 
     @property
@@ -349,7 +350,7 @@ class Bridge:
 
     @property
     def fault(self) -> int:
-        """Return the fault that is latched, or 0."""
+        """Return the code of the latched fault, or 0."""
         return int(self._library.bridge_fault_now(self._address))
 
     @property

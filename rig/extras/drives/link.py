@@ -1,6 +1,6 @@
-"""``moteus://`` and ``odrive://``: a bridge as a process of the run, which begins and ends with its link.
+"""Open ``moteus://`` and ``odrive://``: a bridge in a process that begins and ends with its link.
 
-The process uses a pair of sockets: when this end closes, by kill -9 too, it switches the drive off and ends.
+The process is connected by a pair of sockets: if this end closes, also by kill -9, it switches the drive off and ends.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ assert sys.platform == "linux"
 
 
 def open_link(url: DeviceUrl, model: RigModel | None = None) -> BridgeLink:
-    """Open ``moteus:///dev/fdcanusb?id=1&rig=mine.toml``; see `rig.devices.open_link` for what it raises.
+    """Open ``moteus:///dev/fdcanusb?id=1&rig=mine.toml``; errors as `rig.devices.open_link`.
 
-    `rig` names the rig, a preset or a file, where no experiment does.
+    The option `rig` names the rig, a preset or a file; it replaces `model`.
     """
     named = url.options.get("rig")
     plain = {name: text for name, text in url.options.items() if name != "rig"}
@@ -48,14 +48,14 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> BridgeLink:
 
 
 class BridgeLink(DescriptorLink):
-    """`rig.devices.device.Link` to a bridge.
+    """A `rig.devices.device.Link` to a bridge in another process.
 
     Attributes
     ----------
     drive, process
-        The drive that was found; number of the process.
+        The drive that was found, and the process id of the bridge.
     cpu
-        Processor of the bridge, for the loop to share.
+        Processor of the bridge, which the loop may share.
     """
 
     bytes_per_second: float | None = None
@@ -85,14 +85,14 @@ class BridgeLink(DescriptorLink):
         super().__init__(url, ours.detach())
 
     def bus_facts(self) -> dict[str, float]:
-        """Return the bus statistics so far: replies, losses, round trips (µs), the drive's temperature (°C).
+        """Return the bus statistics so far: replies, losses, round-trip times (µs), temperature of the drive (°C).
 
-        `cycle_us` is the period of the samples that the drive sends unrequested, 0 if the bridge polls them.
+        `cycle_us` is the period (µs) of the samples that the drive sends unrequested; 0 if the bridge polls them.
         """
         return {**self.facts.as_mapping(), "cycle_us": self.drive.cycle_us}
 
     def close(self) -> None:
-        """End the process; the drive is off then."""
+        """Close the link, which switches the drive off and ends the process."""
         if self._descriptor != CLOSED:
             os.close(self._descriptor)
             self._descriptor = CLOSED
@@ -100,12 +100,12 @@ class BridgeLink(DescriptorLink):
 
 
 def _facts_in(descriptor: int) -> BridgeFacts:
-    """Return the facts in a file that both processes have open."""
+    """Return the bus statistics in a file that both processes map into memory."""
     return BridgeFacts.from_buffer(mmap.mmap(descriptor, ctypes.sizeof(BridgeFacts)))
 
 
 def _serve(announce: Any, url: DeviceUrl, model: RigModel, host: int, shared: int, cpu: int) -> None:
-    """Serve in the process of the bridge; `host` and `shared` are descriptors."""
+    """Run the bridge in its process; `host` and `shared` are descriptors."""
     serve(
         url,
         model,

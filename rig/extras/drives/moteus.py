@@ -1,4 +1,4 @@
-"""A moteus: who it is, how it is set up, and what must be true of it before a handle hangs on it.
+"""Identify a moteus, read its settings, and check what is required before a handle is mounted on it.
 
 Source: mjbots/moteus (firmware 1.1.0, register map 5), opened: docs/protocol/{can,registers,diagnostic}.md,
 docs/reference/configuration.md, fw/bldc_servo_structs.h and fw/motor_position.h for names and meaning of settings,
@@ -58,7 +58,7 @@ MODES = {5: "PWM", 6: "voltage", 7: "voltage FOC", 8: "voltage DQ", 9: "current"
 
 
 class Asked(Protocol):
-    """A drive that answers: its registers as whole numbers, its settings as text."""
+    """A drive whose registers can be read as whole numbers, and whose settings as numbers."""
 
     def register(self, number: int) -> int:
         """Return the value of a register as an integer."""
@@ -70,14 +70,14 @@ class Asked(Protocol):
 
 
 class MoteusConversation:
-    """Questions to a drive, before a bridge runs.
+    """Requests to a moteus, before a bridge runs.
 
     Parameters
     ----------
     bus
-        With the drive on it.
+        Bus of the drive.
     drive, prefix
-        Its id, and ``can.prefix``.
+        Id of the drive, and ``can.prefix``.
     """
 
     def __init__(self, bus: Bus, drive: int, prefix: int = 0) -> None:
@@ -88,7 +88,7 @@ class MoteusConversation:
         return f"the moteus {self._drive} at {self._bus.place}"
 
     def refuse_others(self) -> None:
-        """Listen for `LISTEN_S`; raises `DeviceRefusedError` when another host communicates with the drive."""
+        """Listen for `LISTEN_S`; raise `DeviceRefusedError` if another host communicates with the drive."""
         deadline = time.monotonic() + LISTEN_S
         while (left := deadline - time.monotonic()) > 0:
             frame = self._bus.receive(left)
@@ -101,18 +101,18 @@ class MoteusConversation:
                 )
 
     def stop(self) -> None:
-        """Switch the driver off, which also ends a time-out of its watchdog."""
+        """Send a stop: it switches the driver off, and also ends the state after an expired watchdog."""
         self._send(b"\x01\x00\x00", reply=False)
 
     def register(self, number: int) -> int:
-        """Return the value of a register; raises as `asked`."""
+        """Return the value of a register; errors as `asked`."""
         address = bytes([number]) if number < 0x80 else bytes([number & 0x7F | 0x80, number >> 7])
         data = self.asked(b"\x19" + address, lambda data: data.startswith(b"\x29" + address))
         (value,) = struct.unpack_from("<i", data, 1 + len(address))
         return int(value)
 
     def setting(self, name: str) -> float:
-        """Read a setting by ``conf get``; raises `IncompatibleDeviceError` if the drive has no setting of this name."""
+        """Return a setting (``conf get``); raise `IncompatibleDeviceError` if the drive has no setting of this name."""
         line = f"conf get {name}\n".encode()
         for at in range(0, len(line), DIAGNOSTIC_BYTES):
             part = line[at : at + DIAGNOSTIC_BYTES]
@@ -168,30 +168,30 @@ class MoteusConversation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MoteusFacts:
-    """What matters of a moteus.
+    """Facts about a moteus that a bridge needs.
 
     Attributes
     ----------
     id
-        On its bus.
+        Id on its bus.
     firmware
-        Version, as in 1.1.0.
+        Version, such as 1.1.0.
     mode, fault
         Registers 0x000 and 0x00f.
     counts
-        Of the output's encoder, a turn.
+        Counts per turn of the output's encoder.
     source
-        What kind of encoder that is.
+        Kind of this encoder.
     on_rotor, rotor_to_output
-        Whether it sits on the rotor; turns of the output for one of the rotor.
+        Whether the encoder is on the rotor; turns of the output for one turn of the rotor.
     torque_constant
-        Of the rotor (N·m/A); 0 when the motor is not calibrated.
+        Torque constant of the rotor (N·m/A); 0 if the motor is not calibrated.
     most_current, most_speed
         ``servo.max_current_A`` (A), ``servo.max_velocity`` (turns/s of the output).
     minimum, maximum
         ``servopos.position_min`` and ``_max`` (turns of the output), NaN for none.
     law
-        How it would render a wall itself.
+        Settings with which the drive renders a wall itself.
     """
 
     id: int
@@ -211,12 +211,12 @@ class MoteusFacts:
 
     @property
     def counts_per_turn(self) -> float:
-        """Return encoder counts for a turn of the output."""
+        """Return the encoder counts per turn of the output."""
         return self.counts / self.rotor_to_output if self.on_rotor else float(self.counts)
 
     @property
     def output(self) -> Output:
-        """Return reported properties of the drive's output."""
+        """Return the reported properties of the drive's output."""
         return Output(
             kind="moteus",
             encoder=self.source,
@@ -275,9 +275,9 @@ def find(talk: MoteusConversation, drive: int) -> MoteusFacts:
     Raises
     ------
     IncompatibleDeviceError
-        Another generation of its firmware.
+        The firmware has another register map.
     DeviceRefusedError
-        Another host commands it, it has a fault, or a setting that would give another torque.
+        Another host commands the drive, it has a fault, or a setting would change the torque.
     """
     talk.refuse_others()
     version, registers = talk.register(0x101), talk.register(0x102)
@@ -301,7 +301,7 @@ def find(talk: MoteusConversation, drive: int) -> MoteusFacts:
 
 
 def _mode_at_rest(talk: MoteusConversation) -> int:
-    """Mode of the drive, once a bridge that was killed has left it: its watchdog ends it, a stop ends that."""
+    """Return the drive's mode, after the remains of a killed bridge have ended: by the watchdog, then by a stop."""
     deadline = time.monotonic() + REST_S
     while (mode := talk.register(0x000)) not in (STOPPED, FAULTED) and time.monotonic() < deadline:
         if mode == TIMED_OUT:
@@ -349,9 +349,9 @@ def _facts(talk: Asked, drive: int, firmware: str, mode: int) -> MoteusFacts:
 
 
 def switches_of(texts: Mapping[str, str]) -> Switches:
-    """Read ``hold = "aux1.2"`` and ``stop = "aux1.3"``: a port of the drive and a bit of its pins.
+    """Return the switches in texts like ``hold = "aux1.2"``: a port of the drive, and a bit of its pins.
 
-    Raises `ConfigError` for anything else, and for switches on two ports.
+    Raises `ConfigError` for a text of another form, and for switches on two ports.
     """
     ports, bits = set(), {"hold": 0, "stop": 0}
     for name, text in texts.items():
@@ -379,7 +379,7 @@ def fit(
     Raises
     ------
     DeviceRefusedError
-        It is calibrated, geared or wired otherwise than the experiment says: all that is, in one sentence each.
+        Calibration, gear or wiring differ from the experiment; the error has a sentence for each difference.
     """
     refuse(_differences(found, model))
     transmission = found.output.transmission(model)

@@ -1,4 +1,4 @@
-"""Check an ODrive before a handle hangs on it: which drive it is, how it is set up, and what must be true of it.
+"""Identify an ODrive, read its settings, and check what is required before a handle is mounted on it.
 
 Source: the description of the messages of 0.6.10 (DBC) that the package odrive-can carries;
 odriverobotics/ODriveResources, examples/can_param_access.py and can_watchdog.py; names of parameters from odrive
@@ -49,7 +49,7 @@ FORMS = {
 
 
 class OdriveCommand(IntEnum):
-    """Of the lower five bits of an identifier: those that are asked here, or heard."""
+    """Commands in the lower five bits of a message id that are requested or received here."""
 
     GET_VERSION = 0x00
     HEARTBEAT = 0x01
@@ -122,14 +122,14 @@ REQUIRED: tuple[tuple[str, Callable[[Mapping[str, float]], bool], str, str], ...
 
 @dataclass(frozen=True, slots=True)
 class Endpoints:
-    """Numbers and types of a firmware's parameters, by their paths.
+    """Numbers and types of a firmware's parameters, by their path.
 
     Attributes
     ----------
     place, firmware
-        The file, and the version that it is of.
+        Path of the file, and version of its firmware.
     by_path
-        Number and form (`struct`) of each.
+        Number and `struct` format of each parameter.
     """
 
     place: str
@@ -138,7 +138,7 @@ class Endpoints:
 
     @classmethod
     def load(cls, place: str) -> Self:
-        """Read the maker's file; raises `ConfigError` if it is not a valid ``flat_endpoints.json``."""
+        """Read the manufacturer's file; raise `ConfigError` if it is not a valid ``flat_endpoints.json``."""
         try:
             return cls.of(place, json.loads(read_regular(place, TABLE_BYTES)))
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
@@ -148,7 +148,7 @@ class Endpoints:
 
     @classmethod
     def of(cls, place: str, content: Mapping[str, Any]) -> Self:
-        """Take what such a file has."""
+        """Return the endpoints in the content of such a file."""
         found = {
             path: (int(one["id"]), struct.Struct("<" + FORMS[one["type"]]))
             for path, one in content["endpoints"].items()
@@ -158,21 +158,21 @@ class Endpoints:
 
 
 class OdriveConversation:
-    """Questions to a drive, before a bridge runs.
+    """Requests to an ODrive, before a bridge runs.
 
     Parameters
     ----------
     bus
-        With the drive on it.
+        Bus of the drive.
     node
-        Its number.
+        Number of the drive's node.
     endpoints
-        Of its firmware.
+        Endpoints of its firmware.
 
     Attributes
     ----------
     quickest_s
-        Shortest time in which a question was answered so far.
+        Shortest round-trip time so far (s).
     """
 
     def __init__(self, bus: Bus, node: int, endpoints: Endpoints) -> None:
@@ -186,7 +186,7 @@ class OdriveConversation:
         return f"the ODrive {self.node} at {self._bus.place}"
 
     def refuse_others(self) -> None:
-        """Listen for `LISTEN_S`; raises `DeviceRefusedError` when another host commands the drive."""
+        """Listen for `LISTEN_S`; raise `DeviceRefusedError` if another host sends commands to the drive."""
         deadline = time.monotonic() + LISTEN_S
         while (left := deadline - time.monotonic()) > 0:
             reply = self._bus.receive(left)
@@ -206,7 +206,7 @@ class OdriveConversation:
         return self._request(frame, command, lambda data: len(data) == 8)
 
     def parameter(self, path: str) -> float:
-        """Value of a parameter; raises `IncompatibleDeviceError` where this firmware has none of this name."""
+        """Return a parameter; raise `IncompatibleDeviceError` if the endpoints have no parameter of this path."""
         found = self.endpoints.by_path.get(path)
         if found is None:
             raise IncompatibleDeviceError(
@@ -226,7 +226,7 @@ class OdriveConversation:
     def _request(
         self, question: CanFrame, command: OdriveCommand, is_answer: Callable[[bytes], bool]
     ) -> bytes:
-        """Send a request up to `TRIES` times and return the reply; raises `DeviceNotFoundError` without one."""
+        """Send a request up to `TRIES` times and return the reply; raise `DeviceNotFoundError` without a reply."""
         for _ in range(TRIES):
             self._bus.send(question)
             asked = time.monotonic()
@@ -248,18 +248,18 @@ class OdriveConversation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OdriveFacts:
-    """What matters of an ODrive.
+    """Facts about an ODrive that a bridge needs.
 
     Attributes
     ----------
     id
-        Its node.
+        Node of the drive.
     firmware
-        Version, as in 0.6.11.
+        Version, such as 0.6.11.
     values
-        Its parameters, by path.
+        Parameters of the drive, by path.
     quickest_s
-        In which it answers, there and back.
+        Shortest round-trip time (s).
     """
 
     id: int
@@ -269,7 +269,7 @@ class OdriveFacts:
 
     @property
     def output(self) -> Output:
-        """Return reported properties of the drive's shaft."""
+        """Return the reported properties of the drive's shaft."""
         v = self.values
         onboard = v[ENCODER] == ONBOARD
         constant = v[TORQUE_CONSTANT]
@@ -296,9 +296,9 @@ def find(talk: OdriveConversation) -> OdriveFacts:
     Raises
     ------
     IncompatibleDeviceError
-        Another generation of its firmware, or a file of another version.
+        The firmware is not 0.6, or the endpoints are for another version.
     DeviceRefusedError
-        Another host commands it, it has an error, or settings that would drop or change a torque; lists all of them.
+        Another host commands the drive, it has an error, or settings would drop or change a torque; lists all of them.
     """
     talk.refuse_others()
     version = tuple(talk.request(OdriveCommand.GET_VERSION)[4:7])
@@ -333,7 +333,7 @@ def find(talk: OdriveConversation) -> OdriveFacts:
 
 
 def _error_at_rest(talk: OdriveConversation) -> int:
-    """Return the error of a drive at rest. What a killed bridge has left its watchdog ends, and nothing here."""
+    """Return the error flags of the drive once it is idle; the drive's watchdog ends what a killed bridge has left."""
     deadline = time.monotonic() + REST_S
     while True:
         error, state, _ = struct.unpack_from("<IBB", talk.request(OdriveCommand.HEARTBEAT))
@@ -359,7 +359,7 @@ def fit(found: OdriveFacts, model: RigModel) -> FittedDrive:
     Raises
     ------
     DeviceRefusedError
-        It is scaled, wired or limited otherwise than the experiment says: all that is, in one sentence each.
+        Scale, wiring or limits differ from the experiment; the error has a sentence for each difference.
     """
     refuse(_differences(found, model))
     values, output = found.values, found.output

@@ -1,6 +1,6 @@
-"""A wall that a drive renders itself (`controller.arithmetic = "drive"`): what is lost, and whether a drive can.
+"""Check a wall that a drive renders itself (`controller.arithmetic = "drive"`): what it lacks, and whether a drive can.
 
-A spring and a damper at its own rate is all that it gives. `rig.config.device_law._elsewhere` says who asks.
+The drive has only a spring and a damper, at its own rate. `rig.config.device_law._elsewhere` calls this module.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ BESIDE = "fdm-butterworth"
 
 
 class OwnWall:
-    """A `rig.config.device_law._elsewhere.WallElsewhere`."""
+    """Implementation of `rig.config.device_law._elsewhere.WallElsewhere` for walls of a drive."""
 
     stands_for = (
         "simulated with the law of the host, at its rate and with its estimator; a drive that renders "
@@ -28,7 +28,7 @@ class OwnWall:
     )
 
     def refuse_what_it_lacks(self, controller: ControllerState, c: Control) -> None:
-        """Raise `NotOnDeviceError`, a `PlanError`, for what a drive's own wall cannot be."""
+        """Raise `NotOnDeviceError`, a `PlanError`, for settings of a wall that a drive cannot render itself."""
         law = controller.law
         may_pull, entry_only = options(law.law.name, law.parameters)
         velocity_rate = 1.0 / (c["tick_s"] * c["velocity_divider"])
@@ -107,7 +107,7 @@ class OwnWall:
                 )
 
     def planned(self, experiment: Experiment) -> list[Check]:
-        """Return what it lacks."""
+        """Return a check that states what the drive's own wall lacks."""
         rate = experiment.controller.position_rate
         return [
             Check(
@@ -121,7 +121,7 @@ class OwnWall:
         ]
 
     def fits(self, experiment: Experiment, dictionary: Dictionary) -> list[Check]:
-        """Return whether the gains of a drive are large enough for the wall of an experiment."""
+        """Return a check of whether the gains of a drive are large enough for the wall of an experiment."""
         facts = {info.name: info.value for info in dictionary.settings}
         most = [facts.get(name) for name in ("drive_wall_stiffness", "drive_wall_damping")]
         if not all(isinstance(value, int | float) for value in most):

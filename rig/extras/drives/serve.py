@@ -1,7 +1,7 @@
-"""The process that runs a bridge: it finds the drive, compares it with the rig, and lets the C code have its ends.
+"""Run a bridge in a process: find the drive, compare it with the rig, and run the C code on bus and host.
 
-The drive is off before and after, whatever ends it: SIGINT, SIGTERM, the host of a socket that goes. Where this process
-cannot see to that any more (kill -9, a computer that stands), the drive's own watchdog does, after five periods.
+The drive is off before and afterwards, also if the process ends by SIGINT, SIGTERM or because the host is gone. If the
+process cannot switch it off (kill -9, a computer that hangs), the drive's own watchdog does, after five periods.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Found:
 
 
 def look(url: DeviceUrl) -> DriveFacts:
-    """Ask the drive who it is, and let it be; errors as `serve`."""
+    """Return the facts of the drive without changing it; errors as `serve`."""
     address = address_of(url)
     with contextlib.closing(open_bus(url)) as bus:
         return address.look(bus)
@@ -59,23 +59,23 @@ def serve(
     Parameters
     ----------
     url
-        Of the drive: ``moteus:///dev/fdcanusb?id=1``, ``moteus://can0``, ``odrive://can0?endpoints=FILE``.
+        URL of the drive: ``moteus:///dev/fdcanusb?id=1``, ``moteus://can0``, ``odrive://can0?endpoints=FILE``.
     model
-        The rig that it moves.
+        Rig that the drive moves.
     host
-        Connected socket to the host, whose end ends the bridge; a pseudo-terminal of its own unless given, which serves
-        one host after the other.
+        Connected socket to the host; the bridge ends when the host closes it. None: a pseudo-terminal, which serves one
+        host after the other.
     announce
-        Called once with the path of the port ("" for a socket), when a host may talk.
+        Called once with the path of the port ("" for a socket), when a host may connect.
     facts
-        Memory for what happens on the bus.
+        Memory for the statistics of the bus.
     realtime, cpu
-        Scheduling, as ``host.realtime``, and the processor.
+        Scheduling (see ``host.realtime``) and processor.
 
     Raises
     ------
     RigError
-        There is no drive, it answers wrongly, or it is not as the rig describes it: nothing has moved.
+        The drive is missing, its replies are wrong, or it does not match the rig; nothing has moved.
     """
     address = address_of(url)
     bus = open_bus(url)
@@ -93,7 +93,7 @@ def serve(
 
 @contextlib.contextmanager
 def _end_of(host: socket.socket | None) -> Iterator[tuple[int, str]]:
-    """The bridge's end of the line to its host, and the path of the other one."""
+    """Yield the bridge's descriptor to the host, and the path of the port that the host opens ("" for a socket)."""
     if host is not None:
         host.setblocking(False)
         yield host.fileno(), ""

@@ -1,6 +1,6 @@
-"""Lab Streaming Layer: what a running loop does, as streams for other recorders on the network.
+"""Send the samples and events of running loops to recorders on the network, by Lab Streaming Layer (LSL).
 
-A process of its own looks at the loop's ring (`rig.realtime.ring`) and never writes into it, so that no receiver,
-however slow, can delay a tick. `follow` turns rows into samples and markers on the host's clock and knows nothing of
-the network; `streams` are the outlets; `serve` joins the two; `session` is what a session says to such a process.
+A process of its own reads the loop's ring (`rig.realtime.ring`) and never writes to it, so that a slow receiver cannot
+delay a tick. `follow` converts rows to samples and markers on the host's clock, without network code; `streams` are the
+outlets; `serve` connects them; `session` sends a session's markers to such a process.
 """

@@ -1,8 +1,8 @@
-"""The device's clock on the host's, while the loop runs: the line of `rig.core.clock_fit` through the exchanges so far.
+"""Convert the device's time to the host's while the loop runs, with a line fitted to the clock exchanges so far.
 
-The loop leaves each exchange in its ring for a tenth of a second and more; who looks more often misses none. The
-line gets better while a run lasts, so a recording, which is fitted at its end, differs from what was streamed by less
-than `sd_ns` and the asymmetry bound say.
+The loop stores each exchange in its ring for at least a tenth of a second, so that frequent readers miss none. The line
+improves during a run: a recording, whose line is fitted at the end, differs from the streamed times by less than the
+uncertainty `sd_ns` and the asymmetry bound.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ EVERY = 6  # further exchanges between two fits
 
 
 class LiveClock:
-    """Host times of a running loop's device times; `fitted` once an exchange has been seen."""
+    """Conversion of a running loop's device times to host times; `fitted` after the first clock exchange."""
 
     def __init__(self) -> None:
         self._stamps: deque[tuple[int, ...]] = deque(maxlen=KEPT)
@@ -33,17 +33,17 @@ class LiveClock:
 
     @property
     def fitted(self) -> bool:
-        """Return True if there is a line."""
+        """Return True if a line has been fitted."""
         return self._fit is not None
 
     @property
     def bound_ns(self) -> int | None:
-        """Return the bound of the error of host times (ns), asymmetry plus three standard uncertainties; or None."""
+        """Return the error bound of host times (ns): asymmetry and three standard uncertainties; None: no line."""
         fit = self._fit
         return None if fit is None else fit.asymmetry_bound_ns + round(3.0 * fit.offset_sd_ns)
 
     def look(self, ring: Ring) -> None:
-        """Take the newest exchange, if it is new, and fit when that is worth it."""
+        """Read the newest exchange from the ring; fit the line again for the first exchanges, and then at intervals."""
         done, stamps = ring.clock_exchange()
         if stamps is None or done == self._seen:
             return
@@ -55,9 +55,9 @@ class LiveClock:
             self._fit = fit_if_possible(as_exchanges(self._stamps)) or self._fit
 
     def host_of(self, rows: NDArray[np.void], device_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Host times (ns) of device times on the scale of these rows' device_time.
+        """Return host times (ns) of device times (ns), which count like the `device_time` of these rows.
 
-        Without a line: as much after the first row's receipt as the device's clock says, later by the link's delay.
+        Without a line, the first row's time of receipt is taken as its host time, which is late by the link's delay.
         """
         first: NDArray[np.int64] = rows["device_time"][:1]
         received = int(rows["received_at"][0])

@@ -1,19 +1,19 @@
-"""From a loop's rows to samples and markers on the host's clock, as the loop leaves them.
+"""Convert a loop's rows to samples and markers on the host's clock, while the loop runs.
 
-Markers are mappings with `mark`, what happened, and with `device_time` (ns) and `tick`:
+Markers are mappings with `mark`, the kind of event, and with `device_time` (ns) and `tick`:
 
 =======  ==================================================================================================
 begin    a loop runs: rig, motion; unless blinded the position rate, the rate of the samples, and its wall
-clock    the clocks were compared: `bound_s`, by which time stamps may be off; null: never, stamps are receipts
+clock    the clocks were compared: `bound_s`, the error bound of time stamps; null: not compared, stamps are receipts
 phase    the phase changed (`rig.core.sample.Phase`): wait, homing, settle, trial, release, done
-contact  the first sample inside the wall in the trial (`contact` = 1), and each first one after one outside
+contact  the handle enters the wall in the trial; `contact` is the number of this contact, from 1
 sync     a rising edge of the device's sync input
-wall     another parameter set is active: its number; unless blinded its wall, when the loop still has it
-end      the loop has ended: the reason, rows, and how many of them came too late to be seen (`lost`)
+wall     another parameter set is active: its number; unless blinded its wall, if the loop still stores it
+end      the loop has ended: the reason, the rows read, and those overwritten before they were read (`lost`)
 =======  ==================================================================================================
 
-Blinded markers have no number of a wall, a condition or a scheme, from any source (`without_secrets`). Rates are
-among them: where conditions differ in their rates, a rate is a condition's name.
+Blinded markers contain no value of a wall, a condition or a scheme, from any source (`without_secrets`). Rates are
+left out, too: if conditions differ in their rates, a rate reveals the condition.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _INSIDE = int(RowFlag.INSIDE)
 
 @dataclass(frozen=True, slots=True)
 class Marker:
-    """What happened, and when (ns, host clock)."""
+    """An event: its time (ns, host clock) and its content."""
 
     time_ns: int
     content: dict[str, Any]
@@ -54,7 +54,7 @@ class Marker:
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Rows for the samples' stream with the host time of each (ns), and what happened in them and beside."""
+    """Rows for the stream of samples, the host time of each (ns), and the markers since the last chunk."""
 
     rows: NDArray[np.void]
     times_ns: NDArray[np.int64]
@@ -62,7 +62,7 @@ class Chunk:
 
 
 def without_secrets(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a marker's content without what a blinded person must not know, at any depth."""
+    """Return a marker's content without `SECRETS`, which a blinded person must not know, at any depth."""
     return {
         key: without_secrets(value) if isinstance(value, Mapping) else value
         for key, value in content.items()
@@ -71,30 +71,30 @@ def without_secrets(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def decimation(position_rate: float, rate: float | None) -> int:
-    """Return how many rows make a sample, so that there are `rate` samples a second at most; None: each row is one."""
+    """Return n, so that every n-th row gives at most `rate` samples a second (Hz); 1 if `rate` is None."""
     return 1 if rate is None else max(1, math.ceil(position_rate / rate))
 
 
 class Follower:
-    """One loop, from the oldest row that its ring still has to its end.
+    """Reader of one loop, from the oldest row in its ring to its end.
 
     Parameters
     ----------
     ring
-        Its memory; only looked at.
+        Shared memory of the loop; it is only read.
     rate
-        Samples a second that are wanted at most; None: every row. It becomes the position rate over a whole number.
+        Largest number of samples a second; None: every row. The actual rate is the position rate over a whole number.
     blind
-        Say nothing of the wall.
+        Leave everything about the wall out of the markers.
 
     Attributes
     ----------
     ring, info
-        The memory, and what the loop's program had stored about the run when this began.
+        Shared memory of the loop, and the facts about the run that it contained at the beginning.
     position_rate, every, rate
-        Rows a second; one row in `every` becomes a sample; samples a second.
+        Rows a second; one row in `every` becomes a sample; samples a second (Hz).
     ended
-        Whether the loop has ended and its last row was seen.
+        Whether the loop has ended and its last row was read.
     """
 
     def __init__(self, ring: Ring, *, rate: float | None = None, blind: bool = False) -> None:
@@ -116,7 +116,7 @@ class Follower:
 
     @property
     def lost(self) -> int:
-        """Return rows that were overwritten before they were seen."""
+        """Return the number of rows that were overwritten before they were read."""
         return self._reader.lost
 
     @property
@@ -125,7 +125,7 @@ class Follower:
         return self._reader.rows
 
     def poll(self) -> Chunk:
-        """Return the rows since the last call; a chunk with `ended` is the last one."""
+        """Return the rows since the last call; after the last rows of the loop `ended` is True."""
         done = self.ring.get(control_words.LOOP_DONE) != 0  # before the rows: what follows is then all
         self._clock.look(self.ring)
         if not self._clock.fitted and not done and time.monotonic() - self._since < HOLD_S:
@@ -144,7 +144,7 @@ class Follower:
         return Chunk(rows[wanted], times[wanted], sorted(markers, key=lambda marker: marker.time_ns))
 
     def _times(self, rows: NDArray[np.void]) -> NDArray[np.int64]:
-        """Return host times of the rows, none before the last one returned: a better clock fit may lie earlier."""
+        """Return the rows' host times (ns), never before the last one returned, even if a better line gives that."""
         times: NDArray[np.int64] = np.maximum(self._clock.host_of(rows, rows["device_time"]), self._last_ns)
         self._last_ns = int(times[-1])
         return times
@@ -207,13 +207,13 @@ class Follower:
 
 
 def _wall(info: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the stiffness and damping in the info of a run."""
+    """Return stiffness and damping of the wall in the info of a run."""
     wall = (info.get("experiment") or {}).get("wall") or {}
     return {name: wall.get(name) for name in ("stiffness", "damping")}
 
 
 def _changes(both: NDArray[np.void], new: int) -> dict[str, NDArray[np.int64]]:
-    """Return places among the new rows at which a marker belongs."""
+    """Return the indices of the new rows that need a marker, by name of the marker."""
     phase, numbers = both["phase"], both["parameter_set"]
     touching = (phase == Phase.TRIAL) & ((both["flags"] & _INSIDE) != 0)
     beginning = np.arange(len(both)) == 0

@@ -1,4 +1,4 @@
-"""pylsl, loaded on first use with an error that says how to install it, and its clock compared with ours."""
+"""Load pylsl on first use, with an error that says how to install it, and compare its clock with the host's."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ _CONFIGURATIONS = (
 
 @dataclass(frozen=True, slots=True)
 class ClockOffset:
-    """LSL's clock less CLOCK_MONOTONIC, on which a loop has its times (s), and by how much that may be off.
+    """LSL's clock minus CLOCK_MONOTONIC, the clock of a loop's times (s), and the uncertainty of this offset (s).
 
-    liblsl uses the same clock on Linux: an offset that does not differ significantly from zero is zero.
+    liblsl uses CLOCK_MONOTONIC on Linux: an offset that is not significant is set to zero.
     """
 
     offset_s: float
@@ -33,12 +33,12 @@ class ClockOffset:
 
 
 def load() -> Any:
-    """Import pylsl; without a configuration of the user's own it logs errors only.
+    """Import pylsl; unless the user has configured liblsl, let it log errors only.
 
     Raises
     ------
     ConfigError
-        It is not installed, or finds no liblsl.
+        pylsl is not installed, or finds no liblsl.
     """
     try:
         pylsl = import_module("pylsl")
@@ -55,7 +55,7 @@ def load() -> Any:
 
 
 def clock_offset(pylsl: Any) -> ClockOffset:
-    """Measure the offset: the narrowest of some readings of our clock around one of LSL's."""
+    """Measure the offset from the narrowest of `TRIES` readings of the host's clock around one of LSL's."""
     best: tuple[int, float] | None = None
     for _ in range(TRIES):
         before = time.monotonic_ns()

@@ -1,4 +1,4 @@
-"""Follow loops, one after another, and send what they do into the network, until interrupted."""
+"""Follow loops, one after another, and stream their samples and markers, until interrupted."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ DEATH_S = 1.0  # without a row, before it is asked whether the process lives
 
 @dataclass(slots=True)
 class Streamed:
-    """What was sent: loops followed, samples and markers, rows that came too late to be seen, and the last rate."""
+    """Numbers of followed loops, sent samples and markers, and lost rows; the last rate (Hz) and the clock offset."""
 
     name: str
     loops: int = 0
@@ -41,16 +41,16 @@ class Streamed:
 
 
 class Markers:
-    """Markers that another program writes, a line of JSON each: ``{"at": host time in ns, "marker": {...}}``.
+    """Markers that another program writes as lines of JSON: ``{"at": host time in ns, "marker": {...}}``.
 
-    Without `at` a marker has the time at which it was read.
+    A marker without `at` has the time at which it was read.
 
     Attributes
     ----------
     malformed
-        Lines of another form, which were left out.
+        Number of lines of another form, which are ignored.
     over
-        Whether no more can come.
+        Whether the input has ended.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -88,38 +88,38 @@ def serve(
     expected: tuple[Motion, float] | None = None,
     report: Callable[[Mapping[str, Any]], None] | None = None,
 ) -> Streamed:
-    """Send what loops in real time do, until Ctrl-C or until what is followed is over.
+    """Stream the loops that run in real time, until Ctrl-C or until the process or the markers' input ends.
 
     Parameters
     ----------
     pid
-        Process whose loops are followed, and with whose death this ends; None: any process of this user, one loop at
-        a time.
+        Process whose loops are followed; streaming ends with the process. None: the loops of any process of this user,
+        one at a time.
     rate
-        Samples a second at most: the position rate over the next whole number. None: every row.
+        Largest number of samples a second: the position rate over a whole number. None: every row.
     name
         First word of the streams' names.
     blind
-        No marker says anything of the wall.
+        Leave everything about the wall out of the markers.
     once
-        End with the first loop.
+        End when the first loop ends.
     markers
-        Descriptor from which further markers are read (`Markers`); this ends when that does.
+        Descriptor from which further markers are read (`Markers`); streaming ends with this input.
     expected
-        Motion and position rate of loops to come, so that the samples' stream is there before the first of them; else
-        it opens with the first loop, and a receiver misses what comes before it has found the stream.
+        Motion and position rate (Hz) of the loops to come, so that the stream of samples is open before the first of
+        them. Otherwise it opens with the first loop, and a receiver misses the samples until it finds the stream.
     report
-        Called with a mapping when something is new: streams that opened, a loop that began or ended.
+        Called with a mapping when a stream opens, and when a loop begins or ends.
 
     Returns
     -------
-    Served
-        Also when a KeyboardInterrupt ends it.
+    Streamed
+        Also after a KeyboardInterrupt.
 
     Raises
     ------
     ConfigError
-        pylsl or liblsl is missing, the rate is not above 0, or there is no such process.
+        pylsl or liblsl is missing, a rate is not above 0, or the process does not exist.
     """
     if rate is not None and not rate > 0.0:
         raise ConfigError(
@@ -146,7 +146,7 @@ def serve(
 
 
 class _Server:
-    """Outlets, the loop that is followed, and what was sent."""
+    """The outlets, the loop that is followed, and the numbers of what was sent."""
 
     def __init__(
         self,
@@ -169,7 +169,7 @@ class _Server:
         report({"stream": f"{name} markers", **asdict(self._offset)})
 
     def run(self, pid: int | None, source: Markers | None, *, once: bool) -> None:
-        """Until `pid` is dead, the source of markers is over, or with `once` a loop has ended."""
+        """Follow loops until `pid` has ended, the input of markers has ended, or, with `once`, one loop has ended."""
         while True:
             self._pass_on(source)
             over = source is not None and source.over
@@ -219,7 +219,7 @@ class _Server:
         self._mark([Marker(one.time_ns, {**one.content, **self._context}) for one in chunk.markers])
 
     def open_samples(self, motion: Motion, position_rate: float) -> None:
-        """One outlet as long as rate and units stay."""
+        """Open the outlet of samples, or continue the open one if rate and units are the same."""
         rate = position_rate / decimation(position_rate, self._rate)
         known = self._samples
         if known is not None and (known.rate, known.motion) == (rate, motion):
@@ -230,7 +230,7 @@ class _Server:
         self._report({"stream": f"{self._name} samples", "rate": rate})
 
     def _pass_on(self, source: Markers | None) -> None:
-        """Send what others mark; a `trial` that one names is part of all markers that follow."""
+        """Send the markers of another program; if one contains `trial`, this is added to all markers that follow."""
         for marker in source.take() if source is not None else ():
             if "trial" in marker.content:
                 self._context = {"trial": marker.content["trial"]}
@@ -243,7 +243,7 @@ class _Server:
 
 
 def _next_loop(pid: int | None) -> tuple[int, Ring] | None:
-    """Return a loop that runs, with its process; the newest."""
+    """Return the newest running loop, of process `pid` or of any, with its process; None if no loop is running."""
     if pid is not None:
         ring = running.memory_of(pid)
         return None if ring is None else (pid, ring)
@@ -254,7 +254,7 @@ def _next_loop(pid: int | None) -> tuple[int, Ring] | None:
 
 
 def _alive(pid: int) -> bool:
-    """Return True if a process of ours lives; a zombie, dead but not waited for, has no files and does not count."""
+    """Return True if a process of this user is running; a zombie has no files and counts as ended."""
     try:
         return bool(os.listdir(f"/proc/{pid}/fd"))
     except OSError:

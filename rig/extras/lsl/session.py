@@ -1,4 +1,4 @@
-"""What a session says to the process that streams: markers, without ever waiting for it."""
+"""Send a session's markers to the process that streams, without ever waiting for it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _log = logging.getLogger(__name__)
 
 
 def marker_line(at_ns: int, content: dict[str, Any]) -> bytes:
-    """A marker as a line of at most `LINE_BYTES`, its `text` cut for that; longer only where the rest is too long."""
+    """Return a marker as a line of at most `LINE_BYTES`, with its `text` cut; longer only if the rest is too long."""
 
     def line(**changed: Any) -> bytes:
         line = {"at": at_ns, "marker": {**content, **changed}}
@@ -53,21 +53,21 @@ def _refuse_if_missing() -> None:
 
 
 class LslMarks:
-    """``rig serve lsl`` for the loops of this process, with markers of this process's own; a context manager.
+    """Context manager that runs ``rig serve lsl`` for the loops of this process, and sends markers to it.
 
-    Once it has started nothing here raises or blocks but `wait`: a session does not end because a stream did. Markers
-    that could not be sent are counted (`lost`), with one warning for each reason. A `text` that is too long is cut.
+    After its start only `wait` raises or blocks, so that a failed stream does not end a session. `lost` counts markers
+    that could not be sent, with one warning for each reason. A `text` that is too long is cut.
 
     Parameters
     ----------
     name
         First word of the streams' names.
     rate
-        Samples a second at most; None: every row.
+        Largest number of samples a second; None: every row.
     blind
-        Markers contain nothing of walls and conditions, whatever `push` is given.
+        Remove everything about walls and conditions from the markers, also from those of `push`.
     expected
-        Motion and position rate of the loops to come, so that the samples' stream is there when `wait` returns.
+        Motion and position rate (Hz) of the loops to come; the stream of samples is then open when `wait` returns.
 
     Raises
     ------
@@ -124,12 +124,12 @@ class LslMarks:
         self._closed = False
 
     def wait(self, timeout_s: float = READY_S) -> None:
-        """Return when the streams are open, so that a recorder can find them before the first trial.
+        """Wait until the streams are open, so that a recorder can find them before the first trial.
 
         Raises
         ------
         RigError
-            The process ended, or did not get there in time.
+            The process ended, or the streams did not open in time.
         """
         deadline = time.monotonic() + timeout_s
         while sum("stream" in news for news in self._news()) < self._streams:
@@ -143,9 +143,9 @@ class LslMarks:
             time.sleep(0.02)
 
     def push(self, mark: str, at_ns: int | None = None, **content: Any) -> None:
-        """Say that something happened, at a time on CLOCK_MONOTONIC (ns), or now.
+        """Send a marker with a time on CLOCK_MONOTONIC (ns), or the present time.
 
-        A `trial` in the content becomes part of all markers that follow, the loop's own too.
+        A `trial` in the content is added to all markers that follow, also to those of the loop.
         """
         at = time.monotonic_ns() if at_ns is None else at_ns
         line = marker_line(at, {"mark": mark, **content})
@@ -166,7 +166,7 @@ class LslMarks:
             _log.warning(why)
 
     def close(self) -> dict[str, Any] | None:
-        """Let it send what it has, and end it: what it sent (`serve.Streamed`), or None if it does not say."""
+        """End the process after it has sent its queue; return its numbers (`serve.Streamed`), or None if missing."""
         if self._closed:
             return None
         self._closed = True
@@ -187,7 +187,7 @@ class LslMarks:
             return next((dict(news["served"]) for news in self._news() if "served" in news), None)
 
     def _news(self) -> list[dict[str, Any]]:
-        """Return the process's new output, read without moving the position at which it writes."""
+        """Return all messages that the process has printed, without changing the position at which it writes."""
         descriptor = self._output.fileno()
         size = os.fstat(descriptor).st_size
         if size == 0:

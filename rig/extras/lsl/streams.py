@@ -1,4 +1,4 @@
-"""The two outlets: numbers of each sample with their units, and what happened as one JSON text a marker."""
+"""The two LSL outlets: samples as numbers with units, and markers as one JSON text each."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ BUFFERED_S = 60  # what a receiver that reads slowly may fall behind (s)
 
 
 class SampleStream:
-    """The samples' outlet, named ``NAME samples``.
+    """Outlet of the samples, named ``NAME samples``.
 
     Parameters
     ----------
     pylsl
-        The library.
+        The library pylsl.
     name
         First word of the stream's name, and part of its source id, by which receivers find it again.
     motion, rate, position_rate
-        Units of the channels; samples a second; rows a second.
+        Motion, which decides the units of the channels; samples a second and rows a second (Hz).
     offset
-        From the host's clock to LSL's.
+        Offset from the host's clock to LSL's.
     """
 
     def __init__(
@@ -61,11 +61,11 @@ class SampleStream:
         self._outlet = pylsl.StreamOutlet(info, max_buffered=BUFFERED_S)
 
     def begin(self) -> None:
-        """Another loop begins, whose times are its own."""
+        """Forget the last time stamp, because another loop begins."""
         self._last_s = 0.0
 
     def push(self, rows: NDArray[np.void], times_ns: NDArray[np.int64]) -> None:
-        """Send rows, each with its own time; one that a better fit of the clocks would put before the last has its."""
+        """Send rows, each with its host time (ns); a time before the last one sent is replaced by the last one."""
         if not len(rows):
             return
         stamps = np.maximum.accumulate(np.maximum(times_ns * 1e-9 + self._offset_s, self._last_s))
@@ -75,7 +75,7 @@ class SampleStream:
 
 
 class MarkerStream:
-    """The markers' outlet, named ``NAME markers``: irregular, one text a marker."""
+    """Outlet of the markers, named ``NAME markers``: one text for each marker, at irregular times."""
 
     def __init__(self, pylsl: Any, name: str, offset: ClockOffset) -> None:
         info = pylsl.StreamInfo(
@@ -86,7 +86,7 @@ class MarkerStream:
         self._outlet = pylsl.StreamOutlet(info, max_buffered=BUFFERED_S)
 
     def push(self, markers: Sequence[Marker]) -> None:
-        """Send markers, each at its own time."""
+        """Send markers, each with its own time."""
         for marker in markers:
             text = json.dumps(marker.content, ensure_ascii=False)
             self._outlet.push_sample([text], marker.time_ns * 1e-9 + self._offset_s)

@@ -1,1 +1,1 @@
-"""Reproductions of papers: every claim computed, every sentence about a result taken from its numbers."""
+"""Reproduce papers: compute the numbers behind every claim, and write the report's sentences from them."""

@@ -1,7 +1,7 @@
-"""Claims of a paper: the words of a template beside the rulings on them.
+"""Read the claims of a paper from a template, and join each with its ruling.
 
-A paper's ``claims.j2`` has a section for each claim. Every number in it comes from the ruling or the thresholds
-of its rules; what a ruling does not decide is edited there, without touching Python.
+A paper's ``claims.j2`` has a section for each claim. Every number in it comes from the ruling or from the thresholds
+of the rules; all other text is edited in the template, without changing Python.
 
 ::
 
@@ -13,8 +13,8 @@ of its rules; what a ruling does not decide is edited there, without touching Py
     claim: what the paper says
     paper: its number
     ours: ours
-    only with: a condition       where the cases that held are not one (optional)
-    in part: what is reproduced  where the rule can decide so
+    only with: a condition       replaces the names of the cases in which the claim held (optional)
+    in part: what is reproduced  if the rule can judge "reproduced in part"
     needs: what the claim depends on, as far as this project knows
     rule: how the verdict follows from the numbers
 """
@@ -36,7 +36,7 @@ BEGIN = re.compile(r"(title|source|claim|paper|ours|only with|in part|needs|rule
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Claim:
-    """A row of the claims table; the words are explained in the head of this file."""
+    """A row of the table of claims; the docstring of this module explains the fields."""
 
     key: str
     claim: str
@@ -49,16 +49,16 @@ class Claim:
 
     @reported
     def verdict(self) -> str:
-        """Return the status of the claim with its condition, in words."""
+        """Return the status of the claim with its condition, as text."""
         return f"{self.status} {self.condition}".rstrip()
 
 
 def read_claims(
     template: str, rulings: Mapping[str, Ruling], words: Mapping[str, Any]
 ) -> tuple[Mapping[str, str], tuple[Claim, ...]]:
-    """Fill a template with rulings; returns the paper's title and source, and its claims in the order of the rulings.
+    """Fill a template with rulings; return the paper's title and source, and its claims in the order of the rulings.
 
-    `KeyError` for a claim without a text, or a text without a claim.
+    Raise `KeyError` if a claim has no text, or a text has no claim.
     """
     texts = _sections(fill_text(template, rulings=rulings, **words))
     paper = texts.pop("paper")
@@ -70,7 +70,7 @@ def read_claims(
 
 
 def _sections(text: str) -> dict[str, dict[str, str]]:
-    """Return sections of named texts; a line that begins neither belongs to the text before it."""
+    """Return the texts of each section by name; a line that begins no new text continues the last one."""
     found: dict[str, dict[str, str]] = {}
     key = name = ""
     for line in text.splitlines():

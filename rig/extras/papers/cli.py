@@ -1,4 +1,4 @@
-"""``rig reproduce``: a paper as one report."""
+"""``rig reproduce``: reproduce a paper and write one report."""
 
 from __future__ import annotations
 

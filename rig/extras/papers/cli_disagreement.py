@@ -32,10 +32,10 @@ def disagreement(
     as_json: bool,
     **rig: Any,
 ) -> None:
-    """Hit every wall of a range, and say where linear theory and hits differ, and why.
+    """Hit every wall of a range, and report where linear theory and hits differ, and why.
 
-    Where they differ, the wall is hit again without friction, quantum, saturation and loss of contact, one at a time:
-    which of them does it take? A picture, and a paragraph to cite.
+    Walls that differ are hit again without friction, quantum, saturation or loss of contact, one at a time and
+    together, to find the cause. Prints a paragraph to cite, and draws a picture.
     """
     plan = DisagreementPlan(map=walls.plan(map_options.chosen(**rig)))
     place = maps.directory_for(plan, directory, "disagreement")

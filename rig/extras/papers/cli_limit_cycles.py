@@ -36,9 +36,9 @@ def limit_cycles(
 ) -> None:
     """Predict how the encoder's quantum makes walls oscillate, by describing functions, and simulate the same walls.
 
-    Amplitude (counts of the encoder's side) and frequency, with Coulomb friction and without, of walls that a constant
-    push holds half-way between two counts, where they oscillate most; no hand holds the handle. Prints predicted and
-    simulated values and their difference. `rig.theory.limit_cycle` predicts one wall in a few milliseconds.
+    Prints amplitude (counts) and frequency, predicted and simulated, with and without Coulomb friction. A constant push
+    holds the handle half-way between two counts, where walls oscillate most; no hand holds it.
+    `rig.theory.limit_cycle` predicts one wall in a few milliseconds.
     """
     if (stiffness is None) != (damping is None):
         raise ConfigError("only one of --stiffness and --damping is given", remedy="give both, or neither")

@@ -1,4 +1,4 @@
-"""The work of a reproduction: many small parts in one sweep, so that all of it has one progress bar and one journal."""
+"""Run the work of a reproduction as many small parts of one sweep, with one progress bar and one journal."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ Part = Sequence[Task]  # of one kind; weights in hits of a 20 kHz rig
 
 
 def part(work: Callable[[Any], Any], payload: Mapping[str, Any], weight: float) -> Part:
-    """Return a part of one task."""
+    """Return a part with a single task."""
     return (Task("all", work, payload, weight),)
 
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """Results of parts, by name; how long they took (s), and how many tasks the journal already had."""
+    """Results of parts, by name; duration (s); and the number of tasks that were already in the journal."""
 
     results: Mapping[str, Sequence[Any]]
     seconds: float
     kept: int
 
     def one(self, name: str) -> Any:
-        """Return the result of a part of one task."""
+        """Return the result of a part with a single task."""
         (result,) = self.results[name]
         return result
 
@@ -40,7 +40,7 @@ def run_parts(
     workers: int | None = None,
     watch: Callable[[Progress], None] | None = None,
 ) -> Parts:
-    """Run everything as one sweep; parameters and errors as `rig.experiments.sweep.run`."""
+    """Run all parts as one sweep; parameters and errors as `rig.experiments.sweep.run`."""
     started = time.monotonic()
     tasks = [replace(task, key=f"{name}:{task.key}") for name, part in parts.items() for task in part]
     kept = 0

@@ -1,7 +1,7 @@
-"""A reproduction: everything computed as one sweep, judged by rules, worded by templates, written as one HTML page.
+"""Reproduce a paper: compute all numbers in one sweep, judge them by rules, and write one HTML page from templates.
 
-A number in a template comes from the results or from the thresholds of the rules: a template holds no digits but the
-names of figures and rates, and a test lists these.
+Each number in a template comes from the results or from the thresholds of the rules. A template contains no digits but
+those in names of figures and rates, and a test lists these.
 """
 
 from __future__ import annotations
@@ -28,35 +28,35 @@ MARKS = dict.fromkeys(ClaimStatus, "only") | {ClaimStatus.REPRODUCED: "yes", Cla
 
 
 class ReproductionPlan(Protocol):
-    """All parts of the work, by name, and the way back from their results."""
+    """All tasks of a reproduction, and the conversion of their results."""
 
     def parts(self) -> dict[str, Part]:
-        """Return everything that has to be computed."""
+        """Return all tasks, by name of their part."""
 
     def results(self, done: Parts) -> Any:
-        """Return one typed object of everything that came back."""
+        """Return all results as one typed object."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Paper:
-    """A paper, and how its results are computed, judged, worded and drawn.
+    """A paper, and the functions that compute, judge, describe and draw its results.
 
     Attributes
     ----------
     name
-        One word; its templates stand in that folder.
+        Name in one word; its templates are in the folder of this name.
     quick, full
-        How fine everything is computed.
+        Coarse and fine scale of the computation.
     plan
-        The work, from such a scale.
+        Function from a scale to the plan of the work.
     rulings
-        On every claim, by key, from the results.
+        Function from the results to the ruling on each claim, by key.
     words
-        What the templates call for beside rulings and claims.
+        Function from the results to the other names that the templates use.
     numbers, provenance
-        Every number in plain values; what they come from, the same on every machine.
+        Functions from the results to all numbers, and to their sources, which do not depend on the machine.
     pictures
-        By name: a function that draws the results into a file, in the format that its name ends in.
+        Functions that draw the results into a file, whose ending is the format; by name of the picture.
     """
 
     name: str
@@ -70,7 +70,7 @@ class Paper:
     pictures: Mapping[str, Callable[[Any, Path], None]]
 
     def template(self, name: str) -> str:
-        """Return the path of one of its templates."""
+        """Return the path of one of the paper's templates."""
         return f"extras/papers/{self.name}/{name}"
 
 
@@ -81,15 +81,15 @@ class Reproduction:
     Attributes
     ----------
     title, source
-        Of the paper: a line, and where it was published.
+        Title of the paper, and where it was published.
     claims
-        With their verdicts.
+        Claims with their verdicts.
     numbers, provenance
-        As of its `Paper`; the same for the same plan and code.
+        Results of these functions of `Paper`; equal for the same plan and code.
     seconds, kept
-        How long this run took, and how many tasks it found already done.
+        Duration of this run (s), and number of tasks that were already in the journal.
     results
-        What page and pictures are made from.
+        Typed results for page and pictures.
     """
 
     paper: Paper
@@ -116,7 +116,7 @@ class Reproduction:
         return dict(plain(mapping))
 
     def count(self, status: ClaimStatus) -> int:
-        """Return how many claims have this status."""
+        """Return the number of claims with this status."""
         return sum(claim.status is status for claim in self.claims)
 
 
@@ -133,14 +133,14 @@ def reproduce(
     Parameters
     ----------
     paper, scale
-        Which, and how fine: its `full`, or the coarse `quick`.
+        Paper to reproduce, and its scale `full` or `quick`.
     journal, workers, watch
-        As in `rig.experiments.sweep.run`; with a journal a stopped reproduction resumes.
+        See `rig.experiments.sweep.run`; with a journal, a stopped reproduction resumes.
 
     Raises
     ------
     SweepStoppedError
-        Ctrl-C; what is done stays in the journal.
+        The operator pressed Ctrl-C; finished tasks stay in the journal.
     """
     plan = paper.plan(scale)
     done = run_parts(plan.parts(), journal=journal, workers=workers, watch=watch)
@@ -160,7 +160,7 @@ def reproduce(
 
 
 def render(found: Reproduction, pictures: Mapping[str, bytes]) -> str:
-    """Return the page; a picture (PNG by name) that is not there is reported as missing."""
+    """Return the HTML page; `pictures` are PNGs by name, and the page reports a missing one."""
     return fill(
         found.paper.template(PAGE),
         reproduction=found,
@@ -175,7 +175,7 @@ def render(found: Reproduction, pictures: Mapping[str, bytes]) -> str:
 
 
 def draw(found: Reproduction, on_failure: OnFailure | None = None) -> dict[str, bytes]:
-    """Draw every picture of the page; returns PNGs by name."""
+    """Draw every picture of the page; return PNGs by name."""
     with scratch(found.paper.name) as place:
         paths = draw_into(found, place, "png", on_failure)
         return {name: path.read_bytes() for name, path in paths.items()}
@@ -184,9 +184,9 @@ def draw(found: Reproduction, on_failure: OnFailure | None = None) -> dict[str, 
 def draw_into(
     found: Reproduction, directory: Path, ending: str, on_failure: OnFailure | None = None
 ) -> dict[str, Path]:
-    """Draw every picture into a file of this ending, PAPER-NAME; returns their paths by name.
+    """Draw every picture into a file PAPER-NAME of this ending; return the paths by name.
 
-    A picture that fails is reported to `on_failure` with its name, and raised without it.
+    The error of a picture that fails is passed to `on_failure` with the picture's name, or raised if that is None.
     """
     paths = {}
     for name, picture in found.paper.pictures.items():
@@ -205,9 +205,9 @@ def draw_into(
 def write_report(
     found: Reproduction, directory: Path, on_failure: OnFailure | None = None
 ) -> tuple[Path, Path]:
-    """Write the page with its pictures, and the numbers, into a directory; returns both paths.
+    """Write the page with its pictures, and the numbers, into a directory; return both paths.
 
-    `RecordingError` when the disk refuses; a picture that fails as in `draw_into`.
+    Raise `RecordingError` if a file cannot be written. For a picture that fails see `draw_into`.
     """
     page = render(found, draw(found, on_failure)).encode()
     numbers = json.dumps(found.as_mapping(), ensure_ascii=False, allow_nan=False, indent=1).encode()

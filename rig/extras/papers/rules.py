@@ -1,17 +1,17 @@
-"""How a claim is judged: numbers in, a ruling out.
+"""Judge claims: convert numbers to a ruling.
 
-A claim is tried in cases: rigs, hands, criteria, readings. It is reproduced when it holds in all of them. It is
-reproduced only with a condition when it holds in every case under that condition; a condition is something that
-a user can set (a cut-off, a word length, gains), and the rule names it, not the result. What holds in some other
-cases, in some readings or on some random plants is not reproduced; how many they are stands beside it. What a search
-found is known to a rung of it: rules that compare such numbers allow for that (`step`, the ratio of two rungs).
+A claim is tested in cases: rigs, hands, criteria, readings. It is "reproduced" if it holds in all of them. It is
+"reproduced only with" a condition if it holds in every case under that condition. A condition is a setting that a user
+can choose (a cut-off, a word length, gains), and the rule names it in advance. If a claim holds only in some other
+cases, readings or random plants, it is "not reproduced", and the number of these is reported. A limit that a search
+found is known only to one of its steps: rules allow for that (`step`, the ratio of neighbouring stiffnesses).
 
-Three verdicts keep a claim from looking stronger than its evidence. It is reproduced *in part* where only its size or
-only its direction is. It is *undecided* where it depends on a setting that the paper does not give. It *follows from
-the method* where it could not have failed, as the same range with the same filter at the same rate.
+Three more verdicts keep a claim from looking stronger than its evidence. It is reproduced *in part* if only its size or
+only its direction is. It is *undecided* if it depends on a setting that the paper does not give. It *follows from the
+method* if it could not have failed, such as the same range with the same filter at the same rate.
 
-Nothing here knows a rig or a result, so that a test can reach every verdict. A ruling has no words but the names of its
-cases; the sentence beside it is made by the template of the paper's claims (`rig.extras.papers.claims`).
+Rules know no rig and no result, so that a test can produce every verdict. A ruling contains no text but the names of
+its cases; the template of the paper's claims writes the sentence (`rig.extras.papers.claims`).
 """
 
 from __future__ import annotations
@@ -40,18 +40,18 @@ class ClaimStatus(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ruling:
-    """What a rule decides.
+    """Result of a rule.
 
     Attributes
     ----------
     status
         The verdict without its condition.
     cases
-        In which cases the claim was tried, and whether it held.
+        Whether the claim held, by name of the case.
     conditions
-        Settings that a user can choose, each with the cases under it.
+        Settings that a user can choose, each with the names of its cases.
     numbers
-        What the sentence beside the verdict is made of; in a template ``ruling.name``.
+        Values for the sentence beside the verdict; in a template ``ruling.name``.
     """
 
     status: ClaimStatus
@@ -64,48 +64,48 @@ class Ruling:
 
     @property
     def held(self) -> list[str]:
-        """Return cases in which the claim held."""
+        """Return the cases in which the claim held."""
         return [name for name, holds in self.cases.items() if holds]
 
     @property
     def failed(self) -> list[str]:
-        """Return cases in which the claim did not hold."""
+        """Return the cases in which the claim did not hold."""
         return [name for name, holds in self.cases.items() if not holds]
 
     @property
     def condition(self) -> str:
-        """Return the conditions under which a claim held that did not hold in all cases."""
+        """Return the conditions that suffice for a claim that did not hold in all cases; else ""."""
         return "; ".join(self.sufficient) if self.status is ClaimStatus.ONLY_WITH else ""
 
     @property
     def sufficient(self) -> list[str]:
-        """Return conditions under which the claim held in every case."""
+        """Return the conditions under which the claim held in every case."""
         return [name for name, cases in self.conditions.items() if all(self.cases[case] for case in cases)]
 
     @property
     def verdict(self) -> str:
-        """Return the status of the ruling with its condition, in words."""
+        """Return the status with its condition, as text."""
         return f"{self.status} {self.condition}".rstrip()
 
     def having(self, **numbers: Any) -> Ruling:
-        """Return the same ruling with more numbers."""
+        """Return this ruling with more numbers."""
         return replace(self, numbers={**self.numbers, **numbers})
 
     def partly(self) -> Ruling:
-        """Return the same claim, reproduced in its size or its direction alone."""
+        """Return this ruling as "reproduced in part": only its size or only its direction is."""
         return replace(self, status=ClaimStatus.PARTLY)
 
     def undecided(self) -> Ruling:
-        """Return the same claim, undecided if it held in some cases that the paper leaves open and not in others."""
+        """Return this ruling as "undecided" if the claim held in some, but not all, cases that the paper leaves open."""
         open_ = self.status is ClaimStatus.NOT and self.held and self.failed
         return replace(self, status=ClaimStatus.UNDECIDED) if open_ else self
 
     def following(self) -> Ruling:
-        """Return the same claim, which could not have failed: where it held, that follows from the method."""
+        """Return this ruling as "follows from the method" if the claim held: it could not have failed."""
         return replace(self, status=ClaimStatus.FOLLOWS) if self.status is ClaimStatus.REPRODUCED else self
 
     def only(self, **numbers: Any) -> Ruling:
-        """Return the same claim, reproduced only under a condition that is no case of its own."""
+        """Return this ruling as "reproduced only with" a condition that is not one of its cases."""
         return replace(self.having(**numbers), status=ClaimStatus.ONLY_WITH)
 
 
@@ -115,9 +115,9 @@ def judge(
     conditions: Mapping[str, Sequence[str]] | None = None,
     **numbers: Any,
 ) -> Ruling:
-    """Judge a claim that was tried in several cases, as the head of this file says.
+    """Judge a claim that was tested in several cases; the module's docstring gives the rule.
 
-    What was not tried is not reproduced.
+    A claim without cases is not reproduced.
     """
     found = Ruling(status=ClaimStatus.NOT, cases=cases, numbers=numbers, conditions=conditions or {})
     if cases and all(cases.values()):
@@ -126,12 +126,12 @@ def judge(
 
 
 def each(cases: Iterable[str]) -> dict[str, list[str]]:
-    """Return the conditions of a claim in which every case is itself a setting that a user can choose."""
+    """Return the conditions of a claim whose cases are all user settings: each case is its own condition."""
     return {case: [case] for case in cases}
 
 
 def judge_settable(cases: Mapping[Words, bool], settable: Sequence[int], **numbers: Any) -> Ruling:
-    """Judge cases named by several words, of which those at some places can be set: each such word is a condition."""
+    """Judge cases named by tuples; the words at the indices `settable` are conditions, which a user can choose."""
     conditions: dict[str, list[str]] = {}
     for place in settable:
         for case in cases:
@@ -141,16 +141,16 @@ def judge_settable(cases: Mapping[Words, bool], settable: Sequence[int], **numbe
 
 
 def judge_share(count: int, total: int, **numbers: Any) -> Ruling:
-    """Judge a claim that holds in some of many readings or on some of many plants: reproduced in `MOST` of them."""
+    """Judge a claim by the share of readings or plants in which it holds: `MOST` of them make it reproduced."""
     share = count / total if total else 0.0
     return judge({"": total > 0 and share >= MOST}, count=count, total=total, share=share, **numbers)
 
 
 def over(one: float, other: float) -> float:
-    """Return a ratio that is defined: nothing over nothing is 1, something over nothing infinite."""
+    """Return one / other; 1 for 0/0, and infinite for any other division by 0."""
     return one / other if other > 0.0 else (math.inf if one > 0.0 else 1.0)
 
 
 def within(value: float, target: float, factor: float) -> bool:
-    """Return True if a value is within a factor of a target, both ways; nothing not above zero is."""
+    """Return True if a value above zero is between target / factor and target × factor."""
     return value > 0.0 and target / factor <= value <= target * factor

@@ -1,1 +1,1 @@
-"""Chawda, Celik and O'Malley 2011: velocity estimators."""
+"""Reproduce Chawda, Celik and O'Malley 2011: velocity estimators."""

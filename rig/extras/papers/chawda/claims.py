@@ -1,4 +1,4 @@
-"""The claims of Chawda et al.: which numbers of the results go into which rule."""
+"""Judge the claims of Chawda et al.: pass the computed numbers to the rule of each claim."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rig.extras.papers.rules import MOST, Ruling, each, judge, judge_share, over
 
 
 def rulings(chawda: Chawda) -> dict[str, Ruling]:
-    """Return the ruling on every claim, by its key."""
+    """Return the ruling (verdict and numbers) on every claim, by the claim's key."""
     drops = derived.drops(chawda)
     fits = [fit for of in derived.by_edge(chawda).values() for fit in of]
     mass, damping = derived.mass_and_damping()
@@ -111,7 +111,7 @@ def _regions() -> Ruling:
 
 
 def _beyond(chawda: Chawda, names: Sequence[str], up_to: float = math.inf) -> dict[str, Any]:
-    """At how many dampings walls cannot be compared, because both are stiffer than the search."""
+    """Return, by estimator, the number of dampings at which both limits exceed the searched stiffnesses."""
     dampings = sum(0.0 < b <= up_to for b in chawda.scale.hit_dampings)
     beyond = [(name, dampings - len(derived.over_filtered(chawda, name, up_to))) for name in names]
     return {

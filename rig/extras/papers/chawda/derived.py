@@ -1,4 +1,4 @@
-"""Numbers that claims, page and pictures of Chawda et al. take from the results alike."""
+"""Compute from the results of Chawda et al. the numbers that claims, page and pictures share."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from rig.extras.papers.rules import over
 
 
 def curve(chawda: Chawda, name: str) -> list[float]:
-    """Return mean limits of one scheme of Fig. 3 over the dampings."""
+    """Return the mean stiffness limit (N/m) of one scheme of Fig. 3 for each damping."""
     return [b.stiffness for b in chawda.hits.curve(chawda.hit_names.index(name), "felt")]
 
 
 def drops(chawda: Chawda) -> dict[str, float]:
-    """Return where each Z-width of Fig. 3 drops below half of its peak for good; infinite where it does not."""
+    """Return the damping (N·s/m) from which on each limit of Fig. 3 stays below half of its peak; infinite if never."""
     dampings = chawda.scale.hit_dampings
     return {name: rules.find_drop(dampings, curve(chawda, name)) for name in chawda.hit_names}
 
 
 def over_filtered(chawda: Chawda, name: str, up_to: float = math.inf) -> list[float]:
-    """Return K over that of the filtered difference at each damping above 0, where not both are only caps."""
+    """Return the limit of a scheme divided by that of the filtered difference, at dampings where both are not caps."""
     of, filtered = (chawda.hits.curve(chawda.hit_names.index(one), "felt") for one in (name, rigs.FILTERED))
     return [
         over(a.stiffness, b.stiffness)
@@ -43,7 +43,7 @@ def over_filtered(chawda: Chawda, name: str, up_to: float = math.inf) -> list[fl
 
 
 def akf_over_fdm(chawda: Chawda) -> dict[str, list[float]]:
-    """Return K of AKF over K of FDM+filter from `rules.LEAST_DAMPING` on: linear theory and hits at 1 kHz."""
+    """Return K of AKF divided by K of FDM+filter for B >= `rules.LEAST_DAMPING`: by linear theory, by hits at 1 kHz."""
     akf, fdm = (chawda.linear[name]["stable"] for name in (rigs.AKF, rigs.FDM))
     linear = [
         over(a, f)
@@ -65,7 +65,7 @@ def akf_over_fdm(chawda: Chawda) -> dict[str, list[float]]:
 
 
 def by_edge(chawda: Chawda) -> dict[float, list[tuple[bool, bool]]]:
-    """For each upper edge of the band: whether K-widths and errors are near Table I, reading by reading."""
+    """Return, by upper edge of the band (Hz) and reading, whether K-widths and errors are near those of Table I."""
     fits: dict[float, list[tuple[bool, bool]]] = {high: [] for high in rigs.HIGHEST_HZ}
     stiffness = {name: printed.stiffness for name, printed in rigs.PRINTED.items()}
     error = {name: printed.worst_fidelity for name, printed in rigs.PRINTED.items()}
@@ -78,25 +78,25 @@ def by_edge(chawda: Chawda) -> dict[float, list[tuple[bool, bool]]]:
 
 
 def closed_widths(chawda: Chawda, name: str) -> list[float]:
-    """Return the largest passive stiffness of the closed form over all dampings, by upper edge of the band."""
+    """Return the largest passive stiffness (N/m) over all dampings by linear theory, for each upper edge of a band."""
     return [max(of) for of in chawda.linear[name]["passive"]]
 
 
 @cache
 def mass_and_damping() -> tuple[float, float]:
-    """Return the mass and viscous damping of the paper's rig."""
+    """Return the mass (kg) and the viscous damping (N·s/m) of the paper's rig."""
     mechanics = presets.load(rigs.RIG).rig.mechanics
     return mechanics.motor_inertia + mechanics.link_inertia, mechanics.motor_damping + mechanics.link_damping
 
 
 def floors() -> dict[float, float]:
-    """Fidelity error without a wall by upper edge of the band: no estimator's maximum can be much below it."""
+    """Return the fidelity error (N·s/m) without a wall by upper edge (Hz): the largest error is hardly below it."""
     low, _ = rigs.CONTROL_BAND
     return {high: fidelity_without_wall(*mass_and_damping(), (low, high)) for high in rigs.HIGHEST_HZ}
 
 
 def edge_of(error: float) -> float:
-    """Return the upper edge (Hz) of the band in which the error without a wall is this large."""
+    """Return the upper edge (Hz) of the band in which the fidelity error without a wall is `error` (N·s/m)."""
     edges, (low, _) = np.arange(2.0, 1000.0), rigs.CONTROL_BAND
     errors = [fidelity_without_wall(*mass_and_damping(), (low, float(edge))) for edge in edges]
     return float(np.interp(error, errors, edges))
@@ -104,16 +104,16 @@ def edge_of(error: float) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Edge:
-    """What an upper edge of the band decides.
+    """Results that depend on the upper edge of the band (Hz).
 
     Attributes
     ----------
     closed_fdm, closed_akf
-        K-widths of the closed form (N/m).
+        K-widths by the closed form (N/m).
     floor
         Fidelity error without a wall (N·s/m).
     widths, errors, both
-        Readings with all K-widths, all errors, and both near Table I, of how many `readings`.
+        Number of readings with all K-widths, all errors, or both near Table I, out of `readings`.
     """
 
     high: float
@@ -127,7 +127,7 @@ class Edge:
 
 
 def edges(chawda: Chawda) -> list[Edge]:
-    """Return the upper edges of the mapped frequency bands (Hz)."""
+    """Return an `Edge` for each upper edge of the band."""
     closed = zip(*(closed_widths(chawda, name) for name in (rigs.FDM, rigs.AKF)), strict=True)
     return [
         Edge(
@@ -145,7 +145,7 @@ def edges(chawda: Chawda) -> list[Edge]:
 
 
 def common_gains(chawda: Chawda, reading: int = rigs.MAIN) -> dict[str, list[float]]:
-    """Return by which share FOAW's mean error is lower, by measurement, at walls passive with all three filters."""
+    """Return by which share FOAW's mean error is below FDM's and AKF's at walls passive with all, by measurement."""
     numbers = {name: rigs.ESTIMATORS.index(name) for name in rigs.FILTERS}
     common = chawda.map.common(reading, list(numbers.values()))
     if not common.any():
@@ -161,7 +161,7 @@ def common_gains(chawda: Chawda, reading: int = rigs.MAIN) -> dict[str, list[flo
 
 
 def common_gains_by_edge(chawda: Chawda) -> dict[float, dict[str, list[float]]]:
-    """Return the same for each upper edge of the band (Hz)."""
+    """Return `common_gains` for each upper edge of the band (Hz)."""
     main = rigs.READINGS[rigs.MAIN]
     return {
         high: common_gains(chawda, rigs.READINGS.index(replace(main, high_hz=high)))
@@ -170,14 +170,14 @@ def common_gains_by_edge(chawda: Chawda) -> dict[float, dict[str, list[float]]]:
 
 
 def common_error(chawda: Chawda, name: str) -> Spread:
-    """Return the mean error of one of three estimators at walls passive with all three, over measurements."""
+    """Return the mean error (N·s/m) of one filter at walls passive with all three filters, over measurements."""
     held = chawda.map.common(rigs.MAIN, [rigs.ESTIMATORS.index(one) for one in rigs.FILTERS])
     of = chawda.map.fidelity[:, rigs.MAIN, rigs.ESTIMATORS.index(name)]
     return Spread.of([float(one[held].mean()) for one in of] if held.any() and name in rigs.FILTERS else [])
 
 
 def errors_of_quarters(chawda: Chawda) -> dict[str, tuple[float, float]]:
-    """Return the mean fidelity error of the connected region in its softest and its stiffest quarter of walls."""
+    """Return the mean fidelity error (N·s/m) in the softest and in the stiffest quarter of the connected walls."""
     found = {}
     for number, name in enumerate(rigs.ESTIMATORS):
         held = chawda.map.common(rigs.MAIN, [number])
@@ -191,7 +191,7 @@ def errors_of_quarters(chawda: Chawda) -> dict[str, tuple[float, float]]:
 
 
 def larger_first(found: Readings) -> dict[str, tuple[int, int]]:
-    """Return, by tolerance, how often the first of two schemes has the larger K-width, and of how many readings."""
+    """Return, by tolerance, in how many readings scheme 0 has the larger K-width, and in how many K-widths differ."""
     counts: dict[str, tuple[int, int]] = {}
     for number, reading in enumerate(found.grid.readings):
         above, differ = counts.get(reading.allowed, (0, 0))
@@ -203,24 +203,24 @@ def larger_first(found: Readings) -> dict[str, tuple[int, int]]:
 
 
 def at_softest_wall(chawda: Chawda) -> tuple[int, int]:
-    """In how many maps the largest error stands at the softest wall of the grid, and how many maps there are."""
+    """Return in how many maps the largest error is at the softest stiffness of the grid, and the number of maps."""
     worst = [width.worst_stiffness for name in rigs.SCHEMES for width in chawda.widths(name)]
     return sum(k == chawda.map.grid.stiffnesses[0] for k in worst), len(worst)
 
 
 def count_tuned(chawda: Chawda, name: str) -> int:
-    """Return how many numbers of an estimator were chosen."""
+    """Return how many parameters of an estimator were chosen by hand."""
     controller = rigs.SCHEMES[name].applied(chawda.map.grid.experiment).controller
     return len(tuned_numbers(controller.estimator, controller.parameters))
 
 
 def is_capped(widths: Sequence[FrequencyWidth], name: str) -> bool:
-    """Return True if some width reaches to the end of the grid."""
+    """Return True if a width reaches the end of the grid."""
     return any(getattr(width, f"{name}_capped") for width in widths)
 
 
 def variant_widths(chawda: Chawda) -> dict[str, FrequencyWidth]:
-    """Return Levant's differentiator in other forms, by name."""
+    """Return the widths of the variants of Levant's differentiator, by name."""
     return {name: chawda.variants.width(0, 0, n) for n, name in enumerate(chawda.variant_names)}
 
 
@@ -229,7 +229,7 @@ def variant_widths(chawda: Chawda) -> dict[str, FrequencyWidth]:
 
 @dataclass(frozen=True, slots=True)
 class Ranked:
-    """One scheme on one rig by one reading: area of its Z-width, widths, and its error over that of Koul's wall."""
+    """One scheme on one rig by one reading: area and widths of its Z-width, and its error relative to Koul's wall."""
 
     scheme: Scheme
     area: Spread
@@ -240,7 +240,7 @@ class Ranked:
 
 
 def rank_schemes(found: Readings, reading: int) -> list[Ranked]:
-    """Rank the schemes by the area of their Z-width, the widest first."""
+    """Return the schemes sorted by the area of their Z-width, the largest first."""
     schemes = found.grid.schemes
     reference = schemes.index(Scheme.parse(rigs.PAPERS_DUAL))
     rows = []
@@ -260,7 +260,7 @@ def rank_schemes(found: Readings, reading: int) -> list[Ranked]:
 
 
 def _relative_error(found: Readings, reading: int, number: int, reference: int) -> Spread:
-    """Return the mean error over that of the reference at walls passive with both, by measurement."""
+    """Return the mean error divided by the reference's, at walls passive with both, by measurement."""
     ratios = []
     for m in range(found.grid.measurements):
         held = connected(found.passive[m, reading, number]) & connected(found.passive[m, reading, reference])
@@ -272,7 +272,7 @@ def _relative_error(found: Readings, reading: int, number: int, reference: int) 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BestDual:
-    """The widest dual-rate wall, those that are not distinguishable from it, and the most faithful one, if any."""
+    """Dual-rate scheme with the largest area, those within their SDs of it, the most faithful, and the best uniform."""
 
     best: Ranked
     near: list[Ranked]

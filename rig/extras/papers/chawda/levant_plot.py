@@ -1,4 +1,4 @@
-"""For which gains Levant's differentiator converges: the picture of Chawda et al., Fig. 1, and what lies beyond it."""
+"""Compute and draw the gains with which Levant's differentiator converges: Fig. 1 of Chawda et al., extended."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LevantRegions:
-    """Boundaries over one grid of μ2, shape (n,), infinite where no boundary exists; the numeric one over μ1."""
+    """Boundaries of the regions of convergence: μ1 over `mu2`, shape (n,), infinite if there is none; μ2 over `mu1`."""
 
     mu2: Floats
     hba_mu1: Floats
@@ -29,7 +29,7 @@ class LevantRegions:
     worst_case_mu2: Floats
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plain values, for JSON; infinite ones become null there."""
+        """Return plain values for JSON; infinite values become null in the file."""
         return {
             "parameters": "alpha = mu1 * C, lambda = mu2 * sqrt(C)",
             "crossing": dict(zip(("mu1", "mu2"), regions.find_crossing(), strict=True)),
@@ -65,7 +65,7 @@ def levant_regions() -> LevantRegions:
 
 @style.own_style()
 def draw_levant_regions(computed: LevantRegions, picture: str | Path) -> Path:
-    """Draw both regions, their crossing, the named gains and the numeric boundary into a file; returns its path."""
+    """Draw both regions, their crossing, the named gains and the numeric boundary into a file; return its path."""
     figure = style.new_figure(7.0, 5.0)
     axes = figure.subplots()
     for bound, colour, label in (
@@ -97,7 +97,7 @@ def draw_levant_regions(computed: LevantRegions, picture: str | Path) -> Path:
 
 
 def _mark(axes: Any, mu1: float, mu2: float, name: str, marker: str, offset: tuple[int, int]) -> None:
-    """A point and its label, `offset` points away: neighbours take turns above and below."""
+    """Draw a point and its label, `offset` (pt) away; alternate labels above and below, so that they do not overlap."""
     axes.plot([mu2], [mu1], marker, color="#333333", markersize=5)
     label = f"{name} ({mu1:.5g}, {mu2:.5g})"
     axes.annotate(label, (mu2, mu1), xytext=offset, textcoords="offset points", fontsize=8)

@@ -1,6 +1,6 @@
-"""Parts of the reproduction of Chawda et al. neither excited wall nor hit: theory, C from a hit, controls.
+"""Tasks of the reproduction of Chawda et al. beside excited walls and hits: theory, constant C, controls.
 
-Each function is the work of a task of `rig.extras.papers.parts`: plain data in, plain data out, nothing else decides.
+Each function does the work of a task of `rig.extras.papers.parts`: plain data in, plain data out, without side effects.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ NOMINAL = (20_000.0, 60.0)  # N/m, N·s/m: the wall of the preset, at which C is
 
 
 def linear(payload: Mapping[str, Any]) -> dict[str, Any]:
-    """Largest stable stiffness over some dampings, and the largest passive one at lines of 1 Hz up to some frequencies.
+    """Return the largest stable and the largest passive stiffness (N/m) over dampings, for some upper edges (Hz).
 
-    None for an estimator that is not linear.
+    Passivity is tested at lines of 1 Hz. ``range`` is the largest stable damping (N·s/m). Needs a linear estimator.
     """
     experiment = config.restore_experiment(payload["experiment"])
     scheme, dampings = Scheme.parse(payload["scheme"]), payload["dampings"]
@@ -66,18 +66,18 @@ def linear(payload: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def constant(payload: Mapping[str, Any]) -> dict[str, float]:
-    """Return C of one hit of the paper's rig at 10 kHz, its velocity filtered, by the paper's way; and the true one."""
+    """Return the constant C (m/s²) identified from one hit at 10 kHz, and the true one; see `identify_wall`."""
     return identify_wall(payload["stiffness"], payload["damping"])
 
 
 def identify_wall(stiffness: float, damping: float) -> dict[str, float]:
-    """Hit one wall with the filtered difference, fit a sum of sines to the counts around the contact.
+    """Hit one wall with the filtered difference, and fit a sum of sines to the counts around the contact.
 
     Returns
     -------
     dict
-        ``lipschitz`` to three digits, ``residual_rms`` of the fit (m), ``true``: the largest acceleration in that
-        stretch, ``impact_velocity``.
+        ``lipschitz`` (m/s²) to three digits, ``residual_rms`` of the fit (m), ``true``: the largest acceleration in the
+        same interval (m/s²), ``impact_velocity`` (m/s).
     """
     changes = {"wall.stiffness": stiffness, "wall.damping": damping, "trial.duration_s": LIPSCHITZ_S}
     experiment = config.override(FILTERED_SCHEME.applied(pushed_rig(FIGURE_3_RATE)), changes, "a hit")
@@ -100,13 +100,13 @@ def identify_wall(stiffness: float, damping: float) -> dict[str, float]:
 
 
 def control(payload: Mapping[str, Any]) -> dict[str, float]:
-    """Compute a scheme's K-width at B = 0 and its fidelity without a wall, without friction and quantum.
+    """Return a scheme's K-width at B = 0 and its fidelity error without a wall, on a rig without friction and quantum.
 
     Returns
     -------
     dict
-        ``stiffness``: largest K at B = 0 that the strict test passes, by bisection; ``fidelity``: rms of |Z| with
-        no wall.
+        ``stiffness``: largest K (N/m) at B = 0 that passes the strict test, by bisection; ``fidelity``: rms of |Z|
+        without a wall (N·s/m).
     """
     experiment = _ideal(config.restore_experiment(payload["experiment"]))
     reading = [Reading(low_hz=payload["low_hz"], high_hz=payload["high_hz"], tolerance=0.0)]
@@ -141,9 +141,9 @@ def control_payload(
 
 
 def _ideal(experiment: Experiment) -> Experiment:
-    """Without friction and quantum; one realisation, for there is nothing to average, but long settled.
+    """Return the experiment without friction and quantum, with one realisation after a long settling time.
 
-    A wall at 99 % of its passive stiffness leaves a mass of 0.52 kg a damping of 0.13 N·s/m, and 8 s to forget.
+    A wall at 99 % of its passive stiffness leaves a mass of 0.52 kg a damping of 0.13 N·s/m: it needs 8 s to settle.
     """
     ideal = config.override(experiment, IDEAL, "a control")
     return replace(

@@ -1,8 +1,8 @@
-"""Walls excited once and read in many ways: the second paper's passivity test with everything it leaves open.
+"""Measure the impedance of walls, and judge their passivity in many ways, since Chawda et al. give no details.
 
-A wall's impedance is measured a few times, each time by some realisations of the excitation. Each measurement is judged
-by every reading (`rig.extras.papers.chawda.rigs.Reading`: a band, a tolerance), so that what a result owes to the
-reading can be counted. The test is that of `rig.analysis.impedance._verdict`: real parts, residual power, coherence.
+Each wall is measured a few times, each time with some realisations of the excitation. Each measurement is judged by
+every reading (`rig.extras.papers.chawda.rigs.Reading`: a band and a tolerance), to count how much a result depends on
+the reading. The test is that of `rig.analysis.impedance._verdict`: real parts, residual power, coherence.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExcitationGrid:
-    """Walls to excite under some schemes, and how to read the measured impedance."""
+    """Walls that are excited with some schemes, and readings that judge the measured impedance."""
 
     experiment: Experiment  # its excitation has the realisations of all measurements
     schemes: tuple[Scheme, ...]
@@ -41,12 +41,12 @@ class ExcitationGrid:
 
     @property
     def runs(self) -> int:
-        """Return how many times a rig is excited, if no guard ends a measurement early."""
+        """Return the number of excitations of a rig, if no guard ends a measurement early."""
         walls = len(self.schemes) * len(self.stiffnesses) * len(self.dampings)
         return walls * self.experiment.excitation.realisations
 
     def part(self, weight: float = 1.0) -> Part:
-        """Return a task for each scheme and damping; weight is that of one run."""
+        """Return a task for each scheme and damping; `weight` is the cost of one excitation."""
         tasks = []
         for number, scheme in enumerate(self.schemes):
             applied = scheme.applied(config.excited(self.experiment))
@@ -66,10 +66,10 @@ class ExcitationGrid:
 
 
 def column(payload: Mapping[str, Any]) -> list[list[dict[str, Any]]]:
-    """Excite the walls of one scheme and damping: for each stiffness and measurement the result of every reading.
+    """Excite the walls of one scheme and damping; return a row for each stiffness, in it a result per measurement.
 
-    ``passive`` is a string of a digit for each reading, ``fidelity`` the rms of |Z| − |K/(jω) + B| in each of `bands`;
-    a measurement that the guard ended is passive in none and has no fidelity.
+    ``passive`` has a digit 0 or 1 for each reading, ``fidelity`` is the rms of |Z| − |K/(jω) + B| (N·s/m) in each of
+    `bands`. A measurement that the guard ended is not passive and has no fidelity.
     """
     experiment = config.restore_experiment(payload["experiment"])
     readings = [
@@ -101,7 +101,7 @@ def column(payload: Mapping[str, Any]) -> list[list[dict[str, Any]]]:
 
 
 def _excite(bench: ExcitedRig, stiffness: float, damping: float, numbers: range) -> list[RealisationRun]:
-    """Return realisations of one wall, up to the first that the guard ends."""
+    """Return the realisations of one wall, up to the first one that the guard ends."""
     runs: list[RealisationRun] = []
     for number in numbers:
         runs.append(bench.excite(stiffness, damping, number))
@@ -113,7 +113,7 @@ def _excite(bench: ExcitedRig, stiffness: float, damping: float, numbers: range)
 def read(
     impedance: Impedance, stiffness: float, damping: float, readings: Sequence[Reading]
 ) -> tuple[Flags, Floats]:
-    """Return whether a wall is passive in each reading, and the rms of |Z| − |K/(jω) + B| in each of `bands`."""
+    """Return whether a wall is passive, by reading, and the rms of |Z| − |K/(jω) + B| (N·s/m), by each of `bands`."""
     lines, z = impedance.lines_hz, impedance.z
     error = impedance.magnitude - np.abs(ideal_wall(stiffness, damping, lines))
     seen = ~(impedance.coherence_motion < COHERENCE)  # what is unknown does not count against a wall
@@ -129,12 +129,12 @@ def read(
 
 
 def bands(readings: Sequence[Reading]) -> list[tuple[float, float]]:
-    """Return the lowest and highest line of the readings, each pair once, in their order."""
+    """Return the different bands (lowest, highest line in Hz) of the readings, in their order."""
     return list(dict.fromkeys((reading.low_hz, reading.high_hz) for reading in readings))
 
 
 def _tolerance(impedance: Impedance, tolerance: float, kind: str) -> Floats:
-    """Return by how much Re Z may be negative at each line."""
+    """Return how far Re Z may be below zero at each line (N·s/m)."""
     if tolerance == 0.0:
         return np.zeros(len(impedance.z))
     if kind == "deviations":
@@ -151,12 +151,13 @@ def _band(lines: Floats, low: float, high: float) -> slice:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Readings:
-    """A finished grid.
+    """Results of a grid.
 
     Attributes
     ----------
     passive, fidelity
-        ``[measurement, reading, scheme, damping, stiffness]``; the fidelity is NaN where a guard ended a measurement.
+        Shape (measurement, reading, scheme, damping, stiffness); the fidelity error (N·s/m) is NaN if a guard ended the
+        measurement.
     """
 
     grid: ExcitationGrid
@@ -165,7 +166,7 @@ class Readings:
 
     @classmethod
     def of(cls, grid: ExcitationGrid, columns: Sequence[list[list[dict[str, Any]]]]) -> Readings:
-        """Arrange the results of `ExcitationGrid.part`."""
+        """Return the results of the tasks of `ExcitationGrid.part` as arrays."""
         shape = (len(grid.schemes), len(grid.dampings), len(grid.stiffnesses), grid.measurements)
         cells = [cell for rows in columns for row in rows for cell in row]
         names = bands(grid.readings)
@@ -181,23 +182,23 @@ class Readings:
         )
 
     def width(self, measurement: int, reading: int, scheme: int) -> FrequencyWidth:
-        """Return widths of one scheme by one measurement and reading."""
+        """Return the widths of the Z-width of one scheme, by one measurement and reading."""
         place = measurement, reading, scheme
         return FrequencyWidth.of(
             self.passive[place], self.fidelity[place], self.grid.stiffnesses, self.grid.dampings
         )
 
     def widths(self, reading: int, scheme: int) -> list[FrequencyWidth]:
-        """Return the widths of every measurement."""
+        """Return the widths of one scheme by one reading, for each measurement."""
         return [self.width(m, reading, scheme) for m in range(self.grid.measurements)]
 
     def common(self, reading: int, schemes: Sequence[int] | None = None) -> Flags:
-        """Return walls that are passive with all schemes (or these) in every measurement: ``[damping, stiffness]``."""
+        """Return the walls (damping, stiffness) that are passive in every measurement with all, or these, schemes."""
         chosen = range(len(self.grid.schemes)) if schemes is None else schemes
         return np.asarray(connected(self.passive[:, reading])[:, list(chosen)].all(axis=(0, 1)))
 
     def areas(self, reading: int, scheme: int) -> Spread:
-        """Return the area of the connected region under the edge, over measurements (N/m × N·s/m or the like)."""
+        """Return the area of the connected passive region, over measurements (stiffness × damping, such as N²·s/m²)."""
         k, b = np.array((0.0, *self.grid.stiffnesses)), np.array(self.grid.dampings)
         held = connected(self.passive[:, reading, scheme]).sum(axis=-1)
         return Spread.of([float(np.trapezoid(k[row], b)) for row in held])

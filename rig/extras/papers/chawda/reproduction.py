@@ -1,9 +1,9 @@
-"""Chawda, Celik and O'Malley's comparison of velocity estimators, reproduced: its figures, Table I, and every claim.
+"""Reproduce Chawda, Celik and O'Malley's comparison of velocity estimators: its figures, Table I, and every claim.
 
-Some ten thousand walls are excited and some thousand more hit, as one sweep; rules turn the numbers into verdicts, and
-templates into sentences. The paper leaves band and tolerance of its passivity test open, and both decide everything: so
-each wall is read in many ways (`rig.extras.papers.chawda.readings`), and claims are counted over readings. Nothing is
-tuned to Table I.
+About ten thousand walls are excited and some thousand more are hit, in one sweep. Rules compute verdicts from the
+numbers, and templates write the sentences. The paper does not give band and tolerance of its passivity test, and the
+results depend on both: each wall is judged by many readings (`rig.extras.papers.chawda.readings`), and a claim is
+judged by the number of readings in which it holds. No value is tuned to match Table I.
 
 Source: Chawda et al., "Evaluation of Velocity Estimation Methods Based on their Effect on Haptic Device Performance".
 """
@@ -42,7 +42,7 @@ CONTROL_SEARCH = StiffnessSearch(way="bisection", lowest=13_000.0, highest=53_00
 
 
 class ChawdaPlan:
-    """All parts of the work, by name, and the way back from their results."""
+    """All tasks of the reproduction, and the conversion of their results."""
 
     def __init__(self, scale: rigs.ChawdaScale) -> None:
         self._scale = scale
@@ -57,7 +57,7 @@ class ChawdaPlan:
         self._grids = self._all_grids()
 
     def parts(self) -> dict[str, Part]:
-        """Return everything that has to be computed."""
+        """Return all tasks, by name of their part."""
         parts = {name: grid.part(self._weight(name)) for name, grid in self._grids.items()}
         parts["hits"] = koul_parts.map_part(self._hits)
         parts["slow-hits"] = koul_parts.map_part(self._slow_hits)
@@ -81,7 +81,7 @@ class ChawdaPlan:
         return parts
 
     def results(self, done: Parts) -> Chawda:
-        """Make sense of what came back."""
+        """Return the typed results from the results of all tasks."""
         found = {name: Readings.of(grid, done.results[name]) for name, grid in self._grids.items()}
         hits = ZWidth.of(self._hits, done.results["hits"])
         return Chawda(
@@ -106,7 +106,7 @@ class ChawdaPlan:
         )
 
     def _hit_schemes(self) -> dict[str, Scheme]:
-        """The filtered difference, Levant's differentiator with the identified C, and what is tried to adjust it."""
+        """Return the schemes of Fig. 3: filtered difference, Levant's with the identified C, and with other values."""
         named = {rigs.FILTERED: rigs.FILTERED_SCHEME}
         named |= {
             name: rigs.levant(rigs.FIGURE_3_RATE, self._nominal["lipschitz"], gains)
@@ -170,7 +170,7 @@ class ChawdaPlan:
         return grids
 
     def _weight(self, name: str) -> float:
-        """Return the cost of one run, in hits at 10 kHz."""
+        """Return the cost of one excitation, as a number of hits at 10 kHz."""
         return 2.0 if name.startswith("dual") else 2.2
 
     def _linear_dampings(self) -> list[float]:
@@ -178,13 +178,13 @@ class ChawdaPlan:
 
 
 def _choose_gains(hits: ZWidth, names: tuple[str, ...]) -> str:
-    """Return Levant's gains whose Z-width has the largest area: what trying them on the rig would lead to."""
+    """Return the name of Levant's gains with the largest area of the Z-width: the gains that tuning would find."""
     tried = [number for number, name in enumerate(names) if name != rigs.FILTERED]
     return names[max(tried, key=lambda number: hits.width(number, "felt").area)]
 
 
 def _impedances(scale: rigs.ChawdaScale) -> tuple[Any, ...]:
-    """Return the bare rig, and one wall under each estimator."""
+    """Return the impedance of the bare rig, and of one wall with each estimator."""
     rig = rigs.excited_rig(replace(scale, measurements=1))
     (bare,) = measure_impedance(rig, walls=[(0.0, 0.0)], schemes=[rigs.SCHEMES[rigs.FDM]])
     return (bare, *measure_impedance(rig, walls=[SHOWN_WALL], schemes=tuple(rigs.SCHEMES.values())))

@@ -1,4 +1,4 @@
-"""What the reproduction of Chawda et al. computed, typed, and as plain values."""
+"""Typed results of the reproduction of Chawda et al., and their conversion to plain values."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from rig.realtime.source_files import code_version
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoundarySearch:
-    """The boundary search in the map of one estimator and measurement.
+    """The paper's boundary search, applied to the map of one estimator and measurement.
 
     Attributes
     ----------
     found, width
-        The stiffest wall that it finds (N/m; None for none), and the K-width of the grid.
+        Stiffest wall that the search finds (N/m; None: no wall), and K-width of the whole grid (N/m).
     wrong
-        At how many dampings it ends elsewhere than the edge of the connected region.
+        Number of dampings at which the search does not end at the edge of the connected region.
     """
 
     name: str
@@ -41,34 +41,34 @@ class BoundarySearch:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chawda:
-    """All computed results, from which claims, sentences and pictures are made.
+    """All computed results, from which claims, sentences and pictures are derived.
 
     Attributes
     ----------
     lipschitz
-        C that was identified at the nominal wall (m/s²), which the gains of Fig. 3 use.
+        C identified at the nominal wall (m/s²), which the gains of Fig. 3 use.
     constants
-        C at some walls, see `rig.extras.papers.chawda.parts.identify_wall`.
+        C identified at some walls, see `rig.extras.papers.chawda.parts.identify_wall`.
     hits
-        Fig. 3: walls hit at 10 kHz, the schemes named by `hit_names`.
+        Fig. 3: limits by hits at 10 kHz; `hit_names` are the names of the schemes.
     adjusted
-        Which of them has the adjusted gains.
+        The name in `hit_names` of the scheme with the adjusted gains.
     slow_hits
-        The four estimators, hit at 1 kHz, in the order of `SCHEMES`.
+        Limits by hits at 1 kHz, for the four estimators in the order of `SCHEMES`.
     read
-        Widths of the four estimators by every reading of every measurement, measurement after measurement.
+        Widths of the four estimators by name, for every reading of measurement 1, then of measurement 2, and so on.
     map, frictionless
-        Figs. 5 and 7 and Table I: excited walls under every reading; the same without friction (FDM+filter and FOAW).
+        Figs. 5 and 7 and Table I: excited walls by every reading; and the same without friction (FDM+filter, FOAW).
     variants, variant_names
-        Levant's differentiator in other discretisations, outputs and C, on coarser walls.
+        Levant's differentiator with other discretisations, outputs and C, on a coarser grid.
     linear
-        Closed forms of the linear estimators over `linear_dampings`, by name.
+        Limits of linear theory for the linear estimators over `linear_dampings`, by name.
     controls
-        What theory fixes without friction and quantum, by name of the estimator.
+        Values on a rig without friction and quantum, which theory predicts, by name of the estimator.
     impedances
-        Figs. 4 and 6: the bare rig, then one wall under each of `SCHEMES`.
+        Figs. 4 and 6: impedance of the bare rig, then of one wall with each of `SCHEMES`.
     dual
-        Koul's rigs by preset, the schemes of `dual_schemes`.
+        Excited walls on Koul's rigs by preset, with the schemes of `dual_schemes`.
     """
 
     scale: rigs.ChawdaScale
@@ -91,7 +91,7 @@ class Chawda:
     dual_schemes: tuple[Scheme, ...]
 
     def widths(self, name: str, reading: int = rigs.MAIN) -> list[FrequencyWidth]:
-        """Return widths of one of the four estimators, one for each measurement."""
+        """Return the widths of one of the four estimators by a reading, for each measurement."""
         return [of[name] for of in self.read[reading :: len(rigs.READINGS)]]
 
     def search(self, name: str, measurement: int = 0) -> GridSearch:
@@ -102,11 +102,11 @@ class Chawda:
 
     @property
     def figure_3(self) -> list[str]:
-        """Return the schemes that the paper has in Fig. 3."""
+        """Return the names of the schemes in the paper's Fig. 3."""
         return list(dict.fromkeys((rigs.FILTERED, rigs.HBA_SC, rigs.LFBA, self.adjusted)))
 
     def searches(self) -> list[BoundarySearch]:
-        """Return the boundary search in every map of the four estimators."""
+        """Return the boundary search for every estimator and measurement."""
         stiffnesses = self.map.grid.stiffnesses
         return [
             BoundarySearch(
@@ -122,18 +122,18 @@ class Chawda:
         ]
 
     def islands(self, name: str) -> list[int]:
-        """Return how many islands the map of an estimator has, by measurement."""
+        """Return the number of islands (passive walls outside the connected region), by measurement."""
         return [len(width.islands) for width in self.widths(name)]
 
     @property
     def runs(self) -> int:
-        """Return how many times a rig was excited."""
+        """Return the total number of excitations of a rig."""
         grids = (self.map, self.frictionless, self.variants, *self.dual.values())
         return sum(found.grid.runs for found in grids)
 
 
 def read_all(found: Readings) -> tuple[dict[str, FrequencyWidth], ...]:
-    """Return widths of the four estimators by every reading of every measurement."""
+    """Return the widths of the four estimators by name, for every reading of every measurement."""
     grid = found.grid
     return tuple(
         {name: found.width(m, r, s) for s, name in enumerate(rigs.SCHEMES)}
@@ -143,7 +143,7 @@ def read_all(found: Readings) -> tuple[dict[str, FrequencyWidth], ...]:
 
 
 def spread(widths: Sequence[FrequencyWidth], name: str) -> Spread:
-    """Return one number of some widths, over measurements."""
+    """Return the mean and deviation over measurements of the field `name` of the widths."""
     return Spread.of([getattr(width, name) for width in widths])
 
 
@@ -184,7 +184,7 @@ def numbers(chawda: Chawda) -> dict[str, Any]:
 
 
 def _grid(found: Readings, names: Sequence[str]) -> dict[str, Any]:
-    """Return a grid by the main reading, measurement by measurement: verdicts as a row of digits for each damping."""
+    """Return a grid by the main reading as plain values; verdicts are a string of digits for each damping."""
     reading = _main(found)
     return {
         "stiffnesses": list(found.grid.stiffnesses),
@@ -208,7 +208,7 @@ def _grid(found: Readings, names: Sequence[str]) -> dict[str, Any]:
 
 
 def _mean(values: Any) -> Any:
-    """Return the mean over measurements, NaN where any is."""
+    """Return the mean over measurements; NaN if one of them is NaN."""
     return np.mean(values, axis=0)
 
 
@@ -236,7 +236,7 @@ def _impedance(result: ImpedanceResult) -> dict[str, Any]:
 
 
 def provenance(chawda: Chawda) -> dict[str, Any]:
-    """Return the sources of the numbers, the same on every machine."""
+    """Return the sources of the numbers: code, scale, seed, presets; they do not depend on the machine."""
     x = rigs.excited_rig(chawda.scale)
     return {
         "haptic-rig": code_version(),

@@ -1,6 +1,6 @@
-"""What Chawda et al. are reproduced with: rig, estimators, grids, readings of a verdict, and how fine all of it is.
+"""Settings of the reproduction of Chawda et al.: rig, estimators, grids, readings of a verdict, and their fineness.
 
-Everything that the paper does not say stands here, with its reason.
+Values that the paper does not give are set here; where a value decides a result, its comment gives the reason.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ FRICTIONLESS: Mapping[str, Any] = {"rig.mechanics.motor_coulomb": 0.0}
 RENDERING_HZ = 1000.0
 EXCITATION_RMS = 2.0  # N, ten times Coulomb friction; the same on a rig without friction
 HIGHEST_LINE = 400.0  # Hz: 0.4 of the rendering rate
-CONTROL_BAND = (1.0, HIGHEST_LINE)  # of what theory fixes
+CONTROL_BAND = (1.0, HIGHEST_LINE)  # Hz, of the controls, whose values theory predicts
 
 # --- readings: how a measured impedance may be read, of which the paper gives only ±90° --------------------
 
@@ -39,10 +39,10 @@ Kind = Literal["deviations", "degrees"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reading:
-    """A band of lines, and by how much a line may miss ±90°.
+    """A band of lines (Hz), and the tolerance by which the phase at a line may miss ±90°.
 
-    `tolerance` is in standard deviations of the measured line, as in `rig.analysis.impedance._verdict`, or in degrees;
-    0: none.
+    `tolerance` is in standard deviations of the measured line (see `rig.analysis.impedance._verdict`) or in degrees, by
+    `kind`; 0 allows no deviation.
     """
 
     low_hz: float
@@ -52,7 +52,7 @@ class Reading:
 
     @property
     def allowed(self) -> str:
-        """Return the phase that it allows, in words."""
+        """Return the allowed phase, as text."""
         if not self.tolerance:
             return "strictly ±90°"
         unit = " standard deviations" if self.kind == "deviations" else "°"
@@ -60,7 +60,7 @@ class Reading:
 
     @property
     def text(self) -> str:
-        """Return the reading's band and tolerance in words."""
+        """Return the reading's band and tolerance, as text."""
         return f"{self.low_hz:g} to {self.high_hz:g} Hz, {self.allowed}"
 
 
@@ -96,9 +96,13 @@ PUSH: Mapping[str, Any] = {
     "homing.tolerance_counts": 10.0,
 }
 FIGURE_3_RATE = 10_000
-LOWPASS_HZ = {FIGURE_3_RATE: 4000.0, 1000: 400.0}  # of felt: the band has to contain what rings at that rate
+LOWPASS_HZ = {
+    FIGURE_3_RATE: 4000.0,
+    1000: 400.0,
+}  # of the velocity ripple: oscillations at this rate must pass
 LOWEST_STIFFNESS = 2000.0  # N/m
 
+# HBA-SC: Levant's special case of the homogeneity-based approach; LFBA: Lyapunov-function-based approach.
 HBA_SC, LFBA, ADJUSTED, FILTERED = (
     "Levant, HBA-SC",
     "Levant, LFBA",
@@ -109,7 +113,15 @@ FILTERED_SCHEME = Scheme.parse("uniform:10k,estimator=fdm-butterworth,cutoff_hz=
 # Gains (μ1, μ2): Levant's special case; and one inside the region of the Lyapunov function alone, with the λ that
 # Levant recommends now. The paper prints neither its C nor its LFBA and adjusted gains.
 GAINS = {HBA_SC: (1.1, 1.0), LFBA: (4.0, 1.5)}
-CONSTANTS = (1.5, 3.0, 6.0, 12.0, 25.0, 50.0, 100.0)  # m/s²: C of what is tried for the adjusted gains
+CONSTANTS = (
+    1.5,
+    3.0,
+    6.0,
+    12.0,
+    25.0,
+    50.0,
+    100.0,
+)  # m/s²: values of C among which the adjusted gains are chosen
 
 
 # --- Levant's differentiator otherwise -----------------------------------------------------------------------------
@@ -123,7 +135,7 @@ VARIANT_DAMPINGS = (0.0, 20.0, 60.0, 140.0)
 def levant(
     rate: int, lipschitz: float, gains: tuple[float, float], form: str = "explicit", out: str = "u"
 ) -> Scheme:
-    """Levant's differentiator with C and (μ1, μ2); by default as the paper has it, explicit Euler and output u."""
+    """Return Levant's differentiator with C (m/s²) and gains (μ1, μ2); the paper uses explicit Euler and output u."""
     mu1, mu2 = gains
     return Scheme.parse(
         f"uniform:{rate},estimator=levant,lipschitz={lipschitz!r},gains=custom,mu1={mu1!r},mu2={mu2!r},"
@@ -145,31 +157,33 @@ DUAL_READINGS = tuple(Reading(low_hz=2.0, high_hz=high, tolerance=2.0) for high 
 
 
 def dual_schemes() -> tuple[Scheme, ...]:
-    """Return the schemes mapped on Koul's rigs: uniform for comparison, then each estimator at both dual rates."""
+    """Return the schemes for Koul's rigs: two uniform ones for comparison, then each estimator at both dual rates."""
     texts = [f"{rates},estimator={estimator}" for rates in DUAL_RATES for estimator in DUAL_ESTIMATORS]
     return tuple(Scheme.parse(text) for text in (*REFERENCES, *texts))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChawdaScale:
-    """How fine everything is computed."""
+    """Grids and numbers of repetitions of the reproduction, which decide how long it takes."""
 
     name: str
     stiffnesses: tuple[float, ...]  # N/m, of the maps
-    dampings: tuple[float, ...]  # N·s/m
-    measurements: int
-    realisations: int
-    coarse: int  # every such stiffness where only an answer is wanted
-    periods: int
-    hit_dampings: tuple[float, ...]
-    hit_ratio: float
-    offsets: tuple[float, ...]
-    constants: tuple[float, ...]
+    dampings: tuple[float, ...]  # N·s/m, of the maps
+    measurements: int  # impedance measurements of each wall
+    realisations: int  # of the excitation, for each measurement
+    coarse: int  # stride: the variants of Levant's differentiator use every n-th stiffness of the maps
+    periods: int  # of the excitation that are measured
+    hit_dampings: tuple[float, ...]  # N·s/m
+    hit_ratio: (
+        float  # of neighbouring stiffnesses of the hits at 10 kHz; its square root for the hits at 1 kHz
+    )
+    offsets: tuple[float, ...]  # counts: position zero in its encoder cell, for each hit
+    constants: tuple[float, ...]  # m/s²: values of C among which the adjusted gains are chosen
     dual_stiffnesses: tuple[float, ...]  # N·m/rad
     dual_dampings: tuple[float, ...]  # N·m·s/rad
     dual_measurements: int
     dual_realisations: int
-    theory_points: int
+    theory_points: int  # dampings at which linear theory is computed
 
     @property
     def rung(self) -> float:
@@ -235,7 +249,7 @@ QUICK = ChawdaScale(
 
 
 def excited_rig(scale: ChawdaScale, changes: Mapping[str, Any] | None = None) -> Experiment:
-    """Return the paper's rig with an excitation over the bands of every reading."""
+    """Return the paper's rig with an excitation that contains the bands of all readings."""
     excitation = {
         "excitation.low_hz": LOWEST_HZ[0],
         "excitation.high_hz": HIGHEST_LINE,
@@ -248,13 +262,13 @@ def excited_rig(scale: ChawdaScale, changes: Mapping[str, Any] | None = None) ->
 
 
 def pushed_rig(rate: int) -> Experiment:
-    """Return the paper's rig in automated wall hits at a rate."""
+    """Return the paper's rig for automated wall hits at a rate (Hz)."""
     changes = {**PUSH, "verdict.lowpass_hz": LOWPASS_HZ[rate], "trial.seed": SEED}
     return config.override(presets.load(RIG), changes, "the reproduction")
 
 
 def dual_rig(preset: str, scale: ChawdaScale) -> Experiment:
-    """Return one of Koul's rigs, excited for a shorter time: it is light, so that it settles sooner."""
+    """Return one of Koul's rigs with a shorter excitation: the rig is light and settles sooner."""
     changes = {
         "excitation.low_hz": 2.0,
         "excitation.high_hz": 250.0,

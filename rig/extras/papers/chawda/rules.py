@@ -1,6 +1,6 @@
-"""Rules that judge the claims of Chawda et al., with their thresholds: plain numbers in, a ruling out.
+"""Rules that judge the claims of Chawda et al., with their thresholds: they convert plain numbers to rulings.
 
-Gains and the band of an excitation can be set; estimators that a claim names, and readings, are cases of it.
+A user can set gains and the band of an excitation, so they are conditions; estimators and readings are cases.
 """
 
 from __future__ import annotations
@@ -30,30 +30,33 @@ TRACED = 0.9  # of the columns
 
 
 def is_in_order(widths: Sequence[float]) -> bool:
-    """Return True if each is larger than the next: K-widths in the order that the paper gives."""
+    """Return True if each K-width is larger than the next; the caller sorts them in the paper's order."""
     return all(first > second for first, second in pairwise(widths))
 
 
 def stiffer(cases: Mapping[str, Sequence[float]], step: float = 1.0) -> Ruling:
-    """Return ratios of two limits at several dampings, by case; `step` is the ratio of two rungs of the search."""
+    """Judge that a limit is mostly larger than another, from their ratios at some dampings, by case.
+
+    `step` is the ratio of two neighbouring stiffnesses of the search.
+    """
     held = {name: mostly_stiffer(values, step) for name, values in cases.items()}
     return judge(held, conditions=each(held), ratios=list(cases.items()))
 
 
 def mostly_stiffer(ratios: Sequence[float], step: float = 1.0) -> bool:
-    """Nowhere softer, and in the median stiffer by more than rounding and more than half a rung."""
+    """Return True if no ratio is clearly below 1, and their median is above 1 by more than the search's resolution."""
     return min(ratios) >= 1.0 / (STIFFER * step) and median(ratios) >= STIFFER * step**0.5
 
 
 def mostly_larger(cases: Mapping[str, tuple[int, int]]) -> Ruling:
-    """Return how often one K-width is the larger of two, of how many readings that differ, by case."""
+    """Judge that one K-width is mostly the larger of two, from (how often larger, how often different), by case."""
     held = {name: above >= MOST * differ for name, (above, differ) in cases.items() if differ}
     above, differ = (sum(count[i] for count in cases.values()) for i in (0, 1))
     return judge(held, above=above, differ=differ)
 
 
 def find_drop(dampings: Sequence[float], stiffnesses: Sequence[float]) -> float:
-    """Return damping beyond its peak from which on a Z-width stays below half of the peak; infinite if it does not."""
+    """Return the damping beyond the peak from which on the limits stay below half of the peak; infinite if never."""
     peak = max(stiffnesses)
     found = math.inf
     for damping, stiffness in zip(reversed(dampings), reversed(stiffnesses), strict=True):
@@ -64,14 +67,14 @@ def find_drop(dampings: Sequence[float], stiffnesses: Sequence[float]) -> float:
 
 
 def sharpness(stiffnesses: Sequence[float]) -> float:
-    """Return the largest fall from one damping to the next, as a ratio."""
+    """Return the largest ratio of the limits at two neighbouring dampings."""
     return max((over(high, low) for high, low in pairwise(stiffnesses)), default=1.0)
 
 
 def limited(ranges: Mapping[str, float], filtered: float, paper: float) -> Ruling:
-    """Return the range of damping of Levant's differentiator, by case, against that of the filtered difference.
+    """Judge that Levant's differentiator has a smaller range of damping (N·s/m) than the filtered difference.
 
-    Reproduced in its direction alone where the ratio of the two is not near that of the paper.
+    `paper` is the paper's ratio of both ranges; if ours are not near it, the claim is reproduced in part.
     """
     cases = {name: value <= LIMITED * filtered for name, value in ranges.items()}
     factors = [over(filtered, value) for value in ranges.values()]
@@ -81,7 +84,7 @@ def limited(ranges: Mapping[str, float], filtered: float, paper: float) -> Rulin
 
 
 def drops_at(drops: Mapping[str, tuple[float, float]], others: Sequence[float]) -> Ruling:
-    """Return where Z-widths drop (ours, the paper's), and where they do over all gains that were tried."""
+    """Judge that Z-widths drop at the paper's dampings (N·s/m); `others` are the drops of all gains that were tried."""
     finite = [value for value in others if math.isfinite(value)]
     return judge(
         {name: within(value, target, NEAR_DROP) for name, (value, target) in drops.items()},
@@ -93,25 +96,25 @@ def drops_at(drops: Mapping[str, tuple[float, float]], others: Sequence[float]) 
 
 
 def near_table(ours: Mapping[str, float], paper: Mapping[str, float], step: float = 1.0) -> bool:
-    """Return True if every number is within `NEAR_WIDTH` of the paper's, a rung allowed."""
+    """Return True if every number is within `NEAR_WIDTH` times one step of the paper's."""
     return all(within(ours[name], paper[name], NEAR_WIDTH * step) for name in paper)
 
 
 def wider(ratios: Mapping[str, float], step: float = 1.0) -> Ruling:
-    """Return simulated widths over the paper's measured ones, by estimator."""
+    """Judge that simulated K-widths are larger than the paper's measured ones, from their ratios by estimator."""
     return judge({name: r >= WIDER * step**0.5 for name, r in ratios.items()}, ratios=list(ratios.items()))
 
 
 def controlled(found: Mapping[str, float], theory: float) -> Ruling:
-    """Return numbers that theory fixes."""
+    """Judge that numbers agree with the value that theory predicts."""
     cases = {name: within(value, theory, 1.0 + SAME_CONTROL) for name, value in found.items()}
     return judge(cases, found=list(found.items()), theory=theory)
 
 
 def lower(gains: Mapping[tuple[str, float], Sequence[float]]) -> Ruling:
-    """Return by which share one estimator's error at common walls is lower than another's.
+    """Judge that an estimator's error is below another's, from the shares by which it is lower at common walls.
 
-    By the other's name and upper edge of the band (Hz), measurement by measurement; below zero it is higher.
+    `gains` has the other's name and the upper edge of the band (Hz) as key, and a value for each measurement.
     """
     by_other: dict[str, list[float]] = {}
     for (other, _), values in gains.items():
@@ -124,7 +127,7 @@ def lower(gains: Mapping[tuple[str, float], Sequence[float]]) -> Ruling:
 
 
 def traced(above: int, below: int, unseen: int, columns: int, **numbers: float) -> Ruling:
-    """Return dampings at which the boundary search ends on an island, below the edge, or never comes to."""
+    """Judge the boundary search from the numbers of dampings where it ends on an island, too low, or not at all."""
     wrong = above + below + unseen
     return judge(
         {"": wrong <= (1.0 - TRACED) * columns}, above=above, below=below, unseen=unseen, columns=columns

@@ -1,1 +1,1 @@
-"""Where linear theory and hits differ, and why: every wall hit, causes removed one by one, limit cycles predicted."""
+"""Find the walls where linear theory and simulated hits differ, and the cause; predict limit cycles."""

@@ -1,22 +1,21 @@
-"""Why a wall's verdict is another than linear theory's: which non-linearity must be taken out until both agree.
+"""Find why hits and linear theory judge a wall differently: remove non-linearities until both agree.
 
-The same wall is hit on the same rig without
+The same wall is hit on the same rig without these non-linearities:
 
 * **friction**: no Coulomb friction on either side;
 * **quantum**: `FINER` times as many counts of the encoder;
 * **saturation**: effort limits of motor and guard at what the wire carries (32767 quanta), no slew limit;
-* **contact**: a wall that does not let go. It is not there until it is touched, so that the hit arrives alike, and from
+* **contact**: a wall that holds the handle. It begins at the first contact, so that the handle arrives as before; from
   then on it is a spring and a damper on both sides.
 
-**The rule.** Of every wall that differs, all sets of one of these are taken out, and if no set makes theory and hits
-agree all sets of two, of three, of four. The sets of the first size that has some are the wall's `cures`.
+**The rule.** For every wall that differs, each of the four is removed alone; if theory and hits agree in no case, all
+pairs are removed, then all triples, then all four. The sets of the first size that make them agree are the `cures`.
 
-* One cure of one: that is the cause.
-* Several cures of one: an interaction, each of these is needed (`EACH`). Without any one of them there is no
-  disagreement.
-* Cures of two or more only: none is needed by itself, for others do the same (`OTHERS`).
-* No cure: `NONE`. The cause is then a difference between hit and theory other than these four: an end of the travel,
-  the hand's own motion, thresholds, the quantum of the current.
+* One cure with one element: this is the cause.
+* Several cures with one element: an interaction, in which each of them is needed (`EACH`).
+* Cures with two or more elements: no element alone is needed, because others have the same effect (`OTHERS`).
+* No cure: `NONE`. The cause is another difference between hit and theory: an end of the travel, the hand's own motion,
+  thresholds, the quantum of the current.
 
 An invalid hit does not count as agreement.
 """
@@ -46,7 +45,7 @@ Holds = bool | None  # None: the hit does not show it
 
 
 def cures(agrees: Callable[[Cure], bool]) -> tuple[Cure, ...]:
-    """Return sets of the smallest size that make theory and hits agree when they are taken out; none if no set does."""
+    """Return the sets of the smallest size whose removal makes theory and hits agree; empty if no set does."""
     for size in range(1, len(FOUR) + 1):
         # All sets of one first, then of two: a larger set that contains a cure cures, too, and would name too much.
         found = tuple(taken for taken in combinations(FOUR, size) if agrees(taken))
@@ -56,7 +55,7 @@ def cures(agrees: Callable[[Cure], bool]) -> tuple[Cure, ...]:
 
 
 def cause_of(found: Sequence[Cure]) -> str:
-    """Return which of `CAUSES` these cures stand for."""
+    """Return the element of `CAUSES` for these cures."""
     if not found:
         return NONE
     # None of them is needed by itself.
@@ -67,7 +66,7 @@ def cause_of(found: Sequence[Cure]) -> str:
 
 
 def without(experiment: Experiment, taken: Iterable[str]) -> Experiment:
-    """Return the experiment on a rig without these of the four; `CONTACT` is a law's affair (`HitSimulator`)."""
+    """Return the experiment without these of the four; `CONTACT` is removed by the law of `HitSimulator` instead."""
     rig, homing = experiment.rig, experiment.homing
     for one in taken:
         if one == FRICTION:
@@ -90,7 +89,7 @@ def without(experiment: Experiment, taken: Iterable[str]) -> Experiment:
 
 
 class _Column:
-    """The walls of one damping under one scheme, on the rig and on rigs without some of the four."""
+    """Hits of the walls of one scheme and damping, on the rig and on rigs without some non-linearities."""
 
     def __init__(self, experiments: Sequence[Experiment], judged: str) -> None:
         self._experiments, self._judged = experiments, judged
@@ -98,7 +97,7 @@ class _Column:
         self.hits = self.ticks = 0
 
     def passes(self, stiffness: float, number: int, taken: Cure = ()) -> Holds:
-        """Return whether a wall passes at one offset and repeat."""
+        """Return whether a wall passes at one offset and repeat (index `number`), without the set `taken`."""
         experiment = self._experiments[number]
         if (taken, number) not in self._rigs:
             law = clinging_law() if CONTACT in taken else None
@@ -109,7 +108,7 @@ class _Column:
         return (hit.true if self._judged == "true" else hit.recorded).passes("any")
 
     def holds(self, stiffness: float, taken: Cure = ()) -> Holds:
-        """Return whether a wall passes at all offsets and repeats; the first that fails decides."""
+        """Return whether a wall passes at all offsets and repeats; None if that is unknown."""
         unknown = False
         for number in range(len(self._experiments)):
             passes = self.passes(stiffness, number, taken)
@@ -120,7 +119,7 @@ class _Column:
 
 
 def hit_column(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return one task of the sweep, JSON in and out: all walls of a scheme at a damping, the softest first."""
+    """Hit all walls of one scheme and damping, the softest first; return a row for each (a task of the sweep)."""
     experiments = [config.restore_experiment(one) for one in payload["experiments"]]
     column, first = _Column(experiments, payload["judged"]), experiments[0]
     rungs = StiffnessSearch(**payload["search"]).rungs

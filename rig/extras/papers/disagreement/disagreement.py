@@ -1,14 +1,14 @@
-"""Where linear theory and hits disagree about walls, and why: the walls of a map, and their shares of its plane.
+"""Compare linear theory and hits for all walls of a map: where they differ, why, and their shares of the plane.
 
-Theory (`rig.analysis.theory`) calls a wall stable when the spectral radius of the linear loop is below one. Hits call
-it stable when at every offset and repeat of the map it is neither unstable, felt, heard nor moved. A wall *differs*
-when one calls it stable and the other does not; `rig.extras.papers.disagreement.ablation` finds out why. A wall whose
-hits show nothing is left out and counted.
+Theory (`rig.analysis.theory`) calls a wall stable if the spectral radius of the linear loop is below one. Hits call
+it stable if at every offset and repeat of the map it is not unstable and has no velocity, effort or position ripple
+above the limits. A wall *differs* if only one of both calls it stable; `rig.extras.papers.disagreement.ablation` finds
+the cause. A wall whose hits are invalid is left out and counted.
 
-Shares are areas of the K–B plane with both axes linear: each wall stands for the cell about it, half-way to its
-neighbours (in K by ratio), within the map's range. Walls are all rungs of the map's search at all its dampings, beyond
-the first failure too. As a check of the method every wall is also hit without all four: what then still differs is no
-non-linearity of the rig.
+Shares are areas of the K–B plane with linear axes: each wall stands for the cell around it, half-way to its neighbours
+(in K by ratio), within the map's range. Walls are all stiffnesses of the map's search at all its dampings, also above
+the first failure. As a check, every wall is also hit without all four non-linearities: a remaining difference has
+another cause than a non-linearity of the rig.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)  # without slots: `tasks` is cached
 class DisagreementPlan:
-    """All walls of a map, hit, and those that differ from theory hit again."""
+    """Plan that hits all walls of a map, and again those that differ from theory."""
 
     map: MapPlan
 
@@ -68,9 +68,9 @@ class DisagreementPlan:
 
     @cached_property
     def tasks(self) -> list[sweep.Task]:
-        """Return one for each scheme and damping.
+        """Return a task for each scheme and damping.
 
-        Raises `PlanError` for a wall of which linear theory says nothing, `NotLinearError` for a scheme of that kind.
+        Raises `PlanError` for a wall that linear theory does not cover, `NotLinearError` for a non-linear scheme.
         """
         self._check()
         columns: dict[tuple[int, float], list[Series]] = {}
@@ -115,7 +115,7 @@ class DisagreementPlan:
 
 
 def edges_of(values: Sequence[float], *, by_ratio: bool = False) -> Floats:
-    """Ends of the cells about rising values, half-way to their neighbours, in K by ratio; a single one has length 1."""
+    """Return the cell edges of rising values, half-way to neighbours (by ratio if asked); a single cell is 1 wide."""
     if len(values) == 1:
         return values[0] + np.array([-0.5, 0.5])
     at = np.asarray(values)
@@ -126,22 +126,22 @@ def edges_of(values: Sequence[float], *, by_ratio: bool = False) -> Floats:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ComparedWall:
-    """One wall: what theory says, what hits say, and why they differ if they do.
+    """One wall: result of theory, result of the hits, and the cause if they differ.
 
     Attributes
     ----------
     scheme, damping, stiffness
-        Index of the scheme, B and K.
+        Index of the scheme, damping B and stiffness K (SI).
     area
-        Of its cell in the plane.
+        Area of its cell in the plane (K × B).
     radius
         Spectral radius of the linear loop.
     holds
-        Whether it is stable by its hits; None where these do not show it.
+        Whether the hits call it stable; None if a hit is invalid.
     holds_without
-        The same on the rig without all four.
+        Whether a hit on the rig without all four non-linearities calls it stable.
     cures
-        Smallest sets that make both agree; empty where they do, or where no set does.
+        Smallest sets whose removal makes theory and hits agree; empty if they agree anyway, or if no set does.
     cause
         One of `rig.extras.papers.disagreement.ablation.CAUSES`; empty where theory and hits agree or the hits show
         nothing.
@@ -181,36 +181,36 @@ class ComparedWall:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CauseShare:
-    """Share of an area that differs, and the share of each cause in it, the largest first; 0 to 1."""
+    """Share of an area (0 to 1) that differs, and within it the share of each cause, the largest first."""
 
     share: float
     causes: dict[str, float]
 
     @classmethod
     def of(cls, whole: Sequence[ComparedWall]) -> CauseShare:
-        """Return the part of these walls that differs."""
+        """Return the share of these walls' area that differs, with its causes."""
         differing = [wall for wall in whole if wall.cause]
         return cls(share=_share(differing, whole), causes=_by(differing, lambda wall: wall.cause))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shares:
-    """How far theory goes for one scheme: shares of areas, 0 to 1.
+    """Agreement of theory and hits for one scheme, as shares of areas (0 to 1).
 
     Attributes
     ----------
     differ
-        What differs of the plane.
+        Differing walls as a share of the plane.
     fails
-        What differs of the walls that theory calls stable: those that fail.
+        Walls that fail, as a share of those that theory calls stable.
     beyond
-        What differs of the walls that hold: those that theory calls unstable.
+        Walls that theory calls unstable, as a share of those that are stable by hits.
     sets
-        Of what differs, by the cures where there are several: what interacts.
+        Share of the differing area for each combination of several cures.
     differ_without
-        Of the plane: what differs on the rig without all four.
+        Share of the plane that differs on the rig without all four non-linearities.
     stable, holding
-        Of the plane: what theory calls stable, and what holds.
+        Share of the plane that is stable by theory, and by hits.
     """
 
     scheme: str
@@ -226,16 +226,16 @@ class Shares:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Disagreement(Shown, Drawn):
-    """Where theory and hits differ, wall by wall.
+    """Comparison of theory and hits, wall by wall.
 
     Attributes
     ----------
     plan
         The map whose walls were hit.
     walls
-        By scheme, damping and stiffness, in this order.
+        All walls, sorted by scheme, damping and stiffness.
     hits
-        How many there were, those on rigs without something included.
+        Number of hits, also those on rigs without some non-linearities.
     """
 
     table_name: ClassVar[str] = "walls.parquet"
@@ -249,7 +249,7 @@ class Disagreement(Shown, Drawn):
         return [wall for wall in self.walls if wall.scheme == number]
 
     def shares(self, number: int) -> Shares:
-        """Return the shares of the plane, by cause, of one scheme."""
+        """Return the shares of the plane for one scheme, by cause."""
         scheme = self.plan.schemes[number]
         known = [wall for wall in self.of_scheme(number) if wall.holds is not None]
         differing = [wall for wall in known if wall.cause]
@@ -273,11 +273,11 @@ class Disagreement(Shown, Drawn):
 
     @reported
     def unknown(self) -> int:
-        """Return how many walls were left out, because their hits show nothing."""
+        """Return the number of walls that were left out because their hits are invalid."""
         return sum(wall.holds is None for wall in self.walls)
 
     def brief(self) -> list[Item]:
-        """Return how much differs under each scheme, and what for."""
+        """Return the differing share of the plane and its causes, for each scheme."""
         rows = [
             Row(
                 shares.label,
@@ -292,7 +292,7 @@ class Disagreement(Shown, Drawn):
         ]
 
     def detailed(self) -> list[Item]:
-        """Return both ways to differ, in a table."""
+        """Return a table of the shares: of the plane, of walls stable in theory, and of walls stable by hits."""
         head = ("scheme", "what differs", "share", *CAUSES)
         rows = [
             ["" if number else shares.label, what, _percent(part.share), *_cells(part)]
@@ -346,7 +346,7 @@ def _by(
     name: Callable[[ComparedWall], str],
     of: Sequence[ComparedWall] | None = None,
 ) -> dict[str, float]:
-    """Return shares of what walls are called, the largest first."""
+    """Return the share of the area for each name of walls, the largest first."""
     areas: dict[str, float] = {}
     for wall in walls:
         areas[name(wall)] = areas.get(name(wall), 0.0) + wall.area
@@ -379,7 +379,7 @@ def compare_into(
     workers: int | None = None,
     watch: Callable[[sweep.Progress], None] | None = None,
 ) -> Disagreement:
-    """Compare a map with linear theory, as `maps.map_into` maps; without its `PLAN`, by which a map is known."""
+    """Compare the walls of a map with linear theory in a directory, like `maps.map_into`; write no `PLAN` of a map."""
     make_directory(directory)
     found = maps.zwidth(
         plan, journal=directory / maps.JOURNAL, scheduler=scheduler, workers=workers, watch=watch

@@ -1,17 +1,16 @@
-"""How well describing functions predict the limit cycle of the encoder's quantum: beside the same walls, simulated.
+"""Compare the limit cycles that describing functions predict for the encoder's quantum with simulated ones.
 
-**The walls**: under each scheme B at `DAMPINGS` of its B_max, and K at `STIFFNESSES` of K_max there, both of the linear
-theory; the handle is free. Each is a wall on both sides against a push that rests `DEPTH` counts deep, half-way
-between two counts: that buzzes most. The handle is let go `AWAY` counts deeper, moves for `SETTLE_S`, and is measured
-for `MEASURED_S`: with the rig's friction and without, its effort limited by the wire alone.
+**Walls**: for each scheme, B is `DAMPINGS` times B_max and K is `STIFFNESSES` times K_max at this B, both by linear
+theory; no hand holds the handle. Each wall acts on both sides, against a push that rests `DEPTH` counts deep, half-way
+between two counts, where it oscillates most. The handle is released `AWAY` counts deeper, moves for `SETTLE_S` (s), and
+is measured for `MEASURED_S` (s): with and without friction, and with the effort limit of the wire format only.
 
-**What is measured**: amplitude, √2 times the rms of the encoder's side about its mean; frequency, half of the count's
-changes in a second; and the share of the variance that lies within `BAND` of that frequency. All three are defined for
-a cycle whose phase wanders, as toggling between two ticks makes it; a line fitted over the whole time finds little of
-such a cycle. A wall *rests* where no count changes any more. **The errors** are predicted over measured, less one, over
-the walls where both have a cycle; where only one of both has one is counted apart. Where less than `PURE` of the
-variance lies in the band the motion is no sinusoid, and its errors are given apart. So are, once more, those of the
-walls whose predicted cycle is `alone` (`rig.analysis.theory._describing`), which is known before any simulation.
+**Measured values**: amplitude, √2 times the rms of the encoder's side about its mean; frequency, half of the number of
+count changes per second; and the share of the variance within `BAND` of that frequency. They are also defined for a
+cycle whose phase wanders, which a fitted line would miss. A wall *rests* if its count no longer changes. **Errors** are
+predicted / measured - 1, over the walls where both have a cycle; walls where only one has a cycle are counted. If less
+than `PURE` of the variance lies in the band, the motion is not a sinusoid, and its errors are listed separately. So
+are those of walls whose predicted cycle is `alone` (`rig.analysis.theory._describing`), known before any simulation.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cycle:
-    """A measured motion: amplitude (count), frequency, and its share of the variance; all 0 at rest."""
+    """A measured motion: amplitude (counts), frequency (Hz), and share of the variance near it; all 0 at rest."""
 
     amplitude: float
     frequency_hz: float
@@ -52,7 +51,7 @@ class Cycle:
 
     @classmethod
     def of(cls, motion: Floats, counts: Ints, rate_hz: float) -> Cycle:
-        """Return that of a motion (count) and the counts that it was read as."""
+        """Return the cycle of a motion (counts), from the motion and from its quantised counts."""
         # Counted, not fitted: it is defined for a cycle whose phase wanders, as toggling between two ticks makes it,
         # where a line fitted over the whole time finds little.
         frequency = 0.5 * np.count_nonzero(np.diff(counts)) * rate_hz / len(counts)
@@ -70,7 +69,7 @@ class Cycle:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeldWall:
-    """One wall held at rest: predicted and simulated."""
+    """One wall with its predicted and its simulated limit cycle."""
 
     scheme: str
     damping: float
@@ -81,12 +80,12 @@ class HeldWall:
 
     @reported
     def amplitude_error(self) -> float | None:
-        """Return the predicted over simulated amplitude, less one; None unless both have a cycle."""
+        """Return predicted / simulated amplitude - 1; None unless both have a cycle."""
         return self.predicted.amplitude / self.simulated.amplitude - 1.0 if self._both else None
 
     @reported
     def frequency_error(self) -> float | None:
-        """Return the relative error of the predicted frequency; None without both cycles."""
+        """Return predicted / simulated frequency - 1; None unless both have a cycle."""
         return self.predicted.frequency_hz / self.simulated.frequency_hz - 1.0 if self._both else None
 
     @property
@@ -96,7 +95,7 @@ class HeldWall:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Errors:
-    """Relative errors over some walls: how many walls, median of the magnitudes, and the largest."""
+    """Relative errors of some walls: number of walls, and (median, largest) of the magnitudes."""
 
     walls: int
     amplitude: tuple[float, float]
@@ -104,7 +103,7 @@ class Errors:
 
     @classmethod
     def of(cls, walls: Sequence[HeldWall]) -> Errors:
-        """Return errors of walls that have both cycles."""
+        """Return the errors of walls that have a predicted and a simulated cycle."""
 
         def spread(errors: list[float]) -> tuple[float, float]:
             sizes = np.abs(errors)
@@ -121,18 +120,18 @@ class Errors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tally:
-    """How the prediction did, with the rig's friction or without.
+    """Summary of the prediction, with or without the rig's friction.
 
     Attributes
     ----------
     sinusoids, others
-        Errors where the motion is a sinusoid and where it is not.
+        Errors of walls whose motion is a sinusoid, and of the others.
     alone
-        Errors where the loop without friction balances at a single frequency.
+        Errors of walls where the loop without friction has a single predicted frequency.
     both_rest
-        Walls that rest: no cycle is predicted, or friction may hold the handle instead.
+        Number of walls that rest where no cycle is predicted or friction can hold the handle.
     only_predicted, only_simulated
-        Walls where one of both has a cycle, and friction cannot hold the handle.
+        Number of walls with a predicted cycle only (friction cannot hold the handle), and with a simulated one only.
     """
 
     friction: bool
@@ -146,18 +145,18 @@ class Tally:
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class LimitCycles(Shown):
-    """Every wall, without friction and with it."""
+    """Results of all walls, without friction and with it."""
 
     rig: str
     walls: tuple[HeldWall, ...]
 
     @reported
     def tallies(self) -> tuple[Tally, ...]:
-        """Return two tallies: without friction, then with it."""
+        """Return two summaries: without friction, then with it."""
         return tuple(self.tally(friction) for friction in (False, True))
 
     def tally(self, friction: bool) -> Tally:
-        """Count one half of the walls."""
+        """Return the summary of the walls with or without friction."""
         walls = [wall for wall in self.walls if wall.friction is friction]
         both = [wall for wall in walls if wall.amplitude_error is not None]
         moving = [wall.simulated.amplitude > 0.0 for wall in walls]
@@ -174,14 +173,14 @@ class LimitCycles(Shown):
         )
 
     def brief(self) -> list[Item]:
-        """Return the rows of the prediction's errors, for people."""
+        """Return the errors of the prediction as rows of text."""
         return [
             f"limit cycles of the quantum on {self.rig}, predicted and simulated",
             *map(_row, self.tallies),
         ]
 
     def detailed(self) -> list[Item]:
-        """Return the errors and a table of every wall, for people."""
+        """Return the errors, and a table of all walls."""
         head = ("scheme", "B", "K", "friction", "counts", "Hz", "simulated: counts", "Hz", "in its band")
         rows = [
             (
@@ -219,16 +218,16 @@ def limit_cycles(
     schemes: Sequence[Scheme] = (),
     walls: Sequence[tuple[float, float]] | None = None,
 ) -> LimitCycles:
-    """Predict and simulate walls (K, B), those of this module if None.
+    """Predict and simulate the limit cycles of walls (K, B); None: the walls of this module.
 
-    `schemes` are the experiment's and the uniform ones of its rates if empty.
+    Without `schemes`, the experiment's scheme and the uniform ones of its rates are used.
 
     Raises
     ------
     ConfigError, NotLinearError
-        A scheme that cannot be, or is not linear.
+        A scheme is not possible, or is not linear.
     PlanError
-        A wall without stiffness, which rests nowhere.
+        A wall has no stiffness, so that the handle cannot rest in it.
     """
     for stiffness, damping in walls or ():
         if not (stiffness > 0.0 and damping >= 0.0):
@@ -251,7 +250,7 @@ def limit_cycles(
 
 
 def _walls(loop: theory.LinearLoop) -> list[tuple[float, float]]:
-    """Return the walls of this module under a scheme."""
+    """Return the walls (K, B) of this module for a scheme."""
     lifted = theory.Lifted.of(loop)
     dampings = [share * theory.b_max(lifted).damping for share in DAMPINGS]
     limits = theory.k_max_curve(lifted, None, dampings)
@@ -277,7 +276,7 @@ def _held(
 
 
 def simulated(experiment: Experiment, stiffness: float, damping: float, *, friction: bool) -> Cycle:
-    """Simulate a handle at a wall, and return its limit cycle from `SETTLE_S` after the release on."""
+    """Simulate a handle that is released in a wall, and return its limit cycle after `SETTLE_S`."""
     bare = without(experiment, (SATURATION,) if friction else (SATURATION, FRICTION))
     side, count = bare.wall.side, bare.rig.encoder.resolution
     wall = replace(experiment.wall, stiffness=stiffness, damping=damping, law="bilateral", position=0.0)

@@ -1,4 +1,4 @@
-"""Where linear theory and hits differ: the K–B plane of each scheme, each differing wall in the colour of its cause."""
+"""Draw the K–B plane of each scheme, with each wall that differs in the colour of its cause."""
 
 from __future__ import annotations
 
@@ -75,14 +75,14 @@ def _draw_plane(axes: Any, found: Disagreement, number: int) -> None:
 
 
 def _rgba(cause: str) -> list[float]:
-    """Colour of a cause; without one nothing is seen."""
+    """Return the colour of a cause; transparent without a cause."""
     if not cause:
         return [0.0] * 4
     return [int(COLOURS[cause][place : place + 2], 16) / 255.0 for place in (1, 3, 5)] + [1.0]
 
 
 def _draw_edge(axes: Any, b: Any, k: Any, holds: Any) -> None:
-    """Draw the sides of cells between a wall that holds and one that does not."""
+    """Draw the cell edges between walls that are stable by hits and walls that are not."""
     for row, column in zip(*np.nonzero(holds[1:] != holds[:-1]), strict=True):
         axes.plot(b[column : column + 2], [k[row + 1]] * 2, **HITS)
     for row, column in zip(*np.nonzero(holds[:, 1:] != holds[:, :-1]), strict=True):

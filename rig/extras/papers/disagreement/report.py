@@ -1,6 +1,6 @@
-"""The paragraph of a comparison between linear theory and hits, as a paper could cite it.
+"""Write the paragraph on a comparison of linear theory and hits, for a paper.
 
-The sentences stand in ``disagreement.j2``.
+The sentences are in ``disagreement.j2``.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from rig.views.report import fill_text
 
 
 def paragraph(found: Disagreement) -> str:
-    """Return a paragraph on what was compared, how much differs, and why."""
+    """Return a paragraph: which walls were compared, what share differs, and why."""
     plan = found.plan
     text = fill_text(
         "extras/papers/disagreement/disagreement.j2",

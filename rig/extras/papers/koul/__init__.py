@@ -1,1 +1,1 @@
-"""Koul, Saha and Manivannan 2013: dual-rate sampling."""
+"""Reproduce Koul, Saha and Manivannan 2013: dual-rate sampling."""

@@ -1,12 +1,12 @@
-"""Figures 7 and 8 of Koul et al., under the conditions that the paper leaves open and this project settled.
+"""Compute figures 7 and 8 of Koul et al., with the conditions that the paper does not give chosen by this project.
 
-koul-rigid without a hand, 70 g at its end; K = 40 N·m/rad, B = 0.2 N·m·s/rad; 60 mN·m on the link, inside and
-outside the wall; from 2 mrad before the wall at 1.5 rad/s; ×4 decoding. The paper gives neither plant nor word length.
+The conditions: koul-rigid without a hand, 70 g at its end; K = 40 N·m/rad, B = 0.2 N·m·s/rad; 60 mN·m on the link,
+inside and outside the wall; start 2 mrad before the wall at 1.5 rad/s; ×4 decoding.
 
-In floating point a uniform wall is as well damped as a dual-rate one. What figure 7 shows needs a filter with few
-fractional bits of state that truncates towards zero: then a slow handle reads as rest at a high velocity rate, and
-the damping is gone. Between these two lies a region where the result is a matter of where the counts fall: with 4 bits
-at 10 kHz the peak of the uniform wall is 35 to 46 counts, depending on the encoder's offset.
+In floating point a uniform wall is damped as well as a dual-rate one. Figure 7 needs a filter whose state has few
+fractional bits and is truncated towards zero: at a high velocity rate a slow handle is then read as at rest, and the
+damping is lost. Between both cases the result depends on the position of the counts: with 4 bits at 10 kHz the peak
+of the uniform wall is 35 to 46 counts, depending on the encoder's offset.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ EARLY, LATE = (1.0, 0.25), (0.25, 0.02)  # parts of the impact, by speed over th
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Panel:
-    """One panel of figure 7: none, uniform and dual at a position rate, in one arithmetic."""
+    """One panel of figure 7: no, uniform and dual-rate damping at a position rate (Hz), in one arithmetic."""
 
     position_rate: int
     arithmetic: str
@@ -52,7 +52,7 @@ class Panel:
 
     @property
     def peaks(self) -> tuple[float, float, float]:
-        """Return the mean peak penetration for none, uniform and dual (counts)."""
+        """Return the mean peak penetration (counts) with no, uniform and dual-rate damping."""
         none, uniform, dual = (self.comparison[name].numbers.peak for name in ("none", "uniform", "dual"))
         return none, uniform, dual
 
@@ -79,8 +79,8 @@ class WordLength:
     def as_in_the_paper(self) -> bool:
         """Return True if the peaks are ordered as in figure 7.
 
-        At 20 kHz the uniform wall is like an undamped one (within 5 %), at 10 kHz it lies between the others (by 10 %
-        at least), and the dual-rate peak is at most 0.6 of the undamped one at both.
+        At 20 kHz the uniform peak is at least 95 % of the undamped one, at 10 kHz it lies between the others by 10 % or
+        more, and the dual-rate peak is at most 0.6 of the undamped one at both rates.
         """
         fast, slow = POSITION_RATES
         return (
@@ -107,7 +107,7 @@ def koul_experiment(arithmetic: str = FLOAT, state_bits: int = STATE_BITS) -> Ex
 
 
 def koul_entries(position_rate: int, uniform_share: float = UNIFORM_SHARE) -> tuple[Entry, Entry, Entry]:
-    """Return no damping, uniform and dual-rate damping at a position rate."""
+    """Return the entries without damping, with uniform and with dual-rate damping at a position rate (Hz)."""
     uniform = Scheme(
         position_rate=position_rate,
         velocity_rate=position_rate,
@@ -130,16 +130,16 @@ def koul_figure_7(
     position_rates: Sequence[int] = POSITION_RATES,
     offsets: Sequence[float] = OFFSETS,
 ) -> tuple[Panel, ...]:
-    """Return the depth of penetration after the first impact, at each position rate in floating and in fixed point.
+    """Return the penetration after the first impact, for each position rate in floating and in fixed point.
 
     Parameters
     ----------
     state_bits
         Fractional bits of the fixed-point filter's input and output.
     uniform_share
-        Cut-off of the uniform scheme over its velocity rate; the dual-rate one has 200 Hz at 2 kHz.
+        Cut-off of the uniform scheme divided by its velocity rate; the dual-rate one has 200 Hz at 2 kHz.
     position_rates
-        Of the panels (Hz).
+        Position rates of the panels (Hz).
     offsets
         See `rig.experiments.hits.compare.compare`.
     """
@@ -165,7 +165,7 @@ def word_lengths(
     *,
     offsets: Sequence[float] = OFFSETS,
 ) -> tuple[WordLength, ...]:
-    """Peaks of figure 7 against the word length of the filter, for both readings of the uniform scheme's cut-off."""
+    """Return the peaks of figure 7 for each word length of the filter, and for both readings of the uniform cut-off."""
     none = {rate: _peak(koul_experiment(), koul_entries(rate)[0], offsets) for rate in POSITION_RATES}
     table: list[WordLength] = []
     for bits in state_bits:
@@ -182,7 +182,7 @@ def word_lengths(
 
 
 def _peak(experiment: Experiment, entry: Entry, offsets: Sequence[float]) -> float:
-    """Return the mean over the offsets of the deepest count of the first impact."""
+    """Return the deepest penetration of the first impact (counts), as a mean over the encoder offsets."""
     short = config.override(experiment, {"trial.duration_s": FIRST_IMPACT_S, "verdict.tail_s": 0.02})
     applied = entry.applied(short)
     return float(np.mean([simulate(applied, START, offset)[2].counts.max() for offset in offsets]))
@@ -193,21 +193,21 @@ def _peak(experiment: Experiment, entry: Entry, offsets: Sequence[float]) -> flo
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EstimatorProfile:
-    """What one estimator makes of the motion, and how far it is from the true velocity shifted by its delay.
+    """Velocity estimate of one estimator, and its deviation from the true velocity shifted by its delay.
 
     Attributes
     ----------
     velocity_rate, arithmetic, cutoff_hz
-        Of the estimator.
+        Rate (Hz), arithmetic and cut-off (Hz) of the estimator.
     time_s, velocity
-        From the first contact (s), and the estimate (rad/s), one a velocity sample.
+        Time since the first contact (s) and estimated velocity (rad/s), one value for each velocity sample.
     delay_s
-        Shift of the truth that leaves the least error over the impact; None when the estimate shows too little to tell.
+        Shift of the true velocity that gives the least error over the impact (s); None if it cannot be determined.
     noise_early, noise_late
-        Rms of the residual (rad/s) while the handle is fast and while it is slow (`EARLY`, `LATE`); without a delay
-        against the unshifted truth.
+        Rms error (rad/s) while the handle is fast and while it is slow (`EARLY`, `LATE`); without a delay the true
+        velocity is not shifted.
     reading_early, reading_late
-        Rms of the estimate over that of the truth: 1 if all is seen, 0 for a null reading.
+        Rms of the estimate divided by that of the true velocity; 0 if the estimator reads no motion.
     """
 
     velocity_rate: int
@@ -224,16 +224,16 @@ class EstimatorProfile:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Profiles:
-    """Figure 8: one motion and what estimators at two rates make of it.
+    """Figure 8: one motion, and the estimates of it at two rates.
 
     Attributes
     ----------
     time_s, velocity_true, counts
-        The motion, one value a tick from the first contact on: (s), (rad/s), penetration (counts).
+        The motion from the first contact on, one value each tick: time (s), velocity (rad/s), penetration (counts).
     early_s, late_s
-        When the handle is fast and when it is slow: begin and end (s).
+        Begin and end (s) of the time when the handle is fast, and when it is slow.
     speed_early, speed_late
-        Rms of the true velocity then (rad/s).
+        Rms of the true velocity in these times (rad/s).
     """
 
     time_s: Floats = field(repr=False)
@@ -256,16 +256,16 @@ class Profiles:
 def koul_figure_8(
     *, offset: float = OFFSETS[1], state_bits: int = STATE_BITS, uniform_share: float = UNIFORM_SHARE
 ) -> Profiles:
-    """Velocity after the impact as estimated at 2 and at 20 kHz, in floating and in fixed point, beside the true one.
+    """Return the velocity after the impact as estimated at 2 and 20 kHz, in floating and fixed point, and the true one.
 
-    All estimators listen to one motion, that of the wall without damping at 20 kHz: none of them acts on what it sees.
+    All estimators read the same motion, that of the wall without damping at 20 kHz; none of them affects it.
 
     Parameters
     ----------
     offset
-        Where position zero lies in its encoder cell (count).
+        Position zero in its encoder cell (counts, 0 to 1).
     state_bits, uniform_share
-        As in `koul_figure_7`.
+        See `koul_figure_7`.
     """
     rate = POSITION_RATES[0]
     experiment = koul_entries(rate)[0].applied(koul_experiment())
@@ -312,7 +312,7 @@ def koul_figure_8(
 
 
 def _parts(time_s: Floats, velocity: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
-    """When the handle is fast, and when it is slow but not yet at rest; each ends with the last sample at a speed."""
+    """Return begin and end (s) of the fast part and of the slow part; each ends at the last sample above a speed."""
 
     def last(share: float) -> float:
         above = np.flatnonzero(np.abs(velocity) >= share * abs(velocity[0]))

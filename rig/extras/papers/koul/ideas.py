@@ -1,8 +1,8 @@
-"""The ideas that Koul et al. leave open, each as a map of its own on a rig in the normal hand, ranked by what it gains.
+"""Map each idea that Koul et al. leave open, on a rig in the normal hand, and rank the ideas by their gain.
 
-Beside those of the paper (adaptive T2, other T2, finer encoders) stand first-order extrapolation, other cut-offs, and
-every other velocity estimator inside the dual-rate scheme. Estimators have their defaults and nothing else: none is
-tuned for this rig, so a low rank is one of its defaults.
+Besides the paper's ideas (adaptive T2, other T2, finer encoders; T2 is the velocity period) there are first-order
+extrapolation, other cut-offs, and all other velocity estimators in the dual-rate scheme. Estimators have their
+default settings and are not tuned for this rig, so a low rank is a rank of the defaults.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ REFERENCE = "reference"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Idea:
-    """One thing tried: a scheme on a rig under some changes.
+    """One idea: a scheme on a rig with some changes.
 
     Attributes
     ----------
     key, group, label
-        Its name, which idea it belongs to, and what a table calls it.
+        Its name, its kind of idea, and its label in tables.
     """
 
     key: str
@@ -50,13 +50,13 @@ class Idea:
     changes: Mapping[str, Any] = field(default_factory=dict)
 
     def experiment(self) -> Experiment:
-        """Return the rig in the normal hand under the changes."""
+        """Return the experiment: the rig in the normal hand, with the changes."""
         return HeldRig(preset=self.preset, grip="normal").experiment(self.changes)
 
 
 @dataclass(frozen=True, slots=True)
 class Tried:
-    """An idea with its map, the largest damping of the softest wall by criterion, and its linear limits, if any."""
+    """Results of an idea: its map, the largest damping of the softest wall by criterion, and linear limits or None."""
 
     idea: Idea
     map: ZWidth
@@ -68,7 +68,7 @@ class Tried:
         return self.map.width(0, criterion)
 
     def area(self, criterion: str) -> float:
-        """Return the area under the limits of the map, closed by the end of the range of the softest wall."""
+        """Return the area under the limits of the map (K × B), up to the largest damping of the softest wall."""
         holds = list(takewhile(lambda b: b.stiffness > 0.0, self.map.curve(0, criterion)))
         corners = [(b.damping, b.stiffness) for b in holds]
         end = self.ranges[criterion].damping
@@ -98,7 +98,7 @@ class Tried:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """What an idea changes against another: ratios of K at B = 0, peak, range and area, criterion any."""
+    """Ratios of an idea to another by criterion "any": K at B = 0, largest K, largest damping, and area."""
 
     undamped: float
     peak: float
@@ -107,7 +107,7 @@ class Change:
 
     @classmethod
     def of(cls, tried: Tried, reference: Tried) -> Change:
-        """Return the changes of one idea's ranges and area against another's."""
+        """Return the ratios of one idea's limits and area to another's."""
         new, old = tried.width("any"), reference.width("any")
         return cls(
             over(new.stiffness_undamped or 0.0, old.stiffness_undamped or 0.0),
@@ -118,7 +118,7 @@ class Change:
 
 
 def direction(changes: Iterable[Change]) -> Literal["wider", "narrower", "same", "both"]:
-    """Return the common direction in which some ideas change the area."""
+    """Return whether all of these changes make the area wider, narrower or the same, or "both"."""
     areas = [change.area for change in changes]
     if all(area > 1.0 + SAME for area in areas):
         return "wider"
@@ -128,14 +128,14 @@ def direction(changes: Iterable[Change]) -> Literal["wider", "narrower", "same",
 
 
 def encoder_key(preset: str, scheme: str, lines: tuple[int, int]) -> str:
-    """Return the key of a scheme with an encoder of so many lines and decoding."""
+    """Return the key of a scheme with an encoder of (lines, decoding)."""
     if (preset, scheme, lines) == (COMPLIANT, "dual", USUAL_LINES):
         return REFERENCE
     return f"encoder-{preset}-{scheme}-{lines[0]}x{lines[1]}"
 
 
 def ideas() -> tuple[Idea, ...]:
-    """Everything that is tried; the first is the dual-rate wall of the paper, with which all others are compared."""
+    """Return all ideas; the first is the paper's dual-rate wall, with which all others are compared."""
     return (
         Idea(key=REFERENCE, group=REFERENCE, label="the paper's dual rate", scheme=Scheme.parse(DUAL_RATES)),
         *_prediction(),
@@ -153,7 +153,7 @@ def _prediction() -> list[Idea]:
 
 
 def _adaptive() -> list[Idea]:
-    """As the paper has it: a high velocity rate while the handle is fast, a low one while it is slow."""
+    """Return schemes with the paper's adaptive T2: a high velocity rate for a fast handle, a low one for a slow."""
     return [
         Idea(
             key=f"adaptive-{fast}-{slow}",
@@ -205,7 +205,7 @@ def _velocity_rates() -> list[Idea]:
 
 
 def _hertz(rate: str) -> str:
-    """Return a rate in the text form of a scheme, as a text has it: ``5 kHz``."""
+    """Return a rate of a scheme's text, such as 5k, as ``5 kHz``."""
     return f"{rate.removesuffix('k')} {'k' if rate.endswith('k') else ''}Hz"
 
 
@@ -236,6 +236,6 @@ def _estimators() -> list[Idea]:
 
 
 def rank_ideas(tried: Mapping[str, Tried], criterion: str = "any") -> list[Tried]:
-    """Ideas by the area of their Z-width, largest first; those of another rig than the reference's are left out."""
+    """Return the ideas on the reference's rig, sorted by the area of their Z-width, largest first."""
     on_rig = [one for one in tried.values() if one.idea.preset == tried[REFERENCE].idea.preset]
     return sorted(on_rig, key=lambda one: (-one.area(criterion), one.idea.key))

@@ -1,6 +1,6 @@
-"""Pieces of the reproduction of Koul et al.: what is neither a series of a map nor a picture.
+"""Tasks of the reproduction of Koul et al. beside maps and pictures.
 
-Each function is the work of a task of `rig.extras.papers.parts`: plain data in, plain data out, nothing else decides.
+Each function does the work of a task of `rig.extras.papers.parts`: plain data in, plain data out, without side effects.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ _KEPT = ("stiffness", f"kind{TRUE}", *(f"passes_{criterion}{TRUE}" for criterion
 
 
 def series(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """A series as `rig.experiments.mapping.zwidth.run_series` has it, without the numbers that no section shows."""
+    """Run a series of a map (`rig.experiments.mapping.zwidth.run_series`); return only the values that are shown."""
     return [{name: row[name] for name in _KEPT} for row in run_series(payload)]
 
 
 def map_part(plan: MapPlan) -> Part:
-    """Return the series of a map, weighed in hits of a 20 kHz rig."""
+    """Return the tasks of a map, with weights in hits of a 20 kHz rig."""
     rungs = len(plan.search.rungs)
     hits = {"grid": rungs, "ladder": 0.6 * rungs, "bisection": 4.0 + 2.0 * np.log2(rungs)}[plan.search.way]
     return [replace(task, work=series, weight=float(hits) * task.weight / 20_000) for task in plan.tasks]
@@ -68,7 +68,7 @@ def range_tasks(
     search: StiffnessSearch,
     weight: float,
 ) -> Part:
-    """Plan the search for the largest damping of a wall of one stiffness, for each scheme and encoder offset."""
+    """Return the tasks that search the largest damping of a wall of one stiffness, by scheme and encoder offset."""
     applied = [scheme.applied(experiment) for scheme in schemes]
     return tuple(
         Task(
@@ -89,7 +89,7 @@ def range_tasks(
 
 
 def damping_range(payload: Mapping[str, Any]) -> dict[str, Any]:
-    """Largest damping at one stiffness, by criterion: the same search as through stiffnesses, through dampings."""
+    """Return the largest stable damping at one stiffness by criterion, with the search that maps use for stiffness."""
     simulator = HitSimulator(config.restore_experiment(payload["experiment"]))
     tried: dict[str, dict[float, bool | None]] = {criterion: {} for criterion in CRITERIA}
 
@@ -109,7 +109,7 @@ def damping_range(payload: Mapping[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class DampingRange:
-    """Largest damping of a soft wall under one criterion: mean over offsets, and whether any search hit its cap."""
+    """Largest damping of a soft wall by one criterion: mean, least, largest over offsets; if a search was capped."""
 
     damping: float
     lowest: float
@@ -118,7 +118,7 @@ class DampingRange:
 
 
 def ranges_of(results: Sequence[Mapping[str, Any]], offsets: int) -> list[dict[str, DampingRange]]:
-    """Summarise the results of `range_tasks`: one mapping by criterion for each scheme."""
+    """Return a summary of the results of `range_tasks`: for each scheme a range by criterion."""
     found = []
     for first in range(0, len(results), offsets):
         some = results[first : first + offsets]
@@ -139,7 +139,7 @@ _ISLAND_DAMPINGS, _ISLAND_REACH = 40, 4.0  # times the connected range
 
 
 def linear_range(lifted: theory.Lifted) -> float:
-    """Largest damping, from zero up, at which the lowest stiffness of a scan is stable; islands are not looked for."""
+    """Return the largest damping up to which the softest wall of a scan is stable; islands beyond are ignored."""
     loop = lifted.loop
     lowest = float(stiffnesses(lifted, 0.0)[0])
     top = 8.0 * loop.subject.inertia / loop.period_s + loop.subject.damping
@@ -156,7 +156,7 @@ def linear_range(lifted: theory.Lifted) -> float:
 
 
 def range_with_islands(lifted: theory.Lifted, connected: float) -> float:
-    """Largest damping at which some stiffness is stable, as far as a coarse grid sees; at least the connected range."""
+    """Return the largest damping at which any wall of a coarse grid is stable; at least the connected range."""
     k = np.geomspace(float(stiffnesses(lifted, 0.0)[0]), _ISLAND_HIGHEST, _ISLAND_STIFFNESSES)
     b = np.geomspace(1.0, _ISLAND_REACH, _ISLAND_DAMPINGS) * connected
     some = np.flatnonzero(lifted.stable(k, b[:, None]).any(axis=1))
@@ -164,9 +164,10 @@ def range_with_islands(lifted: theory.Lifted, connected: float) -> float:
 
 
 def linear_limits(payload: Mapping[str, Any]) -> dict[str, Any]:
-    """Exact theory of a scheme on an experiment: K_max over some dampings, range; with ``passivity`` that, too.
+    """Return the limits of a scheme by exact linear theory: K_max over dampings, and the largest damping.
 
-    With ``islands`` the range beyond gaps. With ``rates`` in the payload instead: K_max at B = 0 for each uniform rate.
+    ``islands`` adds the largest damping beyond gaps, ``passivity`` the passive limits. A payload with ``rates`` returns
+    K_max at B = 0 for each uniform rate instead. For a scheme that is not linear the result is ``not_linear``.
     """
     experiment = config.restore_experiment(payload["experiment"])
     if "rates" in payload:
@@ -193,7 +194,7 @@ def linear_limits(payload: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _passivity(lifted: theory.Lifted) -> dict[str, Any]:
-    """Compute the passivity limit of a wall, which is the same in every hand."""
+    """Return the passive limits of the walls; they do not depend on the hand."""
     passive = theory.passivity_bound(lifted)
     dampings = np.linspace(0.0, passive.largest_damping, PASSIVE_POINTS).tolist()
     return {
@@ -219,7 +220,7 @@ LAGS_S = (3e-5, 3e-4)
 
 
 def random_plants(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return linear ranges of damping of schemes on some random plants, held or not: two masses and a lag."""
+    """Return the largest dampings by linear theory of schemes on random plants (two masses and a lag), held or not."""
     schemes = [Scheme.parse(text) for text in payload["schemes"]]
     base = config.rig_model(presets.load("koul-compliant").rig)
     return [_plant(base, schemes, payload, number) for number in payload["numbers"]]
@@ -250,8 +251,8 @@ def _log_uniform(random: np.random.Generator, low: float, high: float) -> float:
 def word_lengths(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return figures 7 and 8 for one number of state bits, at both readings of the uniform cut-off.
 
-    Peaks of figure 7 as `rig.extras.papers.koul.compare.word_lengths` has them, and under ``read`` the share of the
-    true velocity that figure 8 shows: early and late in the impact, at 2 and at 20 kHz.
+    The peaks of figure 7 come from `rig.extras.papers.koul.compare.word_lengths`. ``read`` is the share of the true
+    velocity that the estimate of figure 8 contains: early and late in the impact, at 2 and at 20 kHz.
     """
     rows = []
     for word in compare_koul.word_lengths([payload["bits"]], offsets=payload["offsets"]):
@@ -272,10 +273,10 @@ FINER = 1024  # times the encoder's resolution: next to no quantiser
 
 
 def velocity_noise(payload: Mapping[str, Any]) -> dict[str, float]:
-    """Compute the velocity noise of one encoder count early in the impact of Fig. 8 (rad/s rms), in floating point.
+    """Return the velocity noise of one encoder count early in the impact of Fig. 8 (rad/s rms), in floating point.
 
-    Each estimator sees the same motion in counts and in counts a thousand times finer. It is linear, so that what is
-    left of the difference is noise and nothing else: neither delay nor the filter's own view of the motion. Mean square
+    Each estimator reads the same motion in counts and in counts a thousand times finer. It is linear, so the difference
+    of its outputs is noise alone, without delay or filtering of the motion. The result is the root mean square
     over the encoder offsets; by velocity rate, at 20 kHz with its cut-off over the rate.
     """
     offsets = payload["offsets"]
@@ -292,7 +293,7 @@ def velocity_noise(payload: Mapping[str, Any]) -> dict[str, float]:
 
 @dataclass(frozen=True, slots=True)
 class _Motion:
-    """Counts of a motion at 20 kHz, and the same a thousand times finer; which samples are early in the impact."""
+    """Counts of a motion at 20 kHz, also a thousand times finer, the resolution (rad), and the early samples."""
 
     counts: Any
     fine: Any

@@ -1,4 +1,4 @@
-"""Pictures of the reproduction of Koul et al.: one function for each, by the name that the report calls it."""
+"""Draw the pictures of the reproduction of Koul et al.; `PICTURES` maps the report's names to functions."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Koul, Manivannan and Saha's dual-rate sampling, reproduced: every figure, every claim, and its open ideas.
+"""Reproduce Koul, Manivannan and Saha's dual-rate sampling: every figure, every claim, and its open ideas.
 
-Some hundred searches, ranges and pieces of theory run as one sweep; rules turn the numbers into verdicts, and templates
-into sentences. Nothing is tuned here: rigs are the two presets, one of which is fitted to the paper and named so.
+Some hundred searches, ranges and computations of theory run as one sweep. Rules compute verdicts from the numbers, and
+templates write the sentences. Nothing is tuned here: the rigs are two presets, one of them fitted to the paper.
 
 Source: Koul, Manivannan, Saha, "Enhanced Z-width of a haptic interface by dual-rate sampling" (2013), Figs. 5 to 8.
 """
@@ -43,7 +43,7 @@ from rig.extras.papers.reproduction import Paper
 
 
 class KoulPlan:
-    """All parts of the work, by name, and the way back from their results."""
+    """All tasks of the reproduction, and the conversion of their results."""
 
     def __init__(self, scale: rigs.KoulScale) -> None:
         self._scale = scale
@@ -59,7 +59,7 @@ class KoulPlan:
         self._effect_maps = {name: self._effect_plan(x) for name, x in self._effects.items()}
 
     def parts(self) -> dict[str, Part]:
-        """Return everything that has to be computed."""
+        """Return all tasks, by name of their part."""
         scale, parts = self._scale, {}
         for (preset, lag), plan in self._kmax.items():
             parts[f"kmax/{preset}/{lag}"] = koul_parts.map_part(plan)
@@ -107,7 +107,7 @@ class KoulPlan:
         return parts
 
     def results(self, done: Parts) -> Koul:
-        """Make sense of what came back."""
+        """Return the typed results from the results of all tasks."""
         scale = self._scale
         maps = {name: ZWidth.of(plan, done.results[f"map/{name}"]) for name, plan in self._maps.items()}
         kmax = {
@@ -234,7 +234,7 @@ def _search(experiment: Experiment, way: Way, ratio: float) -> StiffnessSearch:
 
 
 def _dampings(experiment: Experiment, columns: int) -> tuple[float, ...]:
-    """Evenly to beyond the linear range of each scheme, those of almost the same range together; and the paper's."""
+    """Return dampings at even steps to beyond each scheme's linear range (similar ranges once), and the paper's."""
     widest: list[float] = []
     for scheme in rigs.SCHEMES.values():
         own = koul_parts.linear_range(theory.as_lifted(experiment, scheme))

@@ -1,4 +1,4 @@
-"""What the reproduction of Koul et al. computed, typed, what its page asks of it, and all of it as plain values."""
+"""Typed results of the reproduction of Koul et al., numbers that its page derives from them, and plain values."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ NUMBERS = {key: number for number, key in enumerate(rigs.SCHEMES)}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
-    """Limits of the walls of Fig. 6 under some of what the linear theory leaves out, by scheme."""
+    """Limits of the walls of Fig. 6 with some of the effects that linear theory leaves out, by scheme."""
 
     undamped: Mapping[str, float]  # K at B = 0, stable in any sense
     ranges: Mapping[str, dict[str, DampingRange]]
@@ -41,7 +41,7 @@ class Effect:
 
 @dataclass(frozen=True, slots=True)
 class OverLinear:
-    """Limits of an effect over those of linear theory, by scheme."""
+    """Limits with an effect divided by those of linear theory, by scheme."""
 
     undamped: Mapping[str, float]
     range: Mapping[str, float]
@@ -49,10 +49,10 @@ class OverLinear:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Best:
-    """The best of some ideas, beside the dual-rate wall of the paper."""
+    """The best of some ideas, compared with the paper's dual-rate wall."""
 
     tried: int  # without the reference
-    wider: int  # of them widen the Z-width by more than `SAME`
+    wider: int  # number that widen the Z-width by more than `SAME`
     best: Tried
     change: Change
     is_reference: bool
@@ -60,28 +60,28 @@ class Best:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Koul:
-    """All computed results, from which claims, sentences and pictures are made.
+    """All computed results, from which claims, sentences and pictures are derived.
 
     Attributes
     ----------
     kmax, kmax_theory
-        Fig. 5, by preset and `LAGS`.
+        Fig. 5: largest K at B = 0 over the rate, simulated and by theory, by preset and name in `LAGS`.
     maps
-        Fig. 6 and its variants, by name of `HeldRig`: schemes in the order of `SCHEMES`.
+        Fig. 6 and its variants, by name of the `HeldRig`, with the schemes in the order of `SCHEMES`.
     ranges
-        Largest damping of the softest wall, by name of `HeldRig` and scheme, then by criterion.
+        Largest damping (N·m·s/rad) of the softest wall, by name of the `HeldRig`, scheme, and criterion.
     linear
-        Exact linear theory, by name of `HeldRig` and scheme.
+        Limits by exact linear theory, by name of the `HeldRig` and scheme.
     effects
-        By name of `EFFECTS`, on the fitted preset in the normal hand.
+        Limits with each of `EFFECTS` by name, on the fitted preset in the normal hand.
     figure_7, words, figure_8
         See `rig.extras.papers.koul.compare`.
     noise
-        What one count adds to the velocity (rad/s rms), by velocity rate and cut-off.
+        Velocity noise of one count (rad/s rms), by velocity rate and cut-off.
     plants
-        Random plants with their linear ranges of damping, in the order of `SCHEMES`.
+        Random plants with their largest dampings by linear theory, in the order of `SCHEMES`.
     ideas
-        Maps of the ideas, by name.
+        Results of the ideas, by key.
     """
 
     scale: rigs.KoulScale
@@ -100,22 +100,22 @@ class Koul:
     hits: int
 
     def width(self, held: rigs.HeldRig, key: str, criterion: str = "any") -> Width:
-        """Return the summary of a map of Fig. 6, by key of the scheme."""
+        """Return the widths of a map of Fig. 6 for a scheme, given by its key in `SCHEMES`."""
         return self.maps[held.name].width(NUMBERS[key], criterion)
 
     def growth(self, preset: str) -> tuple[list[float | None], list[float]]:
-        """Return the last K_max over that at 20 kHz, with lag and without: simulated, and by linear theory."""
+        """Return K_max at the highest rate divided by that at 20 kHz, by lag: simulated, and by linear theory."""
         fast = self.scale.rates.index(rules.FAST_HZ)
         linear = [self.kmax_theory[preset, lag] for lag in rigs.LAGS]
         simulated = [self.kmax[preset, lag].saturation("any") for lag in rigs.LAGS]
         return simulated, [stiffness[-1] / stiffness[fast] for stiffness in linear]
 
     def by_preset(self) -> list[rigs.HeldRig]:
-        """Return every rig in every hand, rig by rig."""
+        """Return every rig in every hand, sorted by rig."""
         return sorted(rigs.HELD, key=lambda held: rigs.PRESETS.index(held.preset))
 
     def spread_of_hands(self) -> list[tuple[str, float, float]]:
-        """Return the lowest and highest peak of the dual-rate wall over who pushes, by preset."""
+        """Return, by preset, the least and the largest peak K of the dual-rate wall over all hands."""
         peaks = {
             p: [self.width(held, rigs.DUAL).stiffness_peak for held in rigs.HELD if held.preset == p]
             for p in rigs.PRESETS
@@ -123,7 +123,7 @@ class Koul:
         return [(preset, min(of), max(of)) for preset, of in peaks.items()]
 
     def ways(self) -> list[Way]:
-        """Return the ladder, bisection and grid through the map that has every wall."""
+        """Return the comparisons of ladder, bisection and grid for the map that contains every wall."""
         found = self.maps[rigs.MAIN[0].name]
         return [
             ways_of(found, key, number, criterion)
@@ -132,13 +132,13 @@ class Koul:
         ]
 
     def null_readings(self) -> tuple[int, float]:
-        """Return how many word lengths read nothing late in the impact at 20 kHz, and the most these read early."""
+        """Return how many word lengths read no velocity late at 20 kHz, and the largest share that these read early."""
         read = [word["read"][str(rules.FAST_HZ)] for word in self.words]
         null = [one["early"] for one in read if one["late"] <= rules.NULL]
         return len(null), max(null, default=0.0)
 
     def effect_ratios(self) -> list[OverLinear]:
-        """Return limits over linear theory: without both, with friction, with the quantiser, with both."""
+        """Return limits divided by linear theory: without friction and quantiser, with one of them, and with both."""
         linear = self.linear[rigs.MAIN[0].name]
         return [
             OverLinear(
@@ -149,7 +149,7 @@ class Koul:
         ]
 
     def plant_shares(self) -> dict[str, Any]:
-        """Return ranges of damping on random plants: fast uniform over dual-rate, and where dual-rate is like slow."""
+        """Return the range of fast uniform over dual-rate walls on random plants, and where dual-rate equals slow."""
         ranges = np.array([plant["ranges"] for plant in self.plants])
         dual, fast, slow = (ranges[:, NUMBERS[key]] for key in (rigs.DUAL, rigs.FAST, rigs.SLOW))
         ratios = fast / np.maximum(dual, 1e-9)
@@ -162,11 +162,11 @@ class Koul:
         }
 
     def against(self, key: str) -> Change:
-        """Return the change of an idea against the dual-rate wall of the paper."""
+        """Return the ratios of an idea to the paper's dual-rate wall."""
         return Change.of(self.ideas[key], self.ideas[REFERENCE])
 
     def linear_change(self, key: str) -> dict[str, float]:
-        """Return the same of peak and range by linear theory; empty without one."""
+        """Return an idea's peak and range by linear theory, divided by the paper's wall's; empty if not linear."""
         new, old = self.ideas[key].linear, self.ideas[REFERENCE].linear
         return {name: over(new[name], old[name]) for name in ("peak", "range")} if new and old else {}
 
@@ -175,11 +175,11 @@ class Koul:
         return [one for one in self.ideas.values() if one.idea.group == group]
 
     def changes(self, group: str) -> dict[str, Change]:
-        """Return the changes of the ideas of one kind, by label."""
+        """Return the ratios of the ideas of one group to the paper's wall, by label."""
         return {one.idea.label: self.against(one.idea.key) for one in self.group(group)}
 
     def best(self, group: str) -> Best:
-        """Return the idea of one kind whose Z-width has the largest area, the paper's wall among them."""
+        """Return the idea of one group, or the paper's wall, with the largest area of its Z-width."""
         tried, reference = self.group(group), self.ideas[REFERENCE]
         best = max([*tried, reference], key=lambda one: one.area("any"))
         return Best(
@@ -191,7 +191,7 @@ class Koul:
         )
 
     def finest_encoder(self) -> list[tuple[str, Change, float]]:
-        """For each rig: what the finest encoder changes for dual-rate; area of uniform 20 kHz over dual-rate then."""
+        """Return, by rig, the change by the finest encoder for dual-rate, and the area of uniform 20 kHz over dual."""
         found = []
         for preset in rigs.PRESETS:
             dual, fast, usual = (
@@ -206,27 +206,27 @@ class Koul:
         return found
 
     def ranked(self) -> list[Tried]:
-        """Return ideas by the area of their Z-width, then those on another rig."""
+        """Return the ideas sorted by the area of their Z-width, then those on another rig."""
         elsewhere = [t for t in self.ideas.values() if t.idea.preset != self.ideas[REFERENCE].idea.preset]
         return [*rank_ideas(self.ideas), *elsewhere]
 
     def highest_search(self) -> float:
-        """Return the highest stiffness that was tried with any idea."""
+        """Return the highest stiffness (N·m/rad) in the search of any idea."""
         return max(tried.map.plan.search.highest for tried in self.ideas.values())
 
 
 def cutoff(word: Mapping[str, Any]) -> str:
-    """Return the cut-off of a uniform wall, like ``fs/20``."""
+    """Return the cut-off of the uniform wall of a row, as text like ``fs/20``."""
     return f"fs/{1 / word['uniform_share']:g}"
 
 
 def word_name(word: Mapping[str, Any]) -> str:
-    """Return the word length and cut-off of a uniform wall."""
+    """Return the word length and cut-off of the uniform wall of a row, as text."""
     return f"{word['state_bits']} bits, {cutoff(word)}"
 
 
 def _share_of_ones(ratios: Sequence[float]) -> float:
-    """Share of ratios that are one within the rule's tolerance."""
+    """Return the share of ratios that are 1 within `rules.SAME_LINEAR`."""
     return float(np.mean([within(ratio, 1.0, rules.SAME_LINEAR) for ratio in ratios]))
 
 
@@ -251,7 +251,7 @@ def numbers(koul: Koul) -> dict[str, Any]:
 
 
 def provenance(koul: Koul) -> dict[str, Any]:
-    """Return the sources of the numbers, the same on every machine."""
+    """Return the sources of the numbers: code, scale, seed, presets; they do not depend on the machine."""
     limits = presets.load(rigs.COMPLIANT).verdict
     return {
         "haptic-rig": code_version(),

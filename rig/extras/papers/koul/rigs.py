@@ -1,4 +1,4 @@
-"""What Koul et al. are reproduced with: rigs, hands and pushes, sampling schemes, and how fine all of it is."""
+"""Settings of the reproduction of Koul et al.: rigs, hands and pushes, sampling schemes, and their fineness."""
 
 from __future__ import annotations
 
@@ -41,24 +41,24 @@ SEED = 0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KoulScale:
-    """How fine everything is computed."""
+    """Grids and numbers of repetitions of the reproduction, which decide how long it takes."""
 
     name: str
-    rates: tuple[int, ...]
-    kmax_ratio: float
+    rates: tuple[int, ...]  # Hz, of Fig. 5
+    kmax_ratio: float  # of neighbouring stiffnesses in the searches of Fig. 5
     columns: int  # dampings of a map, for each scheme that has a range of its own
-    ratio: float  # between rungs of maps
-    offsets: tuple[float, ...]
-    range_ratio: float
-    idea_dampings: tuple[float, ...]
+    ratio: float  # of neighbouring stiffnesses of the maps
+    offsets: tuple[float, ...]  # counts: position zero in its encoder cell, for each hit
+    range_ratio: float  # of neighbouring dampings in the searches of the largest damping
+    idea_dampings: tuple[float, ...]  # N·m·s/rad
     effect_s: float  # of trials that are compared with linear theory: slow growth takes its time
-    idea_points: int  # dampings of their linear theory
-    idea_ratio: float
-    idea_offsets: tuple[float, ...]
-    plants: int
-    state_bits: tuple[int, ...]
-    theory_points: int
-    impact_offsets: tuple[float, ...]
+    idea_points: int  # dampings of the ideas' linear theory
+    idea_ratio: float  # of neighbouring stiffnesses of the ideas' maps
+    idea_offsets: tuple[float, ...]  # counts
+    plants: int  # random plants
+    state_bits: tuple[int, ...]  # word lengths of figures 7 and 8
+    theory_points: int  # dampings of linear theory for Fig. 6
+    impact_offsets: tuple[float, ...]  # counts, of figures 7 and 8
 
 
 FULL = KoulScale(
@@ -108,7 +108,7 @@ class HeldRig:
 
     @property
     def name(self) -> str:
-        """Return the name of this rig and hand in results."""
+        """Return the name of this rig and hand in the results."""
         return f"{self.preset}, {self.push}"
 
     @property
@@ -117,7 +117,7 @@ class HeldRig:
         return "automated" if self.grip is None else f"{self.grip} hand"
 
     def experiment(self, changes: Mapping[str, Any] | None = None) -> Experiment:
-        """Return the preset, held or pushed, under some changes."""
+        """Return the preset's experiment, held or pushed, with some changes."""
         # As in the paper, whose amplifier gives the stall torque: the limits for people would bound the walls instead.
         held = (
             PUSH

@@ -1,7 +1,7 @@
-"""Rules that judge the claims of Koul et al., with their thresholds: plain numbers in, a ruling out.
+"""Rules that judge the claims of Koul et al., with their thresholds: they convert plain numbers to rulings.
 
-"Reproduced" requires what the paper claims: all cases, or all that are not fitted. Cut-off and arithmetic of a wall,
-word length and hand can be set; rig and criterion cannot.
+A claim is "reproduced" if it holds in all cases. A user can set cut-off and arithmetic of a wall, word length and hand,
+so they can be conditions; rig and criterion cannot.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ NULL, SEEN = 0.2, 0.5  # of the true velocity
 
 
 def rises(curves: Mapping[str, Sequence[float]], rates: Sequence[int], step: float = 1.0) -> Ruling:
-    """Return K_max over the rate, by rig."""
+    """Judge that K_max rises with the rate, from K_max at `rates` (Hz), by rig."""
     cases, ends = {}, []
     for name, stiffness in curves.items():
         by_rate = dict(zip(rates, stiffness, strict=True))
@@ -62,14 +62,14 @@ def rises(curves: Mapping[str, Sequence[float]], rates: Sequence[int], step: flo
 
 
 def _rising(stiffnesses: Sequence[float], step: float) -> bool:
-    """Return True if each is at least `DROP` of the one before."""
+    """Return True if each stiffness is at least `DROP` times the one before."""
     return all(high >= DROP / step * low for low, high in pairwise(stiffnesses))
 
 
 def levels_off(
     with_lag: Mapping[str, float | None], without_lag: Mapping[str, float | None], step: float = 1.0
 ) -> Ruling:
-    """Return K at 50 kHz over that at 20 kHz, with the electrical lag and without; None where a search hit its cap."""
+    """Judge that K levels off, from K at 50 kHz over K at 20 kHz, with and without lag; None: a search hit its cap."""
     found = judge(
         {name: r is not None and r <= LEVEL_OFF * step for name, r in with_lag.items()},
         ratios=[(name, ratio, without_lag[name]) for name, ratio in with_lag.items()],
@@ -80,13 +80,13 @@ def levels_off(
 
 
 def near(values: Mapping[str, float], target: float, factor: float) -> Ruling:
-    """Compare numbers with the paper's."""
+    """Judge that numbers are within a factor of the paper's `target`."""
     cases = {name: within(value, target, factor) for name, value in values.items()}
     return judge(cases, found=list(values.items()))
 
 
 def level(values: Mapping[str, float], target: float, step: float = 1.0) -> Ruling:
-    """Compare stiffnesses with the paper's: within `NUMBER` on every rig, or in part within `LEVEL_FACTOR`."""
+    """Judge that stiffnesses are within `NUMBER` of the paper's on every rig; in part if within `LEVEL_FACTOR`."""
     close, far = near(values, target, NUMBER * step), near(values, target, LEVEL_FACTOR * step)
     if close.status is ClaimStatus.NOT and far.status is ClaimStatus.REPRODUCED:
         return close.partly()
@@ -96,9 +96,9 @@ def level(values: Mapping[str, float], target: float, step: float = 1.0) -> Ruli
 def peaks(
     found: Mapping[tuple[str, str], Sequence[float]], wanted: Sequence[float], step: float = 1.0
 ) -> Ruling:
-    """Compare several stiffnesses with the paper's, by rig and cut-off: their sizes, and their order.
+    """Judge that several stiffnesses have the paper's sizes and order, by rig and cut-off.
 
-    Reproduced in part where all sizes are and the order is not.
+    If only the sizes agree, the claim is reproduced in part.
     """
     near_all = {
         case: all(within(k, k0, LEVEL_FACTOR * step) for k, k0 in zip(stiffnesses, wanted, strict=True))
@@ -116,34 +116,34 @@ def peaks(
 
 
 def same(ratios: Mapping[str, float], linear: Mapping[str, float], step: float = 1.0) -> Ruling:
-    """Return the range of the dual-rate wall over that of the slow uniform one, simulated (`step` apart) and linear."""
+    """Judge that dual-rate and slow uniform walls have the same range of damping, from ratios simulated and linear."""
     cases = {name: within(ratio, 1.0, SAME_RANGE * step) for name, ratio in ratios.items()}
     cases |= {f"theory, {name}": within(ratio, 1.0, SAME_LINEAR) for name, ratio in linear.items()}
     return judge(cases, simulated=list(ratios.values()), linear=list(linear.values()))
 
 
 def same_of_plants(ranges: Sequence[tuple[float, float]]) -> Ruling:
-    """Return ranges of the dual-rate and of the slow uniform wall on random plants."""
+    """Judge that dual-rate and slow uniform walls have the same range of damping on most random plants."""
     return judge_share(
         sum(within(over(dual, slow), 1.0, SAME_LINEAR) for dual, slow in ranges), total=len(ranges)
     ).following()
 
 
 def half(ratios: Mapping[tuple[str, str, str], float], step: float = 1.0) -> Ruling:
-    """Return the range of the fast uniform wall over that of the dual-rate one, by rig, cut-off and reading."""
+    """Judge that the fast uniform wall has half the range of dual-rate, from ratios by rig, cut-off and reading."""
     cases = {case: HALF_LOW / step <= ratio <= HALF_HIGH * step for case, ratio in ratios.items()}
     return judge_settable(cases, [1], ratios=list(ratios.values())).undecided()
 
 
 def half_of_plants(ranges: Sequence[tuple[float, float]]) -> Ruling:
-    """Return ranges of the fast uniform and the dual-rate wall on random plants, by linear theory."""
+    """Judge that the fast uniform wall has at most about half the range of the dual-rate one on most random plants."""
     ratios = [over(fast, dual) for fast, dual in ranges]
     about = sum(HALF_LOW <= ratio <= HALF_HIGH for ratio in ratios) / len(ratios)
     return judge_share(sum(ratio <= HALF_HIGH for ratio in ratios), len(ratios), about=about)
 
 
 def higher_peak(ratios: Mapping[tuple[str, str, str, str], float], step: float = 1.0) -> Ruling:
-    """Return the peak of the dual-rate wall over that of the fast uniform one, by rig, hand, cut-off and criterion."""
+    """Judge that the dual-rate wall has the higher peak K, from ratios by rig, hand, cut-off and criterion."""
     cases = {case: ratio >= HIGHER * step**0.5 for case, ratio in ratios.items()}
     groups: dict[str, list[bool]] = {}
     for (rig, _, cutoff, _), held in cases.items():
@@ -153,7 +153,7 @@ def higher_peak(ratios: Mapping[tuple[str, str, str, str], float], step: float =
 
 
 def loses(curves: Mapping[tuple[str, str, str], Curve], step: float = 1.0) -> Ruling:
-    """Return K over damping of the fast uniform wall, by rig, cut-off and reading: less as soon as damping is added."""
+    """Judge that K of the fast uniform wall falls as soon as damping is added, by rig, cut-off and reading."""
     cases: dict[tuple[str, str, str], bool] = {}
     most: dict[tuple[str, str, str], float] = {}
     for case, curve in curves.items():
@@ -166,7 +166,7 @@ def loses(curves: Mapping[tuple[str, str, str], Curve], step: float = 1.0) -> Ru
 
 
 def first_rises(curves: Mapping[tuple[str, str], Curve], step: float = 1.0) -> Ruling:
-    """K over damping of the slow uniform wall, by rig and reading: rising from B = 0 to a peak that is higher."""
+    """Judge that K of the slow uniform wall first rises with damping to a higher peak, by rig and reading."""
     cases, peaks = {}, []
     for case, curve in curves.items():
         stiffnesses = [stiffness for _, stiffness in curve]
@@ -178,7 +178,7 @@ def first_rises(curves: Mapping[tuple[str, str], Curve], step: float = 1.0) -> R
 
 
 def lower_penetration(peaks: Mapping[str, tuple[float, float, float]]) -> Ruling:
-    """Return peaks with no, uniform and dual-rate damping: dual-rate is the lowest, and clearly below none."""
+    """Judge that dual-rate has the lowest peak penetration, from peaks with no, uniform and dual-rate damping."""
     cases = {
         name: dual <= LESS * none and dual <= LESS * uniform for name, (none, uniform, dual) in peaks.items()
     }
@@ -189,14 +189,14 @@ def lower_penetration(peaks: Mapping[str, tuple[float, float, float]]) -> Ruling
 
 
 def like_none(peaks: Mapping[str, tuple[float, float, float]]) -> Ruling:
-    """Return peaks as above: the uniform wall goes as deep as the undamped one."""
+    """Judge that the uniform wall is penetrated as deep as the undamped one, from peaks as in `lower_penetration`."""
     ratios = {name: over(uniform, none) for name, (none, uniform, _) in peaks.items()}
     cases = {name: ratio >= LIKE_NONE for name, ratio in ratios.items()}
     return judge(cases, conditions=each(cases), ratios=ratios)
 
 
 def noisier(fast: Mapping[str, float], slow: float) -> Ruling:
-    """Return the noise of a count in the velocity at 20 kHz, by cut-off, and at 2 kHz (rad/s rms)."""
+    """Judge that the velocity at 20 kHz (by cut-off) is noisier than at 2 kHz, by the noise of a count (rad/s rms)."""
     ratios = {name: over(noise, slow) for name, noise in fast.items()}
     return judge(
         {name: ratio >= NOISIER for name, ratio in ratios.items()},
@@ -207,16 +207,16 @@ def noisier(fast: Mapping[str, float], slow: float) -> Ruling:
 
 
 def null_late(readings: Mapping[str, tuple[float, float]]) -> Ruling:
-    """Share of the true velocity that is read late in the impact at 20 and at 2 kHz, by case.
+    """Judge that no velocity is read late in the impact at 20 kHz, from the read shares at (20, 2) kHz, by case.
 
-    A null reading at 20 kHz that is one at 2 kHz as well would show nothing about the rate.
+    The claim fails if no velocity is read at 2 kHz either, because this would show nothing about the rate.
     """
     cases = {name: fast <= NULL < slow for name, (fast, slow) in readings.items()}
     return judge(cases, conditions=each(cases), late=[fast for fast, _ in readings.values()])
 
 
 def null_late_only(readings: Mapping[str, tuple[float, float]]) -> Ruling:
-    """Share of the true velocity that is read at 20 kHz early and late in the impact, by case: seen, then not."""
+    """Judge that the velocity at 20 kHz is read early but not late in the impact, from the (early, late) shares."""
     cases = {name: late <= NULL and early >= SEEN for name, (early, late) in readings.items()}
     return judge(
         cases,

@@ -1,7 +1,7 @@
-"""Ladder, bisection and grid through the same walls: what each would have answered, from the hits of one grid.
+"""Compare ladder, bisection and grid searches: what each would have found, from the hits of one grid.
 
-A ladder is the part of a grid below its first failure. A bisection visits few of the rungs and assumes that
-everything above a failure fails, so where it ends shows whether stability was monotone in K.
+A ladder is the part of a grid below its first failure. A bisection visits few of the stiffnesses and assumes that all
+walls above a failure fail, so its result shows whether stability is monotone in K.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from rig.experiments.mapping.interface import TRUE, Passes, ZWidth, limit_of
 
 @dataclass(frozen=True, slots=True)
 class GridColumn:
-    """One damping at one encoder offset of a grid.
+    """Results at one damping and one encoder offset of a grid.
 
     Attributes
     ----------
     tried
-        Whether the wall of each stiffness passed.
+        Whether the wall of each stiffness (N·m/rad) passed; None if unknown.
     ladder, bisection, highest
-        Where a ladder and a bisection end, and the stiffest stable wall of all (N·m/rad; 0 for none).
+        Limits by a ladder and by a bisection, and the stiffest stable wall of all (N·m/rad; 0: no wall).
     islands
-        Stiffer stable walls beyond one that fails.
+        Intervals of stable walls (N·m/rad) above a wall that fails.
     """
 
     damping: float
@@ -37,15 +37,15 @@ class GridColumn:
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """How ladder, bisection and grid differ over the columns of one scheme under one criterion.
+    """Comparison of ladder, bisection and grid over the columns of one scheme by one criterion.
 
     Attributes
     ----------
     columns, islands, higher
-        How many columns; in how many of them stiffer walls are stable beyond one that fails, and in how many a
-        bisection ends above the ladder.
+        Number of columns; of those with stable walls above one that fails; and of those in which a bisection ends above
+        the ladder.
     damping_ladder, damping_grid
-        Largest damping at which the ladder finds a wall, and at which any wall is stable.
+        Largest damping (N·m·s/rad) at which the ladder finds a wall, and at which any wall is stable.
     """
 
     scheme: str
@@ -58,7 +58,7 @@ class Way:
 
 
 def ways_of(found: ZWidth, key: str, scheme: int, criterion: str) -> Way:
-    """Compare the ways over all offsets of a grid."""
+    """Return the comparison of the searches for one scheme, over all encoder offsets of a grid."""
     every = [
         column for offset in found.plan.offsets for column in columns(found, scheme, criterion, offset=offset)
     ]
@@ -74,7 +74,7 @@ def ways_of(found: ZWidth, key: str, scheme: int, criterion: str) -> Way:
 
 
 def columns(found: ZWidth, scheme: int, criterion: str, *, offset: float | None = None) -> list[GridColumn]:
-    """Columns of a grid of one scheme under one criterion, by damping, at the first encoder offset or at this one."""
+    """Return the columns of one scheme by one criterion and damping, at the given or the first encoder offset."""
     plan = found.plan
     wanted = plan.offsets[0] if offset is None else offset
     made = []
@@ -99,7 +99,7 @@ def columns(found: ZWidth, scheme: int, criterion: str, *, offset: float | None 
 
 
 def _bisect(found: ZWidth, tried: Mapping[float, Passes], criterion: str) -> dict[float, Passes]:
-    """Return the rungs that a bisection would have visited."""
+    """Return the stiffnesses that a bisection would have visited, with their results."""
     walk = replace(found.plan.search, way="bisection").walk([criterion])
     visited: dict[float, Passes] = {}
     try:
