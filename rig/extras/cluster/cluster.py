@@ -59,7 +59,7 @@ class Cluster:
             raise self._lost() from error
         if isinstance(error, self._dask.KilledWorker):
             ended = f"it ended every worker that ran it ({error.allowed_failures + 1} workers)"
-            return Failure(ended, "see the log of a worker", str(error))
+            return Failure(ended, "find the cause in the log of a worker", str(error))
         why = error.__cause__ or error
         return Failure(  # before our code ran: it cannot be imported, or takes other arguments
             f"{self._scheduler} cannot run this ({type(why).__name__}: {' '.join(str(why).split())})",
@@ -85,5 +85,6 @@ class Cluster:
 
     def _lost(self) -> RigError:
         return RigError(
-            f"the connection to the Dask scheduler at {self._scheduler} was lost", remedy="start it again"
+            f"the connection to the Dask scheduler at {self._scheduler} was lost",
+            remedy="start the scheduler again",
         )

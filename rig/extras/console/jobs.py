@@ -160,7 +160,7 @@ class Jobs:
         busy = self._starts if self.running is None else self.running.name
         if busy:
             raise ConfigError(
-                f"a {busy} is running, and only one job can run at a time", remedy="stop it first"
+                f"a {busy} is running, and only one job can run at a time", remedy=f"stop the {busy} first"
             )
         if self._closed:
             raise ConfigError("the console is shutting down", remedy="start it again: rig console")

@@ -82,5 +82,7 @@ def end_on_signal(serve: Callable[[asyncio.Event], Coroutine[None, None, None]])
 
 
 def _leave() -> None:
-    os.write(2, b"rig: the console has not ended in time, and leaves what it waits for\n")
+    os.write(
+        2, f"rig: the console did not end within {END_S:g} s of the signal; its process exits now\n".encode()
+    )
     os._exit(1)

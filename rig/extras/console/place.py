@@ -27,4 +27,6 @@ def _entry(directory: Path, name: str, right: Callable[[int], bool], kind: str) 
             return path
     except (OSError, ValueError):  # not there, or no name of a file at all
         pass
-    raise ConfigError(f"{name!r} is not a {kind} here", remedy=f"choose a {kind} that the page lists")
+    raise ConfigError(
+        f"{name!r} is not the name of a {kind} in {directory.name}", remedy=f"choose a listed {kind}"
+    )

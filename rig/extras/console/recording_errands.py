@@ -71,7 +71,7 @@ def _entry(path: Path, changed_ns: int) -> dict[str, Any]:
     try:
         path.name.encode()
         if path.is_symlink():
-            raise ConfigError("it is a symbolic link", remedy="put the recording itself here")
+            raise ConfigError("a symbolic link is not read", remedy="replace the link by the recording file")
         return {**facts, **_settings(open_facts(path))}
     except UnicodeEncodeError:
         # JSON carries no lone surrogates: the page shows such a name with escapes, and cannot ask for it.

@@ -27,7 +27,7 @@ from rig.core.sample import COLUMNS, UNITS, unit_of
 from rig.core.scratch import scratch
 from rig.extras.console import requests as asked
 from rig.extras.console.access import HEADERS, SOCKETS, SUBPROTOCOL, Access
-from rig.extras.console.bounds import Allowance, Places, door, let_in
+from rig.extras.console.bounds import MOST_A_SECOND, Allowance, Places, door, let_in
 from rig.extras.console.client import Client, defect
 from rig.extras.console.devices import Devices
 from rig.extras.console.jobs import Job, Jobs
@@ -139,14 +139,14 @@ class Console:
                 else:
                     self._shared.lease.beat(name)
                 if not allowance.take():
-                    await socket.close(1008, "too many messages")
+                    await socket.close(1008, f"more than {MOST_A_SECOND:g} messages a second")
         finally:
             self._holds.leave(socket)
 
     async def _live(self, socket: ServerConnection, client: Client) -> None:
         pages = self._shared.participants if client.participant else self._shared.clients
         if len(pages) >= MOST_CLIENTS:
-            await socket.close(1013, "too many pages are open")
+            await socket.close(1013, f"{MOST_CLIENTS} pages are open, the most that are allowed; close one")
             return
         pages.add(client)
         self._greet(client)
@@ -154,7 +154,7 @@ class Console:
         try:
             async for text in socket:
                 if not client.allowance.take():
-                    await socket.close(1008, "too many messages")
+                    await socket.close(1008, f"more than {MOST_A_SECOND:g} messages a second")
                     return
                 await self._answer(client, text)
         finally:

@@ -85,7 +85,9 @@ class Sessions(Service):
     async def _begin(self, client: Client, request: BeginSession) -> object:
         self._shared.must_operate(client)
         if not request.directory and not (request.protocol and request.code):
-            raise ConfigError("a new session needs a protocol and a participant's code", remedy="give both")
+            raise ConfigError(
+                "a new session needs a protocol and a participant's code", remedy="give protocol and code"
+            )
         person, url, realtime = request.person is not None, request.url, request.realtime
         if request.directory:  # as its log says
             log, _ = await self._shared.errands.run("resumed", directory=request.directory)

@@ -34,7 +34,7 @@ class ViewRequest:
             raise ConfigError(f"unknown column {unknown[0]!r}", remedy=f"choose from {', '.join(NAMES)}")
         if not 1 <= len(self.columns) <= MOST_COLUMNS:
             raise ConfigError(
-                f"{len(self.columns)} columns cannot be shown", remedy=f"choose 1 to {MOST_COLUMNS}"
+                f"{len(self.columns)} columns cannot be shown", remedy=f"choose 1 to {MOST_COLUMNS} columns"
             )
         if not SHORTEST_S <= self.window_s <= LONGEST_S:
             raise ConfigError(

@@ -418,7 +418,10 @@ def _differences(found: MoteusFacts, model: RigModel) -> Iterator[Difference]:
             "set motor_position.output.source to an encoder",
         )
     if not found.rotor_to_output > 0.0 or found.counts <= 0:
-        yield "rotor_to_output_ratio or cpr is not above 0", "configure the drive's encoder"
+        yield (
+            f"rotor_to_output_ratio = {found.rotor_to_output:g} and cpr = {found.counts}: both must be above 0",
+            "configure the drive's encoder",
+        )
         return
     if found.counts_per_turn > STEPS_PER_TURN:
         yield (

@@ -395,7 +395,11 @@ def _differences(found: OdriveFacts, model: RigModel) -> Iterator[Difference]:
     """Yield the differences between the drive and the rig."""
     values = found.values
     if not values[TORQUE_CONSTANT] > 0.0 or not found.output.counts > 0:
-        yield "the motor is not set up (torque_constant or cpr is not above 0)", "calibrate the motor"
+        yield (
+            f"the motor is not set up: torque_constant = {values[TORQUE_CONSTANT]:g}, cpr = {values[COUNTS]:g} (of an "
+            "incremental encoder); these must be above 0",
+            "calibrate the motor",
+        )
         return
     half_s = 0.5e-3 * values[ENCODER_MS]
     if found.quickest_s > half_s:

@@ -87,7 +87,7 @@ class OwnWall:
                 "controller.slow_velocity_rate",
                 f"{velocity_rate / c['slow_multiple']:.0f}",
                 "the drive has a single rate, its own",
-                "leave it out",
+                "remove controller.slow_velocity_rate",
             ),
             (
                 controller.estimator.estimator.name != BESIDE,

@@ -139,7 +139,10 @@ class LslMarks:
                     remedy="run `rig serve lsl` alone to see its messages",
                 )
             if time.monotonic() > deadline:
-                raise RigError(f"LSL has not started within {timeout_s:g} s", remedy="run without `lsl`")
+                raise RigError(
+                    f"LSL has not started within {timeout_s:g} s",
+                    remedy="run `rig serve lsl` alone to see its messages, or run without `lsl`",
+                )
             time.sleep(0.02)
 
     def push(self, mark: str, at_ns: int | None = None, **content: Any) -> None:

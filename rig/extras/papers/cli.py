@@ -66,7 +66,7 @@ def reproduce(
         if paper != KOUL.name or quick:
             raise ConfigError(
                 f"--impacts has no {'coarse grid' if paper == KOUL.name else f'figures of {paper}'}",
-                remedy="rig reproduce koul --impacts",
+                remedy="run: rig reproduce koul --impacts",
             )
         show_impacts(directory, plot=plot, as_json=as_json)
         return

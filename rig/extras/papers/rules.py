@@ -96,7 +96,7 @@ class Ruling:
         return replace(self, status=ClaimStatus.PARTLY)
 
     def undecided(self) -> Ruling:
-        """Return this ruling as "undecided" if the claim held in some, but not all, cases that the paper leaves open."""
+        """Return this ruling as "undecided" if the claim held in some, not all, cases that the paper leaves open."""
         open_ = self.status is ClaimStatus.NOT and self.held and self.failed
         return replace(self, status=ClaimStatus.UNDECIDED) if open_ else self
 

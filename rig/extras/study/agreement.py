@@ -189,7 +189,7 @@ def _specific(counts: Floats, place: int) -> float | None:
 
 
 def _jackknife(tables: Floats, weights: Weights) -> tuple[float, float] | str:
-    """Return the 95 % interval of kappa over people, leaving out one at a time, or why there is none."""
+    """Return the 95 % interval of kappa over people, leaving out one at a time, or the reason why it is missing."""
     tables = tables[tables.sum(axis=(1, 2)) > 0.0]
     people = len(tables)
     if people < LEAST_PEOPLE:

@@ -137,8 +137,8 @@ class StudyAnalysis:
         noted = sum(run.note == AMENDED for run in self.runs)
         if noted:
             found.append(
-                f"trials of {_plural(noted, 'run')} were amended after the search rule had used them: no limit by the "
-                "rule, which would have chosen other walls; their K50 is used"
+                f"trials of {_plural(noted, 'run')} were amended after the search rule had used them, so it "
+                "would have chosen other walls: these runs have no limit by the rule; their K50 is used"
             )
         vague = sum(
             one.measure != "rule"
@@ -209,7 +209,8 @@ class StudyAnalysis:
             if one.participant and one.mark
         ]
         if names:
-            yield f"{_plural(len(names), 'limit')} {_is(len(names))} marked, {taken}: {_list_names(names)}"
+            limits = f"{_plural(len(names), 'limit')} {_is(len(names))}"
+            yield f"{limits} not supported by the verdicts, {taken}: {_list_names(names)}"
 
     def as_mapping(self) -> dict[str, Any]:
         """Return all results as plain values for JSON; single trials are only in their table."""

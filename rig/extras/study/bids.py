@@ -136,7 +136,8 @@ def label_of(code: str) -> str:
     label = re.sub(r"[^0-9A-Za-z]", "", code)
     if not label:
         raise ConfigError(
-            f"participant code {code!r} is not possible in BIDS", remedy="use a code of letters and digits"
+            f"participant code {code!r} is not possible in BIDS: it contains no letter A to Z and no digit",
+            remedy="use a code of letters and digits",
         )
     return label
 

@@ -400,7 +400,7 @@ def student(
 ) -> Student:
     """Return Student's interval and test of a mean, by scipy.
 
-    `problem` gives the reason if there is none: fewer than `LEAST_VALUES` values, or scatter no larger than rounding.
+    `problem` gives the reason if it is missing: fewer than `LEAST_VALUES` values, or scatter no larger than rounding.
 
     Parameters
     ----------

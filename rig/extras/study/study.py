@@ -248,7 +248,7 @@ def _refuse(sessions: Sequence[StudySession]) -> None:
         if other is not session:
             raise ConfigError(
                 f"participant {session.code} has two sessions: {other.directory} and {session.directory}",
-                remedy="give only one of them",
+                remedy="give only one of these directories",
             )
     rehearsed = [session.code for session in sessions if session.state.rehearsal is not None]
     if 0 < len(rehearsed) < len(sessions):
@@ -306,7 +306,8 @@ def _messages(sessions: Sequence[StudySession]) -> list[str]:
     for one, other in combinations(sessions, 2):
         if one.state.row == other.state.row:
             messages.append(
-                f"{one.code} and {other.code} have the same row of the order ({one.state.row}): it is not balanced"
+                f"{one.code} and {other.code} both have row {one.state.row} of the plan, so the order of conditions is "
+                "not balanced"
             )
     for what, values in _facts(sessions).items():
         if len(set(values.values())) > 1:

@@ -175,7 +175,7 @@ def test_a_map_is_named_inside_its_directory_or_not_at_all(root: Path) -> None:
     hostile = ("..", "../maps", "/etc", ".", f"{NAME}/..", "a\0b", "<script>", "link")
     for do, names in (("map-watch", hostile), ("map-theory", ("", *hostile))):
         for name in names:
-            with pytest.raises(ConfigError, match="is not a directory here"):
+            with pytest.raises(ConfigError, match="is not the name of a directory in"):
                 run(
                     lambda do=do, name=name: ask(
                         MapService(shared(root / "recordings")), Page(), do, map=name

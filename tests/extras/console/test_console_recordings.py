@@ -301,7 +301,7 @@ def test_a_name_is_of_a_file_in_the_directory_or_nothing_happens(output: Path, d
     (output / TRASH).mkdir()
     before = sorted(output.parent.rglob("*"))
     for name in HOSTILE:
-        with pytest.raises(ConfigError, match="is not a file here"):
+        with pytest.raises(ConfigError, match="is not the name of a file in"):
             run(lambda name=name: ask(Recordings(shared(output)), Page(), do, name=name))
     assert sorted(output.parent.rglob("*")) == before
 
@@ -316,7 +316,7 @@ def test_a_name_is_of_a_file_in_the_directory_or_nothing_happens(output: Path, d
 def test_a_download_leads_out_of_no_directory(output: Path, path: str) -> None:
     (output.parent / "x.parquet").write_bytes(b"another file")
     (output / "link.parquet").symlink_to(output.parent / "x.parquet")
-    with pytest.raises(ConfigError, match=r"is not a (file|directory) here"):
+    with pytest.raises(ConfigError, match=r"is not the name of a (file|directory) in"):
         fetch(output, path)
 
 

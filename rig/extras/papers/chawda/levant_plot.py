@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LevantRegions:
-    """Boundaries of the regions of convergence: μ1 over `mu2`, shape (n,), infinite if there is none; μ2 over `mu1`."""
+    """Boundaries of the regions of convergence: μ1 over `mu2`, shape (n,), infinite if missing; μ2 over `mu1`."""
 
     mu2: Floats
     hba_mu1: Floats
