@@ -1,1 +1,1 @@
-"""Extras: each folder stands beside the core, which runs without it."""
+"""Optional parts: each folder uses the core, and the core runs without it."""

@@ -1,4 +1,4 @@
-"""What a page is shown of a map: its plan, the cells that its journal has gained, theory, and single hits of it."""
+"""Errands about maps: the list, the plan of one, new cells of its journal, theory, and recordings of single hits."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MOST = 500  # maps of a list
 
 
 def directories(directory: str) -> list[dict[str, Any]]:
-    """Return the maps of a directory, the newest first: their names, what they map, and how they stand."""
+    """Return up to `MOST` maps of a directory, newest first: name, rig, domain, number of schemes, and state."""
     found = [path.parent for path in Path(directory).glob(f"*/{maps.PLAN}")]
     found.sort(key=lambda path: -_changed_s(path))
     return [_headline(path) for path in found[:MOST]]
@@ -108,7 +108,7 @@ def describe_map(directory: str) -> dict[str, Any]:
 
 
 def growth(directory: str, place: int) -> dict[str, Any]:
-    """Return the new columns of cells since a position in the journal, and the state of the map."""
+    """Return the columns since byte offset `place` of the journal, the new offset, and the state of the map."""
     path = Path(directory)
     plan, _ = _plan(path)
     state = _state(path)  # before the journal: of a finished map all is read
@@ -142,7 +142,7 @@ def _hits(plan: MapPlan, key: str, rows: list[dict[str, Any]]) -> dict[str, Any]
 
 
 def _code(row: dict[str, Any], criterion: str, suffix: str) -> int:
-    """Return a hit under one criterion: stable, failed slowly or at once, or invalid."""
+    """Return the index in `KINDS` of a hit by one criterion: stable, limit cycle, unstable or invalid."""
     passes = row[f"passes_{criterion}{suffix}"]
     if passes is None:
         return INVALID
@@ -167,7 +167,7 @@ def _impedances(plan: FrequencyPlan, key: str, rows: list[dict[str, Any]]) -> di
 
 
 def theory(directory: str) -> list[dict[str, Any]]:
-    """Return curves of linear theory over the map: by scheme, name, dampings and stiffnesses."""
+    """Return curves of linear theory: index of the scheme, name, dampings and stiffnesses (SI)."""
     plan, _ = _plan(Path(directory))
     if isinstance(plan, FrequencyPlan):
         return [
@@ -182,7 +182,7 @@ def theory(directory: str) -> list[dict[str, Any]]:
 
 
 def find_recording(directory: str, key: str, stiffness: float, output: str) -> dict[str, Any]:
-    """Return the recording of one hit: of a device's map the one that it left, of the simulation the same hit again.
+    """Return the recording of one hit: the stored one of a device's map; for a simulated map the hit is repeated.
 
     Raises
     ------

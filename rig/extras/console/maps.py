@@ -1,7 +1,7 @@
-"""The view of maps: each map in the directory of maps, from any program, grows on the page as its journal does.
+"""The page's view of maps: it shows the maps of a directory, from any program, and updates them from their journals.
 
-A map that a page starts is a job like others (`rig.extras.console.map_jobs`); its cells come by the way of all maps,
-from the directory. Nothing here moves a rig: a map on a device is started by its command, where a person agrees to each
+A map that a page starts is a job like others (`rig.extras.console.map_jobs`), whose cells are also read from the
+directory. This module never moves a rig: a map on a device is started by its command, where a person confirms each
 hit.
 """
 

@@ -128,7 +128,7 @@ class Runs(Service):
     async def every_beat(self) -> None:
         """End the running job when no page operates: its operator has left, or released the lease.
 
-        A defect here ends the job, even one that continues without a page, and then the console: no other task would
+        An exception in this task ends the job, even a detached one, and then the console, because no other task would
         end the job later.
         """
         ending: Job | None = None  # that was asked to end since the last operator left

@@ -80,7 +80,7 @@ class Talk:
         return time.monotonic() - self._last_line_s
 
     def listen(self) -> None:
-        """Read answers until the console is gone; an empty line is its heartbeat."""
+        """Read the console's lines until it is gone; an empty line is its heartbeat."""
         for line in sys.stdin:
             self._last_line_s = time.monotonic()
             if line.strip():

@@ -125,7 +125,7 @@ def _connect(place: str) -> socket.socket:
 
 
 class AdapterBus:
-    """An fdcanusb, a mjcanfd-usb-1x, or an adapter with the same protocol."""
+    """A bus at a serial adapter: fdcanusb, mjcanfd-usb-1x, or one with the same protocol."""
 
     is_socket = False
 

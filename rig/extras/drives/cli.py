@@ -72,7 +72,7 @@ def _run(url: DeviceUrl, preset: str, *, describe: bool, as_json: bool) -> None:
     "--baud", type=click.IntRange(300, 20_000_000), help="Baud rate, for a serial adapter. [921600]"
 )
 def moteus(place: str, preset: str, drive: int, baud: int | None, describe: bool, as_json: bool) -> None:
-    """Run the bridge to a moteus; prints the port to open. Ctrl-C ends it.
+    """Run the bridge to a moteus; print the port to open. Ctrl-C ends it.
 
     PORT is that of an fdcanusb or mjcanfd-usb-1x, such as /dev/fdcanusb, or a CAN interface, such as can0. For one run
     no bridge is needed: `--url moteus:///dev/fdcanusb` starts one.
@@ -92,7 +92,7 @@ def moteus(place: str, preset: str, drive: int, baud: int | None, describe: bool
     "parameters.",
 )
 def odrive(place: str, preset: str, drive: int, endpoints: str, describe: bool, as_json: bool) -> None:
-    """Run the bridge to an ODrive; prints the port to open. Ctrl-C ends it.
+    """Run the bridge to an ODrive; print the port to open. Ctrl-C ends it.
 
     INTERFACE is a CAN interface of Linux, such as can0. For one run no bridge is needed: `--url
     'odrive://can0?endpoints=flat_endpoints.json'` starts one.

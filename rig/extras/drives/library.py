@@ -39,7 +39,7 @@ _INDEX = {parameter.name: index for index, parameter in enumerate(PARAMETERS)}
 
 
 class CanFrameBytes(ctypes.Structure):
-    """Struct can_frame_bytes of can_frame.h."""
+    """A CAN frame: struct can_frame_bytes of can_frame.h."""
 
     _fields_ = [
         ("id", ctypes.c_uint32),
@@ -55,7 +55,7 @@ class CanFrameBytes(ctypes.Structure):
 
 
 class Adapter(ctypes.Structure):
-    """Struct fdcanusb of fdcanusb.h."""
+    """State of a serial adapter: struct fdcanusb of fdcanusb.h."""
 
     _fields_ = [
         ("checksum", ctypes.c_bool),
@@ -67,7 +67,7 @@ class Adapter(ctypes.Structure):
 
 
 class Setup(ctypes.Structure):
-    """Struct bridge_setup of bridge.h."""
+    """Settings of a bridge: struct bridge_setup of bridge.h."""
 
     _fields_ = [
         ("board", BoardSetup),
@@ -84,7 +84,7 @@ class Setup(ctypes.Structure):
 
 
 class Ends(ctypes.Structure):
-    """Struct bridge_ends of loop.h."""
+    """Descriptors of a bridge's loop: struct bridge_ends of loop.h."""
 
     _fields_ = [
         *((name, ctypes.c_int) for name in ("host", "bus", "wake")),
@@ -93,7 +93,7 @@ class Ends(ctypes.Structure):
 
 
 class BridgeFacts(ctypes.Structure):
-    """Struct bridge_facts of bridge.h: what happened on the bus. Times in µs, temperatures in °C."""
+    """Statistics of the bus: struct bridge_facts of bridge.h. Times in µs, temperatures in °C."""
 
     _fields_ = [
         *(

@@ -30,7 +30,7 @@ assert sys.platform == "linux"
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Announcement of a ready bridge: the drive, messages about what could not be obtained, and the process id."""
+    """Announcement of a ready bridge: the drive, messages about settings that could not be obtained, the process id."""
 
     drive: FittedDrive
     messages: tuple[str, ...]

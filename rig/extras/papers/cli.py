@@ -60,7 +60,7 @@ def reproduce(
     """Reproduce a paper: every figure, a verdict on every claim, its open ideas, as one HTML report.
 
     koul: dual-rate sampling and Z-width (Koul et al. 2013), in about two minutes. chawda: velocity estimators,
-    passivity and fidelity (Chawda et al.), in about three. The same command resumes one that was stopped.
+    passivity and fidelity (Chawda et al.), in about three. The same command resumes a stopped reproduction.
     """
     if impacts:
         if paper != KOUL.name or quick:

@@ -62,8 +62,8 @@ def export(
 ) -> None:
     """Write the recordings of a study, or of some of its participants, for other programs.
 
-    PATHS are directories of studies or of participants. Trials that do not count are written too, and marked;
-    recordings that are missing or were changed since are left out and named.
+    PATHS are directories of studies or of participants. Trials that do not count are also written, and marked as such;
+    recordings that are missing or changed are left out and listed.
     """
     if bids is None and csv is None and mat is None:
         raise ConfigError("no format is given", remedy="give --bids OUT, --csv OUT or --mat OUT")

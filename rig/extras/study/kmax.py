@@ -329,7 +329,7 @@ def _correct_holm(family: Sequence[Paired]) -> list[Paired]:
 def _compare_pairs(
     each: Sequence[OfParticipant], measure: Measure, conditions: Sequence[str]
 ) -> list[Paired]:
-    """Return differences by one measure, not yet corrected."""
+    """Return the differences by one measure, without Holm's correction."""
     of = [one for one in each if one.measure == measure]
     known = {(one.participant, one.condition, one.damping): (one.mean, one.rounding) for one in of}
     beyond: dict[Cell, Beyond] = {}

@@ -57,7 +57,7 @@ class Paragraph:
 
 @dataclass(frozen=True, slots=True)
 class _Setting:
-    """A changed number of the experiment: its key, what it means, and its value with unit."""
+    """A changed setting of the experiment: its key, its meaning, and its value with unit."""
 
     key: str
     meaning: str

@@ -67,7 +67,7 @@ class Panel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WordLength:
-    """Mean peaks (counts) for one number of state bits and one cut-off of the uniform scheme."""
+    """Mean peak penetrations (counts) for one number of state bits and one cut-off of the uniform scheme."""
 
     state_bits: int
     uniform_share: float  # cut-off over velocity rate
