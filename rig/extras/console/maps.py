@@ -47,7 +47,7 @@ class RunMap(Request, MapRequest):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EndMap(Request):
-    """Request the end of the running map; finished cells stay, and the same map resumes after them."""
+    """Request the end of the running map. Finished cells are kept, and a repeated request continues after them."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -111,7 +111,7 @@ class Watched:
             self.begun_s, self.begun_weight = now_s, self._weight()
 
     def progress_message(self, columns: list[dict[str, Any]], now_s: float, *, anew: bool) -> str:
-        """Return a message with `columns` and the map's progress; `anew`: the page replaces its columns by these."""
+        """Return a message with `columns` and the map's progress; `anew`: they replace all columns of the page."""
         return json.dumps(
             {
                 "say": "cells", "map": self.path.name, "anew": anew, "columns": columns, "state": self.state,

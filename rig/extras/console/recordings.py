@@ -1,7 +1,7 @@
 """The page's view of recordings: list and search, show one in a scope, replay, export; no recording is deleted.
 
 Files are downloads that require the token: ``/recordings/NAME/cut``, ``picture`` and ``export``. For a recording of a
-device's map the request also contains the name of the map; such a recording cannot be moved or deleted.
+device's map the request also contains the name of the map; such a recording cannot be moved to the trash.
 """
 
 from __future__ import annotations

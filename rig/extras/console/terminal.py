@@ -32,7 +32,7 @@ class Terminal:
         self._asked: asyncio.Future[str] | None = None
 
     async def insist(self, url: str, lines: Sequence[str]) -> None:
-        """Show these lines on the terminal, and raise `ConfigError` unless the person there types the word to arm."""
+        """Show `lines` on the terminal, and raise `ConfigError` unless the person at it types the word to arm."""
         if not self.there:
             raise _refusal(
                 url,

@@ -297,7 +297,7 @@ class Bridge:
             self._library.bridge_narrow(self._address, _INDEX[parameter.name], low, high)
 
     def run(self, *, host: int, bus: int, wake: int, host_stays: bool) -> None:
-        """Run in real time on these descriptors until `wake` is readable or, unless `host_stays`, the host is gone."""
+        """Run in real time on the descriptors until `wake` is readable or, unless `host_stays`, the host is gone."""
         ends = Ends(host=host, bus=bus, wake=wake, host_stays=host_stays)
         self._library.bridge_run(self._address, ctypes.byref(ends))
 

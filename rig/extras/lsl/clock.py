@@ -55,7 +55,7 @@ class LiveClock:
             self._fit = fit_if_possible(as_exchanges(self._stamps)) or self._fit
 
     def host_of(self, rows: NDArray[np.void], device_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return host times (ns) of device times (ns), which count like the `device_time` of these rows.
+        """Return host times (ns) of device times (ns), which have the same zero as the rows' `device_time`.
 
         Without a line, the first row's time of receipt is taken as its host time, which is late by the link's delay.
         """

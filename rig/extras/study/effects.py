@@ -40,7 +40,7 @@ class Slope:
         Number of participants who have a slope.
     slope, low, high, p, holm
         Change per place, block or trial, its interval and p; NaN if `problem` gives a reason. `holm` is p after Holm's
-        correction for the slopes of the same quantity (limits are a quantity for each measure).
+        correction for the slopes of one quantity; the limits of each measure are one quantity.
     """
 
     of: str

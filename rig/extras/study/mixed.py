@@ -392,7 +392,7 @@ def _minus_log_likelihood(
 
 
 def _optimum(design: _Design, fixed: Floats, *, reml: bool = True) -> _Optimum | None:
-    """Return the largest likelihood with these fixed columns; None if the search does not converge.
+    """Return the largest likelihood for the design matrix `fixed`; None if the search does not converge.
 
     The optimisers of statsmodels work on square roots of the variances, where the likelihood is flat at a variance of
     zero. Tried on 2026-11-29 (statsmodels 0.15.0, 70 fits to 14 studies): those with gradients stop up to 0.63 short of
@@ -539,7 +539,7 @@ def _difference(
 
 
 def _tests(design: _Design) -> tuple[LikelihoodRatio, ...]:
-    """Return likelihood ratios of the full model against those without condition, damping, and their interaction.
+    """Return likelihood ratios of the full model to the models without condition, without damping, without interaction.
 
     A factor is left out if it cannot be separated from the others, or if one of its fits does not converge.
     """

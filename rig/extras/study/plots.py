@@ -445,7 +445,7 @@ def _paint(colour: str, filled: bool) -> dict[str, Any]:
 
 
 def _key(axes: Any, trials: Sequence[TrialRow]) -> None:
-    """Add a legend of the markers that these trials need."""
+    """Add a legend of the markers that occur in `trials`."""
     for verdict, (colour, marker) in VERDICTS.items():
         if any(_verdict_of(trial) == verdict for trial in trials):
             name = _VERDICT_WORDS.get(verdict, verdict)

@@ -155,7 +155,7 @@ def fit(
     levels: tuple[float, ...],
     verdicts: Sequence[tuple[float, bool]],
 ) -> PsychometricFit:
-    """Return the function fitted to the verdicts (stiffness, stable) of one participant on these levels."""
+    """Return the function fitted to the verdicts (stiffness, stable) of one participant, for a search on `levels`."""
     grid = of_levels(tuple(levels))
     posterior = grid.posterior(verdicts)
     half = half_way(levels, verdicts)

@@ -253,7 +253,7 @@ def _priors(found: StudyAnalysis) -> list[_Prior]:
 
 
 def _collect_opened(found: StudyAnalysis, *names: str) -> list[tuple[Any, ...]]:
-    """Return the values of these entries of each event "opened" in the logs, each combination once."""
+    """Return the values of the entries `names` of each event "opened" in the logs, each combination once."""
     every = [
         tuple(event.content.get(name, "unknown") for name in names)
         for session in found.study.sessions

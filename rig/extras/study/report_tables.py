@@ -435,7 +435,7 @@ def _units(found: StudyAnalysis) -> Sequence[str]:
 
 
 def whole(found: StudyAnalysis) -> tuple[list[PsychometricFit], list[PsychometricFit]]:
-    """Return the psychometric functions of all participants together (or of the only one), and those of each."""
+    """Return the functions of all participants together (or of the only one), and those of single participants."""
     alone = len(found.study.sessions) == 1
     every = list(found.psychometrics)
     together = [one for one in every if alone or not one.participant]

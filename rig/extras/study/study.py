@@ -107,7 +107,7 @@ class Study:
 
     @property
     def protocol(self) -> Protocol:
-        """Return the protocol of the first session, which the others share except for `differences`."""
+        """Return the protocol of the first session; the other sessions' protocols deviate only by `differences`."""
         return self.sessions[0].state.protocol
 
     @property
@@ -181,7 +181,7 @@ def _with_trials(sessions: list[StudySession]) -> tuple[list[StudySession], list
 
 
 def find_sessions(paths: Iterable[Path]) -> list[Path]:
-    """Return the directories of the sessions at these paths, each once."""
+    """Return the directories of the sessions in or at `paths`, each once."""
     found: dict[Path, Path] = {}
     for path in paths:
         with plain_errors("read", path):

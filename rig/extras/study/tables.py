@@ -584,7 +584,7 @@ def _answer(item: str) -> Callable[[ParticipantRow], Any]:
 
 
 def _differences(found: StudyAnalysis) -> list[Mapping[str, Any]]:
-    """Return the paired differences and those of the mixed models as rows of one table."""
+    """Return the paired differences and the differences of the mixed models as rows of one table."""
     rows: list[Mapping[str, Any]] = [
         _difference(one, one.measure, "paired", one.participants) for one in found.paired
     ]

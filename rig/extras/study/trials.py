@@ -317,7 +317,7 @@ def _add(found: dict[Measure, LimitInterval], measure: Measure, estimate: Estima
 def _follows(
     state: SessionState, run: SearchRun, name: str, probes: Sequence[JudgedProbe], grid: Sequence[float]
 ) -> bool:
-    """Return True if the search rule would have chosen these walls after these answers."""
+    """Return True if the search rule would have chosen the walls of `probes` after the answers before them."""
     if name not in WALKING:
         return all(answer.probe.level in grid for answer in probes)
     rule = state.rule(run)

@@ -111,7 +111,7 @@ def _regions() -> Ruling:
 
 
 def _beyond(chawda: Chawda, names: Sequence[str], up_to: float = math.inf) -> dict[str, Any]:
-    """Return, by estimator, the number of dampings at which both limits exceed the searched stiffnesses."""
+    """Return numbers for the sentence: at how many dampings both compared limits exceed the searched stiffnesses."""
     dampings = sum(0.0 < b <= up_to for b in chawda.scale.hit_dampings)
     beyond = [(name, dampings - len(derived.over_filtered(chawda, name, up_to))) for name in names]
     return {

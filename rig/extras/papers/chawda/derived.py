@@ -33,7 +33,7 @@ def drops(chawda: Chawda) -> dict[str, float]:
 
 
 def over_filtered(chawda: Chawda, name: str, up_to: float = math.inf) -> list[float]:
-    """Return the limit of a scheme divided by that of the filtered difference, at dampings where both are not caps."""
+    """Return limit / limit of the filtered difference at each damping above 0, unless both limits are search ends."""
     of, filtered = (chawda.hits.curve(chawda.hit_names.index(one), "felt") for one in (name, rigs.FILTERED))
     return [
         over(a.stiffness, b.stiffness)
@@ -209,7 +209,7 @@ def at_softest_wall(chawda: Chawda) -> tuple[int, int]:
 
 
 def count_tuned(chawda: Chawda, name: str) -> int:
-    """Return how many parameters of an estimator were chosen by hand."""
+    """Return the number of numeric settings that are stated for an estimator."""
     controller = rigs.SCHEMES[name].applied(chawda.map.grid.experiment).controller
     return len(tuned_numbers(controller.estimator, controller.parameters))
 
@@ -260,7 +260,7 @@ def rank_schemes(found: Readings, reading: int) -> list[Ranked]:
 
 
 def _relative_error(found: Readings, reading: int, number: int, reference: int) -> Spread:
-    """Return the mean error divided by the reference's, at walls passive with both, by measurement."""
+    """Return the scheme's mean error / the reference's, over walls passive with both schemes, by measurement."""
     ratios = []
     for m in range(found.grid.measurements):
         held = connected(found.passive[m, reading, number]) & connected(found.passive[m, reading, reference])
@@ -272,7 +272,7 @@ def _relative_error(found: Readings, reading: int, number: int, reference: int) 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BestDual:
-    """Dual-rate scheme with the largest area, those within their SDs of it, the most faithful, and the best uniform."""
+    """Best dual-rate scheme by area, schemes within its SD, the most faithful dual-rate and the best uniform scheme."""
 
     best: Ranked
     near: list[Ranked]

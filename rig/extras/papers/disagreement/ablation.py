@@ -55,7 +55,7 @@ def cures(agrees: Callable[[Cure], bool]) -> tuple[Cure, ...]:
 
 
 def cause_of(found: Sequence[Cure]) -> str:
-    """Return the element of `CAUSES` for these cures."""
+    """Return the element of `CAUSES` that the cures of a wall indicate."""
     if not found:
         return NONE
     # None of them is needed by itself.
@@ -66,7 +66,7 @@ def cause_of(found: Sequence[Cure]) -> str:
 
 
 def without(experiment: Experiment, taken: Iterable[str]) -> Experiment:
-    """Return the experiment without these of the four; `CONTACT` is removed by the law of `HitSimulator` instead."""
+    """Return the experiment without the non-linearities `taken`; for `CONTACT` `HitSimulator` gets another law."""
     rig, homing = experiment.rig, experiment.homing
     for one in taken:
         if one == FRICTION:

@@ -188,7 +188,7 @@ class CauseShare:
 
     @classmethod
     def of(cls, whole: Sequence[ComparedWall]) -> CauseShare:
-        """Return the share of these walls' area that differs, with its causes."""
+        """Return the share of the area of walls `whole` that differs, and its causes."""
         differing = [wall for wall in whole if wall.cause]
         return cls(share=_share(differing, whole), causes=_by(differing, lambda wall: wall.cause))
 

@@ -80,12 +80,12 @@ class HeldWall:
 
     @reported
     def amplitude_error(self) -> float | None:
-        """Return predicted / simulated amplitude - 1; None unless both have a cycle."""
+        """Return predicted / simulated amplitude - 1; None if the prediction or the simulation has no cycle."""
         return self.predicted.amplitude / self.simulated.amplitude - 1.0 if self._both else None
 
     @reported
     def frequency_error(self) -> float | None:
-        """Return predicted / simulated frequency - 1; None unless both have a cycle."""
+        """Return predicted / simulated frequency - 1; None if the prediction or the simulation has no cycle."""
         return self.predicted.frequency_hz / self.simulated.frequency_hz - 1.0 if self._both else None
 
     @property

@@ -118,7 +118,7 @@ class Change:
 
 
 def direction(changes: Iterable[Change]) -> Literal["wider", "narrower", "same", "both"]:
-    """Return whether all of these changes make the area wider, narrower or the same, or "both"."""
+    """Return how all `changes` affect the area: "wider", "narrower" or "same"; "both" if they differ."""
     areas = [change.area for change in changes]
     if all(area > 1.0 + SAME for area in areas):
         return "wider"

@@ -132,7 +132,7 @@ class Koul:
         ]
 
     def null_readings(self) -> tuple[int, float]:
-        """Return how many word lengths read no velocity late at 20 kHz, and the largest share that these read early."""
+        """Return how many word lengths read no velocity late at 20 kHz, and the largest share of it read early."""
         read = [word["read"][str(rules.FAST_HZ)] for word in self.words]
         null = [one["early"] for one in read if one["late"] <= rules.NULL]
         return len(null), max(null, default=0.0)
@@ -206,7 +206,7 @@ class Koul:
         return found
 
     def ranked(self) -> list[Tried]:
-        """Return the ideas sorted by the area of their Z-width, then those on another rig."""
+        """Return the ideas sorted by the area of their Z-width, and then the ideas on another rig."""
         elsewhere = [t for t in self.ideas.values() if t.idea.preset != self.ideas[REFERENCE].idea.preset]
         return [*rank_ideas(self.ideas), *elsewhere]
 
