@@ -193,7 +193,7 @@ class Readings:
         return [self.width(m, reading, scheme) for m in range(self.grid.measurements)]
 
     def common(self, reading: int, schemes: Sequence[int] | None = None) -> Flags:
-        """Return which walls (damping × stiffness) are passive in each measurement with each of `schemes` (None: all)."""
+        """Return which walls (damping × stiffness) are passive in each measurement with all `schemes` (None: all)."""
         chosen = range(len(self.grid.schemes)) if schemes is None else schemes
         return np.asarray(connected(self.passive[:, reading])[:, list(chosen)].all(axis=(0, 1)))
 

@@ -113,15 +113,8 @@ FILTERED_SCHEME = Scheme.parse("uniform:10k,estimator=fdm-butterworth,cutoff_hz=
 # Gains (μ1, μ2): Levant's special case; and one inside the region of the Lyapunov function alone, with the λ that
 # Levant recommends now. The paper prints neither its C nor its LFBA and adjusted gains.
 GAINS = {HBA_SC: (1.1, 1.0), LFBA: (4.0, 1.5)}
-CONSTANTS = (
-    1.5,
-    3.0,
-    6.0,
-    12.0,
-    25.0,
-    50.0,
-    100.0,
-)  # m/s²: values of C among which the adjusted gains are chosen
+# m/s²: values of C among which the adjusted gains are chosen.
+CONSTANTS = (1.5, 3.0, 6.0, 12.0, 25.0, 50.0, 100.0)
 
 
 # --- Levant's differentiator otherwise -----------------------------------------------------------------------------
