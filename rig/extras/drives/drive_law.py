@@ -70,15 +70,20 @@ class DriveLaw:
     def objection(self) -> str:
         """Return why the drive would render another wall than the commanded one; empty if it renders that wall."""
         if not (self.kp > 0.0 and self.kd > 0.0):
-            return "servo.pid_position.kp or kd is 0: a wall is rendered as a fraction of these gains"
+            return (
+                f"servo.pid_position.kp = {self.kp:g} and kd = {self.kd:g}; both must be above 0, "
+                "since a wall is a fraction of these gains"
+            )
         if self.sign != 1:
-            return "servo.pid_position.sign is not 1"
+            return f"servo.pid_position.sign = {self.sign:g}; it must be 1"
         if not self.filter_hz > 0.0:
-            return "pll_filter_hz is 0: its encoder gives no velocity"
+            return f"pll_filter_hz = {self.filter_hz:g}; it must be above 0, or the encoder gives no velocity"
         if self.threshold != 0.0:
-            return "servo.velocity_threshold is not 0: velocities below it are not damped"
+            return (
+                f"servo.velocity_threshold = {self.threshold:g}; it must be 0, or slow motion is not damped"
+            )
         if not (math.isnan(self.position_slip) and math.isnan(self.velocity_slip)):
-            return "servo.max_position_slip or max_velocity_slip is not nan: the wall's surface would follow the handle"
+            return "servo.max_position_slip and max_velocity_slip must be nan, or the wall's surface follows the handle"
         return ""
 
     @property

@@ -317,11 +317,11 @@ def test_a_plan_says_what_is_lost() -> None:
 @pytest.mark.parametrize(
     ("setting", "value", "says"),
     [
-        ("servo.velocity_threshold", "0.1", "velocity_threshold is not 0"),
+        ("servo.velocity_threshold", "0.1", "velocity_threshold = 0.1; it must be 0"),
         ("servo.max_position_slip", "0.1", "max_position_slip"),
         ("servo.max_velocity_slip", "0.1", "max_velocity_slip"),
-        ("servo.pid_position.sign", "-1", "sign is not 1"),
-        ("servo.pid_position.kd", "0", "kp or kd is 0"),
+        ("servo.pid_position.sign", "-1", "sign = -1; it must be 1"),
+        ("servo.pid_position.kd", "0", "and kd = 0; both must be above 0"),
         ("motor_position.sources.0.pll_filter_hz", "0", "no velocity"),
     ],
 )
