@@ -70,7 +70,7 @@ CRC_BYTES = _BLOCK_CRC.size
 
 
 class BlockHead(NamedTuple):
-    """The six words before a block's rows."""
+    """Head of a block: the six 64-bit words before its rows."""
 
     magic: bytes
     number: int
@@ -98,18 +98,18 @@ def pack_block(magic: bytes, number: int, first_row: int, count: int, payload: b
 
 
 def pack_end(number: int, rows: int, trailer: dict[str, Any]) -> bytes:
-    """Return the bytes of the end: `number` blocks and `rows` rows came before."""
+    """Return the bytes of the end block, which states that `number` blocks with `rows` rows precede it."""
     return pack_block(END_MAGIC, number, rows, 0, _pad(canonical_json(trailer), 0))
 
 
 def write_capture(file: BinaryIO, recording: Recording, *, block_rows: int = BLOCK_ROWS) -> None:
-    """Write a recording that is already in memory; the end is left out when it has none.
+    """Write a recording from memory as a capture; write the end block only if the recording is complete.
 
-    The format has no place for `lost`: a recording with losses is refused with `RecordingError`.
+    Raise `RecordingError` for a recording with losses: the format cannot store `Recording.lost`.
     """
     if recording.lost:
         raise RecordingError(
-            "a recording with losses cannot be written as a capture", remedy="keep the original"
+            "a recording with lost parts cannot be written as a capture", remedy="keep the original file"
         )
     file.write(pack_header(recording.header))
     number = 0
@@ -130,7 +130,7 @@ def _pad(text: bytes, before: int) -> bytes:
 
 @dataclass
 class _Findings:
-    """Results of a walk over the blocks so far."""
+    """Blocks, losses and trailer that were found so far while following the blocks of a capture."""
 
     blocks: list[tuple[int, int]] = field(default_factory=list)  # place of the rows, their count
     lost: list[Loss] = field(default_factory=list)
@@ -139,7 +139,9 @@ class _Findings:
 
 
 def read_capture(path: Path, columns: Collection[str] | None = None) -> Recording:
-    """Read all good rows of a capture, finished or not: all columns, or those named; its header describes all of them.
+    """Read all valid rows of a capture, also of one that was cut off.
+
+    With `columns` the rows have only these columns; the header still describes all of them.
 
     Raises
     ------
@@ -167,7 +169,7 @@ def read_capture(path: Path, columns: Collection[str] | None = None) -> Recordin
 
 
 def read_capture_header(path: Path) -> Recording:
-    """Return a capture without rows and trailer; errors as `read_capture`."""
+    """Return the header of a capture as a recording without rows and trailer; errors as `read_capture`."""
     with _open_mapped(path) as data:
         header, _ = _read_header(path, data)
     return Recording(header, np.empty(0, dtype_of(header.get("schema", {}))), None, complete=False, path=path)
@@ -190,7 +192,7 @@ def _copy_columns(rows: NDArray[np.void], block: NDArray[np.void]) -> None:
 
 
 def _forget(data: mmap.mmap) -> None:
-    """Drop the pages of the file that have been read: they count as memory of this process."""
+    """Release the file pages that have been read, since they count as memory of this process."""
     if sys.platform == "linux":
         with suppress(OSError):  # of locked memory, as while another thread runs in real time
             data.madvise(mmap.MADV_DONTNEED)
@@ -222,7 +224,7 @@ def _read_header(path: Path, data: mmap.mmap) -> tuple[dict[str, Any], int]:
 
 
 def _walk(data: mmap.mmap, place: int, row_bytes: int) -> _Findings:
-    """Follow the blocks to the end of the file, or to the last one that can be identified."""
+    """Return blocks, losses and trailer, following the blocks up to the end block or the end of the file."""
     found = _Findings()
     while place < len(data):
         head = _block_head(data, place)
@@ -245,7 +247,7 @@ def _walk(data: mmap.mmap, place: int, row_bytes: int) -> _Findings:
 
 
 def _take(data: mmap.mmap, place: int, end: int, head: BlockHead, row_bytes: int, found: _Findings) -> bool:
-    """Accept a block whose head is good; False when its contents are not."""
+    """Add a block with a valid head to `found`; return False if its contents are damaged."""
     end -= CRC_BYTES
     if zlib.crc32(memoryview(data)[place:end]) != _BLOCK_CRC.unpack_from(data, end)[0]:
         return False
@@ -260,7 +262,7 @@ def _take(data: mmap.mmap, place: int, end: int, head: BlockHead, row_bytes: int
 
 
 def _skip(data: mmap.mmap, place: int, resume: int, head: BlockHead | None, found: _Findings) -> int:
-    """Skip the bytes up to `resume`, and report them."""
+    """Record the bytes from `place` to `resume` as lost; return `resume`."""
     whole = head is not None and place + HEAD_BYTES + head.size + CRC_BYTES <= len(data)
     reason = "damaged block" if whole or resume < len(data) else "torn tail"
     if head is None:
@@ -273,7 +275,7 @@ def _skip(data: mmap.mmap, place: int, resume: int, head: BlockHead | None, foun
 
 
 def _count_missing(found: _Findings, place: int, first_row: int) -> None:
-    """Count the rows missing before a block, from the number of its first row."""
+    """Record the rows that are missing before a block, from the number of the block's first row."""
     missing = max(0, first_row - found.next_row)
     if found.lost and found.lost[-1].rows is None:
         found.lost[-1] = replace(found.lost[-1], rows=missing)
@@ -283,7 +285,7 @@ def _count_missing(found: _Findings, place: int, first_row: int) -> None:
 
 
 def _block_head(data: mmap.mmap, place: int) -> BlockHead | None:
-    """Return the head at a place, or None when there is no good one."""
+    """Return the head of a block at byte `place`; None if the bytes there are not a valid head."""
     raw = data[place : place + HEAD_BYTES]
     if len(raw) < HEAD_BYTES:
         return None
@@ -293,7 +295,7 @@ def _block_head(data: mmap.mmap, place: int) -> BlockHead | None:
 
 
 def _next_head(data: mmap.mmap, place: int) -> int:
-    """Place of the next good head, or the length of the file."""
+    """Return the byte offset of the next valid head at or after `place`, or the length of the file."""
     return next((place for place in _magics(data, place) if _block_head(data, place)), len(data))
 
 

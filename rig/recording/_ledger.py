@@ -1,6 +1,6 @@
-"""The latency ledger of a recording: its two fitted columns, and its summary.
+"""The latency ledger of a recording: its columns sampled_at and applied_at, and the summary in its trailer.
 
-A run that was ended by kill -9 has no clock exchanges: its ledger has the host's part only.
+A run that was ended by kill -9 has no clock exchanges: its ledger contains only the times that the host measured.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ _log = logging.getLogger(__name__)
 
 
 def with_ledger(recording: Recording) -> Recording:
-    """Return the recording with the summary in its trailer; its fitted columns are filled in in place.
+    """Return the recording with the timing summary in its trailer; fill sampled_at and applied_at in place.
 
-    A recording without rows, or without a clock in its trailer, is returned as it is. So is one with an invalid clock,
-    with a warning: a recording is kept whatever is wrong with its clock.
+    Return the recording unchanged if it has no rows or no clock in its trailer. Return it unchanged and log a warning
+    if that clock is invalid: an invalid clock must not prevent a recording from being stored.
     """
     trailer = recording.trailer or {}
     if CLOCK_KEY not in trailer or not len(recording):
@@ -74,13 +74,13 @@ def ledger_of(recording: Recording) -> Ledger:
 
 
 def clock_of(recording: Recording) -> ClockFit | None:
-    """Return the clock fit of a recording's trailer; None when it has none. `RigError` when it is invalid."""
+    """Return the host-device clock fit in a recording's trailer, None if missing; raise `RigError` if invalid."""
     clock = (recording.trailer or {}).get(CLOCK_KEY)
     return None if clock is None else ClockFit.from_mapping(clock)
 
 
 def period_ns_of(recording: Recording) -> float:
-    """Return the length of a device tick (ns): from the position rate, else from the device's own times."""
+    """Return the length of a device tick (ns): from the position rate, or else from the rows' device times."""
     rate = (recording.experiment.get("controller") or {}).get("position_rate")
     if rate:
         return 1e9 / float(rate)

@@ -2,8 +2,8 @@
 
 Topic ``/rig/rows`` has one JSON message a row, all columns by name; ``/rig/marks`` has what happened when (see
 `rig.recording.marks`). The JSON schema of each carries units and meanings, and the metadata ``recording`` the rest.
-Times are those of the device, from the time of day at which the recording was made on; a row of a device that gave no
-time stands where the host received it. What is not a number is null, as JSON has it.
+Each time is the creation time of the recording plus the time since its first row, on the device's clock. If the device
+gave no time, the host's time of receipt is used. NaN and infinities are written as null, because JSON lacks them.
 
 Source: MCAP format specification (mcap.dev/spec) through the package ``mcap``; "well-known" encodings json, jsonschema.
 """
@@ -32,7 +32,7 @@ _MARK_SCHEMA = {
 
 
 def write_mcap(file: BinaryIO, recording: Recording) -> None:
-    """Write a recording; raises `RigError` when the package ``mcap`` is not installed."""
+    """Write a recording as MCAP; raise `RigError` when the package ``mcap`` is not installed."""
     try:
         writer = mcap.Writer(file)
     except ImportError as error:
@@ -54,14 +54,14 @@ def write_mcap(file: BinaryIO, recording: Recording) -> None:
 
 
 def _channel(writer: Any, topic: str, properties: dict[str, Any]) -> int:
-    """A topic of JSON objects; returns its number."""
+    """Register a topic of JSON objects with these properties; return the number of its channel."""
     schema = {"type": "object", "properties": properties}
     number = writer.register_schema(topic.removeprefix("/").replace("/", "."), "jsonschema", _json(schema))
     return int(writer.register_channel(topic, "json", number))
 
 
 def _columns(recording: Recording) -> dict[str, Any]:
-    """Return the JSON schema of a row, by column."""
+    """Return the JSON schema of each column, by name."""
     return {
         name: {
             "type": "integer" if recording.rows.dtype[name].kind in "iu" else ["number", "null"],

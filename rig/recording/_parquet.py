@@ -1,4 +1,4 @@
-"""Recordings as Parquet: the form to keep, which pandas, polars, DuckDB, MATLAB and PlotJuggler open.
+"""Recordings as Parquet: the format for storage, which pandas, polars, DuckDB, MATLAB and PlotJuggler open.
 
 Unit and meaning are metadata of each field (``unit``, ``description``); header, trailer, completeness and
 losses are metadata of the file, as JSON under the keys in `KEYS`, with a checksum over all of it and the
@@ -34,7 +34,7 @@ READ_BYTES = 1 << 25
 
 
 def has_pyarrow() -> bool:
-    """Return True if Parquet can be written and read here."""
+    """Return True if pyarrow is installed, so that Parquet can be written and read."""
     try:
         return bool(parquet.ParquetFile)
     except ImportError:
@@ -42,13 +42,13 @@ def has_pyarrow() -> bool:
 
 
 def check_pyarrow() -> None:
-    """Raise `RecordingError` where Parquet and CSV cannot be read."""
+    """Raise `RecordingError` if pyarrow is missing, without which Parquet and CSV cannot be read."""
     if not has_pyarrow():
         raise RecordingError("Parquet needs pyarrow", remedy="pip install pyarrow, or use captures and CSV")
 
 
 def write_parquet(file: BinaryIO, recording: Recording) -> None:
-    """Write a recording; equal recordings give equal bytes under the same pyarrow."""
+    """Write a recording as Parquet; equal recordings give equal bytes with the same version of pyarrow."""
     check_pyarrow()
     units, descriptions, dtype = recording.units, recording.descriptions, recording.rows.dtype
     fields = [
@@ -74,7 +74,7 @@ def write_parquet(file: BinaryIO, recording: Recording) -> None:
 
 
 def _to_arrow(rows: NDArray[np.void], name: str) -> Any:
-    """Return a column as an arrow array over the same memory."""
+    """Return a column as an Arrow array."""
     # pyarrow.array would import pandas, if installed, to check where the column comes from.
     column = np.ascontiguousarray(rows[name])
     return pyarrow.Array.from_buffers(
@@ -83,7 +83,7 @@ def _to_arrow(rows: NDArray[np.void], name: str) -> Any:
 
 
 def _checksum(metadata: Mapping[bytes, bytes], columns: Iterable[NDArray[Any]]) -> bytes:
-    """Return the CRC-32 over metadata and columns in their order."""
+    """Return the CRC-32 of the metadata (in the order of `KEYS`) and the columns, as 8 hex digits."""
     # Parquet checks neither footer nor page heads.
     crc = _checksum_of(metadata)
     for column in columns:
@@ -96,7 +96,7 @@ def _checksum_of(metadata: Mapping[bytes, bytes]) -> int:
 
 
 def _encodings(dtype: np.dtype[np.void]) -> dict[str, Any]:
-    """Return an encoding for each column: floats by byte stream, whole numbers by difference."""
+    """Return the Parquet encoding of each column: byte-stream split for floats, deltas for integers."""
     # Neighbouring floats share exponents; most whole numbers repeat or rise evenly.
     chosen = {
         name: "BYTE_STREAM_SPLIT" if dtype[name].kind == "f" else "DELTA_BINARY_PACKED"
@@ -107,16 +107,16 @@ def _encodings(dtype: np.dtype[np.void]) -> dict[str, Any]:
 
 
 def read_parquet(path: Path, columns: Collection[str] | None = None) -> Recording:
-    """Read a sealed recording, of its rows all columns or those named; its header describes all of them.
+    """Read a sealed recording; with `columns`, its rows have only these columns, but its header describes all.
 
-    Raises `RecordingError` when the file is not a recording, or when a bit of it has changed, in any column.
+    Raise `RecordingError` when the file is not a recording, or when a bit of any column has changed.
     """
     with _open_file(path) as file:
         return _recording(path, file, _metadata(path, file.schema_arrow), columns)
 
 
 def read_parquet_facts(path: Path) -> Recording:
-    """Read a sealed recording without its rows, from the end of the file; raises `RecordingError` for another file."""
+    """Return a sealed recording without its rows; raise `RecordingError` if the file is not a recording."""
     with _open_file(path) as file:
         metadata = _metadata(path, file.schema_arrow)
         return _facts(path, metadata)
@@ -143,7 +143,7 @@ def _metadata(path: Path, schema: Any) -> dict[bytes, bytes]:
 
 
 def _to_numpy(chunk: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Return the numbers of a chunk as an array over its memory; `ValueError` for nulls."""
+    """Return a chunk of a column as an array over the same memory; raise `ValueError` for nulls."""
     # pyarrow's own conversion imports pandas.
     if chunk.null_count or chunk.type != pyarrow.from_numpy_dtype(dtype):
         raise ValueError(f"a column has nulls, or is {chunk.type} and not {dtype}")
@@ -163,7 +163,7 @@ def _recording(
 
 
 def is_stored(path: Path, expected: Recording, names: Collection[str]) -> bool:
-    """Check that a sealed recording has these columns of another, to the last bit, a part of a column at a time."""
+    """Return True if the named columns of a sealed recording equal those of `expected` bit by bit."""
     with _open_file(path) as file:
         metadata = _metadata(path, file.schema_arrow)
         facts = _facts(path, metadata)
@@ -178,7 +178,7 @@ def is_stored(path: Path, expected: Recording, names: Collection[str]) -> bool:
 def _checked_columns(
     file: Any, metadata: Mapping[bytes, bytes], facts: Recording
 ) -> Iterator[tuple[str, int, NDArray[Any]]]:
-    """Yield each part of each column, with its name and first row; `ValueError` at the end where a bit has changed."""
+    """Yield column name, first row and values of each chunk; at the end, raise `ValueError` for a wrong checksum."""
     stored: list[str] = file.schema_arrow.names
     if set(stored) != set(facts.names):
         raise ValueError("its columns are not those of its header")

@@ -1,7 +1,7 @@
 """Required shape of header and trailer of a recording, for code that reads numbers and names from them.
 
-A checksum shows that a file was not changed by accident, not that this program wrote it. Only what is read again is
-listed; the experiment is checked by `rig.config`, the state of the controller where a replay begins from it.
+A checksum shows that a file was not changed by accident, not that this program wrote it. Only keys that this program
+reads are listed. `rig.config` checks the experiment, and a replay checks the controller's initial state.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ TRAILER: dict[str, Any] = {
 
 
 def parse_json(text: bytes) -> Any:
-    """Parse JSON; raises `ValueError` for text that is not valid JSON, or nested deeper than `DEPTH`."""
+    """Parse JSON; raise `ValueError` for text that is not valid JSON, or is nested deeper than `DEPTH` levels."""
     try:
         value = json.loads(text)
     except RecursionError:
@@ -77,10 +77,10 @@ def _parts(value: Any) -> Any:
 
 
 def misfit(value: Any, shape: Any, name: str) -> str:
-    """Return what does not fit, in words; "" if all does.
+    """Return a sentence about the first part of `value` that does not match `shape`; "" if all of it matches.
 
-    A key that ends in "?" may be missing or null, "*" stands for all keys, a tuple or a range for one of
-    its values.
+    In a shape, a key that ends in "?" may be missing or null, and "*" stands for every key. A tuple or a range
+    requires one of its values.
     """
     inside: list[tuple[Any, Any, str]] = []
     if isinstance(shape, list):
@@ -98,7 +98,7 @@ def misfit(value: Any, shape: Any, name: str) -> str:
     else:
         fits = isinstance(value, shape)
     if not fits:
-        return f"{name} has a value that is not valid there"
+        return f"{name} has the invalid value {repr(value)[:40]}"
     return next(filter(None, (misfit(*one) for one in inside)), "")
 
 

@@ -1,4 +1,4 @@
-"""Summary of a latency ledger: how long each stage took, which ticks were worst, and what was counted apart."""
+"""Summary of a latency ledger: how long each stage took, which ticks were worst, and the loop's counters."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ _Mask = NDArray[np.bool_]
 class Stage:
     """Duration of one stage over all ticks in which it is known (ns).
 
-    `counts` belongs to the edges of the summary: below the first, between each two, from the last on. `negative` counts
-    ticks in which the end seems to come before the begin. Bounds of the quantiles take ticks as independent, which
-    lateness in bursts is not.
+    `counts` is a histogram over `TimingSummary.edges_ns`: ticks below the first edge, between each two edges, and from
+    the last edge on. `negative` counts ticks in which the end seems to come before the begin. The bounds of the
+    quantiles assume independent ticks; they are too tight if late ticks come in bursts.
     """
 
     ticks: int
@@ -53,7 +53,7 @@ class Stage:
 
 @dataclass(frozen=True, slots=True)
 class BadTick:
-    """One of the worst ticks: seconds from the first receipt, and its stages (ns), None where unknown."""
+    """One of the worst ticks: time since the first receipt (s), and length of its stages (ns; None if unknown)."""
 
     tick: int
     sample_index: int
@@ -63,20 +63,20 @@ class BadTick:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TimingSummary(TimingFacts):
-    """The timing of a recording.
+    """Timing of a recording.
 
     Attributes
     ----------
     ticks, duration_s
-        Steps of the law, time from the first to the last receipt.
+        Number of steps of the law, and time from the first to the last receipt of a sample (s).
     stages
-        Stages by name (`STAGES`, `LATENESS`); None where no tick is known.
+        Stages by name (`STAGES`, `LATENESS`); None if the length of a stage is known in no tick.
     edges_ns
         Edges of the histograms (ns).
     worst
-        Ticks with the longest whole way, or, where that is unknown, the latest; worst first.
+        Ticks with the longest delay from sample to command, or, without a clock fit, the latest ticks; worst first.
     counts
-        Late, skipped, lost, stale and so on, apart (`COUNTED`); None where the loop left no counters.
+        Number of ticks, samples or commands of each kind in `COUNTED`; None if the loop stored no counters.
     """
 
     ticks: int
@@ -87,7 +87,7 @@ class TimingSummary(TimingFacts):
     counts: dict[str, int | None]
 
     def items(self) -> list[Item]:
-        """Return tables and rows of all spans and counters, for people."""
+        """Return tables and rows of all stages and counters, to print."""
         head = ("stage", "ticks", "least", "p50", "p99", "p99.9", "longest")
         found: list[Item] = [
             f"{self.ticks} ticks in {self.duration_s:.4g} s, one every {duration(self.period_ns)}",
@@ -153,14 +153,14 @@ class TimingSummary(TimingFacts):
 
 
 def label(name: str) -> str:
-    """Return the times between which a stage lies, with what delays it."""
+    """Return the text of a stage, like ``sampled to received``, with its cause of delay if it has one."""
     if name == LATENESS:
         return "late on the grid of the samples"
     return ", ".join(filter(None, (STAGES[name].label, STAGES[name].with_)))
 
 
 def _shown(quantile: Quantile) -> str:
-    """Return a quantile, with its upper bound where the ticks suffice for one: ``87 µs (≤ 93 µs)``."""
+    """Return a quantile as text, with its upper bound if there are enough ticks: ``87 µs (≤ 93 µs)``."""
     text = duration(quantile.value)
     if quantile.high is None or quantile.high == quantile.value:
         return text
@@ -168,7 +168,7 @@ def _shown(quantile: Quantile) -> str:
 
 
 def summarise(ledger: Ledger, counters: Mapping[str, int] | None) -> TimingSummary:
-    """Summarise a ledger; `counters` are the loop's, as in a recording's trailer, or None without a trailer."""
+    """Summarise a ledger; `counters` are the loop's counters from the recording's trailer, None without a trailer."""
     counts = {name: (counters or {}).get(name) for name in COUNTED}
     if counts["late"] is None:
         counts["late"] = int(np.count_nonzero(ledger.late))
@@ -201,7 +201,10 @@ def _summary(values: _Ints, known: _Mask) -> Stage | None:
 
 
 def _badness(ledger: Ledger) -> tuple[_Ints, _Mask]:
-    """Return the time (ns) from sample to command and beyond the device's next tick; without a clock, lateness."""
+    """Return how bad each tick is (ns), and where this is known; without a clock fit it is the lateness.
+
+    Otherwise it is the time from sample to sent command, plus the wait for the effect beyond one device tick.
+    """
     answered, known = ledger.stage("answered")
     if not known.any():
         return ledger.stage(LATENESS)
@@ -211,7 +214,7 @@ def _badness(ledger: Ledger) -> tuple[_Ints, _Mask]:
 
 
 def _worst(ledger: Ledger) -> list[BadTick]:
-    """Return the worst ticks first, of equal ones the earlier; ticks without any delay are excluded."""
+    """Return at most `WORST` ticks, the worst first and the earlier of two equal ones; omit ticks without delay."""
     values, known = _badness(ledger)
     candidates = np.flatnonzero(known & (values > 0))
     if len(candidates) > WORST:  # only what can be among the worst is sorted

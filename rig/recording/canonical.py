@@ -1,11 +1,11 @@
-"""JSON with one spelling for one content, so that equal headers are equal bytes.
+"""Canonical JSON: equal contents give equal bytes.
 
-Keys are sorted, no blanks, UTF-8. Floats are written with the shortest digits that read back to the same
+Keys are sorted, without blanks, in UTF-8. Floats are written with the shortest digits that read back to the same
 bits; the three values that JSON lacks are the strings ``"NaN"``, ``"Infinity"`` and ``"-Infinity"``, which
 `float` understands.
 
-Every writer of recordings, trials and the console call it. Do not change the spelling: headers of old recordings would
-no longer be equal byte for byte.
+Writers of recordings, trials and the console call it. Do not change the format: headers of old recordings would no
+longer be equal byte for byte.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from rig.core.present import plain
 
 
 def lossless(value: Any) -> Any:
-    """Reduce to what JSON holds, as `rig.core.present.plain` does, with every float readable back to its bits."""
+    """Convert to JSON types by `rig.core.present.plain`, with NaN and infinities as strings."""
     return plain(value, _spell)
 
 
 def canonical_json(value: Any) -> bytes:
-    """Return the one spelling of `value` as UTF-8."""
+    """Return `value` as canonical JSON in UTF-8."""
     text = json.dumps(
         lossless(value), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
     )

@@ -1,7 +1,7 @@
-"""Recordings from the CSV files of other loggers: times and counts on a regular grid, with lost samples found.
+"""Recordings from the CSV files of other loggers: times and counts on a regular grid, with detection of lost samples.
 
-Such a recording has no rig, wall or trial: what it does not know is NaN or 0, and `rig.recording.origin.counts_facts`
-has what it knows.
+Such a recording has no rig, wall or trial: unknown columns are NaN or 0, and `rig.recording.origin.counts_facts`
+returns its rate, resolution and lost samples.
 
 `rig recording import` and `rig recording show` call it. It must not fill in a lost sample with a guessed count.
 """
@@ -55,7 +55,7 @@ def read_counts(
     motion: Motion = "rotary",
     delimiter: str | None = None,
 ) -> Recording:
-    """Read times and encoder counts from a CSV file as a recording that estimators can be compared and tuned on.
+    """Read times and encoder counts from a CSV file as a recording, to compare and tune estimators on.
 
     Parameters
     ----------
@@ -75,23 +75,22 @@ def read_counts(
     motion
         "rotary" (rad) or "linear" (m).
     delimiter
-        Between columns: the first of semicolon, tab and comma that the first line has, unless given. With semicolons
-        or tabs, numbers may have decimal commas.
+        Separator of columns; by default the first of semicolon, tab and comma that occurs in the first line. With
+        semicolons or tabs, numbers may have decimal commas.
 
     Returns
     -------
     Recording
-        A row for each sample that is there; `elapsed_ticks` above 1 after lost ones. ``rig.export(recording,
-        "log.parquet")`` saves it.
+        One row for each sample in the file; `elapsed_ticks` is above 1 in the row after lost samples.
+        ``rig.export(recording, "log.parquet")`` saves it.
 
     Raises
     ------
     RecordingError
-        The file cannot be read, has no such column, or a column holds no numbers; counts that `rig.estimate` would
-        refuse; times that do not rise, or of which an interval is not a whole number of periods within 10 % of a
-        period.
+        The file cannot be read, has no such column, or a column contains text; `rig.estimate` would refuse the counts;
+        times do not increase; or an interval differs by more than 10 % of a period from a whole number of periods.
     ConfigError
-        A resolution, unit or period that cannot be.
+        Resolution, unit or period is invalid.
     """
     _check(resolution, time, time_unit, period_s)
     path = Path(path)
@@ -106,7 +105,8 @@ def read_counts(
     rows = np.flatnonzero(known)
     if len(rows) < FEWEST:
         raise RecordingError(
-            f"{path} has {len(rows)} samples; at least {FEWEST} are needed", remedy="check the columns' names"
+            f"{path} has {len(rows)} samples; at least {FEWEST} are needed",
+            remedy="check that the given columns are those of count and time",
         )
     if seconds is None:
         assert period_s is not None
@@ -139,7 +139,7 @@ def read_counts(
 
 
 def count_rows(facts: Mapping[str, Any], motion: Motion) -> list[Row]:
-    """Return the facts of `counts_facts`, for people."""
+    """Return rate, resolution and lost samples (`counts_facts`) as rows to print."""
     rows = [
         Row("rate", facts["rate_hz"], "Hz", digits=9),
         Row("resolution", facts["resolution"], unit_of("position", motion), "a count"),
@@ -165,7 +165,7 @@ def count_rows(facts: Mapping[str, Any], motion: Motion) -> list[Row]:
 
 @dataclass(frozen=True)
 class SampleGrid:
-    """Place of each sample on a regular grid, its period, and how far intervals deviate from it (in periods)."""
+    """Regular sampling grid: index of each sample, period (s), and deviation of the intervals (periods)."""
 
     index: Ints
     period_s: float
@@ -174,7 +174,7 @@ class SampleGrid:
 
     @property
     def rate_hz(self) -> float:
-        """Return the samples per second; whole Hz where the period is that within `WHOLE_HZ`."""
+        """Return the sampling rate (Hz), rounded to whole Hz if it differs by at most the share `WHOLE_HZ`."""
         rate = 1.0 / self.period_s
         return float(round(rate)) if abs(rate - round(rate)) <= WHOLE_HZ * rate else rate
 
@@ -202,7 +202,7 @@ def _check(resolution: float, time: object, time_unit: str, period_s: float | No
 
 
 def _read(path: Path, wanted: list[str | int], delimiter: str | None) -> list[Any]:
-    """Return the wanted columns (pyarrow.ChunkedArray), converted as their text allows."""
+    """Return the wanted columns (pyarrow.ChunkedArray), with the types that pyarrow infers from their text."""
     check_pyarrow()
     with plain_errors("read", path), open_regular(path, ROWS_BYTES) as file:
         lines = file.read(HEAD_BYTES).decode("utf-8-sig", "replace").splitlines()
@@ -279,7 +279,7 @@ def _numbers(path: Path, name: str | int, column: Any) -> Floats:
 
 
 def _seconds(path: Path, name: str | int, column: Any, unit_s: float) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return times (s) from the first one, and which rows have one."""
+    """Return the time of each row (s, up to a constant offset), and a mask of the rows that have a time."""
     known = ~np.asarray(column.is_null().to_numpy(zero_copy_only=False), dtype=bool)
     types = pyarrow.types
     if types.is_timestamp(column.type) or types.is_time(column.type):
@@ -296,7 +296,7 @@ def _seconds(path: Path, name: str | int, column: Any, unit_s: float) -> tuple[F
 
 
 def _grid(path: Path, time_s: Floats, rows: Ints) -> SampleGrid:
-    """Find the grid of times (s, from 0); rows of the file name samples in errors."""
+    """Return the sampling grid of times (s, from 0); `rows` are row numbers in the file, for error messages."""
     intervals = np.diff(time_s)
     back = np.flatnonzero(intervals <= 0.0)
     if len(back):

@@ -1,10 +1,10 @@
-"""A cut: some rows of a recording in a file of their own, whose header says from which one, from where and when.
+"""A cut: an interval of a recording as a recording of its own, with all columns at full rate.
 
-That one is named with its digest. All columns at full rate: a cut is a recording like others, only shorter. Its trailer
-says that it is cut, not how the trial ended; what judges a trial judges the whole.
+Its header names the source file with its SHA-256, the interval, and the time of cutting. Its trailer states that it is
+a cut, not how the trial ended: a verdict needs the whole recording.
 
-`rig.experiments.trials.cutting` alone calls it, which makes the cut replay. It must not change the recording that it
-cuts.
+Only `rig.experiments.trials.cutting` calls it, which adds the controller's state so that the cut can be replayed. It
+must not change the source recording.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from rig.recording.seal import SEALED_SUFFIX
 def cut(
     recording: Recording, first_s: float, last_s: float, initial_state: Mapping[str, Any] | None = None
 ) -> Recording:
-    """Cut a recording.
+    """Return the part of a recording between two times as a new recording.
 
     Parameters
     ----------
     recording
-        Whole, or a cut itself.
+        Whole recording, or a cut.
     first_s, last_s
-        From and up to when, since its first row (s).
+        Begin and end of the interval, since the first row of the recording (s).
     initial_state
         State of the controller before the first row of the cut, if known (`rig.experiments.trials.cutting`); without it
         only a cut from the beginning can be replayed.
@@ -46,7 +46,7 @@ def cut(
     Returns
     -------
     Recording
-        Its rows, header and trailer; it has no file yet.
+        Cut with rows, header and trailer; it is not written to a file yet.
 
     Raises
     ------
@@ -58,7 +58,8 @@ def cut(
     if end - first < 2:
         reach = f"it has rows from 0 to {times[-1]:.6g} s" if len(times) else "it has no rows"
         raise RecordingError(
-            f"there are no two rows between {first_s:.6g} and {last_s:.6g} s of the recording", remedy=reach
+            f"there are fewer than 2 rows between {first_s:.6g} and {last_s:.6g} s of the recording",
+            remedy=f"choose a longer interval: {reach}",
         )
     taken = rows[first:end].copy()
     missing = int(taken["tick"][-1] - taken["tick"][0]) + 1 - len(taken)
@@ -97,7 +98,7 @@ def cut(
 
 
 def write_cut(made: Recording, directory: Path) -> Path:
-    """Write a cut into a directory, under a free name; its path. Raises `RecordingError` when the disk refuses."""
+    """Write a cut into a directory under a free name; return its path. Raise `RecordingError` on a disk error."""
     make_directories(directory)
     of = Path((cut_facts(made) or {}).get("recording") or "recording").stem
     path = free_name(directory, f"{of}-cut")

@@ -1,7 +1,7 @@
 """A recording in memory: the one type that every reader returns and every writer takes.
 
-Trials, verdicts, replays, maps, sessions, pictures, studies and `rig.testing` take it. It must not read or write a
-file, nor judge what it holds.
+Trials, verdicts, replays, maps, sessions, pictures, studies and `rig.testing` use it. It must not read or write a
+file, nor judge the recording.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rig.core.shown import Drawn, Shown
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """A stretch of a file that could not be used, and the rows in it as far as the rest of the file shows."""
+    """Bytes of a file that could not be read, and the number of rows in them (None if unknown)."""
 
     reason: str
     offset: int
@@ -42,9 +42,9 @@ class Loss:
 
 @dataclass(frozen=True, eq=False, slots=True, repr=False)
 class Column(Shown, Drawn):
-    """One column of a recording: `values`, a row each, their SI `unit`, and `time_s` of the rows.
+    """One column of a recording: one value per row, their SI unit, and the times of the rows (s).
 
-    numpy takes it as an array of the values. It computes nothing itself: a result would need another unit.
+    numpy functions accept it as an array of its values. It has no arithmetic of its own: results have other units.
     """
 
     name: str
@@ -60,7 +60,7 @@ class Column(Shown, Drawn):
         return np.array(self.values, dtype=dtype, copy=copy)
 
     def brief(self) -> list[Item]:
-        """Return meaning, range and number of rows, for people."""
+        """Return meaning, range and number of rows of the column, to print."""
         rows = [Row("meaning", self.description), Row("rows", len(self))]
         if len(self):
             low, high = (float(value) for value in (self.values.min(), self.values.max()))
@@ -70,7 +70,7 @@ class Column(Shown, Drawn):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording(Shown, Drawn):
-    """Recording of one trial: header, rows, trailer, and what is missing.
+    """Recording of one trial: header, rows, trailer, and lost parts of the file.
 
     Attributes
     ----------
@@ -80,13 +80,13 @@ class Recording(Shown, Drawn):
         Structured array, one row a tick; its fields are those of the file: `rig.core.sample.ROW`, and in simulation
         the truth.
     trailer
-        How and why the trial ended, with its statistics; None when it could not be written.
+        How and why the trial ended, with its statistics; None if the file has none, as after a crash.
     complete
-        True if the writer reached its end. A recording cut off by the death of its process is incomplete but usable.
+        True if the file has its end block. A recording whose process died is incomplete but usable.
     lost
-        Parts that the reader had to skip.
+        Damaged or missing parts of the file that the reader skipped.
     path
-        The file it was read from.
+        File from which the recording was read; None for a recording that was made in memory.
     """
 
     header: dict[str, Any]
@@ -116,7 +116,7 @@ class Recording(Shown, Drawn):
 
     @property
     def experiment(self) -> dict[str, Any]:
-        """Return the parameters in effect, as nested tables."""
+        """Return the parameters of the experiment that were in effect, as nested dictionaries."""
         return dict(self.header.get("experiment") or {})
 
     @property
@@ -126,21 +126,22 @@ class Recording(Shown, Drawn):
 
     @property
     def time_s(self) -> NDArray[np.float64]:
-        """Time from the first row, in s: the device's clock, or the host's where the device gave none."""
+        """Time of each row since the first row (s), by the device's clock, or by the host's if it is not recorded."""
         for name in ("device_time", "received_at"):
             if name in self.names:
                 time: NDArray[np.int64] = self.rows[name]
+                # A constant column means that this clock was not recorded.
                 if len(time) and np.any(time != time[0]):
                     return np.asarray((time - time[0]) * 1e-9, dtype=np.float64)
         return np.zeros(len(self.rows))
 
     def __getitem__(self, name: str) -> Column:
-        """Return one column with its unit; raises `RecordingError` for an unknown name."""
+        """Return one column with unit, meaning and times; raise `RecordingError` for an unknown name."""
         values = self.column(name)
         return Column(name, values, self.units[name], self.descriptions[name], self.time_s)
 
     def column(self, name: str) -> NDArray[Any]:
-        """Return one column as a contiguous array; raises `RecordingError` for an unknown name."""
+        """Return one column as a contiguous array; raise `RecordingError` for an unknown name."""
         if name not in self.names:
             close = get_close_matches(name, self.names, n=1)
             remedy = f"did you mean {close[0]}?" if close else f"its columns are {', '.join(self.names)}"
@@ -178,7 +179,7 @@ class Recording(Shown, Drawn):
         return found
 
     def brief(self) -> list[Item]:
-        """Return what was hit, how it ended, and the length of the recording, for people."""
+        """Return creation time, file, reason of the end, verdict, and numbers of rows and columns, to print."""
         trailer = self.trailer or {}
         verdict = trailer.get("verdict") or {}
         words = "; ".join([str(verdict.get("kind") or "none"), *verdict.get("reasons", ())])
@@ -200,7 +201,7 @@ class Recording(Shown, Drawn):
         return [f"recording of {self.header.get('rig', 'a rig')}", *rows]
 
     def detailed(self) -> list[Item]:
-        """Return the short form, and every column with unit and meaning."""
+        """Return the rows of `brief`, and a table of all columns with unit and meaning."""
         columns = [(name, self.units[name], self.descriptions[name]) for name in self.names]
         return [*self.brief(), Table(("column", "unit", "meaning"), columns, words=3)]
 

@@ -1,7 +1,7 @@
 """Recordings for other programs.
 
-CSV is for anything, X-Y is force over penetration, Parquet for data frames, MAT for MATLAB and Octave, MCAP for
-Foxglove and PlotJuggler.
+CSV is for any program, X-Y is a CSV of force over penetration, Parquet is for data frames, MAT for MATLAB and Octave,
+MCAP for Foxglove and PlotJuggler.
 
 `rig recording export`, `rig recording import`, the console and studies call it. It must not change the recording, and
 overwrites a file only when asked to.
@@ -34,7 +34,7 @@ _ROWS_AT_ONCE = 10_000
 def export(
     recording: Recording | str | Path, path: str | Path, format: str | None = None, *, overwrite: bool = False
 ) -> Path:
-    """Write a recording for another program.
+    """Write a recording in a format of another program, and return the path of the file.
 
     Parameters
     ----------
@@ -45,12 +45,12 @@ def export(
     format
         One of `EXPORTERS`; without it the suffix of `path` decides.
     overwrite
-        Replace files of that name.
+        Replace an existing file of that name.
 
     Raises
     ------
     RecordingError
-        Unknown format, a file in the way, a disk that refuses, a recording that cannot be read or is too
+        The format is unknown, the file exists, the disk reports an error, or the recording cannot be read or is too
         large for the format.
     """
     path = Path(path)
@@ -72,12 +72,12 @@ def export(
 
 
 def sidecar_of(path: Path) -> Path:
-    """Name of the JSON file beside a CSV that describes its columns."""
+    """Return the path of the JSON file that describes the columns of a CSV file."""
     return path.with_name(path.name + ".json")
 
 
 def facts(recording: Recording) -> dict[str, object]:
-    """Return everything about a recording but its rows."""
+    """Return header, trailer, completeness, losses, units and descriptions of a recording: all but its rows."""
     return {
         "header": recording.header,
         "trailer": recording.trailer,
@@ -89,12 +89,12 @@ def facts(recording: Recording) -> dict[str, object]:
 
 
 def write_sidecar(file: BinaryIO, recording: Recording) -> None:
-    """JSON object with header, trailer, completeness, losses, units and descriptions."""
+    """Write a JSON object with header, trailer, completeness, losses, units and descriptions."""
     file.write(canonical_json(facts(recording)) + b"\n")
 
 
 def write_csv(file: BinaryIO, recording: Recording) -> None:
-    """One line of column names, one line a row; floats with the shortest digits that read back equal."""
+    """Write a line of column names, then one line per row; floats have the fewest digits that read back equal."""
     text = io.TextIOWrapper(file, encoding="utf-8", newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(recording.names)
@@ -104,7 +104,7 @@ def write_csv(file: BinaryIO, recording: Recording) -> None:
 
 
 def write_xy(file: BinaryIO, recording: Recording) -> None:
-    """Force of the wall over penetration: a CSV of two columns, units in their names, for the trial proper."""
+    """Write a CSV of penetration and wall effort in the trial phase; the column names contain the units."""
     trial = recording.rows["phase"] == Phase.TRIAL
     names = ("penetration", "effort_wall")
     text = io.TextIOWrapper(file, encoding="utf-8", newline="")
@@ -115,9 +115,9 @@ def write_xy(file: BinaryIO, recording: Recording) -> None:
 
 
 def write_mat(file: BinaryIO, recording: Recording) -> None:
-    """MATLAB 5 file: structs ``data`` (column vectors), ``units``, ``descriptions``; the rest as JSON text.
+    """Write a MATLAB 5 file with structs ``data`` (column vectors), ``units``, ``descriptions``.
 
-    ``jsondecode(header)`` gives the header as a struct. Whole numbers stay int64.
+    Header, trailer and losses are JSON text: ``jsondecode(header)`` gives a struct. Integers stay int64.
     """
     parts = facts(recording)
     texts = {name: canonical_json(parts[name]).decode() for name in ("header", "trailer", "lost")}

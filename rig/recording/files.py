@@ -1,7 +1,7 @@
-"""Files that are whole or absent (written under another name, synced, renamed), and errors in plain words.
+"""Atomic writing of files (write under another name, sync, rename), and one-line errors of the disk.
 
-Every room that writes files calls it. It must not know what a file contains, and no half-written file may have the
-final name.
+Every package that writes files calls it. It must not depend on the content of a file, and no partly written file may
+have the final name.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ _REMEDIES = {
     errno.ENAMETOOLONG: "check the path",
     errno.ENOTDIR: "check the path, or make the directory first",
     errno.EEXIST: "choose another name; recordings are never overwritten",
-    errno.EISDIR: "name a file inside it",
-    errno.ENXIO: "name a file on a disk",
-    errno.EOVERFLOW: "name the file that haptic-rig wrote",
+    errno.EISDIR: "give the path of a file inside this directory",
+    errno.ENXIO: "give the path of a regular file",
+    errno.EOVERFLOW: "give the file that haptic-rig wrote",
     errno.EACCES: "choose a place that you may write to",
     errno.EPERM: "choose a place that you may write to",
     errno.EROFS: "choose a place that you may write to",
@@ -38,7 +38,7 @@ _REMEDIES = {
 
 
 def disk_error(doing: str, path: Path, number: int, reason: str | None = None) -> RecordingError:
-    """Return the error for a refusal of the operating system or of `rig.core.regular_file`, with its remedy."""
+    """Return the `RecordingError` for an errno of the system or of `rig.core.regular_file`, with its remedy."""
     cause = reason or os.strerror(number)
     return RecordingError(f"cannot {doing} {path}: {cause}", remedy=_REMEDIES.get(number, ""))
 
@@ -51,7 +51,7 @@ def sha256_of(path: Path) -> str:
 
 @contextmanager
 def plain_errors(doing: str, path: Path) -> Iterator[None]:
-    """Turn an `OSError` inside the block into a `RecordingError` of one line."""
+    """Convert an `OSError` inside the block into a `RecordingError`, whose message is one line."""
     try:
         yield
     except OSError as error:
@@ -59,7 +59,7 @@ def plain_errors(doing: str, path: Path) -> Iterator[None]:
 
 
 def sync_directory(directory: Path) -> None:
-    """Make the names in a directory survive a power cut; does nothing where directories cannot be synced."""
+    """Sync the file names of a directory to disk; do nothing where the system cannot sync directories."""
     with suppress(OSError):
         descriptor = os.open(directory, os.O_RDONLY)
         try:
@@ -69,9 +69,9 @@ def sync_directory(directory: Path) -> None:
 
 
 def make_directories(directory: Path) -> None:
-    """Make a directory, and those above it that are missing; the name of each survives a power cut.
+    """Make a directory and its missing parents, and sync their names to disk.
 
-    Raises `RecordingError` when the disk refuses.
+    Raise `RecordingError` on a disk error.
     """
     missing: list[Path] = []
     there = directory
@@ -87,7 +87,7 @@ def make_directories(directory: Path) -> None:
 
 
 def refuse_existing(path: Path) -> None:
-    """Raise `RecordingError` when something of that name exists."""
+    """Raise `RecordingError` if the path exists."""
     if path.exists():
         raise disk_error("write", path, errno.EEXIST)
 
@@ -98,8 +98,8 @@ def whole_file(
 ) -> Iterator[BinaryIO]:
     """Open a file that appears under its name only when the block ends without an exception, synced to disk.
 
-    `check` is called with the draft's path before it gets its name; an exception from it leaves no file either.
-    Raises `RecordingError` when it exists (unless `overwrite`), or when the disk refuses.
+    `check` is called with the path of the draft file before the renaming; if it raises an exception, no file remains.
+    Raise `RecordingError` if the file exists (unless `overwrite`), or on a disk error.
     """
     if not overwrite:
         refuse_existing(path)
@@ -123,9 +123,9 @@ def whole_file(
 
 @contextmanager
 def whole_directory(path: Path) -> Iterator[Path]:
-    """Yield a draft to fill; it gets the name `path` only when the block ends without an exception.
+    """Yield a new directory to fill; rename it to `path` when the block ends without an exception.
 
-    Raises `RecordingError` when something of that name exists, or when the disk refuses.
+    Raise `RecordingError` if `path` exists, or on a disk error.
     """
     refuse_existing(path)
     draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
@@ -141,7 +141,7 @@ def whole_directory(path: Path) -> Iterator[Path]:
 
 
 def free_name(directory: Path, stem: str) -> Path:
-    """Return the first free capture name of this stem; characters that a file name cannot have become hyphens."""
+    """Return the first free path STEM.rigcap, STEM-2.rigcap, …; invalid characters of `stem` become hyphens."""
     stem = re.sub(r"[^A-Za-z0-9._-]+", "-", stem).strip(".-") or "rig"
     for number in range(1, 10_000):
         name = stem if number == 1 else f"{stem}-{number}"
@@ -159,7 +159,7 @@ _reserving = threading.Lock()
 
 @contextmanager
 def reserved_name(directory: Path, stem: str) -> Iterator[Path]:
-    """Yield a `free_name` that no other thread gets meanwhile: its file is made later than the name is chosen."""
+    """Yield a `free_name` that is reserved against other threads until the block ends, since its file is made later."""
     with _reserving:
         capture = free_name(directory, stem)
         _reserved.add(capture)

@@ -1,9 +1,9 @@
 """The header of a recording: everything that is known before its first row.
 
-The same seed, experiment and versions give the same header but for the keys in `VOLATILE`.
+The same seed, experiment and versions give the same header, except for the keys in `VOLATILE`.
 
-Trials, writers and readers of recordings, studies and sessions call it. It must not put anything of the machine or of
-the moment under a key outside `VOLATILE`.
+Trials, writers and readers of recordings, studies and sessions call it. Facts about the machine or the time of the run
+must be under keys in `VOLATILE`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _SIMPLE_DTYPE = re.compile(r"[<|][iuf][1248]")
 
 
 def make_schema(columns: Sequence[Column], motion: Motion) -> dict[str, Any]:
-    """Describe a row for any language: its bytes; name, dtype, offset, unit and meaning of each column."""
+    """Return the layout of a row as JSON types: its size; name, dtype, offset, unit and meaning of each column."""
     dtype = np.dtype([(column.name, column.dtype) for column in columns], align=True)
     described = [
         {
@@ -51,7 +51,7 @@ def make_schema(columns: Sequence[Column], motion: Motion) -> dict[str, Any]:
 
 
 def dtype_of(schema: Mapping[str, Any]) -> np.dtype[np.void]:
-    """Return the dtype of a schema's rows; raises `RecordingError` when the schema describes no row."""
+    """Return the numpy dtype of the rows that a schema describes; raise `RecordingError` for an invalid schema."""
     try:
         columns = schema["columns"]
         formats = [column["dtype"] for column in columns]
@@ -72,7 +72,7 @@ def dtype_of(schema: Mapping[str, Any]) -> np.dtype[np.void]:
 
 
 def schema_of(schema: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:
-    """Return a schema with some of its columns only, in its order, with the offsets of a row of these."""
+    """Return a schema with only the named columns, in unchanged order, with new offsets for the shorter row."""
     columns = [column for column in schema["columns"] if column["name"] in names]
     dtype = np.dtype([(column["name"], column["dtype"]) for column in columns], align=True)
     placed = [{**column, "offset": _field(dtype, column["name"])[1]} for column in columns]
@@ -93,18 +93,18 @@ def make_header(
     host: Mapping[str, Any] | None = None,
     columns: Sequence[Column] = COLUMNS,
 ) -> dict[str, Any]:
-    """Gather the header of a recording: JSON types only, which read back equal from every format.
+    """Return the header of a recording, of JSON types only, so that it reads back equal from every format.
 
     Parameters
     ----------
     rig
         Name of the rig.
     motion
-        Decides the units of the columns.
+        "rotary" or "linear", which decides the units of the columns.
     experiment
         All parameters in effect, as the law and the device use them.
     identity
-        The device's dictionary.
+        The device's dictionary: its description of itself.
     clocks
         Kind, origin and offset of the host's and the device's clock.
     seed
@@ -112,15 +112,14 @@ def make_header(
     protocol
         Version of the wire protocol.
     initial_state
-        State of estimator, law and guard before the first row, as lists of numbers. They keep their bits, so
-        that a replay starts where the trial did; ``[float(x) for x in …]`` restores also what JSON lacks
-        (NaN, infinities).
+        State of estimator, law and guard before the first row, as lists of numbers. It is stored bit by bit, so that
+        a replay starts from the same state; ``[float(x) for x in …]`` also restores NaN and infinities.
     extra
-        Anything else that belongs to the trial and repeats with it.
+        Further facts about the trial that are equal when it is repeated.
     host
-        Facts about this run on this machine (scheduling obtained, …), added to what is found here.
+        Facts about this run on this machine (obtained scheduling, …), added to `host_facts`.
     columns
-        Columns of the rows to come.
+        Columns of the rows.
     """
     header = lossless(
         {
@@ -146,7 +145,7 @@ def make_header(
 
 
 def check_version(path: Path, found: object) -> None:
-    """Refuse a recording of another format version with a `RecordingError`: a version reads its own format only."""
+    """Raise `RecordingError` if the format version of a recording is not `VERSION`."""
     if found != VERSION:
         raise RecordingError(
             f"{path} is a recording of format version {found}, and this version of haptic-rig reads version {VERSION}",
@@ -155,12 +154,12 @@ def check_version(path: Path, found: object) -> None:
 
 
 def repeatable(header: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the part of a header that two runs with the same seed have in common."""
+    """Return a header without the keys in `VOLATILE`: the part that two runs with the same seed have in common."""
     return {key: value for key, value in header.items() if key not in VOLATILE}
 
 
 def versions(protocol: str) -> dict[str, str]:
-    """Return the versions of what computed the rows."""
+    """Return the versions of Python, protocol, haptic-rig, numpy and numba, which computed the rows."""
     installed = {name: _installed(name) for name in ("haptic-rig", "numpy", "numba")}
     return {"python": platform.python_version(), "protocol": protocol, **installed}
 
@@ -174,7 +173,7 @@ def _installed(package: str) -> str:
 
 
 def host_facts() -> dict[str, Any]:
-    """Name and kind of this machine; nothing about the person who uses it."""
+    """Return name, system and number of processors of this machine; nothing about its user."""
     system = platform.uname()
     return {
         "name": system.node,
@@ -186,20 +185,20 @@ def host_facts() -> dict[str, Any]:
 
 
 def git_revision(directory: Path) -> dict[str, Any] | None:
-    """Return the revision of a git checkout and whether its tracked files were edited; None elsewhere, never an error.
+    """Return commit (`revision`) and whether tracked files were edited (`dirty`); None if not a git checkout.
 
-    `dirty`: None if git cannot compare. Files that a filter would convert count as edited once they were touched.
-    Read anew each second: git takes longer than many a simulated hit.
+    `dirty` is None if git cannot compare. Files that a git filter would convert count as edited once they were touched.
+    The answer is cached for up to a second, because git takes longer than many simulated hits.
     """
     return _describe(directory, int(time.monotonic()))
 
 
 @lru_cache(maxsize=8)
 def _describe(directory: Path, second: int) -> dict[str, Any] | None:
-    """Ask git without running what the checkout's configuration, hooks and attributes name.
+    """Return `git_revision`, without running programs that the checkout's configuration, hooks or attributes name.
 
-    Reading HEAD and paths runs nothing. Comparing would run core.fsmonitor and filters, so it gets an empty git
-    directory of its own, without a configuration or hooks, that borrows only the checkout's index and objects.
+    Reading HEAD and paths runs no such program. A comparison would run core.fsmonitor and filters. So it uses an empty
+    git directory without configuration and hooks, which refers to the checkout's index and objects.
     """
     try:
         answer = _git(
@@ -231,7 +230,7 @@ def _describe(directory: Path, second: int) -> dict[str, Any] | None:
 
 
 def _git(directory: Path, *arguments: str, **own: str) -> str:
-    """Return what git prints; with an environment of its `own`, git sees no other variable of git."""
+    """Return the output of git; if `own` variables are given, other GIT_ variables are removed from its environment."""
     inherited = {name: value for name, value in os.environ.items() if not (own and name.startswith("GIT_"))}
     return subprocess.run(
         [find_program("git") or "", "-C", str(directory), *arguments],
@@ -247,7 +246,7 @@ def _git(directory: Path, *arguments: str, **own: str) -> str:
 
 @cache
 def checkout() -> dict[str, str]:
-    """Return commit of the checkout that this program runs from, and whether its files were edited; empty elsewhere."""
+    """Return the commit of the checkout that this program runs from, and whether files were edited; else {}."""
     sources = Path(__file__).parents[2]
     found = git_revision(sources) if (sources / ".git").exists() else None
     if found is None:

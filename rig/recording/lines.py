@@ -1,11 +1,11 @@
-"""A text file that only grows, each line with its own checksum: what was appended stays, whatever ends the process.
+"""Append-only text file with a checksum in each line: appended lines survive the death of the process.
 
     line = CRC of the JSON (8 hex digits)  blank  JSON object in ASCII  newline
 
 The CRC is that of zlib. Bytes after the last newline were being written when the process died and are ignored. One
 process writes at a time: the file is locked while it is open.
 
-The journal of sweeps and the log of sessions are such files. It must not change a line once it is written.
+The journal of sweeps and the log of sessions are such files. A written line must not be changed.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ _NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)
 
 
 class LineFile:
-    """An open file of lines.
+    """Append-only file of lines with checksums, open for writing.
 
     Parameters
     ----------
     path
         Path of the file, created if it does not exist.
     remedy
-        Instruction for the case that another process has it open.
+        Remedy in the error message if another process has the file open.
 
     Raises
     ------
     RecordingError
-        Another process writes it, or the disk refuses.
+        Another process is writing the file, or a disk error.
     """
 
     def __init__(self, path: Path, *, remedy: str) -> None:
@@ -61,7 +61,7 @@ class LineFile:
             raise
 
     def lines(self) -> Iterator[tuple[int, bytes]]:
-        """Yield every whole line, good or damaged, and the place where it begins."""
+        """Yield byte offset and content of every line that ends with a newline, valid or damaged."""
         with plain_errors("read", self.path), open_regular(self.path) as file:
             place = 0
             for line in file:
@@ -71,12 +71,12 @@ class LineFile:
                 place += len(line)
 
     def truncate(self, end: int) -> None:
-        """Cut off what follows a place: a torn tail."""
+        """Remove all bytes after `end`: an incomplete last line."""
         with plain_errors("write", self.path):
             self._file.truncate(end)
 
     def append(self, line: bytes) -> None:
-        """Append a line (`line_of`); it survives the death of this process, and after `sync` a power cut."""
+        """Append a line from `line_of`; it survives the death of this process, and after `sync` also a power cut."""
         self._dirty = True
         data = line
         with plain_errors("write", self.path):
@@ -84,7 +84,7 @@ class LineFile:
                 data = data[self._file.write(data) :]
 
     def sync(self, *, at_once: bool = False) -> None:
-        """Sync what was appended to disk, at most every `SYNC_S` seconds unless asked."""
+        """Sync appended lines to disk, at most every `SYNC_S` (s) unless `at_once`."""
         if self._dirty and (at_once or time.monotonic() - self._synced_s >= SYNC_S):
             with plain_errors("write", self.path):
                 os.fsync(self._file.fileno())
@@ -115,13 +115,13 @@ class LineFile:
 
 
 def line_of(text: str) -> bytes:
-    """Return the line of a JSON object's text, which must be ASCII."""
+    """Return the line (checksum, blank, text, newline) for the JSON text of an object; the text must be ASCII."""
     body = text.encode("ascii")
     return b"%08x %s\n" % (zlib.crc32(body), body)
 
 
 def check_line_end(path: Path, line: bytes) -> None:
-    """Raise `RecordingError` when a line is damaged by nothing but CR LF in place of its line end."""
+    """Raise `RecordingError` if a line is damaged only because it ends with CR LF instead of LF."""
     if line.endswith(b"\r\n") and object_of(line[:-2] + b"\n") is not None:
         raise RecordingError(
             f"{path}: its lines end with CR LF instead of LF, so their checksums do not match; only "
@@ -131,7 +131,7 @@ def check_line_end(path: Path, line: bytes) -> None:
 
 
 def object_of(line: bytes) -> dict[str, Any] | None:
-    """Return the object of a line, None when it is damaged or torn."""
+    """Return the JSON object in a line; None if the line is damaged or incomplete."""
     crc, blank, body = line[:_CRC_DIGITS], line[_CRC_DIGITS : _CRC_DIGITS + 1], line[_CRC_DIGITS + 1 : -1]
     if (crc, blank, line[-1:]) != (b"%08x" % zlib.crc32(body), b" ", b"\n"):
         return None

@@ -1,4 +1,4 @@
-"""Marks of a recording: what happened when, on the device's clock and on the host's.
+"""Marks of a recording: its events (contact, end, sync edges, …) with their times on device and host clock.
 
 ========  =============================================================================================
 homed     the first sample behind the homing
@@ -45,16 +45,16 @@ _Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """Something that happened.
+    """Event in a recording.
 
     Attributes
     ----------
     name
-        See the module's text.
+        Name of the event, from the table in the module's docstring.
     device_time
-        On the device's clock (ns).
+        Time on the device's clock (ns).
     host_time
-        On the host's clock, by the clock fit (ns); None without one.
+        Time on the host's clock, converted by the clock fit (ns); None without a clock fit.
     tick
         Number of the step of the law.
     """
@@ -66,12 +66,12 @@ class Mark:
 
 
 def marks(recording: Recording) -> list[Mark]:
-    """Find what happened in a recording, in the order of the device's clock.
+    """Return the events in a recording, ordered by their time on the device's clock.
 
     Raises
     ------
     RigError
-        The clock of the trailer makes no sense.
+        The clock in the trailer is invalid.
     """
     if not len(recording):
         return []
@@ -80,15 +80,15 @@ def marks(recording: Recording) -> list[Mark]:
 
 
 def sync_edges(recording: Recording) -> list[Mark]:
-    """Return the rising edges of the sync input in a recording."""
+    """Return the rising edges of the sync input in a recording as marks."""
     return _on_both_clocks(recording, _of_edges(recording))
 
 
 def with_sync_edges(recording: Recording) -> Recording:
     """Return the recording with the rising edges of the sync input in its trailer.
 
-    Without a clock in the trailer it is returned as it is; so is one with an invalid clock, since a recording is kept
-    whatever is wrong with its clock.
+    Return the recording unchanged if its trailer has no clock or an invalid one: an invalid clock must not prevent a
+    recording from being stored.
     """
     trailer = recording.trailer or {}
     if CLOCK_KEY not in trailer:
@@ -125,7 +125,7 @@ def _of_phases(rows: NDArray[np.void]) -> Iterator[_Found]:
 
 
 def _of_edges(recording: Recording) -> list[_Found]:
-    """Return the marks at edges of the input; an edge in the first row was before the recording."""
+    """Return the rising edges of the sync input. An edge in the first row is ignored: it was before the recording."""
     rows = recording.rows
     edge: _Ints = rows["sync_time"]
     places = 1 + np.flatnonzero((edge[1:] != edge[:-1]) & (edge[1:] != 0))
@@ -133,7 +133,7 @@ def _of_edges(recording: Recording) -> list[_Found]:
 
 
 def _of_outputs(recording: Recording) -> Iterator[_Found]:
-    """Return the marks of an output pin, which rose one tick before the sample that shows it."""
+    """Yield the rising edges of the sync outputs, each one tick before the sample that shows it."""
     loop = str((recording.header.get("extra") or {}).get("loop", "host"))
     # A law on the device sets the outputs in the tick of the sample itself: trial and contact are their marks.
     if loop != "host":
@@ -146,7 +146,7 @@ def _of_outputs(recording: Recording) -> Iterator[_Found]:
 
 
 def _rising(active: _Mask) -> _Ints:
-    """Return the places at which something begins, at the first row too."""
+    """Return the row numbers at which `active` becomes True; row 0 counts if it is True there."""
     return np.flatnonzero(active & ~np.concatenate(([False], active[:-1])))
 
 

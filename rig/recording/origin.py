@@ -1,8 +1,9 @@
-"""What kind of recording one is, by its header: of a whole trial, a cut of one, or counts of another logger.
+"""Origin of a recording, from its header: a whole trial, a cut of a recording, or counts of another logger.
 
-Who judges, replays or shows a recording calls it, without what cuts and imports (`rig.recording.cutting`, `counts`).
+Code that judges, replays or shows recordings calls it; this file does not import the code that cuts and imports them
+(`rig.recording.cutting`, `counts`).
 
-It must not read a row: the header alone decides.
+It must not read rows: the header alone decides.
 """
 
 from __future__ import annotations
@@ -24,13 +25,13 @@ def cut_facts(recording: Recording) -> Mapping[str, Any] | None:
 
 
 def counts_facts(recording: Recording) -> Mapping[str, Any] | None:
-    """Return what is known of imported counts (rate, resolution, lost samples); None for other recordings."""
+    """Return rate, resolution and lost samples of imported counts; None if the recording is not an import."""
     found = (recording.header.get("extra") or {}).get(COUNTS_FACTS)
     return found if isinstance(found, dict) else None
 
 
 def refuse_counts(recording: Recording) -> None:
-    """Raise `RecordingError` for a recording that has no rig, law and wall."""
+    """Raise `RecordingError` for imported counts, which have no rig, law and wall."""
     if (facts := counts_facts(recording)) is not None:
         raise RecordingError(
             f"the recording has only counts of {facts['file']}, without a rig and a wall",

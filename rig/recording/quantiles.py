@@ -1,11 +1,10 @@
 """Quantiles of a sample with bounds that hold for any distribution.
 
 The r-th smallest of n independent values lies above the q-quantile of the distribution unless at least r of them lie
-below it, and how many do is binomial. No tail is fitted. With too few values there is no bound: an upper bound of p99.9
-with 95 % confidence takes 2995 of them. Values that come in bursts are not independent, and their bounds are too tight.
+below it, and this number is binomial. No tail is fitted. With too few values there is no bound: an upper bound of p99.9
+with 95 % confidence needs 2995 values. Values that come in bursts are not independent, and their bounds are too tight.
 
-`rig.doctor` and the summary of a recording's timing call it. It must not assume a distribution, nor say whether a value
-is good.
+`rig.doctor` and the summary of a recording's timing call it. It must not assume a distribution, nor judge a value.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ CONFIDENCE = 0.95  # of each bound by itself
 
 @dataclass(frozen=True, slots=True)
 class Quantile:
-    """A quantile of a sample, and one-sided bounds of the true one (None: too few values), in the sample's unit."""
+    """A quantile of a sample, and one-sided bounds of the distribution's quantile (None: too few values)."""
 
     value: float
     low: float | None
@@ -33,18 +32,18 @@ class Quantile:
 
 @dataclass(frozen=True, slots=True)
 class Distribution:
-    """Summary of many values: number, quantiles and extremes.
+    """Summary of many values: their number, quantiles and maximum.
 
     Attributes
     ----------
     number
-        How many.
+        Number of values.
     p50, p99, p999
-        Median, and what 99 % and 99.9 % do not exceed.
+        Median, and the values that 99 % and 99.9 % of the values do not exceed.
     maximum
         Largest value.
     bounded
-        The quantile (0 … 1) that the maximum bounds from above, with the confidence of all bounds.
+        Quantile (0 … 1) for which the maximum is an upper bound, with the confidence `CONFIDENCE`.
     """
 
     number: int
@@ -56,7 +55,7 @@ class Distribution:
 
     @classmethod
     def of(cls, values: ArrayLike) -> Distribution:
-        """Return the distribution of some values, at least one."""
+        """Return the summary of at least one value."""
         x = np.sort(np.asarray(values, dtype=np.float64).ravel())
         return cls(
             number=len(x),
@@ -69,21 +68,21 @@ class Distribution:
 
     @property
     def almost_all(self) -> float:
-        """Return the upper bound of p99.9 where there is one, else the largest value seen."""
+        """Return the upper bound of p99.9; with too few values for one, the largest value."""
         return self.maximum if self.p999.high is None else self.p999.high
 
 
 def quantile(ordered: ArrayLike, share: float, confidence: float = CONFIDENCE) -> Quantile:
-    """Return the least value that a share of the sample does not exceed, and bounds of the distribution's own.
+    """Return a quantile of a sample, and bounds of this quantile of the distribution.
 
     Parameters
     ----------
     ordered
-        The sample, ascending, at least one value.
+        Sample in ascending order, with at least one value.
     share
         Share of the values that do not exceed the quantile (0 … 1).
     confidence
-        Confidence of each bound by itself.
+        Confidence of each bound alone (0 … 1).
     """
     sample = np.asarray(ordered)
     number = len(sample)
@@ -107,10 +106,10 @@ def _ranks_of_bounds(number: int, share: float, confidence: float) -> tuple[int,
 
 
 def share_bounded_by_largest(number: int, confidence: float = CONFIDENCE) -> float:
-    """Return the quantile (0 … 1) for which the largest of so many values is an upper bound."""
+    """Return the quantile (0 … 1) for which the largest of `number` values is an upper bound."""
     return float((1.0 - confidence) ** (1.0 / number))
 
 
 def values_needed(share: float, confidence: float = CONFIDENCE) -> int:
-    """Return how many values an upper bound of this quantile needs."""
+    """Return the least number of values for which the quantile `share` (0 … 1) has an upper bound."""
     return math.ceil(math.log(1.0 - confidence) / math.log(share))

@@ -1,7 +1,7 @@
-"""Open any recording, whatever its format; the first bytes decide, not the name.
+"""Open a recording of any format; its first bytes decide the format, not its name.
 
 Commands, trials, `rig.experiments.lab`, the console, studies and pictures call it. It must not write, repair or judge:
-what is damaged is stated in the recording that it returns.
+the returned recording lists the damage (`Recording.lost`).
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ def open_recording(path: str | Path, columns: Collection[str] | None = None) -> 
     Parameters
     ----------
     path
-        The file.
+        Path of the file.
     columns
-        Keep only these, as far as the recording has them: of a minute at 20 kHz, a column has 10 MB, all have 400. All
-        of the file is read and checked either way.
+        Keep only these columns, to save memory: of a minute at 20 kHz, one column has 10 MB, all have 400. Names that
+        the recording lacks are ignored. The whole file is read and checked in any case.
 
     Raises
     ------
     RecordingError
-        There is no such file, it is no recording, it is of another format version, its header is damaged, it lacks a
-        column, or it needs a library that is not installed. Damage after the header is no error: see `Recording.lost`
-        and `Recording.complete`.
+        The file does not exist, is not a recording, has another format version or a damaged header, lacks a required
+        column, or needs a library that is not installed. Damage of a capture after the header is not an error: see
+        `Recording.lost` and `Recording.complete`.
     """
     path = Path(path)
     read = read_parquet if _is_parquet(path) else read_capture
@@ -53,8 +53,8 @@ def open_recording(path: str | Path, columns: Collection[str] | None = None) -> 
 def open_facts(path: str | Path) -> Recording:
     """Return a recording without its rows: header and trailer, from a few kilobytes of the file.
 
-    A capture has its header alone: how it ended stands behind its rows. What a checksum would say is not known. Errors
-    as `open_recording`.
+    A capture gives only its header, because its trailer follows the rows. The checksum of the rows is not checked.
+    Errors as `open_recording`.
     """
     path = Path(path)
     return _check(path, read_parquet_facts(path) if _is_parquet(path) else read_capture_header(path))

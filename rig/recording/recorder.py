@@ -1,7 +1,7 @@
-"""The recorder: from the ring to the disk, beside the loop, without the GIL.
+"""The recorder: writes rows from the ring buffer to disk, in parallel with the loop, without the GIL.
 
-`record` is one compiled function in a thread of its own; `Recorder` opens the file, starts it and waits for its end. A
-row reaches the file within `flush_s` in real time.
+`record` is one compiled function in its own thread; `Recorder` opens the file, starts the thread and waits for its end.
+A row reaches the file within `flush_s` in real time.
 
 Trials start it, and `rig.experiments.trials.recover` reads from it how much a crash may cost. It must not make a loop
 in real time wait, and its kernels take no GIL.
@@ -60,7 +60,7 @@ _i64, _words, _address = types.int64, types.int64[::1], types.uintp
 def take_rows(
     ring_rows: NDArray[np.int64], tail: int, head: int, block: NDArray[np.int64], filled: int
 ) -> int:
-    """Copy rows from the ring behind the block's first `filled` as far as they fit; returns how many."""
+    """Copy rows `tail` to `head` of the ring into the block after its first `filled` rows; return the number copied."""
     capacity = len(ring_rows) // _ROW_WORDS
     room = (len(block) - _HEAD_WORDS - 1) // _ROW_WORDS - filled
     taken = min(head - tail, room)
@@ -74,7 +74,7 @@ def take_rows(
 
 @kernel(_i64(_words, _i64, _i64, _i64))
 def close_block(block: NDArray[np.int64], number: int, first_row: int, count: int) -> int:
-    """Write head and CRC around `count` rows (`rig.recording._capture` has the layout); returns the bytes."""
+    """Fill in head and CRC of a block of `count` rows (layout: `rig.recording._capture`); return its size in bytes."""
     size = count * _ROW_WORDS * 8
     data = block.view(np.uint8)
     block[0] = _MAGIC_WORD
@@ -90,7 +90,7 @@ def close_block(block: NDArray[np.int64], number: int, first_row: int, count: in
 
 @kernel(_i64(_i64, _address, _i64))
 def write_all(descriptor: int, address: int, size: int) -> int:
-    """Write every byte, in as many calls as it takes; returns 0, or the errno that stopped it."""
+    """Write all bytes, in several calls if needed; return 0, or the errno of the failed call."""
     done = 0
     idle = 0
     while done < size:
@@ -117,9 +117,9 @@ def record(
     sync_ns: int,
     poll_ns: int,
 ) -> int:
-    """Drain the ring into a file until the loop is done; returns the number of blocks written.
+    """Write the rows of the ring to a file until the loop is done; return the number of written blocks.
 
-    At the first error the errno goes to RECORDER_ERROR and nothing more is drained: the loop counts what it drops.
+    At the first error, store the errno in RECORDER_ERROR and return: the loop then counts the rows that it drops.
 
     Parameters
     ----------
@@ -128,13 +128,13 @@ def record(
     descriptor
         Open file that already holds the header.
     block
-        Memory for one block: its head, its rows, its CRC.
+        Memory for one block: head, rows and CRC.
     flush_ns
-        Age at which rows are written though the block is not full; 0 in virtual time: never before the end.
+        Age at which rows of a block that is not full are written (ns); 0 in virtual time: only at the end.
     sync_ns
-        Time between two fdatasync; 0 for none.
+        Least time between two calls of fdatasync (ns); 0: never.
     poll_ns
-        Sleep when the ring is empty.
+        Sleep when the ring is empty (ns).
     """
     block_rows = (len(block) - _HEAD_WORDS - 1) // _ROW_WORDS
     number = 0
@@ -178,30 +178,30 @@ def record(
 
 
 class Recorder:
-    """Records what a loop leaves in its ring, from entering the context to leaving it.
+    """Context manager that records the rows that a loop puts into its ring.
 
-    One recorder serves one ring and one loop once. Leaving the context ends the recording also when the loop
-    ended by an exception; call `finish` before to give it a trailer and to learn that all is on disk.
+    One recorder serves one ring and one loop once. Leaving the context ends the recording, also after an exception of
+    the loop. Call `finish` before, to write a trailer and to make sure that all rows are on disk.
 
     Parameters
     ----------
     path
-        The file to make; it must not exist, its directory must.
+        Path of the new file; the file must not exist, its directory must.
     header
         From `rig.recording.header.make_header`, for rows of `rig.core.sample.ROW`.
     ring
         Ring that the loop fills.
     virtual
-        The loop runs in virtual time: no flush by age, equal runs give equal files.
+        True if the loop runs in virtual time: blocks are not written by age, so that equal runs give equal files.
     block_rows
-        Rows a block.
+        Rows per block.
     flush_s
-        Age at which rows are written though their block is not full, in s (real time only).
+        Age at which rows of a block that is not full are written (s; only in real time).
 
     Raises
     ------
     RecordingError
-        The file exists, cannot be made, or has no room for the header.
+        The file exists or cannot be created, the disk is full, or the header does not describe the loop's rows.
     """
 
     def __init__(
@@ -215,7 +215,9 @@ class Recorder:
         flush_s: float = FLUSH_S,
     ) -> None:
         if header["schema"]["row_bytes"] != ROW.itemsize or sys.byteorder != "little":
-            raise RecordingError("the header does not describe the rows of the loop")
+            raise RecordingError(
+                "the header does not describe the loop's rows: the size differs, or this computer is big-endian"
+            )
         prepare(record)
         self.path = Path(path)
         self._ring = ring
@@ -228,7 +230,7 @@ class Recorder:
         self._descriptor = -1
 
     def __enter__(self) -> Recorder:
-        """Make the file and start recording."""
+        """Create the file and start recording."""
         self._descriptor = _create(self.path, self._header)
         self._thread.start()
         return self
@@ -236,7 +238,7 @@ class Recorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End recording; an exception on its way out is named in the trailer, never replaced by our own."""
+        """End recording; name the loop's exception in the trailer, and add the recorder's own error to it as a note."""
         if error is None:
             self.finish()
             return
@@ -247,31 +249,31 @@ class Recorder:
 
     @property
     def rows(self) -> int:
-        """Return the rows in the file so far."""
+        """Return the number of rows that are in the file so far."""
         return self._ring.get(RECORDED)
 
     @property
     def error(self) -> int:
-        """0, or the errno that stopped the recorder."""
+        """Return the errno that stopped the recorder, 0 if none did."""
         return self._ring.get(RECORDER_ERROR)
 
     def finish(self, trailer: Mapping[str, Any] | None = None, *, timeout_s: float = 10.0) -> dict[str, Any]:
-        """Write the remaining rows and the end, sync, close; returns the trailer. May be called twice.
+        """Write the remaining rows and the trailer, sync and close the file; return the trailer. May be called twice.
 
-        Call it when the loop has returned: rows that come later are not recorded.
+        Call it after the loop has returned: later rows are not recorded.
 
         Parameters
         ----------
         trailer
-            Why the trial ended, and its statistics; rows, blocks, ticks and dropped rows are added under
-            ``recorder``.
+            Reason of the end of the trial, and its statistics; numbers of rows, blocks, ticks and dropped rows are
+            added under ``recorder``.
         timeout_s
-            How long the disk may take.
+            Longest wait for the disk (s).
 
         Raises
         ------
         RecordingError
-            The disk refused rows or the end, or takes too long. The rows written before are in the file.
+            The disk reported an error or takes longer than `timeout_s`. Rows written before are in the file.
         """
         if self._trailer is not None:
             return self._trailer
@@ -305,9 +307,9 @@ class Recorder:
 
 
 def _create(path: Path, header: bytes) -> int:
-    """Make a new file that begins with the header; leaves nothing behind when it cannot.
+    """Create a file that begins with the header, and return its descriptor; remove the file on an error.
 
-    It is locked while it is open, which distinguishes a file that is being written from one that a crash cut off.
+    The file is locked while it is open: so a file that is being written differs from one that a crash cut off.
     """
     with plain_errors("write", path):
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY, 0o644)

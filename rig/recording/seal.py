@@ -1,6 +1,6 @@
-"""Sealing: from the crash-safe capture to the one file to keep.
+"""Sealing: conversion of the crash-safe capture to the Parquet file that is stored.
 
-The capture goes only after the sealed file is on disk, has been read back and is equal to the last bit.
+The capture is removed only after the sealed file is on disk, has been read back and is equal bit by bit.
 Sealing can be repeated: when a crash left both files, the next call compares them and finishes.
 
 Trials, `rig recording recover`, maps, cuts and the console call it. It must not remove a capture that it has not
@@ -49,33 +49,33 @@ def seal(
     judge: Callable[[Recording], Mapping[str, Any]] | None = None,
     keep_capture: bool = False,
 ) -> Recording:
-    """Turn a capture into Parquet beside it, latency ledger and sync edges filled in, and remove the capture.
+    """Write a capture as Parquet in the same directory, with latency ledger and sync edges; remove the capture.
 
-    Without pyarrow the capture is kept (and takes up ledger, truth and the longer trailer, unless it is damaged
-    or was cut off), and a warning is logged.
+    Without pyarrow, log a warning and keep the capture. It is then rewritten with ledger, truth and longer trailer,
+    unless it is damaged or was cut off.
 
     Parameters
     ----------
     recording
-        Read from a ``.rigcap`` file whose writer has ended, cleanly or not. Its ledger is filled in in place: a second
-        copy of a long recording would be most of the memory that sealing takes.
+        Recording read from a ``.rigcap`` file that is no longer being written. The ledger is filled into its rows in
+        place, because a copy of a long recording would need much memory.
     truth
-        The simulation's truth (`rig.core.sample.TRUTH`); joined by sample index, NaN where it has no such sample.
+        True signals of the simulation (`rig.core.sample.TRUTH`), joined by sample index; NaN for other samples.
     judge
-        Given the recording with its truth, returns what is added to the trailer.
+        Function that gets the recording with its truth, and returns entries to add to the trailer.
     keep_capture
-        Leave the capture where it is.
+        Do not remove the capture.
 
     Returns
     -------
     Recording
-        As it was read back from the file that now holds it, its `path`.
+        Recording as read back from the new file; `path` is the path of this file.
 
     Raises
     ------
     RecordingError
-        The file is no capture, the disk refuses, another recording has the name, or the sealed file is not equal. The
-        capture is then untouched.
+        The file is not a capture, the disk reports an error, another recording has the name, or the sealed file
+        differs. The capture is then unchanged.
     """
     capture = recording.path
     assert capture is not None
@@ -111,10 +111,10 @@ def seal(
 
 
 def with_truth(recording: Recording, truth: NDArray[np.void]) -> Recording:
-    """Return the recording with the simulation's truth as further columns, joined by sample index.
+    """Return the recording with the true signals of the simulation as further columns, joined by sample index.
 
-    Samples without truth get NaN; truth without a row is left out; of two truths for one sample the later
-    counts.
+    Rows without a true sample get NaN. True samples without a row are ignored. If `truth` has a sample twice, the
+    later entry is used.
     """
     added = make_schema(TRUTH_COLUMNS, recording.header["motion"])
     schema = recording.header["schema"]
@@ -141,7 +141,7 @@ def _bytes_of(rows: NDArray[np.void]) -> NDArray[np.uint8]:
 
 
 class _ReadBack:
-    """Reads a file back and compares every bit of the expected columns, or of those named (it may have more)."""
+    """Checks that a written file equals the expected recording bit by bit, in the named columns or in all of them."""
 
     def __init__(self, expected: Recording, names: Collection[str] | None = None) -> None:
         self._expected = expected
@@ -159,7 +159,7 @@ class _ReadBack:
         if not same:
             raise RecordingError(
                 f"{path} differs from {expected.path}",
-                remedy="the capture is kept; move one of them away",
+                remedy="the capture is kept; move one of the two files to another directory",
             )
         if found.names == expected.names:
             self._found = replace(found, rows=expected.rows)  # equal: not read a second time
@@ -167,7 +167,7 @@ class _ReadBack:
             self._found = open_recording(path)
 
     def at(self, path: Path) -> Recording:
-        """Return what was read, by the name that its file has now."""
+        """Return the recording that was read back, with the path that its file has now."""
         return replace(self._found, path=path)
 
 

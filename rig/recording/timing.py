@@ -1,7 +1,7 @@
 """The latency ledger: when each sample was taken, received, answered and applied, on one clock.
 
-Arithmetic on columns of rows (`rig.core.sample`), with a clock fit where there is one. A tick has five times on the
-host's clock, 0 where unknown:
+The times are computed from columns of rows (`rig.core.sample`) and from a clock fit, if there is one. A tick has five
+times on the host's clock, 0 where unknown:
 
 ========  =====================================================================================================
 sampled   the device read its encoder: device time through the clock fit
@@ -20,7 +20,7 @@ Where the law ran on the device (`Ledger.loop`) no COMMAND answers a sample: the
 of the sample itself, and `execution_ns` bounds how long after it. Only sampled and received are known then, and how
 late a batch brought the sample; no tick is late, because nothing waited for it.
 
-Sealing, marks, the summaries of timing and the clock of LSL call it. It must not judge a run or read a file.
+Sealing, marks, timing summaries and the LSL clock (lab streaming layer) call it. It must not judge a run or read files.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from rig.core.sample import RowFlag
 
 
 class Span(NamedTuple):
-    """The two times between which a stage lies, and what delays it beyond them."""
+    """Stage of a tick: the names of its begin and end times, and a text about a further cause of delay."""
 
     begin: str
     end: str
@@ -67,24 +67,24 @@ _Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TimingFacts:
-    """Timing facts of a recording as a whole.
+    """Timing facts about a whole recording.
 
     Attributes
     ----------
     passed_over
-        Samples that the law did not see.
+        Number of samples that the law did not use.
     never_active
-        Commands that no STATE named though a later one became active; among them those that were overtaken.
+        Commands that no STATE reported as active although a later command became active.
     unanswered
-        Commands behind the last one known active: the recording ends before the device could report it.
+        Commands sent after the last one reported as active: the recording ends before the device reported them.
     within_tick
-        Commands sent after the sample from which they count, so that the time of sending counts as applied.
+        Commands whose computed time of application is before they were sent; the time of sending is used instead.
     period_ns
-        Length of a device tick.
+        Length of a device tick (ns).
     clock
-        The fit, or None.
+        Fit of host clock against device clock, or None.
     clock_sd_ns
-        Largest standard uncertainty of sampled and applied in this recording, without what asymmetry may add.
+        Largest standard uncertainty of the times sampled and applied (ns), without the error by asymmetric delays.
     loop
         Where the law ran: "host" or "device".
     execution_ns
@@ -104,16 +104,16 @@ class TimingFacts:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ledger(TimingFacts):
-    """Times of each tick (ns, host clock; 0 where unknown), and what else the rows state.
+    """Times of each tick (ns, host clock; 0 where unknown), its numbers and its lateness.
 
     Attributes
     ----------
     tick, sample_index
-        Numbers of step and sample.
+        Number of the law's step, and number of the device's sample.
     sampled, received, computed, sent, applied
-        See the module's text; sampled and applied are 0 without a clock fit.
+        Times (ns) as in the module's docstring; sampled and applied are 0 without a clock fit.
     lateness, late
-        Receipt behind the grid (ns), and whether the loop counted it as late.
+        Delay of the receipt after its regular time (ns), and whether the loop counted the tick as late.
     """
 
     tick: _Ints
@@ -127,7 +127,7 @@ class Ledger(TimingFacts):
     late: _Mask
 
     def stage(self, name: str) -> tuple[_Ints, _Mask]:
-        """Return the length of a stage in each tick (ns) and whether it is known; `LATENESS` is one of them."""
+        """Return the length of a stage of `STAGES`, or of `LATENESS`, in each tick (ns), and whether it is known."""
         if name == LATENESS:
             return self.lateness, np.ones(len(self.lateness), bool)
         begin, end = getattr(self, STAGES[name].begin), getattr(self, STAGES[name].end)
@@ -135,14 +135,14 @@ class Ledger(TimingFacts):
 
 
 def ledger(rows: NDArray[np.void], fit: ClockFit | None, period_ns: float, loop: str = "host") -> Ledger:
-    """Put the times of each tick on the host's clock.
+    """Return the times of each tick on the host's clock.
 
     Parameters
     ----------
     rows
         Rows of a recording, in the order of the ticks; some may be missing.
     fit
-        Host against device clock, or None when they were never compared.
+        Fit of host clock against device clock, or None if the clocks were not compared.
     period_ns
         Length of a device tick (ns, device clock).
     loop
@@ -189,7 +189,7 @@ def ledger(rows: NDArray[np.void], fit: ClockFit | None, period_ns: float, loop:
 
 
 def device_times(device_time: NDArray[np.int64], fit: ClockFit, near_host_ns: int) -> NDArray[np.int64]:
-    """Return the device times of rows on the scale of the clock exchanges (ns)."""
+    """Return the device times of rows (ns) on the scale of the clock exchanges, which has no wrap-around."""
     # A STATE has 32 bits of the device's clock: the first receipt gives the multiple of 268 s to add.
     wraps = round((int(fit.device_of(np.array([near_host_ns]))[0]) - int(device_time[0])) / WRAP_NS)
     return device_time + wraps * WRAP_NS
@@ -200,9 +200,9 @@ def _column(rows: NDArray[np.void], name: str) -> _Ints:
 
 
 def _active(rows: NDArray[np.void]) -> tuple[_Ints, int, int]:
-    """Place of the first row that shows each row's active command, −1 for none; commands passed over; unanswered.
+    """Return for each row's command the first row that reports it as active (−1: none), never active, unanswered.
 
-    An active command was sent before the row that shows it, at most half a round of the sequence numbers before.
+    An active command was sent at most `SEQUENCES` / 2 commands before the row that reports it.
     """
     shown_at = np.full(len(rows), -1, np.int64)
     if not len(rows):
@@ -224,7 +224,7 @@ def _active(rows: NDArray[np.void]) -> tuple[_Ints, int, int]:
 
 
 def _became_active(rows: NDArray[np.void], device: _Ints, shown_at: _Ints, period_ns: float) -> _Ints:
-    """Return the device time of sample k − a: of its row, else counted back from the row of sample k."""
+    """Return the device time (ns) of sample k − a: from its row, or counted back from the row of sample k."""
     age = rows["command_age"][shown_at]
     index = _column(rows, "sample_index")
     wanted = index[shown_at] - age

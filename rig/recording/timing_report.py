@@ -1,6 +1,6 @@
 """Timing of a recording: the summary of its latency ledger.
 
-`rig recording timing` shows it and `rig.views` draws it. It must not judge a run.
+`rig recording timing` prints it and `rig.views` plots it. It must not judge a run.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ __all__ = ["LATENESS", "STAGES", "Ledger", "Timing", "TimingSummary", "timing", 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Timing(Drawn):
-    """The ledger of a recording and its summary; `name` is that of its file, empty without one."""
+    """Latency ledger of a recording, its summary, and the name of the file (empty for a recording in memory)."""
 
     ledger: Ledger
     summary: TimingSummary
@@ -28,20 +28,20 @@ class Timing(Drawn):
 
 
 def timing(recording: Recording | str | Path) -> TimingSummary:
-    """Add up the latency ledger of a recording, sealed or still a capture.
+    """Return the summary of the latency ledger of a recording, sealed or still a capture.
 
     Raises
     ------
     RecordingError
-        It cannot be read, lacks a column of the ledger, or has no rows.
+        The recording cannot be read, lacks a column of the ledger, or has no rows.
     RigError
-        The clock in its trailer makes no sense.
+        The clock in its trailer is invalid.
     """
     return timing_of(recording).summary
 
 
 def timing_of(recording: Recording | str | Path) -> Timing:
-    """Return the ledger too, for a picture; parameters and errors as `timing`."""
+    """Return latency ledger and summary of a recording, for a plot; parameters and errors as `timing`."""
     name = ""
     if not isinstance(recording, Recording):
         name = Path(recording).name

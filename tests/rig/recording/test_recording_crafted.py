@@ -157,4 +157,4 @@ def test_a_whole_number_of_a_range_fits_it(value: Any) -> None:
 
 @pytest.mark.parametrize("value", [0, 10**15, 1e-300, 2.5, math.inf, math.nan, "20000", None])
 def test_other_value_does_not_fit_a_range_however_long(value: Any) -> None:
-    assert misfit(value, range(1, 10**15), "rate") == "rate has a value that is not valid there"
+    assert misfit(value, range(1, 10**15), "rate") == f"rate has the invalid value {value!r}"
