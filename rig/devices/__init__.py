@@ -1,7 +1,7 @@
 """Links and framed devices, by URL.
 
-A backend is a function ``open_link(url: DeviceUrl, model: RigModel | None) -> Link``. Extras add schemes by their
-tables (`rig.core.extras`), third parties by the entry-point group ``rig.devices``; neither can replace a built-in one.
+A backend is a function ``open_link(url: DeviceUrl, model: RigModel | None) -> Link``. Extras add URL schemes by their
+tables (`rig.core.extras`), third parties by the entry-point group ``rig.devices``. No built-in scheme can be replaced.
 
 Commands, `rig.doctor`, `rig.experiments`, `rig.firmware`, sessions and `rig.testing` open devices here. It must not
 load a backend before a URL names its scheme, and opening a device must not arm it.
@@ -49,7 +49,7 @@ DISTRIBUTION = "haptic-rig"
 
 @dataclass(frozen=True, slots=True)
 class Backend:
-    """One row of the table: URL scheme, ``module:function``, and the distribution that brought it."""
+    """Backend of a URL scheme: its opener as ``module:function``, and the distribution that provides it."""
 
     scheme: str
     target: str
@@ -57,7 +57,7 @@ class Backend:
 
 
 def backends() -> list[Backend]:
-    """Return every scheme that can be opened here, built-in ones first, then those of extras."""
+    """Return the backends that are available on this system: built-in ones, then those of extras and plug-ins."""
     ours = {row.name: row.target for row in extras.added("schemes").values() if _is_of_this_system(row)}
     own = BUILT_IN | {scheme: target for scheme, target in ours.items() if scheme not in BUILT_IN}
     # The reason why a broken extra lacks a scheme is that of `broken`.
@@ -70,7 +70,7 @@ def backends() -> list[Backend]:
 
 
 def broken(scheme: str) -> str:
-    """Return why a backend cannot be used, "" where it can."""
+    """Return the reason why the backend of a scheme cannot be used, "" if it can."""
     if scheme in NEEDED and (wrong := wrong_package(scheme)):  # serial and usb are the names of both
         return str(wrong)
     try:
@@ -96,7 +96,7 @@ def load_backend(url: str) -> Callable[[DeviceUrl, RigModel | None], Link]:
 
 
 def _row_of_extra(scheme: str) -> extras.ExtraRow | None:
-    """Return the row of a scheme that an extra has; raise `ConfigError` where it should have it but does not."""
+    """Return the extra's table row for a scheme, None for other schemes; raise `ConfigError` if the row is missing."""
     if scheme in RESERVED or scheme in extras.added("schemes"):
         return extras.find("schemes", scheme, RESERVED.get(scheme, ""))
     return None
@@ -107,7 +107,7 @@ def _is_of_this_system(row: extras.ExtraRow) -> bool:
 
 
 def loaded(target: str, scheme: str = "sim") -> Any:
-    """Return what ``module:attribute`` names; raises `DeviceNotFoundError` when it does not load."""
+    """Import and return the object ``module:attribute``; raise `DeviceNotFoundError` if the import fails."""
     try:
         return resolve_name(target)
     except Exception as error:
@@ -120,22 +120,22 @@ def loaded(target: str, scheme: str = "sim") -> Any:
 
 
 def open_link(url: str, model: RigModel | None = None) -> Link:
-    """Open the link behind a URL.
+    """Open the device at a URL and return the link to it.
 
     Parameters
     ----------
     url
         ``sim://koul-compliant``, ``serial:///dev/ttyACM0?baud=921600``, ….
     model
-        Physics of the rig, for a backend that simulates it or is made for it (`is_made_for_a_rig`): what ``sim://``
-        without a name means. A name in the URL wins.
+        Physics of the rig, for a backend that simulates the rig or is built from it (`is_made_for_a_rig`). A preset
+        named in the URL (``sim://koul-compliant``) takes precedence.
 
     Raises
     ------
     ConfigError
-        An unknown scheme, or an option that the backend does not know.
+        The scheme is unknown, or the backend does not support an option.
     DeviceNotFoundError
-        No such port, no permission, or another program uses it.
+        The port does not exist, may not be opened, or is in use by another program.
     """
     parsed = DeviceUrl.parse(url)
     try:
@@ -147,20 +147,21 @@ def open_link(url: str, model: RigModel | None = None) -> Link:
 
 
 def open_watched(url: str, model: RigModel | None = None, faults: Faults | None = None) -> WatchedLink:
-    """Open a simulated rig in virtual time whose link and device fail on command; errors as `open_link`."""
+    """Open a simulated rig in virtual time with a script of faults of link and device; errors as `open_link`."""
     parsed = DeviceUrl.parse(url)
     if parsed.scheme != "sim":
         raise ConfigError(
-            f"{url} cannot simulate faults of a link", remedy="use a simulated rig, like sim://koul-compliant"
+            f"{url} is not a simulated rig: only sim:// can simulate faults",
+            remedy="use a simulated rig, like sim://koul-compliant",
         )
     opener = cast("OpenWatchedLink", loaded(BUILT_IN["sim"]))
     return opener(parsed, simulated_model(parsed, model), faults)
 
 
 def simulated_model(url: DeviceUrl, model: RigModel | None) -> RigModel | None:
-    """Return the physics behind a URL: those of the preset that a ``sim://`` names, else `model`.
+    """Return the physics of the preset that a ``sim://`` URL names, else `model`.
 
-    Who holds the handle belongs to the experiment, and so to `model`.
+    The operator at the handle is always that of `model`, because it belongs to the experiment.
     """
     if url.scheme == "sim" and url.place:
         named = config.rig_model(presets.load(url.place))
@@ -169,7 +170,7 @@ def simulated_model(url: DeviceUrl, model: RigModel | None) -> RigModel | None:
 
 
 def is_made_for_a_rig(url: str) -> bool:
-    """Return True if the far end is built from the experiment's rig; errors as `open_link` for an extra's scheme."""
+    """Return True if the backend builds the device from the experiment's rig; errors as `open_link`."""
     scheme = url.partition(":")[0]
     if scheme in BUILT_IN:
         return scheme == "sim"
@@ -178,24 +179,24 @@ def is_made_for_a_rig(url: str) -> bool:
 
 
 def url_for(url: str, loop: str) -> str:
-    """Return the URL of a far end for this ``controller.loop``: a simulated rig that runs the law is the firmware."""
+    """Return the URL to open for a ``controller.loop``: "device" adds ``firmware=1`` to the URL of a simulated rig."""
     if loop != "device" or not url.startswith("sim:") or FIRMWARE in DeviceUrl.parse(url).options:
         return url
     return f"{url}{'&' if '?' in url else '?'}{FIRMWARE}=1"
 
 
 def simulated_rig() -> OpenRig:
-    """Return what makes rigs to hit without bytes; `DeviceNotFoundError` when the simulation does not load."""
+    """Return the factory of simulated rigs for fast hits without a link; raise `DeviceNotFoundError` if missing."""
     return cast("OpenRig", loaded(HITS))
 
 
 def excited_simulation() -> OpenExcitedSimulation:
-    """Return what makes rigs to excite without bytes; errors as `simulated_rig`."""
+    """Return the factory of simulated rigs for excitation without a link; errors as `simulated_rig`."""
     return cast("OpenExcitedSimulation", loaded(EXCITED))
 
 
 def simulated_trial() -> tuple[Any, Any]:
-    """Return what builds a plant and what runs a traced trial on it; errors as `simulated_rig`."""
+    """Return the functions that build a plant and that run a traced trial on it; errors as `simulated_rig`."""
     return loaded(PLANT).build, loaded(TRIAL)
 
 

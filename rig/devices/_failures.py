@@ -1,7 +1,6 @@
-"""What an error number of a link means: the error that a user reads, with its cause and its remedy.
+"""Errors of a link by error number (errno), with cause and remedy for the user.
 
-One table for serial ports and USB, for Python's calls and for the compiled loop, which can only leave a number
-behind.
+The table serves serial ports and USB, calls from Python and the compiled loop, which can report only a number.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ else:
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Kind of error, what happened, to follow "the link …", and what to do."""
+    """Class of an error, its cause as the end of a sentence that begins with the link's name, and its remedy."""
 
     kind: type[LinkLostError]
     cause: str
@@ -43,8 +42,8 @@ _UNPLUGGED = Failure(
 )
 _BROKEN = Failure(
     BrokenLineError,
-    "damages bits on the way",
-    "take another cable and port, without a hub, and keep the cable away from the motor's",
+    "corrupts bits in transit",
+    "use another cable and port, without a hub, and keep the cable away from the motor cable",
 )
 FAILURES: dict[int, Failure] = {
     errno.ENODEV: _UNPLUGGED,
@@ -58,11 +57,11 @@ FAILURES: dict[int, Failure] = {
     errno.ETIMEDOUT: Failure(
         BlockedError,
         "takes no more bytes",
-        "the firmware does not read: restart the device",
+        "restart the device, whose firmware does not read its input",
     ),
     errno.EOVERFLOW: Failure(
         OverflowedError,
-        "sent more than was asked for",
+        "sent more bytes than were requested",
         "update the firmware: it sends packets above the size in its descriptor",
     ),
     EREMOTEIO: Failure(
@@ -80,9 +79,9 @@ _OF_DESCRIPTORS = FAILURES | dict.fromkeys((errno.EIO, errno.EPIPE, errno.ECONNR
 
 
 def failure(number: int, url: str) -> Failure:
-    """Return what an error number (positive errno) means on the link behind a URL.
+    """Return error class, cause and remedy for an errno (positive) of the link at a URL.
 
-    Numbers that are not in the table keep the kernel's text.
+    For numbers that are not in the table, the cause is the text of the operating system.
     """
     table = _OF_DESCRIPTORS if url.startswith(_DESCRIPTORS) else FAILURES
     found = table.get(number)
@@ -93,14 +92,14 @@ def failure(number: int, url: str) -> Failure:
 
 
 def link_error(number: int, url: str, place: str = "") -> LinkLostError:
-    """Make the error for a call on a link that failed with `number`; `place` is the name to show, else the URL."""
+    """Return the exception for a call on a link that failed with errno `number`; it names `place`, or else the URL."""
     found = failure(number, url)
     why = f" ({os.strerror(number)})" if number else ""
     return found.kind(f"{place or url} {found.cause}{why}", remedy=found.remedy)
 
 
 def error_number(error: BaseException) -> int:
-    """Return the errno of an exception of a link; a time-out without one is ETIMEDOUT, anything else EIO."""
+    """Return the errno of a link's exception; without one, ETIMEDOUT for a timeout and EIO for any other."""
     number = getattr(error, "errno", None)
     if isinstance(number, int) and number:
         return number

@@ -1,8 +1,8 @@
-"""A program on this computer as a link: a Unix socket, by its path.
+"""Link to a program on this computer through a Unix socket, by the path of the socket.
 
-A pseudo-terminal hands its bytes over in a worker of the kernel, which waits for a processor as any ordinary program
-does: beside two busy ones it comes milliseconds late, whatever the priorities at both ends are. A socket wakes its
-reader itself. So a simulated device that is started for a run (`rig.devices.local`) uses one.
+A pseudo-terminal passes its bytes on in a kernel worker, which waits for a processor like an ordinary program: beside
+two busy programs it is milliseconds late, whatever the priorities at both ends are. A socket wakes its reader directly.
+So a simulated device that is started for a run (`rig.devices.local`) uses a socket.
 """
 
 from __future__ import annotations
@@ -25,14 +25,16 @@ assert sys.platform == "linux"
 
 
 def open_link(url: DeviceUrl, model: RigModel | None = None) -> SocketLink:
-    """Open ``unix:///run/rig?cpu=1``; see `rig.devices.open_link` for what it raises.
+    """Open ``unix:///run/rig?cpu=1``; errors as `rig.devices.open_link`.
 
-    `cpu` is the processor of the program, for the loop to share.
+    `cpu` is the number of the processor on which the program runs; the loop runs on this processor too.
     """
     url.allow(("cpu",))
     cpu = url.options.get("cpu")
     if cpu is not None and not cpu.isdecimal():
-        raise ConfigError(f"{url.text}: cpu = {cpu!r} is not a processor", remedy="give its number, from 0")
+        raise ConfigError(
+            f"{url.text}: cpu = {cpu!r} is not the number of a processor", remedy="give a number from 0"
+        )
     if not url.place:
         raise ConfigError(
             f"{url.text}: the path of the socket is missing", remedy="write it like unix:///run/rig"
@@ -53,7 +55,7 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> SocketLink:
 
 
 def _locked(place: str) -> int:
-    """Lock a file beside the socket, as pyserial locks a port: a second host would wait for its turn unheard."""
+    """Lock a file beside the socket and return its descriptor, so that a second host is refused and does not wait."""
     try:
         lock = os.open(f"{place}.lock", os.O_RDWR | os.O_CREAT, 0o600)
     except OSError as error:

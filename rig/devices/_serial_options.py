@@ -1,4 +1,4 @@
-"""What the URL of a serial port says, and what such a line carries."""
+"""Options in the URL of a serial port, and the capacity of the line."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ OPTIONS = ("baud", "dtr")
 
 @dataclass(frozen=True, slots=True)
 class SerialOptions:
-    """Bits per second, and whether DTR and RTS are asserted."""
+    """Baud rate of a serial port (bits per second), and whether DTR and RTS are asserted."""
 
     baud: int
     dtr: bool
 
     @classmethod
     def of(cls, url: DeviceUrl) -> Self:
-        """Read ``serial:///dev/ttyACM0?baud=921600&dtr=on``; raises `ConfigError`."""
+        """Return the options in ``serial:///dev/ttyACM0?baud=921600&dtr=on``; raise `ConfigError` if one is invalid."""
         url.allow(OPTIONS)
         text = url.options.get("baud", str(DEFAULT_BAUD))
         if not text.isdecimal() or not 300 <= int(text) <= 20_000_000:
@@ -34,13 +34,14 @@ class SerialOptions:
         dtr = url.choice("dtr", ("on", "off"), "on")
         if not url.place:
             raise ConfigError(
-                f"{url.text}: no port", remedy=f"name one, like serial:///dev/ttyACM0. {ports_in_words()}"
+                f"{url.text} names no port",
+                remedy=f"name a port, like serial:///dev/ttyACM0; {ports_in_words()}",
             )
         return cls(int(text), dtr == "on")
 
 
 def capacity(port: str, baud: int) -> float | None:
-    """Return the bytes per second each way; a pseudo-terminal and a USB CDC port do not care for the baud rate."""
+    """Return the capacity in each direction (bytes/s); None for ports that ignore the baud rate (USB CDC, pty)."""
     real = os.path.realpath(port)
     if real.startswith("/dev/pts/") or os.path.basename(real).startswith(
         ("ttyACM", "cu.usbmodem", "tty.usbmodem")

@@ -1,7 +1,8 @@
-"""A line that a thread of Python reads, and whose plugs are callbacks: for what compiled code cannot reach by itself.
+"""Link whose bytes a Python thread reads, for ports that compiled code cannot access directly.
 
-The contracts are those of `rig.realtime.system.descriptor_read`, `descriptor_write` and `descriptor_wait`. The price is
-another: thread and plugs need the GIL, so a busy interpreter delays a loop by milliseconds, which the ledger shows.
+Its functions for the loop are Python callbacks with the contracts of `rig.realtime.system.descriptor_read`,
+`descriptor_write` and `descriptor_wait`. Thread and callbacks need the GIL, so a busy interpreter delays a loop by
+milliseconds, which the latency ledger shows.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ PENDING_BYTES = 65536
 
 
 class ThreadedLine:
-    """What moves the bytes is a subclass's: `receive` and `send`. It calls `start` when it is made.
+    """Base class of links that a Python thread reads; a subclass implements `receive` and `send`, and calls `start`.
 
-    Errors are bare `OSError` with the numbers of `rig.devices._failures`.
+    Errors are `OSError` with the numbers of `rig.devices._failures`.
     """
 
     def __init__(self) -> None:
@@ -36,15 +37,15 @@ class ThreadedLine:
         self._reader.start()
 
     def receive(self) -> bytes:
-        """Return what has arrived, after `WAIT_S` at most; raises `OSError`."""
+        """Return the bytes that have arrived, after at most `WAIT_S`; raise `OSError` on failure."""
         raise NotImplementedError
 
     def send(self, data: bytes) -> int:
-        """Write once, and return how many bytes were taken; raises `OSError` where none are for long."""
+        """Write once, and return the number of accepted bytes; raise `OSError` if none was accepted for long."""
         raise NotImplementedError
 
     def _fetch(self) -> None:
-        """Read until the port is closed or fails, and store the error."""
+        """Read into the buffer until the port is closed or fails; store the errno of a failure."""
         while not self._closing:
             data, error = b"", 0
             try:
@@ -63,7 +64,7 @@ class ThreadedLine:
                 return
 
     def _ready(self, timeout_s: float) -> bool:
-        """Wait for bytes; whether there are any. Raises the reader's `OSError` where there are no more to come."""
+        """Wait for bytes; return True if there are some. Raise the reader's `OSError` after its last bytes."""
         with self._changed:
             self._changed.wait_for(lambda: self._pending or self._error, max(0.0, timeout_s))
             if self._error and not self._pending:
@@ -78,17 +79,17 @@ class ThreadedLine:
         return data
 
     def read(self, timeout_s: float) -> bytes:
-        """Return what has arrived, waiting at most `timeout_s` for the first byte."""
+        """Return the bytes that have arrived; wait at most `timeout_s` for the first byte."""
         self._ready(timeout_s)
         return self._take(PENDING_BYTES)
 
     def write(self, data: bytes) -> None:
-        """Give all of `data` to the device."""
+        """Send all of `data` to the device."""
         while data:
             data = data[self.send(data) :]
 
     def plugs(self) -> CallbackPlugs:
-        """Return read, write, wait and their handle (`rig.devices.port.LoopPort`)."""
+        """Return the functions read, write and wait for the loop, and their handle (`rig.devices.port.LoopPort`)."""
         if self._plugs is None:
             self._plugs = callback_plugs(read=self._read_now, write=self.send, wait=self._wait)
         return self._plugs
@@ -104,7 +105,7 @@ class ThreadedLine:
                 return ready
 
     def close(self) -> None:
-        """End the reader; may be called twice."""
+        """End the reader thread; may be called twice."""
         self._closing = True
         with self._changed:
             self._changed.notify_all()

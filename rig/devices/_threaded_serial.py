@@ -1,7 +1,7 @@
-"""A serial port as a link where the system is not Linux: through pyserial alone, read by a thread of Python.
+"""Link to a serial port on systems other than Linux: through pyserial, read by a Python thread.
 
-For a board that runs the law itself and needs a message from the host every few milliseconds
-(`controller.supervise_lifetime_s`). No loop of this computer is fast enough here, and none is armed
+It is for a board that runs the law itself and needs a message from the host every few milliseconds
+(`controller.supervise_lifetime_s`). A loop on the host is not fast enough on such a system and is refused
 (`rig.experiments.trials.preparation.prepared_on`). DTR and RTS are set before the port opens; Windows drops both when
 it closes, which resets many boards.
 """
@@ -28,7 +28,7 @@ FRAME_BYTES = 64
 
 
 def open_link(url: DeviceUrl, model: RigModel | None = None) -> ThreadedSerialLink:
-    """Open ``serial://COM3?baud=921600&dtr=on``; see `rig.devices.open_link` for what it raises."""
+    """Open ``serial://COM3?baud=921600&dtr=on``; errors as `rig.devices.open_link`."""
     options = SerialOptions.of(url)
     port = serial.Serial(
         baudrate=options.baud,
@@ -62,9 +62,9 @@ class ThreadedSerialLink(RealLink):
     Attributes
     ----------
     facts
-        What is known of the port.
+        Facts about the port.
     messages
-        What could not be obtained.
+        Settings of the port that could not be obtained.
     """
 
     messages: tuple[str, ...] = ()
@@ -78,7 +78,7 @@ class ThreadedSerialLink(RealLink):
         self._line: _Line | None = _Line(port)
 
     def read(self, timeout_s: float) -> bytes:
-        """Return what has arrived, waiting at most `timeout_s` for the first byte."""
+        """Return the bytes that have arrived; wait at most `timeout_s` for the first byte."""
         line = self._open()
         try:
             return line.read(timeout_s)
@@ -86,7 +86,7 @@ class ThreadedSerialLink(RealLink):
             raise self._lost(error) from error
 
     def write(self, data: bytes) -> None:
-        """Send all of `data`, or raise `LinkLostError` when the port takes no more or is gone."""
+        """Send all of `data`; raise `LinkLostError` when the port accepts no more bytes or is gone."""
         line = self._open()
         try:
             line.write(data)
@@ -94,7 +94,7 @@ class ThreadedSerialLink(RealLink):
             raise self._lost(error) from error
 
     def port(self) -> LoopPort:
-        """Return the calls of Python for the loop."""
+        """Return the Python callbacks with which the loop reads, writes and waits."""
         read, write, wait, handle = self._open().plugs()
         return LoopPort.on(self.clock, read=read, write=write, wait=wait, handle=handle)
 
@@ -114,7 +114,7 @@ class ThreadedSerialLink(RealLink):
 
 
 class _Line(ThreadedLine):
-    """An open port; what pyserial calls an error without a number is one that has gone."""
+    """Open port of pyserial. An error without errno means that the port is gone (ENODEV)."""
 
     def __init__(self, port: serial.Serial) -> None:
         super().__init__()
@@ -137,7 +137,7 @@ class _Line(ThreadedLine):
             raise OSError(getattr(error, "errno", None) or errno.ENODEV, os.strerror(errno.ENODEV)) from None
 
     def close(self) -> None:
-        """End the reader, then the port."""
+        """End the reader thread, then close the port."""
         super().close()
         try:
             self._port.close()

@@ -1,4 +1,4 @@
-"""Settings of a terminal line, by descriptor. A setting that a line does not have is returned as None.
+"""Settings of a serial line, by its descriptor. A setting that the line does not have is returned as None.
 
 The serial links and their facts call it. It must not open or close a line.
 """
@@ -34,13 +34,13 @@ def _serial_struct(descriptor: int) -> array[int] | None:
 
 
 def low_latency(descriptor: int) -> bool | None:
-    """Return True if the driver is set to pass bytes on at once; None when it has no such settings."""
+    """Return True if the driver passes received bytes on at once; None if it has no such setting."""
     settings = _serial_struct(descriptor)
     return None if settings is None else bool(settings[_FLAGS] & ASYNC_LOW_LATENCY)
 
 
 def set_low_latency(descriptor: int) -> bool | None:
-    """Set the driver to pass bytes on at once; returns what it then reports, as `low_latency`."""
+    """Set the driver to pass received bytes on at once; return `low_latency` afterwards."""
     settings = _serial_struct(descriptor)
     if settings is None:
         return None
@@ -52,7 +52,7 @@ def set_low_latency(descriptor: int) -> bool | None:
 
 
 def is_exclusive(descriptor: int) -> bool | None:
-    """Return True if the kernel refuses others the line (but for root); None when it does not report it."""
+    """Return True if the kernel refuses other programs the line (except root); None if it does not report this."""
     answer = bytearray(struct.calcsize("i"))
     try:
         fcntl.ioctl(descriptor, _TIOCGEXCL, answer)
@@ -62,14 +62,14 @@ def is_exclusive(descriptor: int) -> bool | None:
 
 
 def set_exclusive(descriptor: int, wanted: bool) -> bool | None:
-    """Refuse others the line, or not any more; returns what the kernel then reports, as `is_exclusive`."""
+    """Refuse other programs the line if `wanted`, else allow them; return `is_exclusive` afterwards."""
     with suppress(OSError):
         fcntl.ioctl(descriptor, termios.TIOCEXCL if wanted else termios.TIOCNXCL)
     return is_exclusive(descriptor)
 
 
 def dtr(descriptor: int) -> bool | None:
-    """Return True if DTR is asserted; None when the line has none."""
+    """Return True if DTR is asserted; None if the line has no DTR."""
     lines = bytearray(struct.calcsize("i"))
     try:
         fcntl.ioctl(descriptor, termios.TIOCMGET, lines)
@@ -79,7 +79,7 @@ def dtr(descriptor: int) -> bool | None:
 
 
 def set_dtr_rts(descriptor: int, asserted: bool) -> bool | None:
-    """Set DTR and RTS in one call, so that no board sees one without the other; what DTR then is."""
+    """Set DTR and RTS in one call, so that they change at the same time; return the state of DTR afterwards."""
     request = termios.TIOCMBIS if asserted else termios.TIOCMBIC
     with suppress(OSError):
         fcntl.ioctl(descriptor, request, struct.pack("i", _DTR_RTS))
@@ -98,7 +98,7 @@ def blocks_for_a_byte(descriptor: int) -> bool:
 
 
 def _number(character: int | bytes) -> int:
-    """Return a control character as Python gives it: a byte, or a number when the line is raw."""
+    """Return a control character as a number; termios gives a byte, or a number when the line is raw."""
     return character if isinstance(character, int) else character[0]
 
 

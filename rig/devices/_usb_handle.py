@@ -1,10 +1,11 @@
-"""What pyusb does not show: the library, context and handle behind an open device, as addresses.
+"""Addresses of libusb's functions, context and handle of an open device, from the private attributes of pyusb.
 
-This is the only file that touches pyusb's private names. `unsuitable` compares what is found with what was tested and
-says why the addresses cannot be had; then the device is used through pyusb's own calls (`rig.devices._usb_plain`).
+This is the only file that uses pyusb's private names. `unsuitable` compares them with the tested versions, and returns
+the reason if the addresses cannot be used; then the device is used through pyusb's own calls
+(`rig.devices._usb_plain`).
 
-Each link has a libusb context of its own, with the thread that watches for devices: the devices of a new context are
-those that are there now, not those that pyusb remembers, and closing it leaves nothing behind.
+Each link has its own libusb context, with the thread that watches for devices. A new context lists the devices that are
+present now, not those that pyusb has cached, and closing it frees everything.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ class _PollFd(ctypes.Structure):
 
 @dataclass(frozen=True, slots=True)
 class Handle:
-    """Addresses of an open device: of libusb's functions, the context, the handle."""
+    """Addresses of libusb's functions, of its context and of the handle of an open device."""
 
     submit: int
     cancel: int
@@ -74,7 +75,7 @@ class Handle:
     _library: Any
 
     def make_transfer(self) -> int:
-        """Allocate a transfer and return its address; raises `MemoryError`."""
+        """Allocate a libusb transfer and return its address; raise `MemoryError` on failure."""
         allocate = _function(self._library, "libusb_alloc_transfer", ctypes.c_void_p, ctypes.c_int)
         address = allocate(0)
         if not address:
@@ -82,17 +83,17 @@ class Handle:
         return int(address)
 
     def free_transfer(self, address: int) -> None:
-        """Free a transfer that is no longer used."""
+        """Free a libusb transfer that is no longer in use."""
         _function(self._library, "libusb_free_transfer", None, ctypes.c_void_p)(address)
 
 
 class UsbBus:
-    """The USB devices that are there now, in a libusb context of their own. Close it when the device is closed.
+    """USB devices that are present now, in their own libusb context. Close it after the device.
 
     Raises
     ------
     DeviceNotFoundError
-        There is no libusb.
+        libusb is not installed.
     """
 
     def __init__(self) -> None:
@@ -105,7 +106,7 @@ class UsbBus:
             )
         except usb.core.NoBackendError:
             raise DeviceNotFoundError(
-                "there is no libusb on this machine", remedy="install it: sudo apt install libusb-1.0-0"
+                "libusb is not installed", remedy="install it: sudo apt install libusb-1.0-0"
             ) from None
 
     def close(self) -> None:
@@ -124,7 +125,7 @@ class UsbBus:
 
 
 def _own_backend() -> Any:
-    """Make a backend of pyusb with a new context, as its `get_backend` makes the shared one; None when it differs."""
+    """Return a pyusb backend with a new context, made like pyusb's `get_backend`; None for an untested pyusb."""
     if _version() not in TESTED:
         return None
     try:
@@ -141,7 +142,7 @@ def _version() -> tuple[int, int]:
 
 
 def unsuitable(device: usb.core.Device) -> str:
-    """Say why the addresses behind an open device cannot be used, or return an empty string."""
+    """Return the reason why the addresses of an open device cannot be used, "" if they can."""
     if not _is_known():
         return "the layout of a transfer is known for 64-bit Linux alone"
     if _version() not in TESTED:
@@ -160,7 +161,7 @@ def _is_known() -> bool:
 
 
 def _strange(device: usb.core.Device) -> str:
-    """Compare the private names; return what is not as tested."""
+    """Return the first difference between pyusb's private names and the tested ones, "" if there is no difference."""
     try:
         backend = device.backend
         if not isinstance(backend, libusb1._LibUSB):  # noqa: SLF001
@@ -180,7 +181,7 @@ def _strange(device: usb.core.Device) -> str:
 
 
 def handle_of(device: usb.core.Device) -> Handle:
-    """Return the addresses behind an open device that is not `unsuitable`."""
+    """Return the addresses of an open device for which `unsuitable` returns ""."""
     library, context = device.backend.lib, device.backend.ctx.value
     return Handle(
         submit=_address(library, "libusb_submit_transfer"),
@@ -194,7 +195,7 @@ def handle_of(device: usb.core.Device) -> Handle:
 
 
 def _polled(library: Any, context: int) -> Iterable[int]:
-    """Yield the descriptors that libusb wants to be watched, each as the word of its ``struct pollfd``."""
+    """Yield each file descriptor that libusb must poll, as the 64-bit word of its ``struct pollfd``."""
     entries = ctypes.POINTER(ctypes.POINTER(_PollFd))
     listed = _function(library, "libusb_get_pollfds", entries, ctypes.c_void_p)(context)
     index = 0
@@ -212,5 +213,5 @@ def _address(library: Any, name: str) -> int:
 
 
 def _function(library: Any, name: str, answer: Any, *arguments: Any) -> Any:
-    """Return a function of libusb with its prototype; pyusb's own prototypes stay as they are."""
+    """Return a function of libusb with the given prototype; pyusb's own prototypes are not changed."""
     return ctypes.CFUNCTYPE(answer, *arguments)(_address(library, name))

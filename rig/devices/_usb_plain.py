@@ -1,6 +1,6 @@
-"""The bulk pipes of a USB device through pyusb's own calls: for backends whose handles cannot be reached.
+"""Bulk pipes of a USB device through pyusb's own calls, if the addresses of `_usb_handle` cannot be used.
 
-As `rig.devices._threaded` says, a busy interpreter delays the loop then; the link says so in `note`.
+A busy Python interpreter then delays the loop (see `rig.devices._threaded`); the link's `note` warns of this.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ OUT_LIMIT_S = 0.5
 
 
 class PlainTransfers(ThreadedLine):
-    """The pipes of one interface."""
+    """Bulk pipes of one USB interface, read by a Python thread."""
 
     def __init__(
         self, device: usb.core.Device, endpoint_in: int, endpoint_out: int, packet: int, why: str
@@ -31,14 +31,14 @@ class PlainTransfers(ThreadedLine):
         self.start()
 
     def receive(self) -> bytes:
-        """Read one packet; empty if none arrives in time."""
+        """Return one packet; empty if none arrives within `WAIT_S`."""
         try:
             return bytes(self._device.read(self._in, self._packet, round(WAIT_S * 1e3)))
         except usb.core.USBTimeoutError:
             return b""
 
     def send(self, data: bytes) -> int:
-        """Write once, for a few milliseconds: bytes taken; a device that takes none for long raises ETIMEDOUT."""
+        """Write once; return the number of accepted bytes. Raise ETIMEDOUT if it is 0 for `OUT_LIMIT_S`."""
         try:
             sent = int(self._device.write(self._out, data, WRITE_TIMEOUT_MS))
         except usb.core.USBTimeoutError:

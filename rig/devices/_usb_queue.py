@@ -1,6 +1,6 @@
 """Bulk transfers of an open USB device, prepared for the compiled functions of `rig.devices._usb_transfers`.
 
-`rig.devices.usb` opens it. Python must read and write by the same functions as the loop: the pipes have one owner.
+`rig.devices.usb` uses it. Python must read and write by the same compiled functions as the loop.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _BULK = 2
 
 
 class QueuedTransfers:
-    """The pipes of one interface. Errors are bare `OSError` with the numbers of `rig.devices._failures`."""
+    """Bulk pipes of one USB interface, by queued transfers; errors are `OSError` with numbers of `_failures`."""
 
     note = ""
 
@@ -87,7 +87,7 @@ class QueuedTransfers:
         return address
 
     def read(self, timeout_s: float) -> bytes:
-        """Return what has arrived, waiting at most `timeout_s` for the first byte."""
+        """Return the bytes that have arrived; wait at most `timeout_s` for the first byte."""
         deadline_ns = time.monotonic_ns() + max(0, round(timeout_s * 1e9))
         ready = 0
         while ready == 0:
@@ -102,7 +102,7 @@ class QueuedTransfers:
         return self._read_buffer[:ready].tobytes()
 
     def write(self, data: bytes) -> None:
-        """Give all of `data` to the device, as far as it takes packets."""
+        """Send all of `data`; wait while all OUT transfers are in use, and raise `OSError` if this takes too long."""
         left = np.frombuffer(data, np.uint8)
         while len(left):
             taken = compiled.usb_write(self._address, left.ctypes.data, len(left))
@@ -113,11 +113,11 @@ class QueuedTransfers:
                 compiled.flush(self._address, time.monotonic_ns() + round(_SLICE_S * 1e9), 0)
 
     def plugs(self) -> tuple[Any, Any, Any, int]:
-        """Return read, write, wait and their handle (`rig.devices.port.LoopPort`)."""
+        """Return the functions read, write and wait for the loop, and their handle (`rig.devices.port.LoopPort`)."""
         return compiled.usb_read, compiled.usb_write, compiled.usb_wait, self._address
 
     def close(self) -> None:
-        """Let the last writes leave, take the transfers back from the kernel, and free them; may be called twice."""
+        """Complete the last writes, cancel all other transfers, and free their memory; may be called twice."""
         transfers, self._transfers = self._transfers, []
         if not transfers:
             return

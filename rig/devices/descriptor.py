@@ -1,6 +1,6 @@
-"""Bytes by read(2), write(2) and poll(2) on an open descriptor, which the compiled loop and Python share.
+"""Link that reads and writes an open file descriptor by read(2), write(2) and poll(2).
 
-Serial ports, the local socket of a simulated device and the bridge of drives inherit from it, on Linux alone. It must
+Serial ports, the local socket of a simulated device and the bridge of drives inherit from it, only on Linux. It must
 not open a descriptor: a subclass does.
 """
 
@@ -29,7 +29,7 @@ CLOSED = -1
 
 
 class DescriptorLink(RealLink):
-    """What links over a non-blocking descriptor have in common; a subclass opens it, and sets it to `CLOSED`."""
+    """Base class of links over a non-blocking descriptor; a subclass opens it, and sets it to `CLOSED` at the end."""
 
     def __init__(self, url: DeviceUrl, descriptor: int) -> None:
         self.url = url
@@ -40,7 +40,7 @@ class DescriptorLink(RealLink):
         self._writable.register(descriptor, select.POLLOUT)
 
     def read(self, timeout_s: float) -> bytes:
-        """Return what has arrived, waiting at most `timeout_s` for the first byte."""
+        """Return the bytes that have arrived; wait at most `timeout_s` for the first byte."""
         if self._descriptor == CLOSED:
             raise self._lost(None)
         try:
@@ -56,7 +56,7 @@ class DescriptorLink(RealLink):
         return data
 
     def write(self, data: bytes) -> None:
-        """Send all of `data`, or raise `LinkLostError` when the line stays full or is gone."""
+        """Send all of `data`; raise `LinkLostError` when the line stays full for `WRITE_TIMEOUT_S` or is gone."""
         deadline = time.monotonic() + WRITE_TIMEOUT_S
         view = memoryview(data)
         while view:
@@ -70,7 +70,7 @@ class DescriptorLink(RealLink):
                 raise self._lost(error) from error
 
     def port(self) -> LoopPort:
-        """Return the system calls of the loop on this descriptor."""
+        """Return the system calls with which the loop uses this descriptor."""
         return LoopPort.on(
             self.clock,
             read=system.descriptor_read,

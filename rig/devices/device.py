@@ -1,11 +1,11 @@
-"""What a far end must offer: a link of bytes that Python and the compiled loop can both use.
+"""Interface of a link: a stream of bytes to a device, for Python and for the compiled loop.
 
-A backend is one function ``open(url, model, options) -> Link``; `rig.devices` finds it by the scheme of the
-URL. The link carries the frames of `firmware_protocol` and nothing else, so that everything above it is the
-shipped code, whether a board, a process behind a pseudo-terminal or the simulation in this process answers.
+A backend is one function ``open_link(url, model) -> Link``, which `rig.devices` finds by the scheme of the URL. The
+link carries only frames of `firmware_protocol`. So the same code runs above it for a board, a simulated device in
+another process and the simulation in this process.
 
-Backends inherit from it; the loop, `rig.doctor`, `rig.experiments`, `rig.firmware`, sessions and drives use it. This
-file must not import a backend.
+Backends inherit from its classes; the loop, `rig.doctor`, `rig.experiments`, `rig.firmware`, sessions and drives use
+it. It must not import a backend.
 """
 
 from __future__ import annotations
@@ -59,14 +59,14 @@ class DeviceUrl:
 
     @classmethod
     def of(cls, scheme: str, place: str, options: Mapping[str, str] | None = None) -> DeviceUrl:
-        """Write a URL that `parse` and a shell lead back to exactly this place and these options."""
+        """Return the URL of a place and options, with escapes, so that `parse` and a shell give them back exactly."""
         options = options or {}
         query = "&".join(f"{_encode(name)}={_encode(value)}" for name, value in options.items())
         return cls(scheme, place, options, f"{scheme}://{_encode(place)}{'?' if query else ''}{query}")
 
     @classmethod
     def parse(cls, text: str) -> DeviceUrl:
-        """Split a URL; raises `ConfigError` when it has no scheme, an option twice, or an unclear character."""
+        """Split a URL; raise `ConfigError` for a missing scheme, a repeated option, or an invalid character."""
         scheme, separator, rest = text.partition("://")
         if not separator or not _SCHEME.fullmatch(scheme):
             raise ConfigError(
@@ -98,7 +98,7 @@ class DeviceUrl:
         return cls(scheme, _decode(place), options, text)
 
     def allow(self, options: Iterable[str]) -> None:
-        """Raise `ConfigError` when the URL has an option that is not among these."""
+        """Raise `ConfigError` if the URL has an option that is not in `options`."""
         for name in self.options:
             if name not in options:
                 raise ConfigError(
@@ -107,7 +107,7 @@ class DeviceUrl:
                 )
 
     def choice(self, name: str, allowed: Sequence[str], default: str) -> str:
-        """Return an option that is one of a few words; raises `ConfigError` when it is another."""
+        """Return the value of an option, or `default`; raise `ConfigError` if it is not one of `allowed`."""
         value = self.options.get(name, default)
         if name in self.options and value not in allowed:
             raise ConfigError(
@@ -126,10 +126,9 @@ def _decode(part: str) -> str:
 
 
 class Link(Protocol):
-    """Bytes to and from one far end.
+    """Stream of bytes to and from one device.
 
-    Every call is bounded in time. A link that is gone raises `rig.core.errors.LinkLostError`, never a bare
-    OSError.
+    Every call is bounded in time. A lost link raises `rig.core.errors.LinkLostError`, never a bare OSError.
     """
 
     url: DeviceUrl
@@ -138,7 +137,7 @@ class Link(Protocol):
     messages: Sequence[str]  # what could not be obtained, each with its remedy: for the user to read
 
     def read(self, timeout_s: float) -> bytes:
-        """Return what has arrived, waiting at most `timeout_s` for the first byte; empty at the time-out."""
+        """Return the bytes that have arrived; wait at most `timeout_s` for the first byte; empty after a timeout."""
         ...
 
     def write(self, data: bytes) -> None:
@@ -146,15 +145,15 @@ class Link(Protocol):
         ...
 
     def port(self) -> LoopPort:
-        """Return the plug functions for the loop; Python must not read or write while the loop runs."""
+        """Return the functions with which the loop reads, writes and waits; Python must not use the link meanwhile."""
         ...
 
     def failure(self) -> BaseException | None:
-        """Return what went wrong inside the far end while the loop ran (simulation), or None."""
+        """Return the exception that the simulated device raised while the loop ran, or None."""
         ...
 
     def truth(self) -> NDArray[np.void] | None:
-        """Return the simulation's truth by sample index (`rig.core.sample.TRUTH`), or None on a real device."""
+        """Return the simulation's true signals by sample index (`rig.core.sample.TRUTH`); None on a real device."""
         ...
 
     def close(self) -> None:
@@ -163,10 +162,10 @@ class Link(Protocol):
 
 
 class RealLink:
-    """What all links to hardware have in common (mixin of a `Link`)."""
+    """Mixin of a `Link` to a device that does not run in this process."""
 
     def failure(self) -> BaseException | None:
-        """Return None: a real far end reports no exception."""
+        """Return None: a real device reports no exception."""
         return None
 
     def truth(self) -> NDArray[np.void] | None:

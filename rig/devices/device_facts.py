@@ -1,7 +1,7 @@
-"""What a device is: from its dictionary, wherever that was read, and from the open device itself.
+"""Facts about a device: from its dictionary (its description of itself), and from the open device.
 
 `rig device`, `rig firmware` and the examination before a hit call it. It only reads: it must not set a parameter or arm
-anything.
+a device.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ OUR_PROTOCOL = f"{MAJOR}.{MINOR}"
 
 @dataclass(frozen=True, kw_only=True)
 class FirmwareFacts:
-    """What the dictionary of a firmware states.
+    """Facts from the dictionary of a firmware.
 
     Attributes
     ----------
     device, firmware, simulated
-        Name of the rig, version, and whether a simulation runs it.
+        Name of the rig, version of the firmware, and whether the device is simulated.
     protocol, our_protocol
         Protocol version of the device, and that of this package.
     dictionary_hash
-        As in IDENTITY and ARM, 16 hexadecimal digits.
+        Hash of the dictionary, as in the messages IDENTITY and ARM: 16 hexadecimal digits.
     position_rate_default, position_rate_maximum
-        Tick rates (Hz).
+        Default and highest tick rate (Hz).
     current_quantum_a
         One step of a current on the wire (A).
     law
-        Laws that it runs itself: highest value of parameter ``law``.
+        Highest value of the parameter ``law``: 0 no law on the device, 1 in integers, 2 also in float32.
     settings
-        Pins, scales and amplifier that its board was built for.
+        Pins, scales and amplifier for which the firmware was built.
     """
 
     device: str
@@ -75,7 +75,7 @@ class FirmwareFacts:
 
 
 def stated(dictionary: Dictionary, fingerprint: int) -> dict[str, Any]:
-    """Return the fields of `FirmwareFacts` that a dictionary with this hash gives."""
+    """Return the fields of `FirmwareFacts` from a dictionary and its hash."""
     law = dictionary.parameter("law")
     return {
         "device": dictionary.device,
@@ -94,7 +94,7 @@ def stated(dictionary: Dictionary, fingerprint: int) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class ActiveParameter:
-    """A parameter of a device as it is active; `meaning` is empty where this package does not know it."""
+    """Active parameter of a device; `meaning` is empty if this package does not contain the parameter."""
 
     name: str
     value: Value
@@ -105,7 +105,7 @@ class ActiveParameter:
 
 @dataclass(frozen=True, slots=True)
 class ActiveParameters:
-    """Everything that is active on a device, in the order of its ids; `crc` is the fingerprint that ARM repeats."""
+    """All active parameters of a device, in the order of their ids; `crc` is the CRC of them that ARM must repeat."""
 
     url: str
     state: str
@@ -113,7 +113,7 @@ class ActiveParameters:
     parameters: tuple[ActiveParameter, ...]
 
     def rows(self) -> list[Row]:
-        """Return them for people: each with its meaning, and its default where that is another value."""
+        """Return rows to print: each parameter with its meaning, and with its default if the value differs from it."""
 
         def note(one: ActiveParameter) -> str:
             default = f"default {one.default:g}" if one.value != one.default else ""
@@ -128,7 +128,7 @@ class ActiveParameters:
 
 
 def active_parameters(device: FramedDevice) -> ActiveParameters:
-    """Read the active parameters of an open device; nothing changes. Errors as its questions raise them."""
+    """Return the active parameters of an open device, without changing them; errors as `FramedDevice`."""
     values = device.active_parameters()
     known = {info.name: info for info in device.dictionary.parameters}
     found = [
@@ -148,16 +148,16 @@ def active_parameters(device: FramedDevice) -> ActiveParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class DeviceFacts(FirmwareFacts):
-    """A device that is open.
+    """Facts about an open device.
 
     Attributes
     ----------
     url
-        Where it is.
+        URL of the device.
     state, fault
-        Its state, and the latched fault with its remedy, if there is one.
+        State of the device, and its latched fault with the remedy, None without a fault.
     messages
-        What the link did not obtain when it was opened, with remedies.
+        Settings that the link could not obtain when it was opened, with remedies.
     """
 
     url: str
@@ -167,7 +167,7 @@ class DeviceFacts(FirmwareFacts):
 
     @classmethod
     def of(cls, device: FramedDevice) -> DeviceFacts:
-        """Ask an open device; errors as its questions raise them."""
+        """Read the facts from an open device; errors as the requests of `FramedDevice`."""
         dictionary = device.dictionary
         faulty = device.connection.state is State.FAULT
         report = device.fault_report() if faulty else None

@@ -1,9 +1,9 @@
-"""A script of faults: what happens to frame n of a direction of a link, and to the device at tick n.
+"""Script of faults for a simulated run: faults of single frames of a link, and faults of the device at given ticks.
 
-A simulation plays it (`rig.devices.open_watched`). A test that runs it for every n of a short run has seen every place
-where a link can break.
+A simulation executes it (`rig.devices.open_watched`). A test that runs it for every frame of a short run covers every
+place where a link can break.
 
-It has what happens on USB and serial lines: noise (corrupt), full buffers (drop, truncate), retries of a hub
+The faults are those of USB and serial lines: noise (corrupt), full buffers (drop, truncate), retries of a hub
 (duplicate, delay), a dead cable (silence), a pulled plug.
 
 `rig.testing` writes such scripts. Nothing here breaks a link itself, and a real device has no script.
@@ -20,7 +20,7 @@ from firmware_protocol.faults import Fault
 
 
 class Direction(Enum):
-    """Which way the bytes go."""
+    """Direction of the bytes on a link."""
 
     TO_DEVICE = "to device"
     TO_HOST = "to host"
@@ -30,7 +30,7 @@ class Direction(Enum):
 
 
 class FaultKind(Enum):
-    """What can happen to a frame."""
+    """Kinds of faults of a frame."""
 
     DROP = "drop"
     CORRUPT = "corrupt"  # bit `bit` of byte `byte` flips; a 0x00 may appear or vanish
@@ -45,9 +45,9 @@ class FaultKind(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameFault:
-    """What happens to a frame of a direction: number `frame` (from 0), or the first that is sent from `tick` on.
+    """Fault of one frame of a direction: frame number `frame` (from 0), or the first frame sent at or after `tick`.
 
-    Ticks are those of the device since the link was opened; `byte` is taken modulo the frame's length.
+    `tick` counts device ticks since the link was opened; `byte` is taken modulo the frame's length.
     """
 
     kind: FaultKind
@@ -62,7 +62,7 @@ class FrameFault:
 
 @dataclass(frozen=True, slots=True)
 class DeviceFault:
-    """A fault that the device finds when `tick` ticks have passed; EMERGENCY_STOP means that it is pressed."""
+    """Fault that the device detects after `tick` ticks; EMERGENCY_STOP means that the button is pressed."""
 
     tick: int
     fault: Fault
@@ -70,7 +70,7 @@ class DeviceFault:
 
 @dataclass(frozen=True, slots=True)
 class Happening:
-    """What the world does to a device when `tick` ticks have passed: `act` is called with the device."""
+    """Action on the simulated device after `tick` ticks: `act` is called with the device."""
 
     tick: int
     act: Callable[[Any], None]
@@ -78,7 +78,7 @@ class Happening:
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """A script for one run."""
+    """Script of the faults in one run: of frames, and of the device."""
 
     frames: tuple[FrameFault, ...] = ()
     device: tuple[DeviceFault | Happening, ...] = ()

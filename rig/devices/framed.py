@@ -1,8 +1,8 @@
-"""A device on the other end of a link of frames: transactions with retries, arming, and the report of its faults.
+"""Host side of the protocol with a device: transactions with retries, arming, and reports of faults.
 
-`firmware_protocol.connection` decides what may be sent; this file waits: each transaction is sent again after 20, 40
-and 80 ms and then ends with a typed error. Streams (COMMAND, STATE) belong to the compiled loop while it runs
-(`rig.loop`), which returns them through `take_back`.
+`firmware_protocol.connection` decides what may be sent; this file does the waiting: a request is repeated after 20, 40
+and 80 ms, and then a typed error is raised. While the compiled loop (`rig.loop`) runs, it owns the streams COMMAND and
+STATE; afterwards `take_back` continues from their counters.
 
 `rig.doctor`, `rig.experiments`, self tests of `rig.firmware`, sessions and `rig.testing` call it. It must not decide
 whether a wall may be armed: `rig.doctor.gate` and `rig.experiments.hits.admission` do, before they let a caller arm.
@@ -54,7 +54,7 @@ _dictionaries: dict[int, dictionaries.Dictionary] = {}
 
 @dataclass(frozen=True, slots=True)
 class Echo:
-    """What the device has activated: every parameter, its fingerprint, and the tick from which it counts."""
+    """All active parameters of the device after a change, their CRC, and the sample from which they are active."""
 
     values: dict[str, Value]
     crc: int
@@ -63,7 +63,10 @@ class Echo:
 
 @dataclass(frozen=True, slots=True)
 class FaultReport:
-    """The latched fault in words, when it happened (device clock), and the device's last ticks, oldest first."""
+    """Latched fault with text, remedy and device time (ns), and the device's last ticks, oldest first.
+
+    `later` is a bit set of the fault codes that occurred after the latched one.
+    """
 
     code: int
     name: str
@@ -74,12 +77,12 @@ class FaultReport:
     entries: list[dict[str, int]]
 
     def has(self, fault: Fault) -> bool:
-        """Return True if it is this fault, or this one came later."""
+        """Return True if `fault` is the latched fault or occurred after it."""
         return self.code == fault or bool(self.later >> fault & 1)
 
 
 class FramedDevice:
-    """The host's end of a rig.
+    """Device of a rig as the host uses it: identify, configure, arm, read, stop.
 
     Parameters
     ----------
@@ -108,20 +111,20 @@ class FramedDevice:
 
     @property
     def dictionary(self) -> dictionaries.Dictionary:
-        """Return the device's description of itself; read once."""
+        """Return the device's description of itself; it is read from the device once."""
         if self._dictionary is None:
             self._dictionary = self.identify()
         return self._dictionary
 
     def identify(self) -> dictionaries.Dictionary:
-        """Read the device's dictionary, or only its hash, where that names one that this process has read before.
+        """Return the device's dictionary; read only its hash if this process has already read that dictionary.
 
         Raises
         ------
         LinkLostError
-            No reply.
+            The device does not reply.
         IncompatibleDeviceError
-            The reply has another major version, or is not valid.
+            The device has another major version of the protocol, or its reply is invalid.
         """
         reader = PageReader(DICTIONARY_LIMIT)
         while not reader.complete:
@@ -141,20 +144,20 @@ class FramedDevice:
 
     @property
     def dictionary_hash(self) -> int:
-        """Return the fingerprint of the dictionary, as the device announces it."""
+        """Return the hash of the device's dictionary, as the device reports it."""
         self.dictionary  # noqa: B018
         return self._dictionary_hash
 
     # ------------------------------------------------------------------ configuring
 
     def configure(self, values: Mapping[str, Value]) -> Echo:
-        """Activate parameters, all of them or none, and return what is active now.
+        """Activate parameters, either all of `values` or none, and return all active parameters.
 
         Raises
         ------
         DeviceRefusedError
-            A value that the device does not take; nothing has changed then. Or a real device that has restarted or
-            lost counts since this session began: its zero is another one.
+            The device does not accept a value; then nothing has changed. Or a real device has restarted or lost
+            counts since it was first opened, so that its position zero is no longer valid.
         """
         self._make_configurable()
         before, self._crc = self._crc, None
@@ -179,7 +182,7 @@ class FramedDevice:
         return Echo(dict(active), ack.crc, ack.sample_index)
 
     def _expected_block(self, values: Mapping[str, Value]) -> bytes | None:
-        """Return every parameter as it must be active after `values`, if the others are still what we know."""
+        """Return the block of all parameters that is expected after `values` are set; None if it is unknown."""
         known = self._known or {info.name: info.default for info in self.dictionary.parameters}
         try:
             return encode_block({**known, "verified": 0, **values})
@@ -187,7 +190,7 @@ class FramedDevice:
             return None
 
     def _make_configurable(self) -> None:
-        """Bring a faulty, restarted or still armed device (a host died) into a state that takes parameters."""
+        """Bring a faulty, restarted or still armed device into a state in which it accepts parameters."""
         met_real = self._dictionary is not None and not self._dictionary.simulated
         # IDENTIFY reports the state, and takes the device out of BOOT.
         about = self._ask(m.Identify(self._next_nonce(), 0), m.Identity)
@@ -210,7 +213,7 @@ class FramedDevice:
         )
 
     def has_restarted(self) -> bool:
-        """Return True if the device has started again and received no IDENTIFY since. Raises as every request does."""
+        """Return True if the device has restarted and received no IDENTIFY since; errors as for every request."""
         about = self._ask(m.Identify(self._next_nonce(), 0), m.Identity)
         return bool(about.state == State.BOOT)
 
@@ -226,9 +229,9 @@ class FramedDevice:
         )
 
     def count(self) -> int:
-        """Return the encoder count now, from the STATE frames that an unarmed device sends on its own.
+        """Return the present encoder count, from the STATE frames that an unarmed device sends on its own.
 
-        Raises `DeviceRefusedError` when it sends none for `COUNT_TIMEOUT_S`.
+        Raise `DeviceRefusedError` if no STATE arrives within `COUNT_TIMEOUT_S`.
         """
         self.dictionary  # noqa: B018  (a device in BOOT sends nothing)
         for event in self._events(COUNT_TIMEOUT_S):
@@ -239,7 +242,7 @@ class FramedDevice:
         )
 
     def active_parameters(self) -> dict[str, Value]:
-        """Return the active parameters, read from the device; nothing changes."""
+        """Read the active parameters from the device, without changing them."""
         self.dictionary  # noqa: B018  (a device in BOOT answers nothing else)
         block = self._read_parameters()
         with self._understood():
@@ -253,7 +256,7 @@ class FramedDevice:
         return reader.content
 
     def _add_page(self, reader: PageReader, reply: m.Identity | m.Parameters, fingerprint: int) -> None:
-        """Add the requested page; raises for another one, because the request would otherwise repeat forever."""
+        """Add a page to `reader`; raise an error if its offset is wrong, which would repeat the request forever."""
         with self._understood():
             if reply.offset != reader.offset:
                 raise RemoteProtocolError(
@@ -264,11 +267,11 @@ class FramedDevice:
     # ------------------------------------------------------------------ running
 
     def arm(self) -> int:
-        """Open a session and return its number; the device streams STATE from now on, with zero effort.
+        """Arm the device and return the number of the new session; it then streams STATE, with zero effort.
 
-        While a device computes its excitation or switches its amplifier on, ARM is repeated, for `READY_S` at most.
-        Raises `DeviceRefusedError` when it is not homed, not verified, its configuration is not ours, or it finds a
-        fault.
+        ARM is repeated for at most `READY_S` while the device computes its excitation or switches its amplifier on.
+        Raise `DeviceRefusedError` if the device is not homed or not verified, its parameters are not those of this
+        host, or it detects a fault.
         """
         # From the nonce, which begins with the clock, so that a restarted host seldom takes the number of the run
         # before: the device refuses that one (STALE_SESSION).
@@ -296,13 +299,13 @@ class FramedDevice:
 
     @staticmethod
     def _other_than(previous: int, used: int) -> int:
-        """Return the session number behind `previous` on the circle 1 … 255 that is not `used`."""
+        """Return the session number (1 … 255, cyclic) that follows `previous`, skipping `used`."""
         session = 1 + previous % 0xFF
         return session if session != used else 1 + session % 0xFF
 
     @property
     def nonce(self) -> int:
-        """Return the nonce of the last transaction: the compiled loop continues from there with its clock exchanges."""
+        """Return the nonce of the last transaction, from which the compiled loop continues for its clock exchanges."""
         return self._nonce
 
     def take_back(
@@ -314,10 +317,10 @@ class FramedDevice:
         nonce: int,
         parameters_crc: int | None = None,
     ) -> None:
-        """Take the streams and the nonces back from the compiled loop (see `Connection.resume`).
+        """Continue streams and nonces from where the compiled loop has ended (see `Connection.resume`).
 
-        An unknown `state` counts as RUNNING: it must not keep the host from stopping. `parameters_crc` is the
-        fingerprint of the active parameters, where the loop has changed some.
+        An unknown `state` is treated as RUNNING, so that the host can still stop the device. `parameters_crc` is the
+        CRC of the active parameters if the loop has changed some, else None.
         """
         self._nonce = nonce
         if parameters_crc is not None:
@@ -326,9 +329,9 @@ class FramedDevice:
         self.connection.resume(next_command=next_command, newest_state=newest_state, state=known)
 
     def supervise(self, seconds: float, lifetime_us: int) -> list[m.Message]:
-        """Keep the law on an armed device going for a while; return the STATE and BATCH frames that come.
+        """Keep the law of an armed device running for `seconds` (s); return the received STATE and BATCH frames.
 
-        For a look at it, not for a run: the compiled loop supervises without Python. A fault ends it early.
+        Return early if the device reports a fault. Only for checks: in a run, the compiled loop supervises.
         """
         received: list[m.Message] = []
         end_ns = self.link.clock.now_ns() + math.ceil(seconds * 1e9)
@@ -340,7 +343,7 @@ class FramedDevice:
         return [message for message in received if isinstance(message, m.State | m.Batch)]
 
     def stop(self) -> None:
-        """Zero effort, now, several times. Cannot raise: a lost link is reported by the next call."""
+        """Send STOP (zero effort) several times. Never raise: the next call reports a lost link."""
         for _ in range(m.STOP_FRAMES):
             with suppress(Exception):
                 self.link.write(self.connection.send(m.Command(0, 1000, int(m.Mode.STOP), 0, 0)))
@@ -353,7 +356,7 @@ class FramedDevice:
     def enter_bootloader(self) -> None:
         """Request a reset into the boot loader; the device resets 50 ms after its reply.
 
-        Raises `DeviceRefusedError` when it is armed or has none.
+        Raise `DeviceRefusedError` if the device is armed or has no boot loader.
         """
         self.dictionary  # noqa: B018  (a device in BOOT knows IDENTIFY alone)
         self._command(m.EnterBootloader(self._next_nonce()))
@@ -361,9 +364,10 @@ class FramedDevice:
     # ------------------------------------------------------------------ asking
 
     def exchange_clock(self, exchanges: int = EXCHANGES, *, over_s: float = 0.0) -> NDArray[np.void]:
-        """Compare the clocks: so many exchanges of four stamps, dtype `rig.core.clock_fit.EXCHANGE`.
+        """Return the four time stamps (ns) of each clock exchange, as an array of `rig.core.clock_fit.EXCHANGE`.
 
-        They follow each other at once, or at odd distances over `over_s` (s). Raises as every request does.
+        The exchanges follow each other at once, or at irregular intervals over `over_s` (s). Errors as for every
+        request.
         """
         stamps = np.zeros(exchanges, EXCHANGE)
         tick_ps = round(self.dictionary.time_unit_ns * 1000)
@@ -379,7 +383,7 @@ class FramedDevice:
         return stamps
 
     def _counted_ns(self, stamp: int, tick_ps: int) -> int:
-        """Return a device time in nanoseconds, as far as they can be counted."""
+        """Return a device time in ns; raise `IncompatibleDeviceError` above `MOST_NS`."""
         time_ns = stamp * tick_ps // 1000
         with self._understood():
             if time_ns > MOST_NS:
@@ -387,34 +391,34 @@ class FramedDevice:
         return time_ns
 
     def clock(self, exchanges: int = EXCHANGES, *, over_s: float = 0.0) -> ClockFit:
-        """Return the host clock against device clock, by `exchange_clock`; without `over_s` the drift stays unknown."""
+        """Return a fit of host clock against device clock, by `exchange_clock`; its drift needs `over_s`."""
         return fit_clock(self.exchange_clock(exchanges, over_s=over_s))
 
     def drift(self) -> ClockFit:
-        """Return the host clock against device clock, with the drift to a few ppm: about a second in real time."""
+        """Return a fit of host clock against device clock whose drift is known to a few ppm; it takes about 1 s."""
         over_s = DRIFT_VIRTUAL_S if self.link.clock.virtual else DRIFT_S
         return self.clock(DRIFT_EXCHANGES, over_s=over_s)
 
     def statistics(self) -> m.Statistics:
-        """Return what the device has counted on its end of the link since it started."""
+        """Return the device's counters of frames and errors on the link since it started."""
         reply: m.Statistics = self._ask(m.GetStatistics(self._next_nonce()), m.Statistics)
         return reply
 
     def reference(self) -> m.Reference:
-        """Return how position zero was set, and what the device has measured of its encoder's index."""
+        """Return how position zero was set, and the device's measurement of the encoder's index."""
         reply: m.Reference = self._ask(m.GetReference(self._next_nonce()), m.Reference)
         return reply
 
     def states(self, seconds: float) -> list[m.State]:
-        """Return the STATE frames that come on their own within a time; an unarmed device sends a hundred a second."""
+        """Return the STATE frames that arrive within `seconds` (s); an unarmed device sends 100 per second."""
         self.dictionary  # noqa: B018  (a device in BOOT sends nothing)
         return [event.message for event in self._events(seconds) if isinstance(event.message, m.State)]
 
     def status_of(self, request: m.Message, *, session: int | None = None) -> Status:
         """Send a request that the caller built, with a fresh nonce, and return the status of the reply.
 
-        For requests that must be refused; the caller undoes one that was accepted. Raises `DeviceRefusedError` for a
-        status that this version does not know.
+        It is for requests that the device must refuse; the caller must undo an accepted one. Raise `DeviceRefusedError`
+        for a status that is not in `Status`.
         """
         answer = self._transact(replace(request, nonce=self._next_nonce()), session=session)  # type: ignore[type-var]
         if not isinstance(answer, m.Ack):
@@ -424,21 +428,21 @@ class FramedDevice:
         return Status(answer.status)
 
     def _listen_until(self, deadline_ns: int) -> None:
-        """Wait, and discard what the device sends meanwhile."""
+        """Wait until `deadline_ns` on the link's clock, and discard received frames."""
         # Unread frames would delay the next reply.
         remaining_ns = deadline_ns - self.link.clock.now_ns()
         for _ in self._events(max(0, remaining_ns) * 1e-9):
             pass
 
     def explain_fault(self, code: int) -> FaultReport:
-        """Explain a fault code, without asking the device."""
+        """Return name, text and remedy of a fault code, from the dictionary without a request to the device."""
         info = self.dictionary.explain_fault(code)
         return FaultReport(code, info.name, info.text, info.remedy, 0, 0, [])
 
     def fault_report(self) -> FaultReport:
-        """Read the latched fault and the device's ring of ticks before it, as much as comes in `FAULT_LOG_S`.
+        """Return the latched fault and the device's log of the ticks before it.
 
-        What was read until then is returned.
+        Reading stops after `FAULT_LOG_S`; the entries that were read until then are returned.
         """
         # The ring takes eighty requests: on a busy computer, the cause of many faults, longer than a person waits.
         entries: list[dict[str, int]] = []
@@ -455,9 +459,9 @@ class FramedDevice:
         return replace(explained, later=reply.later, device_time_ns=time_ns, entries=entries)
 
     def close(self) -> None:
-        """Disarm if a session is open, and release the link; never raises.
+        """Stop and disarm the device if a session is open, and close the link; never raise an error of the device.
 
-        After a timeout of a transaction, DISARM is sent with all its retries without waiting for replies.
+        If the last transaction timed out, DISARM is sent with all its retries without waiting for replies.
         """
         # By then the device has received no COMMAND for longer than any command's lifetime and ramp.
         if self.connection.session:
@@ -470,7 +474,7 @@ class FramedDevice:
         self.link.close()
 
     def _tell_to_disarm(self) -> None:
-        """Send DISARM and all its retries at once."""
+        """Send DISARM and all its retries at once, without waiting for a reply."""
         self.connection.begin(m.Disarm(self._next_nonce(), int(m.DisarmFlag.CLEAR_FAULT)))
         while frame := self.connection.say(self.connection.transaction.again_at):
             self.link.write(frame)
@@ -488,7 +492,7 @@ class FramedDevice:
         return self._nonce
 
     def _ask(self, question: m.Message, reply: type[Any]) -> Any:
-        """Send a question and return its reply; a refusal is a `DeviceRefusedError`."""
+        """Send a request and return its reply; raise `DeviceRefusedError` if the device refuses."""
         answer = self._transact(question)
         if isinstance(answer, reply):
             return answer
@@ -501,7 +505,7 @@ class FramedDevice:
         raise self._refusal(answer)
 
     def _transact(self, *requests: m.Message, session: int | None = None) -> m.Message:
-        """Send the requests of a transaction, each again until it is answered; return the last answer."""
+        """Send the requests of a transaction in turn, each with retries; return the last reply."""
         connection, clock, request = self.connection, self.link.clock, requests[0]
         connection.begin(*requests, session=session)
         while connection.transaction.step != UNANSWERED:
@@ -529,7 +533,7 @@ class FramedDevice:
         )
 
     def _events(self, timeout_s: float) -> Iterator[Received]:
-        """Yield what the device sends until the time is over."""
+        """Yield the frames that the device sends within `timeout_s`."""
         deadline = self.link.clock.now_ns() + math.ceil(timeout_s * 1e9)
         while (remaining := deadline - self.link.clock.now_ns()) > 0:
             data = self.link.read(remaining * 1e-9)
@@ -561,7 +565,7 @@ class FramedDevice:
         )
 
     def _detail(self, ack: m.Ack) -> str:
-        """Return what the detail of a refusal names: a parameter with its range, a state, or a fault."""
+        """Return the detail of a refusal as text: a parameter with its range, a state, or a fault."""
         if ack.status == Status.BAD_STATE:
             return f" ({State(ack.detail).name if ack.detail in set(State) else f'state {ack.detail}'})"
         if self._dictionary is not None and ack.status == Status.FAULT_PRESENT:
@@ -577,7 +581,7 @@ class FramedDevice:
 
 
 class _Translated:
-    """Convert an error of the protocol (device's data, or order of requests) into an error for the user."""
+    """Context manager that converts an error of the protocol into a `RigError` for the user."""
 
     def __init__(self, url: str) -> None:
         self._url = url

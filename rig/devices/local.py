@@ -41,11 +41,11 @@ def serve(
 ) -> None:
     """Serve a simulated rig in this process until stopped (see `sim_backend.ends.pty.serve`).
 
-    The calling thread gets real-time scheduling and its processor while it serves, where that is granted, and
-    `scheduled` is called with them; ``realtime="off"`` requests none. It has them from the announcement on: loading and
-    compiling a device takes a second and more, in which no other device, loop or drive on that processor would run: of
-    three that were opened at once with the priority from the start, every third sent no reply, and none has since.
-    Raises `DeviceNotFoundError` when the simulation does not load, and `PlanError` where the system is not Linux.
+    When the device is ready, the calling thread gets real-time scheduling and its processor if the system grants them;
+    then `scheduled` is called with the result. ``realtime="off"`` requests nothing. Scheduling does not begin earlier,
+    because compiling takes more than a second, in which no other device, loop or drive on that processor would run: of
+    three devices that were opened at once with the priority from the start, every third sent no reply.
+    Raise `DeviceNotFoundError` if the simulation does not load, and `PlanError` if the system is not Linux.
     """
     refuse_real_time("a simulated rig", IN_VIRTUAL_TIME)
     server = devices.loaded(devices.SERVER)
@@ -63,9 +63,9 @@ def serve(
 
 
 def host_beside(host: Host, link: Link) -> Host:
-    """Return scheduling of a loop, on the processor of the device when that is a program here and the user names none.
+    """Return the loop's scheduling with the processor of a device that is a program here, unless the user names one.
 
-    So a pause of that processor (of a virtual machine, by another program) stops both, and loses no sample.
+    So a pause of this processor (of a virtual machine, by another program) stops loop and device, and loses no sample.
     """
     cpu = getattr(link, "cpu", None)
     return replace(host, cpu=cpu) if host.cpu is None and cpu is not None else host
@@ -83,17 +83,17 @@ def serve_locally(
 ) -> Iterator[str]:
     """Start a device process and yield the URL of its port; the process ends with the context.
 
-    A name in the URL wins over `model`, and ``firmware=1`` means the firmware, as in virtual time. ``hand=PATH`` lets
-    a program drive the hand that holds the handle, through a file that exists (`rig.realtime.hand`). `realtime` as in
-    `serve`. With `terminal` the port is a pseudo-terminal, for programs of any language.
+    A preset in the URL takes precedence over `model`; ``firmware=1`` simulates the firmware. With ``hand=PATH`` another
+    program moves the hand at the handle, through an existing file (`rig.realtime.hand`). `realtime` is that of `serve`.
+    With `terminal` the port is a pseudo-terminal, for programs of any language; else it is a Unix socket.
 
     Raises
     ------
     ConfigError
-        A scheme that cannot be served, an unknown name, no such hand, an experiment without a hand, or another option,
-        which belongs to virtual time; a system that is not Linux.
+        The scheme is not ``sim``, the preset or the hand's file does not exist, the experiment has no hand, another
+        option is given, or the system is not Linux.
     DeviceNotFoundError
-        The process does not come up.
+        The process does not start.
     """
     refuse_real_time("a simulated rig", IN_VIRTUAL_TIME)
     parsed = DeviceUrl.parse(url)
@@ -116,20 +116,20 @@ def serve_locally(
 def open_for_run(
     url: str, model: RigModel | None, *, in_real_time: bool, seed: int = 0, realtime: str = "try"
 ) -> Iterator[FramedDevice]:
-    """Open a device; in real time a simulated one becomes a process of its own, which ends with the context.
+    """Open a device; in real time, a simulated device runs in its own process, which ends with the context.
 
     Parameters
     ----------
     url
-        Of the device; where the law runs on it, see `rig.devices.url_for`.
+        URL of the device; if the law runs on the device, use `rig.devices.url_for`.
     model
-        What is simulated, or what a bridge is made for; None for another real device.
+        Rig to simulate, or for which a bridge of drives is built; None for another real device.
     in_real_time
-        Whether a simulated device follows the clock on the wall. A real one always does.
+        True if a simulated device runs in real time. A real device always does.
     seed
-        Of the simulation.
+        Seed of the simulation.
     realtime
-        ``host.realtime`` of the experiment: with "off" the process asks for no scheduling, either.
+        ``host.realtime`` of the experiment; with "off" the process requests no real-time scheduling.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def open_for_run(
 
 
 def _served_options(url: DeviceUrl) -> dict[str, Any]:
-    """Return the options of a URL that mean something in real time."""
+    """Return the options of a URL that are valid in real time (``firmware``, ``hand``); else raise `ConfigError`."""
     options = dict(url.options)
     firmware, hand = options.pop("firmware", None), options.pop("hand", None)
     if options:
@@ -164,7 +164,7 @@ def _served_options(url: DeviceUrl) -> dict[str, Any]:
 
 
 def _check_led(path: str, model: RigModel | None) -> None:
-    """Raise here what would only end the process."""
+    """Raise `ConfigError` if the hand at `path` cannot be used: the device process could not report it."""
     SharedHand.open(path).close()
     if model is None or model.operator is None:
         raise ConfigError(

@@ -1,4 +1,4 @@
-"""What the compiled loop needs of a link: its plug functions, as one group of arguments.
+"""Functions of a link that the compiled loop calls, as one group of arguments.
 
 Links of `rig.devices` and of the simulation make it; kernels of `rig.loop` and the ping of `rig.doctor` take it. It
 must not hold anything that compiled code cannot use.
@@ -30,7 +30,7 @@ class LoopPort(NamedTuple):
 
     @classmethod
     def on(cls, clock: Clock, *, read: Any, write: Any, wait: Any, handle: int) -> LoopPort:
-        """Join what moves bytes with a clock."""
+        """Return a port from the functions of a link and from its clock."""
         return cls(
             read=read,
             write=write,

@@ -1,4 +1,4 @@
-"""What is known of a serial port: who drives it, which adapter it is, and what of its settings was obtained.
+"""Facts about a serial port: its driver, its USB adapter, and its settings.
 
 `port_facts` reads sysfs and, for an open port, the line itself; it opens and changes nothing, because opening a port
 moves its modem lines and may reset the board behind it.
@@ -32,27 +32,27 @@ _PSEUDO = ("/dev/pts/", "/dev/pty")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PortFacts:
-    """One port.
+    """Facts about one serial port.
 
     Attributes
     ----------
     port, device
-        The name as given, and the device node behind its symbolic links.
+        Given name of the port, and its device node with symbolic links resolved.
     driver
-        Of the kernel: ``ftdi_sio``, ``cdc_acm``, …; None for a pseudo-terminal, or where sysfs does not have it.
+        Kernel driver: ``ftdi_sio``, ``cdc_acm``, …; None for a pseudo-terminal, or if sysfs does not name one.
     vid_pid, serial_number, product
-        Of the USB device that the port belongs to; None without one.
+        Vendor and product id, serial number and product name of the USB device; None without a USB device.
     by_id
         Names in ``/dev/serial/by-id`` that stay the same wherever the device is plugged in.
     ftdi
         Whether it is an FTDI adapter, which waits for its latency timer.
     latency_timer_ms
-        That timer (ms); None on all other ports.
+        Latency timer of an FTDI adapter (ms); None on all other ports.
     low_latency
-        Low-latency mode as the driver reports it; None when it has none, or when the port is not open here.
+        Low-latency mode as the driver reports it; None if the driver has none, or if the port is not open here.
     exclusive, hangs_up, dtr
-        Whether others are refused the port, whether closing it drops DTR, and DTR itself; None when the line does not
-        know it, or when the port is not open here.
+        True if other programs are refused the port, if closing it drops DTR, and if DTR is asserted; None if the line
+        does not report this, or if the port is not open here.
     """
 
     port: str
@@ -70,7 +70,7 @@ class PortFacts:
     dtr: bool | None = None
 
     def problems(self) -> list[Check]:
-        """Return what costs time or safety, each with the command that removes it."""
+        """Return the settings that cause delays or are unsafe, each with a command that corrects it."""
         found = []
         if self.latency_timer_ms is not None and self.latency_timer_ms > LONGEST_LATENCY_MS:
             found.append(
@@ -96,16 +96,16 @@ class PortFacts:
 
 
 def port_facts(port: str, descriptor: int | None = None, *, root: Path = Path("/")) -> PortFacts:
-    """Look a port up.
+    """Return the facts about a port.
 
     Parameters
     ----------
     port
-        Name of the port, or of a symbolic link to it. It need not exist: then nothing is known.
+        Name of the port, or of a symbolic link to it. If it does not exist, all facts are None.
     descriptor
-        Of the open port, for what only the line itself reports.
+        Descriptor of the open port, to read the facts that only the line itself reports.
     root
-        Where ``sys`` and ``dev`` are (for tests).
+        Directory that contains ``sys`` and ``dev`` (for tests).
     """
     device = os.path.realpath(port)
     usb = _usb_device(device, root)
@@ -126,12 +126,12 @@ def port_facts(port: str, descriptor: int | None = None, *, root: Path = Path("/
 
 
 def available_ports() -> list[tuple[str, str]]:
-    """Name and description of every serial port that pyserial finds and that has hardware behind it."""
+    """Return name and description of every serial port that pyserial finds and that has hardware."""
     return [(p.device, p.description) for p in sorted(list_ports.comports()) if p.hwid != "n/a"]
 
 
 def ports_in_words() -> str:
-    """Return which ports there are, for a remedy."""
+    """Return a list of the available ports as text, for a remedy."""
     found = [name for name, _ in available_ports()]
     return f"ports here: {', '.join(found)}" if found else "there are no serial ports here"
 
@@ -159,7 +159,7 @@ def _of_the_line(descriptor: int, driver: str | None) -> dict[str, bool | None]:
 
 
 def _node(device: str, root: Path) -> Path | None:
-    """Return the directory of a port's device in sysfs, None when it has none (pseudo-terminals)."""
+    """Return the sysfs directory of a port's device, None if it is missing (pseudo-terminals)."""
     if is_pseudo(device):
         return None
     node = root / "sys/class/tty" / os.path.basename(device) / "device"
@@ -174,7 +174,7 @@ def _driver(device: str, root: Path) -> str | None:
 
 
 def _usb_device(device: str, root: Path) -> Path | None:
-    """Return the directory of the USB device that a port belongs to: the nearest one above it with a vendor."""
+    """Return the sysfs directory of a port's USB device: the nearest parent directory with a vendor id."""
     node = _node(device, root)
     while node is not None and node != node.parent:
         if (node / "idVendor").exists():

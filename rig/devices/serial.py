@@ -33,7 +33,7 @@ assert sys.platform == "linux"
 
 
 def open_link(url: DeviceUrl, model: RigModel | None = None) -> SerialLink:
-    """Open ``serial:///dev/ttyACM0?baud=921600&dtr=on``; see `rig.devices.open_link` for what it raises."""
+    """Open ``serial:///dev/ttyACM0?baud=921600&dtr=on``; errors as `rig.devices.open_link`."""
     options = SerialOptions.of(url)
     port = _open(url.place, options.baud)
     try:
@@ -70,14 +70,14 @@ def _open(port: str, baud: int) -> serial.Serial:
 
 
 class SerialLink(DescriptorLink):
-    """`rig.devices.device.Link` over an open port.
+    """`rig.devices.device.Link` over an open serial port.
 
     Attributes
     ----------
     facts
-        What is known of the port, as it was when it had been opened and set up.
+        Facts about the port after it was opened and set up.
     messages
-        What could not be obtained, one sentence each with its remedy.
+        Settings that could not be obtained, one sentence each with its remedy.
     """
 
     def __init__(self, url: DeviceUrl, port: serial.Serial, *, dtr: bool = True) -> None:
@@ -100,14 +100,14 @@ class SerialLink(DescriptorLink):
 
 
 def _set_up(place: str, descriptor: int, *, dtr: bool) -> tuple[PortFacts, list[str]]:
-    """Set everything up and read it back: the facts, and what could not be obtained.
+    """Set up the port and read its settings back; return the facts, and a message for each setting that failed.
 
-    Raises `DeviceNotFoundError` when the line cannot distinguish silence from hang-up, `termios.error` when it is gone.
+    Raise `DeviceNotFoundError` if reads cannot distinguish silence from hang-up, `termios.error` if the port is gone.
     """
     tty.configure(descriptor)
     if not tty.blocks_for_a_byte(descriptor):
         raise DeviceNotFoundError(
-            f"{place} does not keep its settings (VMIN)", remedy="name a serial port or a pseudo-terminal"
+            f"{place} does not keep the setting VMIN = 1", remedy="name a serial port or a pseudo-terminal"
         )
     device = os.path.realpath(place)
     # Another program would take bytes away: flock by pyserial, TIOCEXCL here. A pseudo-terminal's TIOCEXCL would

@@ -1,6 +1,7 @@
-"""What a backend that simulates offers beside a link.
+"""Interfaces that the simulation offers in addition to a link.
 
-A rig to hit without bytes, thousands of times a minute; and a link that fails on command, with its far end in sight.
+They are: a rig for thousands of hits a minute without a link, a rig with a second actuator that excites it, and a link
+in virtual time with scripted faults, whose device can be inspected.
 
 The simulation offers these; `rig.devices`, hits of `rig.experiments` and `rig.testing` ask for them. This file must not
 import `sim_backend`.
@@ -24,7 +25,7 @@ from rig.devices.fault_script import Direction, Faults
 
 @dataclass(frozen=True, slots=True)
 class SimulatedHit:
-    """What came of one hit: measured as a rig would have recorded it, and as it really was."""
+    """Result of one simulated hit: as a rig would have recorded it, and from the true signals."""
 
     recorded: Measured
     true: Measured
@@ -32,29 +33,29 @@ class SimulatedHit:
 
 
 class SimulatedRig(Protocol):
-    """A rig at rest, hit after hit. One for each thread."""
+    """Simulated rig that runs hits one after another, each from rest. Use one object per thread."""
 
     def hit(self, controller: ControllerState, start: float) -> SimulatedHit:
-        """Run one trial from rest at a position (rad or m); the controller is fresh, and used up.
+        """Run one trial from rest at position `start` (rad or m), with a new controller that is not used again.
 
-        Raises `rig.core.errors.LawError` when estimator or law give something that is not finite.
+        Raise `rig.core.errors.LawError` when estimator or law return a value that is not finite.
         """
         ...
 
 
 class OpenRig(Protocol):
-    """The function behind a backend's name: makes a rig for ticks of one length and trials of one kind."""
+    """Factory function of the simulation for rigs with one tick length and one kind of trial."""
 
     def __call__(
         self, model: RigModel, tick_s: float, thresholds: Thresholds, most_ticks: int
     ) -> SimulatedRig:
-        """Prepare a rig; trials longer than `most_ticks` are cut off. Raises `ConfigError` for an impossible tick."""
+        """Return a rig; trials end after `most_ticks` at the latest. Raise `ConfigError` for an impossible `tick_s`."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExcitedMotion:
-    """What came of the excitation a rig: positions, velocities and counts, and what the guard took off the effort.
+    """Result of an excitation: positions, velocities and counts, and changes of the effort by the guard.
 
     Attributes
     ----------
@@ -62,11 +63,12 @@ class ExcitedMotion:
         Encoder count, and true position and velocity of the handle (rad or m), `acquisition_s` apart; the first
         are those of the law's first sample.
     withheld
-        Effort sent less effort wanted in each tick of the law (N·m or N): rounding to the current quantum, clipping.
+        Sent effort minus wanted effort in each tick of the law (N·m or N), by rounding to the current quantum and by
+        clipping.
     saturated
-        Ticks in which the guard clipped or slewed the effort.
+        Number of ticks in which the guard clipped the effort or limited its slew rate.
     ticks
-        Ticks of the law that ran: fewer than asked when the guard ended the run.
+        Number of executed ticks of the law; fewer than requested if the guard ended the run.
     acquisition_s
         Time between two positions (s).
     """
@@ -81,7 +83,7 @@ class ExcitedMotion:
 
 
 class ExcitedSimulation(Protocol):
-    """A rig that a second actuator excites about a point, run after run. One for each thread."""
+    """Simulated rig that a second actuator excites about a position. Use one object per thread."""
 
     def excite(
         self,
@@ -91,66 +93,66 @@ class ExcitedSimulation(Protocol):
         ramp_s: float,
         ticks: int,
     ) -> ExcitedMotion:
-        """Run the law for so many ticks, from rest at a position (rad or m).
+        """Run the law for `ticks` ticks, from rest at a position (rad or m).
 
-        The controller is fresh, and used up. `excitation` is one period of the second actuator's effort on the link
-        (N·m or N), a value for each inner step, active during that step; it rises in `ramp_s` from zero.
+        The controller must be new, and is not used again. `excitation` is one period of the second actuator's effort on
+        the link (N·m or N), one value per inner step; its amplitude rises from zero within `ramp_s` (s).
 
-        Raises `rig.core.errors.LawError` when estimator or law give something that is not finite.
+        Raise `rig.core.errors.LawError` when estimator or law return a value that is not finite.
         """
         ...
 
     @property
     def inner_rate_hz(self) -> float:
-        """Return the inner steps of the plant in a second (Hz)."""
+        """Return the rate of the inner steps of the plant (Hz)."""
         ...
 
 
 class OpenExcitedSimulation(Protocol):
-    """The function behind a backend's name: makes a rig to excite."""
+    """Factory function of the simulation for rigs to excite."""
 
     def __call__(
         self, model: RigModel, tick_s: float, acquisition_hz: float, most_ticks: int
     ) -> ExcitedSimulation:
-        """Prepare a rig whose law runs every `tick_s`, for runs of at most so many ticks.
+        """Return a rig whose law runs every `tick_s` (s), for runs of at most `most_ticks`.
 
-        Positions are kept `acquisition_hz` times a second, or as near above that as the inner step allows. Raises
-        `ConfigError` for an impossible tick.
+        Positions are stored at `acquisition_hz`, or at the next higher rate that the inner step allows. Raise
+        `ConfigError` for an impossible `tick_s`.
         """
         ...
 
 
 class WatchedLink(Link, Protocol):
-    """A link in virtual time whose far end can be looked at, also when no frame comes through any more."""
+    """Link in virtual time whose simulated device can be inspected directly, even if the link is broken."""
 
     @property
     def frames(self) -> Mapping[Direction, int]:
-        """Return the frames sent so far in each direction; none where there is no script of faults."""
+        """Return the number of frames sent so far in each direction; empty without a script of faults."""
         ...
 
     @property
     def struck(self) -> int:
-        """Return the faults of the script that have happened to frames."""
+        """Return the number of faults of the script that have affected frames so far."""
         ...
 
     @property
     def current(self) -> int:
-        """Return the active current of the device, after all limits (quanta)."""
+        """Return the active current of the device after all limits (current quanta)."""
         ...
 
     @property
     def armed(self) -> bool:
-        """Return True if the device would take a command."""
+        """Return True if the device would accept a command."""
         ...
 
     def elapse(self, duration_s: float) -> None:
-        """Let time pass without the host, on a closed link too (s)."""
+        """Advance the device's time by `duration_s` (s) without the host, also on a closed link."""
         ...
 
 
 class OpenWatchedLink(Protocol):
-    """The function behind a backend's name: opens a link, with a script of what goes wrong on it."""
+    """Factory function of the simulation for links with a script of faults."""
 
     def __call__(self, url: DeviceUrl, model: RigModel | None, faults: Faults | None) -> WatchedLink:
-        """Open it; None is a link that never fails. Errors as `rig.devices.open_link`."""
+        """Open a link; with `faults` None it never fails. Errors as `rig.devices.open_link`."""
         ...

@@ -1,8 +1,8 @@
 """A USB device with two bulk endpoints as a link: ``usb://1209:0001``, ``usb://1209:0001/SERIAL``.
 
-pyusb finds, opens and claims it; the bytes then move by libusb's transfers, from the compiled loop and from Python
-alike (`rig.devices._usb_queue`), or by pyusb's own calls where those cannot be reached (`rig.devices._usb_plain`). A
-rig is an interface of vendor class (0xFF) with one bulk endpoint each way; the bytes are the frames of any other link.
+pyusb finds, opens and claims it. The compiled loop and Python then transfer bytes by libusb's transfers
+(`rig.devices._usb_queue`), or by pyusb's own calls if libusb's handles cannot be used (`rig.devices._usb_plain`). A rig
+is a device with an interface of vendor class (0xFF) with one bulk endpoint in each direction.
 
 ``?transfers=plain`` forces pyusb's own calls, ``?transfers=queued`` refuses them.
 
@@ -50,7 +50,7 @@ _HUB_CLASS = 9
 
 @dataclass(frozen=True, slots=True)
 class UsbDevice:
-    """A device on the bus: its descriptors, its place in sysfs, and whether an interface could be a rig's."""
+    """USB device: its descriptors, its sysfs name, and whether it has the interface of a rig."""
 
     vid: int
     pid: int
@@ -68,7 +68,7 @@ class UsbDevice:
 
 @dataclass(frozen=True, slots=True)
 class _Pipes:
-    """The interface of a rig: its number, its endpoints, the largest packet that comes."""
+    """USB interface of a rig: its number, its endpoints, and the size of an IN packet (bytes)."""
 
     interface: int
     endpoint_in: int
@@ -77,9 +77,9 @@ class _Pipes:
 
 
 def available_devices() -> list[UsbDevice]:
-    """Return the USB devices here, hubs left out; an empty list when there is no libusb.
+    """Return the USB devices except hubs; an empty list if libusb is not installed.
 
-    No device of another program is opened: descriptors are read from sysfs.
+    Descriptors are read from sysfs if possible, so as not to disturb a device that another program uses.
     """
     try:
         bus = UsbBus()
@@ -92,10 +92,10 @@ def available_devices() -> list[UsbDevice]:
 
 
 def open_link(url: DeviceUrl, model: RigModel | None = None) -> UsbLink:
-    """Open ``usb://vid:pid[/serial][?transfers=…]``; see `rig.devices.open_link` for what it raises.
+    """Open ``usb://vid:pid[/serial][?transfers=…]``; errors as `rig.devices.open_link`.
 
-    Besides, `IncompatibleDeviceError` for a device that has no interface of a rig, or whose transfers cannot be queued
-    though the URL demands it.
+    Also raise `IncompatibleDeviceError` for a device without the interface of a rig, or if transfers cannot be queued
+    although the URL has ``transfers=queued``.
     """
     url.allow(OPTIONS)
     wanted = url.choice("transfers", TRANSFERS, "")
@@ -179,13 +179,13 @@ def _description(device: Any) -> UsbDevice:
 
 
 def _path(device: Any) -> str:
-    """Name of its directory in sysfs, from the bus and the ports that lead to it."""
+    """Return the name of a device's directory in sysfs, from its bus and ports."""
     ports = device.port_numbers or (device.address,)
     return f"{device.bus}-{'.'.join(map(str, ports))}"
 
 
 def _text(device: Any, which: str, *, ask: bool = True) -> str:
-    """Return a serial number or product name, read by the kernel or from the device; empty if it has none."""
+    """Return the serial number or product name, from sysfs, or (`ask`) from the device; empty if unknown."""
     # From sysfs first: a request to the device would disturb another program that has it open.
     with suppress(OSError):
         return (SYSFS / _path(device) / which).read_text("utf-8", "replace").strip()
@@ -197,7 +197,7 @@ def _text(device: Any, which: str, *, ask: bool = True) -> str:
 
 
 def _pipes(device: Any) -> _Pipes | None:
-    """Return first interface of vendor class with exactly one bulk endpoint each way, in the first configuration."""
+    """Return the first interface of vendor class with one bulk endpoint in each direction; None if not found."""
     try:
         interfaces = list(device[0]) if device.bNumConfigurations else []
     except usb.core.USBError:
@@ -219,9 +219,9 @@ def _pipes(device: Any) -> _Pipes | None:
 
 
 def _claim(device: Any, pipes: _Pipes, url: DeviceUrl) -> bool:
-    """Open the device, claim the interface and clear what a run before left; return whether a driver had to go.
+    """Open the device, claim the interface and reset its endpoints.
 
-    A driver of the kernel that has the interface is detached.
+    Return True if a kernel driver had to be detached from the interface.
     """
     detached = False
     try:
@@ -246,7 +246,7 @@ def _claim(device: Any, pipes: _Pipes, url: DeviceUrl) -> bool:
 
 
 def _release(device: Any, pipes: _Pipes, detached: bool) -> None:
-    """Give the interface back, to the driver that had it."""
+    """Release the interface, and attach the kernel driver again if `detached`."""
     with suppress(usb.core.USBError, NotImplementedError):
         usb.util.release_interface(device, pipes.interface)
         if detached:
@@ -274,24 +274,24 @@ def _not_opened(error: Exception, device: Any, url: DeviceUrl) -> RigError:
 
 
 class Transfers(Protocol):
-    """The bulk pipes of a claimed interface: `rig.devices._usb_queue.QueuedTransfers`, or `PlainTransfers`."""
+    """Bulk pipes of a claimed interface: `rig.devices._usb_queue.QueuedTransfers`, or `PlainTransfers`."""
 
     note: str
 
     def read(self, timeout_s: float) -> bytes:
-        """Read as `rig.devices.device.Link.read`; raises OSError."""
+        """Return received bytes like `rig.devices.device.Link.read`, but raise OSError on failure."""
         ...
 
     def write(self, data: bytes) -> None:
-        """Write as `rig.devices.device.Link.write`; raises OSError."""
+        """Send all of `data` like `rig.devices.device.Link.write`, but raise OSError on failure."""
         ...
 
     def plugs(self) -> tuple[Any, Any, Any, int]:
-        """Return read, write, wait and their handle."""
+        """Return the functions read, write and wait for the loop, and their handle."""
         ...
 
     def close(self) -> None:
-        """Take back what is under way; may be called twice."""
+        """Cancel transfers that are in transit; may be called twice."""
         ...
 
 
@@ -316,16 +316,16 @@ class UsbLink(RealLink):
 
     @property
     def note(self) -> str:
-        """Note for the user about how the bytes are transferred; empty without a restriction."""
+        """Return a warning for the user if transfers need the Python interpreter, else ""."""
         return self._transfers.note
 
     @property
     def messages(self) -> list[str]:
-        """Return what could not be obtained, for the user to read."""
+        """Return the restrictions of the link, for the user to read."""
         return [self.note] if self.note else []
 
     def read(self, timeout_s: float) -> bytes:
-        """Read as `rig.devices.device.Link.read`; raises OSError."""
+        """Return received bytes; wait at most `timeout_s` for the first one. Raise `LinkLostError` on failure."""
         self._check_open()
         try:
             return self._transfers.read(timeout_s)
@@ -333,7 +333,7 @@ class UsbLink(RealLink):
             raise self._lost(error) from error
 
     def write(self, data: bytes) -> None:
-        """Write as `rig.devices.device.Link.write`; raises OSError."""
+        """Send all of `data`; raise `LinkLostError` on failure."""
         self._check_open()
         try:
             self._transfers.write(data)
@@ -341,12 +341,12 @@ class UsbLink(RealLink):
             raise self._lost(error) from error
 
     def port(self) -> LoopPort:
-        """Return the transfers for the loop."""
+        """Return the functions with which the loop reads, writes and waits."""
         read, write, wait, handle = self._transfers.plugs()
         return LoopPort.on(self.clock, read=read, write=write, wait=wait, handle=handle)
 
     def close(self) -> None:
-        """Take the transfers back and release the device."""
+        """Cancel the transfers and release the device; may be called twice."""
         bus, self._bus = self._bus, None
         if bus is not None:
             self._transfers.close()
@@ -362,8 +362,8 @@ class UsbLink(RealLink):
 
 
 def _open(url: DeviceUrl, device: Any, pipes: _Pipes, wanted: str) -> Transfers:
-    """Return the fastest transfers that this device can have (`QueuedTransfers` or `PlainTransfers`)."""
-    why = "the URL asks for it" if wanted == "plain" else unsuitable(device)
+    """Return `QueuedTransfers` for a claimed device if possible or required by `wanted`, else `PlainTransfers`."""
+    why = "the URL has transfers=plain" if wanted == "plain" else unsuitable(device)
     if why and wanted == "queued":
         raise IncompatibleDeviceError(
             f"{url.text}: transfers cannot be queued: {why}",

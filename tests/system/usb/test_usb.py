@@ -116,7 +116,7 @@ def test_a_device_is_listed_with_its_url(check: Check) -> None:
 
 def test_plain_transfers_are_noted_with_their_reason(check: Check) -> None:
     note = check("says_how_it_works")
-    assert note == "" or "the URL asks for it" in note
+    assert note == "" or "the URL has transfers=plain" in note
 
 
 # ---------------------------------------------------------------------- a whole run of the loop
