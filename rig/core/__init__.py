@@ -1,1 +1,1 @@
-"""Definitions shared by all rooms: errors, quantities, the columns of a sample, the model of a rig."""
+"""Definitions that all packages of `rig` share: errors, quantities, the columns of a sample, the model of a rig."""

@@ -1,6 +1,6 @@
-"""Questions about a machine or a device: a name and a reason stated once, and a function that answers with a check.
+"""Helpers to write checks of a machine or device as functions that return a `Check`.
 
-The rooms `doctor`, `firmware` and `experiments` state their checks with it. It must not examine anything itself.
+The packages `rig.doctor`, `rig.firmware` and `rig.experiments` define checks with it. It must not examine anything itself.
 """
 
 from __future__ import annotations
@@ -16,27 +16,27 @@ Asked = ParamSpec("Asked")
 
 
 def ok(text: str) -> Check:
-    """Return a passing check, which needs no action."""
+    """Return a passed check, which needs no action."""
     return Check("", Outcome.OK, text)
 
 
 def warning(text: str, remedy: str = "") -> Check:
-    """Return the answer for what works, but less well or less surely."""
+    """Return a check with a warning: the examined thing works, but less well or less reliably."""
     return Check("", Outcome.WARNING, text, remedy)
 
 
 def refused(text: str, remedy: str = "") -> Check:
-    """Return a refusing check: the request is impossible, or a device has failed."""
+    """Return a failed check: the request is impossible, or a device has failed."""
     return Check("", Outcome.REFUSED, text, remedy)
 
 
 def skipped(text: str) -> Check:
-    """Return the answer for what could not be examined, or was not requested."""
+    """Return a skipped check: its subject could not be examined, or the check was not requested."""
     return Check("", Outcome.SKIPPED, text)
 
 
 def question(name: str, why: str = "") -> Callable[[Callable[Asked, Check]], Callable[Asked, Check]]:
-    """Give the answers of a function this name and this reason why they matter."""
+    """Return a decorator that sets name and reason (`why`) in each check that the decorated function returns."""
 
     def named(answer: Callable[Asked, Check]) -> Callable[Asked, Check]:
         @wraps(answer)

@@ -1,8 +1,8 @@
-"""Data of a rig that its device needs, as constants of the firmware; simulated devices have the same.
+"""Constants of a rig that its device needs: they are built into the firmware and into simulated devices.
 
-All in the device's own units: current quanta and counts. Only the mechanics stay in SI.
+Currents are in quanta and positions in counts, the device's units; only the mechanics are in SI.
 
-Images, simulated devices and plans are made from it. It must not depend on a particular board (`rig.firmware`).
+Firmware builds, simulated devices and plans use it. It must not depend on a particular board (`rig.firmware`).
 """
 
 from __future__ import annotations
@@ -39,24 +39,26 @@ MOVED_QUANTITIES = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MovedMechanics:
-    """How fast the rig must accelerate under a large effort; SI, rotary or linear. `struct mechanics` of the firmware.
+    """Mechanics in SI from which the device computes how fast a large effort must move the rig.
+
+    It is `struct mechanics` of the firmware.
 
     Attributes
     ----------
     effort_quantum
         Effort of one current quantum (N·m or N).
     effort_limit
-        Most that the amplifier gives (N·m or N).
+        Largest effort of the amplifier (N·m or N).
     friction
         Coulomb friction and weight, which the effort must overcome (N·m or N).
     travel
-        Way that must show an encoder edge (rad or m).
+        Travel within which an encoder edge must occur (rad or m).
     inertia
-        All that moves (kg·m² or kg).
+        Inertia of all moving parts (kg·m² or kg).
     damping
         Damping of a steady motion, with back-EMF under voltage drive (N·m·s/rad or N·s/m).
     lag_s
-        Total lag of the amplifier and of its set-point (s).
+        Sum of the amplifier's lag and its set-point delay (s).
     """
 
     effort_quantum: float
@@ -69,9 +71,9 @@ class MovedMechanics:
 
 
 def current_sensor(model: RigModel) -> CurrentSensor:
-    """Return how the measured current of a rig follows from the one that is set.
+    """Return the parameters from which the expected measured current follows from the set current.
 
-    A simulated delay of the far end lies between the two and is not modelled: nothing is compared then.
+    With a simulated computation delay, which is not modelled here, `noise` is -1: the currents are not compared.
     """
     amplifier = model.amplifier
     back_emf = amplifier.back_emf * model.encoder.resolution / amplifier.effort_quantum
@@ -87,7 +89,7 @@ def current_sensor(model: RigModel) -> CurrentSensor:
 
 
 def peak_current(model: RigModel) -> int:
-    """Return the most current that the rig's amplifier gives (quanta)."""
+    """Return the largest current of the rig's amplifier (quanta)."""
     # The factor makes 10.999… quanta 11: the quotient of two decimals is rounded.
     whole = model.amplifier.effort_limit / model.amplifier.effort_quantum * (1.0 + 1e-12)
     return int(min(whole, CURRENT_QUANTA_LIMIT))
@@ -99,7 +101,7 @@ def over_current(model: RigModel) -> int:
 
 
 def moved_mechanics(model: RigModel) -> MovedMechanics:
-    """Return the mechanics as the runaway check of a device knows them."""
+    """Return the mechanics that a device uses to detect a stalled or runaway motor."""
     mechanics, amplifier = model.mechanics, model.amplifier
     return MovedMechanics(
         effort_quantum=amplifier.effort_quantum,
@@ -113,7 +115,7 @@ def moved_mechanics(model: RigModel) -> MovedMechanics:
 
 
 def constants(model: RigModel) -> tuple[ConstantInfo, ...]:
-    """Return the constants of the rig that a device's monitors assume, as the device reports them to its host."""
+    """Return the rig's constants that a device's monitors use, as entries of its dictionary."""
     mechanics = moved_mechanics(model)
     return (
         ConstantInfo("over_current", "quantum", over_current(model)),
@@ -135,24 +137,24 @@ def describe(
     narrower: Mapping[str, tuple[Value, Value]] | None = None,
     settings: Mapping[str, SettingValue] | None = None,
 ) -> dictionaries.Dictionary:
-    """Return dictionary of a rig's device: narrower than the parameter table by its motion and its amplifier's peak.
+    """Return the dictionary of a rig's device, with parameter ranges limited by motion, encoder and peak current.
 
     Parameters
     ----------
     model
-        The rig.
+        Physics of the rig.
     firmware
-        Version of what runs on the device.
+        Version of the device's firmware.
     simulated
-        True if there is no real motor behind it.
+        True if the device has no real motor.
     rate_default, rate_maximum
-        Ticks a second (Hz): unless configured, and at most.
+        Default and highest tick rate (Hz).
     name
-        Name of the device; None: that of the rig.
+        Name of the device; None: name of the rig.
     narrower
-        Further ranges, by the name of the parameter.
+        Further ranges (minimum, maximum) by parameter name.
     settings
-        Settings with which its board was built.
+        Settings with which the firmware of the board was built.
     """
     motion = 0 if model.motion == "rotary" else 1
     peak = peak_current(model)
@@ -177,7 +179,7 @@ def describe(
 
 
 def narrower(dictionary: dictionaries.Dictionary) -> list[tuple[Parameter, int, int]]:
-    """Return the parameters whose range is not the table's, with both bounds as on the wire, rising by parameter."""
+    """Return each parameter whose range differs from the parameter table's, with both bounds as 32-bit numbers."""
     found: list[tuple[Parameter, int, int]] = []
     for parameter in PARAMETERS:
         info = dictionary.parameter(parameter.name)
@@ -189,7 +191,7 @@ def narrower(dictionary: dictionaries.Dictionary) -> list[tuple[Parameter, int, 
 
 
 def _bits(ctype: str, value: Value) -> int:
-    """Return a value as its four bytes on the wire, read as a number."""
+    """Return the four bytes of a value in the protocol, as an unsigned number."""
     if ctype == "f32":
         (bits,) = struct.unpack("<I", struct.pack("<f", value))
         return int(bits)

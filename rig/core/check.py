@@ -1,8 +1,8 @@
-"""The one vocabulary of checks: what was looked at, the outcome, and what to do about it.
+"""The type of a check: its subject, its outcome, and what to do about it.
 
-A plan, the examination of a machine, the self test of a board and the limits of an excitation all consist of these.
+A plan, the examination of a machine, the self test of a board and the limits of an excitation consist of checks.
 
-Every room that examines or refuses something makes them. This file must not examine anything itself.
+Every package that examines or refuses something returns checks. This file must not examine anything itself.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from rig.core.errors import PlanError
 
 
 class Outcome(StrEnum):
-    """The outcome of a check."""
+    """Outcome of a check."""
 
     OK = "ok"
     WARNING = "warning"  # it works, less well or less surely
@@ -25,24 +25,24 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One thing that was looked at.
+    """Result of one examination.
 
     Attributes
     ----------
     name
         Name of the check, in a word or two.
     outcome
-        Its outcome.
+        Outcome of the check.
     text
         Result of the check: the value and the limit that it was compared with.
     remedy
-        Instruction for all outcomes but ok; a command is written as one would type it, and is never run.
+        What to do, for all outcomes but ok; a command is given as text to type, and is never run.
     why
-        Why it matters, where a reader may not know.
+        Why the result matters; empty if it is obvious.
     numbers
         Measured values; names end in their unit.
     changes
-        New values by dotted key with which this check holds, where they can be computed.
+        New values by dotted key of the experiment with which this check passes, if they can be computed.
     """
 
     name: str
@@ -55,7 +55,7 @@ class Check:
 
     @property
     def sentence(self) -> str:
-        """Return the text and remedy, for a message of its own."""
+        """Return text and remedy as one message."""
         return ". ".join(filter(None, (self.text, self.remedy)))
 
 
@@ -65,7 +65,7 @@ def refused(checks: Iterable[Check]) -> tuple[Check, ...]:
 
 
 def refuse(checks: Iterable[Check]) -> None:
-    """Raise `PlanError` with everything that these checks refuse, and what to do."""
+    """Raise `PlanError` with texts and remedies of all refused checks; do nothing if there is no refused check."""
     if found := refused(checks):
         raise PlanError(
             "; ".join(f"{check.name}: {check.text}" for check in found),

@@ -1,6 +1,6 @@
-"""Where processes are found, and the environment of a process of this package's own.
+"""Paths of other programs, and environment of child processes of this package.
 
-Rooms that start a compiler, git or a process of this package call it. It must not start anything itself.
+Packages that start a compiler, git or a process of `rig` call it. It must not start anything itself.
 """
 
 from __future__ import annotations
@@ -11,21 +11,21 @@ from pathlib import Path
 
 
 def with_this_package() -> dict[str, str]:
-    """Return the environment of a child that imports this package from where this process has it."""
+    """Return the environment for a child process that imports this package from the same place as this process."""
     paths = (str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", ""))
     return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}
 
 
 def installed_path() -> str:
-    """Return ``PATH`` without relative entries: no file of the current directory becomes a program by its name."""
+    """Return ``PATH`` without relative entries, so that no file of the current directory is started as a program."""
     places = os.environ.get("PATH", os.defpath).split(os.pathsep)
     return os.pathsep.join(place for place in places if os.path.isabs(place))
 
 
 def find_program(name: str) -> str | None:
-    """Return the path of a program in `installed_path`, None if it is missing; a path is taken as it is.
+    """Return the path of a program in `installed_path`, None if it is missing; `name` may also be a path.
 
-    Start it with that ``PATH`` too: a compiler finds its linker there.
+    Start the program with `installed_path` as its ``PATH``: a compiler finds its linker there.
     """
     if os.path.dirname(name):
         return shutil.which(name)

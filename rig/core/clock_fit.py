@@ -1,12 +1,12 @@
-"""Host clock against device clock: a line through exchanges of four stamps, with its uncertainty.
+"""Fit of host clock against device clock: a line through exchanges of four time stamps, with its uncertainty.
 
-An exchange is host_sent → device_received → device_sent → host_received. Half the difference of the two ways is
-the offset, host − device, but for the difference of the way out and the way back: at most half of the round trip.
-Exchanges with a short round trip have more weight:
+An exchange is host_sent → device_received → device_sent → host_received. The offset host − device is the mean of
+host_sent − device_received and host_received − device_sent. It is wrong by half the difference of the two transit
+times, which is at most half of the round trip. Exchanges with a short round trip have more weight:
 
-* the excess of an exchange is its round trip less the least one; its offset is uncertain by half of that, and by half
-  of what the least one may have waited too: the excess that the fastest √n of n exchanges have, or 1/n of its round
-  trip if that is more;
+* the excess of an exchange is its round trip minus the least round trip. Its offset is uncertain by half the excess,
+  and by half of the time that the fastest exchange may itself have waited: this is taken as the excess of the √n-th
+  fastest of n exchanges, or as 1/n of the least round trip if that is more;
 * the offset is a line in device time, plus a share of the excess: where only one way waits, the share is ± ½, and the
   line is what remains without excess;
 * the drift has a prior of 0 ± 100 ppm (two ordinary crystals) and the share one of 0 ± 0.29 (evenly within ± ½): one
@@ -69,7 +69,7 @@ _Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class ClockFit:
-    """The host's clock as a line in the device's: host = device + offset + drift · (device − reference).
+    """Host clock as a linear function of device clock: host = device + offset + drift · (device − reference).
 
     Attributes
     ----------
@@ -78,21 +78,21 @@ class ClockFit:
     offset_ns
         Host clock minus device clock at the reference.
     drift_ppm
-        How fast that difference grows; negative when the device's clock runs fast.
+        Rate at which this difference grows; negative when the device's clock runs fast.
     offset_sd_ns, drift_sd_ppm
-        Standard uncertainties, without what asymmetry may add.
+        Standard uncertainties, without the error by different transit times in the two directions.
     asymmetry_bound_ns
-        The offset may be off by at most this if the way out and the way back differ: half of the least round trip.
+        Largest error of the offset by different transit times in the two directions: half of the least round trip.
     round_trip_ns
         Least round trip without the time on the device.
     share
-        Part of the excess of a round trip that lies on the way to the device less ½: −½ where only the way back waits.
+        Part of the excess of a round trip that occurs on the way to the device, minus ½: −½ if only the way back waits.
     residual_rms_ns
         Weighted rms distance of the exchanges from the fit.
     span_ns
-        Device time from the first to the last exchange used.
+        Device time from the first to the last used exchange.
     used, rejected
-        Numbers of exchanges.
+        Numbers of used and of rejected exchanges.
     """
 
     reference_ns: int
@@ -109,25 +109,25 @@ class ClockFit:
     rejected: int
 
     def host_of(self, device_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the host time of device times (ns); whole nanoseconds are kept however long the device has been up."""
+        """Return the host times of device times (ns), exact to a nanosecond for any uptime of the device."""
         # Whole numbers, and floats for the small drift part alone: 2^53 ns, the last exact float, are 104 days.
         since: _Ints = np.asarray(device_ns, np.int64) - self.reference_ns
         return since + (self.reference_ns + self.offset_ns) + _round(since, self.drift_ppm * 1e-6)
 
     def device_of(self, host_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the device time of host times (ns): the inverse of `host_of`, to a nanosecond."""
+        """Return the device times of host times (ns): the inverse of `host_of`, to a nanosecond."""
         since: _Ints = np.asarray(host_ns, np.int64) - (self.reference_ns + self.offset_ns)
         drift = self.drift_ppm * 1e-6
         return since + self.reference_ns - _round(since, drift / (1.0 + drift))
 
     def sd_of(self, device_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the standard uncertainty of `host_of` (ns), asymmetry excluded; it grows away from the reference."""
+        """Return the standard uncertainty of `host_of` (ns), without asymmetry; it grows away from the reference."""
         since = np.asarray(device_ns, np.int64) - self.reference_ns
         # Independent uncertainties add in squares.
         return np.asarray(np.hypot(self.offset_sd_ns, since * (self.drift_sd_ppm * 1e-6)), np.float64)
 
     def rows(self) -> list[Row]:
-        """Return the offset and drift with their uncertainties, as text."""
+        """Return rows with offset, drift and their uncertainties, to print."""
         doubt = f"and at most {duration(self.asymmetry_bound_ns)} if the two directions take different times"
         offset = f"{self.offset_ns * 1e-9:.9f} s ± {duration(self.offset_sd_ns)}"
         return [
@@ -139,9 +139,9 @@ class ClockFit:
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any]) -> ClockFit:
-        """Return the inverse of `rig.core.present.plain`; other keys of the mapping are ignored.
+        """Return the fit from a mapping that `rig.core.present.plain` made of it; other keys are ignored.
 
-        Raises `RecordingError` when a value is missing, not a number, or out of the range of a clock.
+        Raise `RecordingError` if a value is missing, not a number, or out of the range of a clock.
         """
         try:
             kinds = {"int": int, "float": float}
@@ -157,24 +157,24 @@ class ClockFit:
 
 
 def as_exchanges(stamps: Iterable[Sequence[int]]) -> NDArray[np.void]:
-    """Make an array of `EXCHANGE` from fours of numbers, as a recording's trailer has them."""
+    """Return an array of `EXCHANGE` from lists of four stamps (ns), as they are in a recording's trailer."""
     return np.array([tuple(int(stamp) for stamp in four) for four in stamps], EXCHANGE)
 
 
 def fit_clock(exchanges: NDArray[np.void], *, drift_prior_ppm: float = DRIFT_PRIOR_PPM) -> ClockFit:
-    """Fit the line; the method is in the module's text.
+    """Return the fit of host clock against device clock, by the method in the module's docstring.
 
     Parameters
     ----------
     exchanges
-        Dtype `EXCHANGE`, in any order; the device's stamps in ns, extended to 64 bits.
+        Exchanges (dtype `EXCHANGE`) in any order; the device's stamps in ns, extended to 64 bits.
     drift_prior_ppm
-        Standard deviation of the drift that is expected before anything is measured.
+        Standard deviation of the drift before any measurement (ppm).
 
     Raises
     ------
     RigError
-        No exchange can be used, or the clocks differ in rate as no two clocks do.
+        No exchange can be used, or the rates of the clocks differ by more than `IMPOSSIBLE_PPM`.
     """
     usable = exchanges[_possible(exchanges)]
     if not len(usable):
@@ -204,7 +204,7 @@ def fit_clock(exchanges: NDArray[np.void], *, drift_prior_ppm: float = DRIFT_PRI
 
 
 def fit_if_possible(exchanges: NDArray[np.void]) -> ClockFit | None:
-    """Fit the line, or return None when `fit_clock` raises: for callers that can continue without a fit."""
+    """Return `fit_clock` of the exchanges, or None if it raises an error."""
     try:
         return fit_clock(exchanges)
     except RigError:
@@ -213,7 +213,7 @@ def fit_if_possible(exchanges: NDArray[np.void]) -> ClockFit | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Points:
-    """Exchanges as device and host time (s) and offset (ns), each from an origin of its own, and round trips (ns)."""
+    """Exchanges: device time and host time (s) and offset (ns), each from its own origin, and round trip (ns)."""
 
     time_origin: int
     offset_origin: int
@@ -233,15 +233,16 @@ class _Points:
         return cls(time_origin, offset_origin, time, host_time, doubled * 0.5, back - out)
 
     def excess(self, keep: _Mask) -> _Floats:
-        """Round trip above the least of those kept (ns)."""
+        """Return the excess of each round trip over the least one of the selected exchanges (ns)."""
         return np.asarray(np.maximum(self.trip - self.trip[keep].min(), 0), np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ClockLine:
-    """Offset (ns) at the origin, drift (ns/s) and share, with their covariance, after `scale` by the residuals.
+    """Fitted offset (ns), drift (ns/s) and share, with their covariance.
 
-    The drift is `least_drift_ppm` at least, whatever its prior says.
+    `scale` is the factor by which large residuals widened the uncertainties, `least_drift_ppm` a lower bound of the
+    drift's magnitude that does not depend on its prior.
     """
 
     values: _Floats
@@ -270,7 +271,7 @@ def _not_slow(points: _Points, keep: _Mask) -> _Mask:
 
 
 def _sigma(points: _Points, keep: _Mask) -> _Floats:
-    """Return the standard uncertainty of each offset that its round trip leaves (ns)."""
+    """Return the standard uncertainty of each offset that follows from its round trip (ns)."""
     excess = points.excess(keep)
     fast = np.sort(excess[keep])
     number = len(fast)
@@ -279,9 +280,9 @@ def _sigma(points: _Points, keep: _Mask) -> _Floats:
 
 
 def _median_line(points: _Points, keep: _Mask) -> tuple[float, float]:
-    """Return height (ns) and slope (ns/s) by medians over the fastest exchange of each stretch of the host's time.
+    """Return height (ns) and slope (ns/s) of a line, by medians over the fastest exchange of each interval of time.
 
-    A slope against the host's time differs from that against the device's by its own square.
+    The line is over host time; its slope differs from a slope over device time only by its own square.
     """
     # Of the host's time: the device's stamps are not checked yet, and may belong to two exchanges.
     chosen = np.flatnonzero(keep)
@@ -302,7 +303,10 @@ def _median_line(points: _Points, keep: _Mask) -> tuple[float, float]:
 
 
 def _near_line(points: _Points, keep: _Mask, height: float, slope: float) -> _Mask:
-    """Select the exchanges within `OFF_LINE` times what the excess allows of a line, by its residuals' median."""
+    """Return a mask of the exchanges near a line: within `OFF_LINE` times their scaled uncertainty.
+
+    The scale follows from the median of the residuals.
+    """
     pull = np.abs(points.offset - height - slope * points.host_time) / _sigma(points, keep)
     # 1.4826 times the median of magnitudes is the standard deviation of a normal distribution.
     scale = max(1.0, 1.4826 * float(np.median(pull[keep])))
@@ -311,7 +315,7 @@ def _near_line(points: _Points, keep: _Mask, height: float, slope: float) -> _Ma
 
 
 def _fit(points: _Points, keep: _Mask, drift_prior_ppm: float) -> _ClockLine:
-    """Return a weighted regression with priors; large residuals widen its uncertainties."""
+    """Return the line by weighted regression with priors; large residuals widen its uncertainties."""
     time, offset = points.time[keep], points.offset[keep]
     weight = _sigma(points, keep)[keep] ** -2
     # Time from its weighted centre: offset and drift are then nearly independent, and the matrix well conditioned.
@@ -337,7 +341,7 @@ def _fit(points: _Points, keep: _Mask, drift_prior_ppm: float) -> _ClockLine:
 
 
 def _solve(normal: _Floats, prior: _Floats, scale: float, right: _Floats) -> tuple[_Floats, _Floats]:
-    """Return solution and covariance of the normal equations with a prior, in units that make both well conditioned."""
+    """Return solution and covariance of normal equations with a prior; they are scaled to be well conditioned."""
     matrix = normal / scale**2 + np.diag(prior)
     unit = 1.0 / np.sqrt(np.diag(matrix))
     covariance = np.linalg.inv(matrix * np.outer(unit, unit)) * np.outer(unit, unit)
@@ -368,5 +372,5 @@ def _result(points: _Points, keep: _Mask, line: _ClockLine, total: int) -> Clock
 
 
 def _round(times: _Ints, factor: float) -> _Ints:
-    """Return a small part of a time, to the nearest nanosecond."""
+    """Return times · factor, rounded to whole nanoseconds."""
     return np.asarray(np.rint(times * factor), np.int64)

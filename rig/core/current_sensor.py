@@ -1,7 +1,7 @@
-"""Expected motor current for a given set current: the same numbers for host and device.
+"""Parameters from which the expected measured current follows; host and device use the same numbers.
 
-`rig.core.board` computes them; the loop and the C board take them. It must not import the description of a rig:
-a loop loads this file alone.
+`rig.core.board` computes them; the loop and the C board use them. It must not import the description of a rig, because
+a loop loads only this file.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ SPEED_LAG_S = 2.5e-3  # over which the comparison of currents smooths the count'
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CurrentSensor:
-    """Numbers from which the expected measured current follows (`rig.control.current`).
+    """Parameters from which the expected measured current follows (`rig.control.current`).
 
-    `struct current_sensor` of the firmware.
+    It is `struct current_sensor` of the firmware.
 
     Attributes
     ----------
     noise
-        Noise of a measurement with its quantisation, and with that of the count if there is back-EMF (quanta, rms);
-        negative: the current is not measured.
+        Noise of a measurement (quanta, rms), including its quantisation and, with back-EMF, that of the count;
+        negative: the currents are not compared.
     lag_s
-        First-order lag between the current that is set and the one that flows (s).
+        Time constant of the first-order lag from the set current to the motor current (s).
     delay_s
         Delay of the set-point to the amplifier, before the lag (s).
     back_emf
-        Current that the back-EMF takes off at one count per second (quanta·s); 0 for a current amplifier.
+        Reduction of the current by the back-EMF at one count per second (quanta·s); 0 for a current amplifier.
     """
 
     noise: float

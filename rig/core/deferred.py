@@ -1,9 +1,9 @@
 """Heavy libraries, each imported when one of its names is first used.
 
 `from rig.core.deferred import signal` at the top of a file costs nothing; `signal.csd(…)` loads scipy.signal, which
-takes most of a second. A command pays for what it uses, and every import stands at the top of its file.
+takes most of a second. So a command loads only the libraries that it uses, and imports stay at the top of each file.
 
-Files of all rooms import heavy libraries from it. It must not import one of them before a name of it is used.
+Files of all packages import heavy libraries from it. It must not import a library before one of its names is used.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Errors of the package, named after what the caller does next.
+"""Errors of the package; each class stands for one way to react, and has its own exit code.
 
 An error has a message (what is wrong) and a remedy (what to do about it); commands print both on one line and exit
 with `exit_code`.
 
-Every room raises them, and commands and pages show them. This file must not import another module of the package, so
+Every package raises them, and commands and pages show them. This file must not import another module of the package, so
 that any module can import it.
 """
 
@@ -14,10 +14,10 @@ from typing import Any
 
 
 class RigError(Exception):
-    """Root of all errors that a user can see.
+    """Base class of all errors that a user can see.
 
-    `recording` is the file that a failed run left, `messages` the warnings of that run, each with its remedy: often the
-    cause.
+    `recording` is the file of a failed run, or None; `messages` are the warnings of that run with remedies, which often
+    name the cause.
     """
 
     exit_code = 1
@@ -46,29 +46,29 @@ class RigError(Exception):
 
 
 class ConfigError(RigError):
-    """An invalid file, key or value: correct it and start again."""
+    """A file, key or value is invalid: correct it and start again."""
 
     exit_code = 2
 
 
 class PlanError(ConfigError):
-    """A valid experiment that must not run: a limit, a rate or a wall is out of reach."""
+    """A valid experiment must not run, because a limit, a rate or a wall cannot be realised."""
 
 
 class DeviceNotFoundError(RigError):
-    """No such port or backend, or it is busy: plug it in, free it, or name another."""
+    """A port or backend does not exist, or is in use: plug the device in, free the port, or name another."""
 
     exit_code = 3
 
 
 class IncompatibleDeviceError(RigError):
-    """The device speaks another protocol version or lacks a capability: flash it, or change this package."""
+    """The device has another protocol version or lacks a capability: flash it, or install another version."""
 
     exit_code = 4
 
 
 class DeviceRefusedError(RigError):
-    """The device answered a request with a refusal; `status` is its code (`firmware_protocol.faults.Status`)."""
+    """The device refused a request; `status` is the reason (`firmware_protocol.faults.Status`), 0 if it has none."""
 
     exit_code = 5
 
@@ -78,7 +78,7 @@ class DeviceRefusedError(RigError):
 
 
 class LinkLostError(RigError):
-    """The device stopped answering or vanished. Its own watchdog has set the effort to zero.
+    """The device does not reply any more or is gone; its own watchdog has set the effort to zero.
 
     `statistics` holds the counters of the link, `rows` the last rows of the loop (`rig.core.sample.ROW`) or None.
     """
@@ -134,43 +134,43 @@ class LawError(RigError):
 
 
 class RecordingError(RigError):
-    """A recording that cannot be written or read; what was written before stays on disk."""
+    """A recording cannot be written or read; rows that were written before stay on disk."""
 
     exit_code = 9
 
 
 class RealtimeError(RigError):
-    """Scheduling that ``host.realtime = "enforce"`` requires is not granted by this machine; nothing has moved."""
+    """The system does not grant the scheduling that ``host.realtime = "enforce"`` requires; nothing has moved."""
 
     exit_code = 13
 
 
 class OverrunError(RigError):
-    """A tick was more than one period late where ``host.overrun`` ends the run; the effort was set to zero first."""
+    """A tick was more than one period late with ``host.overrun = "stop"``; the effort was set to zero first."""
 
     exit_code = 14
 
 
 class ToolchainError(RigError):
-    """There is no usable cross compiler, or it rejects the firmware: install it, or report its output."""
+    """The cross compiler is missing or rejects the firmware: install it, or report its output."""
 
     exit_code = 15
 
 
 class RunEndedError(RigError):
-    """The run that was to be changed has ended: the change has no effect."""
+    """A change of a run's parameters has no effect, because the run has ended."""
 
     exit_code = 16
 
 
 class UnexpectedVerdictError(RigError):
-    """A verdict is not among those that were expected. What was measured is whole: this is for scripts."""
+    """A verdict is not among those that the user expects, so that a script can stop; the recording is valid."""
 
     exit_code = 17
 
 
 class NoStableWallError(RigError):
-    """A design found no scheme that has a stable wall whose damping is rendered; it recommends none."""
+    """A design found no sampling scheme with a stable wall whose damping is rendered, and recommends no scheme."""
 
     exit_code = 18
 
@@ -178,7 +178,7 @@ class NoStableWallError(RigError):
 class StoppedError(RigError):
     """A person stopped the run; the effort is zero and the recording closed.
 
-    `signal` is the number of the signal that did it; None for `rig stop`, `rig.stop`, a silent program.
+    `signal` is the number of the signal that stopped it; None after `rig stop`, `rig.stop` or a missing heartbeat.
     """
 
     exit_code = 130

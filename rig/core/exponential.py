@@ -1,6 +1,6 @@
-"""Exponential of a matrix: what a linear system does over a time, exactly.
+"""Matrix exponential: the exact transition matrix of a linear system over a time.
 
-`scipy.linalg.expm` has it, and takes a tenth of a second to load, which every simulated device would spend on one small
+`scipy.linalg.expm` computes it too, but takes 0.1 s to load, which every simulated device would spend on one small
 matrix.
 
 Theory, experiments and simulated plants call it. It must not import scipy.
@@ -18,10 +18,10 @@ _POWERS = (4, 5)  # 4·3 is less than the terms
 
 
 def expm(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return exp(matrix), by scaling and squaring: the Taylor series of its 2⁻ⁿth part, squared n times.
+    """Return exp(matrix) by scaling and squaring: the Taylor series of matrix / 2ⁿ, squared n times.
 
-    n follows the norms of powers, not of the matrix: it counts radians, whatever the units of the rows, and each
-    squaring costs precision (Al-Mohy and Higham, SIAM J. Matrix Anal. Appl. 31, 2009).
+    n is chosen from the norms of powers of the matrix, not from its own norm: these hardly depend on the units of the
+    rows, and each squaring costs precision (Al-Mohy and Higham, SIAM J. Matrix Anal. Appl. 31, 2009).
     """
     norm = max(np.linalg.norm(np.linalg.matrix_power(matrix, p), 1) ** (1 / p) for p in _POWERS)
     squarings = max(0, math.frexp(norm)[1] + 1)

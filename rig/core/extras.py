@@ -1,8 +1,8 @@
 """Find what the extras of this distribution add to the core, by listing the folder ``rig/extras``.
 
 An extra is a package there with a ``table.json``: its commands, URL schemes and so on by their names, each with a
-target ``module:attribute`` that is imported on use. A room can have such a table for those below it. The rooms that can
-be extended look names up here; this file must not import an extra, or contain the name of one.
+target ``module:attribute`` that is imported on use. A package of `rig` can have such a table for lower packages.
+Packages that can be extended look names up here; this file must not import an extra, or contain the name of one.
 
 An extra whose table cannot be read is broken: a name that it may have added is refused with the reason, and nothing of
 the core or of another package takes its place.
@@ -43,7 +43,7 @@ class ExtraRow(NamedTuple):
 
 
 class ExtraTable(NamedTuple):
-    """The rows of an extra or a room by kind and name, or the reason why they cannot be read."""
+    """Table of an extra or of a package: its rows by kind and name, or the reason why it cannot be read."""
 
     owner: str
     folder: str
@@ -53,7 +53,7 @@ class ExtraTable(NamedTuple):
 
 @cache
 def tables() -> tuple[ExtraTable, ...]:
-    """Return the tables of rooms and of all extras, broken ones included."""
+    """Return the tables of packages and of all extras, including broken ones."""
     found: list[ExtraTable] = []
     for folder in _folders():
         table = _read(folder)
@@ -69,17 +69,17 @@ def tables() -> tuple[ExtraTable, ...]:
 
 
 def added(kind: str) -> dict[str, ExtraRow]:
-    """Return all rows of a kind by their names; those of broken extras are missing."""
+    """Return all rows of a kind by name, without those of broken extras."""
     return {name: row for table in tables() for name, row in table.rows.get(kind, {}).items()}
 
 
 def broken() -> dict[str, str]:
-    """Return the reason of each extra whose table cannot be read."""
+    """Return, for each extra whose table cannot be read, the reason by the extra's name."""
     return {table.owner: table.broken for table in tables() if table.broken}
 
 
 def find(kind: str, name: str, extra: str = "") -> ExtraRow:
-    """Return the row of a name; raise `ConfigError` when no extra has it, with `extra` as the one that should."""
+    """Return the row of a name; raise `ConfigError` if no extra has it. `extra` is the extra that should have it."""
     rows = added(kind)
     if name in rows:
         return rows[name]
@@ -90,7 +90,7 @@ def find(kind: str, name: str, extra: str = "") -> ExtraRow:
 
 
 def load(kind: str, name: str) -> Any:
-    """Import the target of a name; raise `ConfigError` when no extra has the name, or its target does not load."""
+    """Import and return the target of a name; raise `ConfigError` if no extra has the name or the import fails."""
     row = find(kind, name)
     try:
         return resolve_name(row.target)

@@ -1,9 +1,9 @@
-"""A value that people give by name: an argument in Python, an option of a command, a field of a page's request.
+"""Value that users give by name: an argument in Python, an option of a command, a field of a page's request.
 
-A request says it once, at its field: ``Annotated[int, Ge(1), Keyword("How many hits.", key="trial.repeats")]``. What
-checks, explains and asks for the value reads type, range, default and text there.
+The field of a request declares it once: ``Annotated[int, Ge(1), Keyword("How many hits.", key="trial.repeats")]``. Code
+that checks, explains or asks for the value reads type, range, default and text there.
 
-Requests of experiments and firmware have them; commands and pages read them. It must not parse or check a value.
+Requests of experiments and firmware declare them; commands and pages read them. It must not parse or check a value.
 """
 
 from __future__ import annotations
@@ -17,20 +17,22 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 @dataclass(frozen=True, slots=True)
 class Keyword:
-    """How people give a value: what it is, with its unit; a command has an option for it if there is such a text.
+    """Declaration of a value that users give by name.
+
+    `help` is its meaning with the unit; a command has an option for the value only if `help` is not empty.
 
     Attributes
     ----------
     key
         Dotted key of the experiment that it changes; empty for a field of the request itself.
     names
-        Names of its option; the field's own name if empty.
+        Names of the command-line option; if empty, the name of the field.
     group
-        Group of options on a help page.
+        Group of the option on a help page.
     values, metavar
-        Kind of values that a shell completes (`rig.cli._values.KINDS`), and how a help page calls one.
+        Kind of values for shell completion (`rig.cli._values.KINDS`), and placeholder of the value on a help page.
     name, type, marks, default
-        Properties of its field, the type without None, as `keywords` finds them.
+        Properties of the field, filled in by `keywords`; `type` is without None.
     """
 
     help: str = ""
@@ -47,7 +49,7 @@ class Keyword:
 
 @cache
 def keywords(request: type) -> Mapping[str, Keyword]:
-    """Return the fields of a dataclass or a TypedDict that people give by name, in order."""
+    """Return the `Keyword` of each field of a dataclass or TypedDict that has one, by field name, in order."""
     defaults = {one.name: one.default for one in fields(request)} if is_dataclass(request) else {}
     found = {}
     for name, hint in get_type_hints(request, include_extras=True).items():

@@ -1,10 +1,10 @@
-"""The names of a package that people import, stated once: in the stub beside its ``__init__``, and loaded on first use.
+"""Public names of a package, listed only in the stub beside its ``__init__`` and loaded on first use.
 
-A stub (``__init__.pyi``) is what a type checker and an editor read; here its lines ``from module import name as alias``
-are the table from which the package answers. So the two cannot differ, and importing the package loads nothing.
+A type checker and an editor read the stub (``__init__.pyi``). Here its lines ``from module import name as alias`` are
+the table from which the package resolves attributes. So stub and package cannot differ, and an import loads nothing.
 
-`rig` and `rig.testing` answer by it, and the builder of documents reads the tables. It must not import anything that
-``import rig`` would have to pay for.
+`rig` and `rig.testing` use it, and the documentation build reads the tables. It must not import a module that would
+slow down ``import rig``.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 
 def public_names(init: str) -> dict[str, tuple[str, str]]:
-    """Return public name → module and name there, from the stub of the package whose ``__init__.py`` this is.
+    """Return, by public name, the module and the name in it, from the stub of the package with this ``__init__.py``.
 
-    Names of an extra that is not installed are left out.
+    Names of an extra that is not installed are omitted.
     """
     table = {}
     with open(f"{init}i", encoding="utf-8") as stub:
@@ -34,13 +34,13 @@ def public_names(init: str) -> dict[str, tuple[str, str]]:
 
 
 def _is_installed(module: str) -> bool:
-    """Return False for a module in the folder of an extra that does not exist; others are not looked for."""
+    """Return False if a module belongs to an extra whose folder does not exist; other modules are not checked."""
     _, *parts = module.split(".")
     return parts[:1] != ["extras"] or os.path.isdir(os.path.join(_ROOMS, *parts[:2]))
 
 
 def loader(package: str, table: Mapping[str, tuple[str, str]]) -> Callable[[str], Any]:
-    """Return the ``__getattr__`` of a package with such a table."""
+    """Return a function ``__getattr__`` for a package that loads the names in `table` on first use."""
 
     def loaded(name: str) -> Any:
         if name not in table:

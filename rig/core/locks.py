@@ -24,7 +24,7 @@ if sys.platform == "win32":
             os.lseek(descriptor, before, os.SEEK_SET)
 
     def lock(descriptor: int) -> bool:
-        """Lock a file; False if another process holds it. Raises `OSError` if the file system has no locks."""
+        """Lock a file; return False if another process holds the lock. Raise `OSError` without support of locks."""
         try:
             _call(descriptor, msvcrt.LK_NBLCK)
         except PermissionError:
@@ -32,14 +32,14 @@ if sys.platform == "win32":
         return True
 
     def unlock(descriptor: int) -> None:
-        """Release it before the file is closed."""
+        """Release the lock before the file is closed."""
         _call(descriptor, msvcrt.LK_UNLCK)
 
 else:
     import fcntl
 
     def lock(descriptor: int) -> bool:
-        """Lock a file; False if another process holds it. Raises `OSError` if the file system has no locks."""
+        """Lock a file; return False if another process holds the lock. Raise `OSError` without support of locks."""
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -47,12 +47,12 @@ else:
         return True
 
     def unlock(descriptor: int) -> None:
-        """Release it before the file is closed."""
+        """Release the lock before the file is closed."""
         fcntl.flock(descriptor, fcntl.LOCK_UN)
 
 
 def is_locked(path: str | os.PathLike[str]) -> bool:
-    """Return True if a process holds a file's lock; Linux reads /proc/locks, others take the lock for a moment."""
+    """Return True if a process holds the lock of a file; only systems other than Linux lock it briefly to test."""
     try:
         # Read and not tried: to take the lock even for a moment would make another process's attempt fail.
         if sys.platform == "linux":

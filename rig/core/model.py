@@ -14,8 +14,8 @@ Inputs, in this order: commanded effort, external effort on the link, then one C
 each mass; with a person then the intended position, the intended velocity and the press on the hand. Saturation,
 gravity and computation delay are no part of the matrices.
 
-Theory, identification, experiment files, devices, firmware, drives and the simulation read it. Nothing here may change
-the order of states or inputs alone: all of them index the matrices by it.
+Theory, identification, experiment files, devices, firmware, drives and the simulation read it. They index the matrices
+by the order of states and inputs, so a change of this order must include all of them.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Matrix = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Mechanics:
-    """Masses, the transmission between them, and friction, all at the link."""
+    """Mechanics of a rig, all referred to the link: inertias, the transmission between them, and friction."""
 
     structure: Annotated[
         Literal["rigid", "two-mass"],
@@ -74,7 +74,7 @@ class Mechanics:
 
     @property
     def loaded_link_inertia(self) -> float:
-        """Link inertia with the end mass on it (kg·m² or kg)."""
+        """Return the link inertia including the end mass (kg·m² or kg)."""
         return self.link_inertia + self.end_mass * self.handle_radius**2
 
     @property
@@ -143,24 +143,24 @@ class Amplifier:
 
     @property
     def back_emf(self) -> float:
-        """Return back-EMF damping (N·m·s/rad or N·s/m) under voltage drive, behind the lag; 0 under current drive."""
+        """Return the damping by back-EMF (N·m·s/rad or N·s/m), which acts after the lag; 0 under current drive."""
         return self.back_emf_damping if self.drive == "voltage" else 0.0
 
     def set_point_ticks(self, tick_s: float) -> int:
-        """Return whole ticks that a set-point is late, rounded up."""
+        """Return the set-point delay in ticks of `tick_s` (s), rounded up."""
         # Without the margin 250 µs in ticks of 50 µs would be 6: the quotient of two decimals is 5.000…1.
         return math.ceil(self.set_point_delay_s / tick_s - 1e-9)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Cogging:
-    """Effort of the motor that its position alone decides: harmonics of a period, on the motor side, at the link.
+    """Cogging: effort of the motor that depends only on its position, as a sum of harmonics, referred to the link.
 
-    effort(x) = Σ cosine·cos(order·2π·x/period) + sine·sin(order·2π·x/period). So cog slots against magnets, and any map
-    of effort over position can be written like that. No orders: no cogging.
+    effort(x) = Σ cosine·cos(order·2π·x/period) + sine·sin(order·2π·x/period). Slots against magnets cog like this, and
+    any periodic map of effort over position can be written so. Without orders there is no cogging.
 
-    Ripple is the same of the torque constant: an effort that the motor is asked for comes out 1 + r(x) times as large,
-    r being a sum of the same harmonics. None given: none there.
+    Ripple is a variation of the torque constant: the motor's effort is (1 + r(x)) times the commanded effort, where r
+    is a sum of harmonics of the same orders. Without ripple coefficients, r is 0.
     """
 
     period: Annotated[
@@ -197,12 +197,12 @@ class Cogging:
 
     @property
     def harmonics(self) -> NDArray[np.float64]:
-        """Return the wavenumber (rad per rad or m), cosine and sine (N·m or N) of each harmonic, one after another."""
+        """Return wavenumber (rad per rad or m), cosine and sine (N·m or N) of each harmonic, in a flat array."""
         return self._rows(self.cosine, self.sine)
 
     @property
     def ripple(self) -> NDArray[np.float64]:
-        """Return the same of the effort's ripple, its cosine and sine shares of the effort; empty without."""
+        """Return wavenumber, cosine and sine (shares of the effort) of each ripple harmonic, flat; may be empty."""
         return self._rows(self.ripple_cosine, self.ripple_sine) if self.ripple_cosine else np.empty(0)
 
     def _rows(self, cosine: tuple[float, ...], sine: tuple[float, ...]) -> NDArray[np.float64]:
@@ -212,31 +212,31 @@ class Cogging:
 
     @property
     def ripple_crest(self) -> float:
-        """Return an upper bound of the ripple, a share of the effort: the crests of all harmonics added."""
+        """Return an upper bound of the ripple (share of the effort): the sum of all amplitudes."""
         return math.fsum(math.hypot(c, s) for c, s in zip(self.ripple_cosine, self.ripple_sine, strict=True))
 
     @property
     def crest(self) -> float:
-        """Return an upper bound of the cogging effort (N·m or N): the crests of all harmonics added."""
+        """Return an upper bound of the cogging effort (N·m or N): the sum of all amplitudes."""
         # Not the largest value of the sum, which would need a search: the crests need not lie at one place.
         return math.fsum(math.hypot(c, s) for c, s in zip(self.cosine, self.sine, strict=True))
 
     def effort(self, position: ArrayLike) -> NDArray[np.float64]:
-        """Return the effort at positions (N·m or N)."""
+        """Return the cogging effort at positions (N·m or N)."""
         return _sum_harmonics(self.harmonics, position)
 
     def share(self, position: ArrayLike) -> NDArray[np.float64]:
-        """Return the share by which the motor's own effort is larger at positions."""
+        """Return the ripple r(x) at positions: the share by which the motor's effort exceeds the commanded effort."""
         return _sum_harmonics(self.ripple, position)
 
     def slope(self, position: ArrayLike) -> NDArray[np.float64]:
-        """Return how the effort changes with the position (N·m/rad or N/m): a stiffness, of the other sign."""
+        """Return the derivative of the cogging effort over position (N·m/rad or N/m): the negative of a stiffness."""
         k, c, s = self.harmonics.reshape(-1, 3).T
         angle = np.multiply.outer(np.asarray(position, dtype=np.float64), k)
         return np.asarray(np.cos(angle) @ (k * s) - np.sin(angle) @ (k * c))
 
     def energy(self, position: ArrayLike) -> NDArray[np.float64]:
-        """Return the energy that it holds at positions (J), on average none: less its derivative is the effort."""
+        """Return the potential energy of the cogging (J), with mean 0; the effort is minus its derivative."""
         k, c, s = self.harmonics.reshape(-1, 3).T
         angle = np.multiply.outer(np.asarray(position, dtype=np.float64), k)
         return np.asarray(np.cos(angle) @ (s / k) - np.sin(angle) @ (c / k))
@@ -285,8 +285,8 @@ class Encoder:
 class Reference:
     """Reference of position zero in the mechanism: the encoder's index, and a limit switch that selects one index.
 
-    An incremental encoder counts from where the handle stood at power-up. Its index comes once a turn, so that it names
-    a place only where the travel holds one of them, or behind a switch.
+    An incremental encoder counts from the position at power-up. Its index occurs once per turn, so it identifies a
+    position only if the travel contains a single index, or together with a limit switch.
     """
 
     index: Annotated[bool, Quantity("", "the encoder has an index, and it is wired")] = False
@@ -318,7 +318,7 @@ class Reference:
 
     @property
     def away(self) -> int:
-        """Return the direction of the position on the way from the switch; 0 without one."""
+        """Return the sign of motion away from the limit switch (1 or -1); 0 without a limit switch."""
         return {"none": 0, "minimum": 1, "maximum": -1}[self.limit_switch]
 
     def index_counts(self, encoder: Encoder) -> int:
@@ -332,7 +332,7 @@ class Reference:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Simulation:
-    """Settings of the simulated rig only: where it starts, and the delays of its far end."""
+    """Settings of a simulated rig: initial position, integration step and delay of the device."""
 
     initial_position: Annotated[
         float | None, Quantity("position", "where the handle rests at power-up; left out: 0")
@@ -354,9 +354,9 @@ class Simulation:
 class Operator:
     """A person who holds the handle: finger pads, a hand behind them, and what the hand does in a trial.
 
-    The pads (a spring and a damper, their mass on the link) join the link to the hand; the hand is pulled by a
-    spring and a damper to where it is meant to be, and presses. All numbers are at the handle, for rotary rigs
-    too: `Mechanics.handle_radius` turns them. `rig.core.operators` has the grips.
+    The pads (spring and damper, with their mass on the link) couple the link to the hand. A spring and a damper pull
+    the hand to its intended position, and it presses. All numbers are at the handle, for rotary rigs too:
+    `Mechanics.handle_radius` converts them. `rig.core.operators` has the grips.
     """
 
     grip: Annotated[
@@ -392,7 +392,7 @@ class Operator:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OperatorReach:
-    """Where an operator goes in one session, at the link: along to the start, and on into the wall."""
+    """Intended motion of an operator in one trial, at the link: to the start, and then into the wall."""
 
     start: float  # where the trial begins (rad or m)
     target: float  # where the intended position ends, inside the wall (rad or m)
@@ -404,10 +404,10 @@ class OperatorReach:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RigModel:
-    """A whole rig, enough to simulate it: see the parts.
+    """Complete description of a rig, from which it can be simulated.
 
-    With an `operator` a person holds the handle: still, or on a `reach`. `board` are settings that the
-    firmware of its board must have been built with, by name.
+    With an `operator` a person holds the handle, still or moving along `reach`. `board` has settings, by name, with
+    which the firmware of the board must have been built.
     """
 
     name: str
@@ -424,18 +424,18 @@ class RigModel:
 
     @property
     def damping(self) -> float:
-        """Return the damping of slow rigid motion (N·m·s/rad or N·s/m): motor, link, back-EMF under voltage drive.
+        """Return the damping of slow rigid motion (N·m·s/rad or N·s/m): motor, link, and back-EMF under voltage drive.
 
-        Above 1/(2π·lag) the back-EMF brakes less and less: its current has no time to build up.
+        Above the frequency 1/(2π·lag) the damping by back-EMF decreases, because its current lags behind.
         """
         return self.mechanics.motor_damping + self.mechanics.link_damping + self.amplifier.back_emf
 
     def delay_ticks(self, tick_s: float) -> int:
-        """Return whole ticks between a command and its effort: the far end's computation, and the set-point's way."""
+        """Return the ticks of `tick_s` (s) from a command to its effort: computation delay plus set-point delay."""
         return self.simulation.computation_delay_ticks + self.amplifier.set_point_ticks(tick_s)
 
     def held_by(self, operator: Operator | None, reach: OperatorReach | None) -> RigModel:
-        """Return the rig with an operator at its handle, without the end mass, which belongs to automated trials."""
+        """Return the rig with an operator at its handle and no end mass; unchanged if `operator` is None."""
         if operator is None:
             return self
         bare = replace(self.mechanics, end_mass=0.0)
@@ -444,7 +444,7 @@ class RigModel:
 
 @dataclass(frozen=True, slots=True)
 class StateSpace:
-    """ẋ = A x + B u with the indices that give its states a meaning (see the module's text)."""
+    """State space model ẋ = A x + B u, with indices of its states (order: see the module's docstring)."""
 
     a: Matrix
     b: Matrix
@@ -478,9 +478,9 @@ def state_space(mechanics: Mechanics, amplifier: Amplifier, operator: Operator |
     Parameters
     ----------
     mechanics, amplifier
-        The parts of `RigModel`.
+        Mechanics and amplifier of the rig.
     operator
-        The person who holds the handle, or None.
+        Person who holds the handle, or None.
 
     Returns
     -------
@@ -552,7 +552,7 @@ def _two_mass(mechanics: Mechanics, amplifier: Amplifier, link: float) -> StateS
 
 
 def _couple_hand(free: StateSpace, operator: Operator, radius: float, handle_inertia: float) -> StateSpace:
-    """Couple a hand to the handle, whose inertia includes the pads."""
+    """Return the model `free` with a hand coupled to the handle; `handle_inertia` (kg·m² or kg) includes the pads."""
     rows, columns = free.b.shape
     y, h = free.handle_position, rows
     a, b = np.zeros((rows + 2, rows + 2)), np.zeros((rows + 2, columns + 3))
@@ -570,7 +570,7 @@ def _couple_hand(free: StateSpace, operator: Operator, radius: float, handle_ine
 
 
 def _connect_effort(a: Matrix, b: Matrix, amplifier: Amplifier, *, effort: int, inertia: float) -> None:
-    """Let the effort state drive the motor side through the lag; without a lag command and back-EMF drive it."""
+    """Add the amplifier to A and B in place; with a lag through the effort state, else directly on the velocity."""
     motor_velocity, lag = 1, amplifier.lag_s
     if lag > 0.0:
         a[effort, effort] = -1.0 / lag

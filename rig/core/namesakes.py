@@ -1,6 +1,6 @@
-"""Packages of others with the import name of one that is needed here, which pip installs over it without a word.
+"""Detect other packages with the import name of a needed package; pip may install them over it without warning.
 
-Commands and devices call it after an import that failed. It must not install or remove a package.
+Commands and devices call it after a failed import. It must not install or remove a package.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ NEEDED: Mapping[str, tuple[str, Callable[[], Any]]] = {
 
 
 def explain_failure() -> ConfigError | None:
-    """Return what to say of an unexpected error where a needed package is missing or that of others, else None."""
+    """Return the error for the first needed package that is missing or replaced by a namesake, else None."""
     return next((wrong for package in NEEDED if (wrong := wrong_package(package))), None)
 
 
 def wrong_package(package: str) -> ConfigError | None:
-    """Return what to say when the package of this import name is missing or that of others, None when it is right."""
+    """Return the error if the package of an import name is missing or replaced by a namesake, else None."""
     distribution, find_own_name = NEEDED[package]
     try:
         find_own_name()

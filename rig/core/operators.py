@@ -1,4 +1,4 @@
-"""Grips: three ways to hold a handle, as numbers. A verdict about a wall should be taken over all of them.
+"""Parameters of three grips of a handle. A verdict about a wall should be taken over all of them.
 
 The values of *normal* are those of the simulation behind the reproduction of Koul et al.: pads of 10 g on 1500 N/m, a
 hand of 150 g on 300 N/m, a press of about 0.4 N·m at 0.1 m with a slow swell of ±20 % (a perfectly still hand hides
@@ -6,7 +6,7 @@ a buzz behind Coulomb friction). *Relaxed* and *firm* span what the literature g
 N·s/m, 5 to 40 g at the handle; stiffness and damping rise with grip force while inertia hardly does (Hasser and
 Cutkosky), and so does the force of tremor (Sutton and Sykes 1967). Tremor of 15, 166 and 254 µm rms: PMC3032442.
 
-Theory, experiment files, `rig.doctor`, the design and sessions take them. Nothing here simulates a hand.
+Theory, experiment files, `rig.doctor`, the design and sessions use them. It must not simulate a hand.
 """
 
 from __future__ import annotations
@@ -67,5 +67,5 @@ GRIPS: dict[str, Operator] = {
 
 
 def hand_text(name: str) -> str:
-    """Return the text for an operator: ``no hand`` or ``relaxed hand``."""
+    """Return the text for a grip or for `NO_OPERATOR`: ``relaxed hand`` or ``no hand``."""
     return "no hand" if name == NO_OPERATOR else f"{name} hand"

@@ -1,10 +1,10 @@
-"""Parts that third parties add by entry points: estimators, laws, backends. A broken one breaks nothing else.
+"""Plug-ins that third parties add by entry points: estimators, laws, backends. A broken one affects no other.
 
-A program can temporarily register a part of its own under a name: within this process it is then found like an
-installed one.
+A program can temporarily register its own plug-in under a name; in this process it is then found like an installed
+one.
 
-Devices, `rig.control`, commands and `rig.experiments.lab` look parts up here. It must not import a part before that
-part is asked for by name.
+Devices, `rig.control`, commands and `rig.experiments.lab` look plug-ins up here. It must not import a plug-in before it
+is requested by name.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ _registered: list[
 
 @contextmanager
 def register_temporarily(group: str, built_in: Container[str], name: str, part: Any) -> Iterator[None]:
-    """Register a part by its name temporarily, in all threads; `ConfigError` if a built-in one has that name.
+    """Register a plug-in by name until the block ends, for all threads; raise `ConfigError` for a built-in name.
 
-    Other processes, such as the workers of a cluster or a later run that resumes a map, find installed parts only.
+    Other processes, such as workers of a cluster or a later run that resumes a map, find only installed plug-ins.
     """
     if name in built_in:
         raise ConfigError(
-            f"{name!r} is already the name of a built-in", remedy='choose another name: name="…"'
+            f"{name!r} is already the name of a built-in part", remedy='choose another name: name="…"'
         )
     entry = (group, name, part)
     _registered.append(entry)
@@ -45,14 +45,14 @@ def _registered_for(group: str) -> dict[str, Any]:
 
 
 def names(group: str, built_in: Container[str]) -> list[str]:
-    """Return the names of the parts of a group that are no built-in ones, each once."""
+    """Return the names of registered and installed plug-ins of a group, without built-in names, each once."""
     return list(
         dict.fromkeys([*_registered_for(group), *(point.name for point in find_plugins(group, built_in))])
     )
 
 
 def find_plugins(group: str, built_in: Container[str]) -> list[EntryPoint]:
-    """Return the plug-ins of a group by name, without those that have the name of a built-in part."""
+    """Return the installed plug-ins of a group, sorted by name, without those that have a built-in name."""
     return [point for point in _find_plugins(entry_points, group) if point.name not in built_in]
 
 
@@ -63,9 +63,10 @@ def _find_plugins(find: Callable[..., Any], group: str) -> tuple[EntryPoint, ...
 
 
 def load(group: str, kind: str, name: str, fits: Callable[[Any], bool]) -> Any:
-    """Return the part (an estimator, a law: `kind`) that a plug-in of that name provides, None if not found.
+    """Return the object that a plug-in of a group provides, None if the name is not found.
 
-    Raises `ConfigError` when it does not load, or gives something that does not fit.
+    `kind` names it in messages (estimator, law, backend). Raise `ConfigError` if it does not load, or if `fits`
+    returns False for it.
     """
     if name in (parts := _registered_for(group)):
         return parts[name]

@@ -1,12 +1,12 @@
 """Output forms of every result: fields for machines, rows for people.
 
-A result is a frozen dataclass. `plain` makes JSON types of any: its fields under their own names, and the properties
-marked `reported`. What the dataclass keeps out of its ``repr`` (traces, raw rows) is kept out of JSON as well.
+A result is a frozen dataclass. `plain` converts it to JSON types: its fields under their names, and the properties
+marked `reported`. Fields that are not in its ``repr`` (traces, raw rows) are not in JSON either.
 
-To people a result offers a list of `Item` in reading order: headings, rows of label, value and unit, tables and checks.
+For people, a result has a list of `Item` in reading order: headings, rows of label, value and unit, tables and checks.
 The terminal (`rig.cli.output.show`) shows that list; pages (``items.html.j2`` in `rig.views.report`) show its tables.
 
-Results of every room are made with it; commands and pages show them. It must not print, draw, or know any result.
+Results of every package use it; commands and pages show them. It must not print, draw, or depend on a certain result.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _AS_IT_IS = {type(None), bool, int, str}  # most of what a header holds; `plain`
 
 
 class reported(Generic[Value]):  # noqa: N801  (used as `property` is)
-    """A property that belongs to the result as much as its fields do, so that `plain` has it too."""
+    """Property of a result that `plain` includes like a field."""
 
     def __init__(self, getter: Callable[[Any], Value]) -> None:
         self.getter = getter
@@ -38,12 +38,12 @@ class reported(Generic[Value]):  # noqa: N801  (used as `property` is)
     @overload
     def __get__(self, instance: object, owner: type) -> Value: ...
     def __get__(self, instance: object | None, owner: type) -> reported[Value] | Value:
-        """Return the value of the property, or the descriptor itself when it is asked for on the class."""
+        """Return the value of the property; on the class, return the descriptor itself."""
         return self if instance is None else self.getter(instance)
 
 
 def plain(value: Any, not_finite: Callable[[float], Any] = lambda _: None) -> Any:  # noqa: PLR0911  (a table of cases)
-    """Reduce a result to what JSON holds: dict, list, str, int, float, bool, None.
+    """Convert a result to JSON types: dict, list, str, int, float, bool, None.
 
     Parameters
     ----------
@@ -51,12 +51,12 @@ def plain(value: Any, not_finite: Callable[[float], Any] = lambda _: None) -> An
         Dataclasses, mappings, sequences, numpy scalars and arrays (complex ones as real and imaginary part),
         enumerations and paths, nested.
     not_finite
-        Gives the substitute for a number that JSON cannot write; by default None.
+        Function that returns the substitute for NaN or an infinity; by default None.
 
     Raises
     ------
     TypeError
-        Something else is in it, which only this program could read.
+        The value contains an object of another type.
     """
     if type(value) in _AS_IT_IS:
         return value
@@ -100,7 +100,7 @@ def _key(key: Any) -> str:
 
 @cache
 def _names(result: type) -> list[str]:
-    """Return the fields that ``repr`` shows, then reported properties, base classes first."""
+    """Return the names of the fields in ``repr``, then of the reported properties, base classes first."""
     also = [
         name
         for base in reversed(result.__mro__)
@@ -112,14 +112,14 @@ def _names(result: type) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One line for people: a label, a value with its SI unit, and a note that follows them.
+    """One line of a result for people: a label, a value with its SI unit, and a note.
 
     Attributes
     ----------
     label
         Name of the value; empty on a line that continues the one before.
     value
-        A number, a text, or None where it is not known.
+        A number or a text; None if it is unknown.
     unit
         Unit of a number; empty for a pure one.
     note
@@ -136,14 +136,14 @@ class Row:
 
     @property
     def text(self) -> str:
-        """Return the value, unit and note in one line."""
+        """Return value, unit and note as one text."""
         shown = " ".join(part for part in (written(self.value, self.digits), self.unit) if part)
         return ", ".join(part for part in (shown, self.note) if part)
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Cells under a head. The first `words` columns are texts and stand left, numbers right."""
+    """Table with a head. The first `words` columns are texts, aligned left; the others are numbers, aligned right."""
 
     head: Sequence[str]
     rows: Sequence[Sequence[Any]]
@@ -152,7 +152,7 @@ class Table:
 
     @property
     def cells(self) -> list[list[str]]:
-        """Return the rows as formatted texts."""
+        """Return the cells of all rows as formatted texts."""
         return [[written(cell) for cell in row] for row in self.rows]
 
 
@@ -161,7 +161,7 @@ Item = str | Row | Table | Check
 
 
 def page_items(items: Sequence[Item]) -> list[dict[str, Any]]:
-    """Return items as texts for a page with a layout of its own, each with its kind."""
+    """Return each item as a dict of texts for a page; its first key names the kind of the item."""
 
     def one(item: Item) -> dict[str, Any]:
         match item:
@@ -187,7 +187,7 @@ def page_items(items: Sequence[Item]) -> list[dict[str, Any]]:
 
 
 def written(value: Any, digits: int = 4) -> str:
-    """Write a value for people: numbers with so many significant digits, ``yes`` and ``no``, ``unknown`` for None."""
+    """Return a value as text: a float with `digits` digits, ``yes`` or ``no``, ``unknown`` for None and NaN."""
     match value:
         case None:
             return "unknown"
@@ -203,7 +203,7 @@ def written(value: Any, digits: int = 4) -> str:
 
 
 def duration(value_ns: float) -> str:
-    """Time of three digits in the unit that suits it: ``412 ns``, ``87.5 µs``, ``-1.2 ms``."""
+    """Return a time in ns as text with three digits in a suitable unit: ``412 ns``, ``87.5 µs``, ``-1.2 ms``."""
     for limit, factor, unit in ((1e3, 1.0, "ns"), (1e6, 1e-3, "µs"), (1e9, 1e-6, "ms")):
         if abs(value_ns) < 0.9995 * limit:
             return f"{value_ns * factor:.3g} {unit}"

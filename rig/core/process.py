@@ -1,6 +1,6 @@
-"""A process that serves something to this one: it announces where, and ends with this one or when it is closed.
+"""Child process that serves something to this process: it announces its address, and ends with this process.
 
-`rig.devices.local`, the bridge of drives and the simulation call it. It must not know what a process serves.
+`rig.devices.local`, the bridge of drives and the simulation call it. It must not depend on what a process serves.
 """
 
 from __future__ import annotations
@@ -30,25 +30,26 @@ STOP_TIMEOUT_S = 5.0
 def start_announced(
     serve: Callable[..., None], *arguments: Any, name: str, by_hand: str, descriptors: Sequence[int] = ()
 ) -> Iterator[Any]:
-    """Start a process, yield what it announces, and end it with the context.
+    """Start a process, yield the object that it announces, and end it with the context.
 
-    It also ends when this process does, by kill -9 too; not with the thread that started it.
+    The process also ends when this process ends, even by kill -9, but not when the thread that started it ends.
 
     Parameters
     ----------
     serve
-        Function of a module, called there with a function that announces, and with `arguments`, which are pickled.
+        Function of a module. The process calls it with a function to announce an object, and with `arguments`, which
+        are pickled.
     name
         Name of the process.
     by_hand
-        The command that starts it for a person, who wants to see why it did not come up.
+        Command with which a user can start the same process, to see why it did not start.
     descriptors
-        Open files that it gets, under the same numbers.
+        File descriptors that the process inherits, under the same numbers.
 
     Raises
     ------
     DeviceNotFoundError
-        It does not come up.
+        The process does not start.
     RigError
         Error that `serve` raised before it announced anything.
     """
@@ -80,7 +81,7 @@ _lifelines: set[Connection] = set()
 
 
 def _close_lifelines() -> None:
-    """Close copies of lifelines in a forked child: they would keep the processes of a killed parent alive."""
+    """Close inherited connections in a forked child: they would keep served processes of a killed parent alive."""
     while _lifelines:
         _lifelines.pop().close()
 
@@ -90,7 +91,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def _command(descriptor: int, name: str) -> list[str]:
-    """Return the child's command line: same interpreter and module path, no module from the working directory."""
+    """Return the child's command line: same interpreter and module path, but without the working directory."""
     root = str(Path(__file__).parents[2])
     path = [entry for entry in sys.path if entry]
     path += [] if root in path else [root]
@@ -121,7 +122,7 @@ def _first(ours: Connection, served: bytes, name: str, by_hand: str) -> Any:
 
 
 def serve_parent(descriptor: int) -> None:
-    """Serve what the parent sends through a connection, in the process that `start_announced` started."""
+    """Call the function that the parent sends through a connection; this is the main function of the child process."""
     if sys.platform != "win32":
         signal.pthread_sigmask(signal.SIG_SETMASK, ())  # the thread that started this may take no signals
     parent = Connection(descriptor)
@@ -139,7 +140,7 @@ def serve_parent(descriptor: int) -> None:
 
 
 def _end_with(descriptor: int) -> None:
-    """Send this process SIGTERM when its parent has closed the connection or died, and SIGKILL some time later."""
+    """Send this process SIGTERM when its parent closes the connection or dies, and SIGKILL `STOP_TIMEOUT_S` later."""
     # Not PR_SET_PDEATHSIG: it acts when the thread ends that started this process.
     if sys.platform != "win32":  # where `start_announced` refuses
         ended = select.poll()

@@ -1,4 +1,4 @@
-"""First steps of each program of the package: the command line, and the processes that it starts.
+"""Settings at the start of each program of the package: the command line, and the processes that it starts.
 
 `rig.__main__` and each process of the package call it first. It must not load anything beyond the standard library.
 """
@@ -15,7 +15,7 @@ SELDOM = 300_000
 
 
 def begin() -> None:
-    """Set up the garbage collector, and the backend of pictures, before anything is loaded."""
+    """Set up the garbage collector and the matplotlib backend, before other modules are loaded."""
     # A notebook's backend in MPLBACKEND would keep matplotlib from loading where that notebook is not installed.
     os.environ["MPLBACKEND"] = "agg"
     # Loaded modules live as long as the program: to collect them after each 700 new objects, and at the end, took a
@@ -25,7 +25,7 @@ def begin() -> None:
 
 
 def stay() -> None:
-    """Collect garbage often and little, in a program that has loaded what it needs and answers from now on."""
+    """Make garbage collections frequent and short, for a server that has loaded all its modules."""
     # With SELDOM, a flood of connections made collections of 30 to 135 ms, for which STOP had to wait.
     gc.collect()
     gc.freeze()

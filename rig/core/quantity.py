@@ -1,4 +1,4 @@
-"""How a field of a typed description says its unit, its meaning and its range, once.
+"""Unit, meaning and range of a field of a typed description, declared once in its annotation.
 
 Descriptions (`rig.core.model`, `rig.config`) are frozen dataclasses whose fields are ``Annotated[float, Gt(0),
 Quantity("inertia", "…")]``. The validator, the error messages, the documentation and the metadata of
@@ -20,7 +20,7 @@ STRICT: dict[str, Any] = {"extra": "forbid", "allow_inf_nan": False, "strict": T
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """Unit of a field (or the quantity that decides it, see `rig.core.sample.unit_of`) and meaning."""
+    """Unit of a field (or its quantity, from which `rig.core.sample.unit_of` finds the unit), and its meaning."""
 
     unit: str
     meaning: str
@@ -28,7 +28,7 @@ class Quantity:
 
 @cache
 def quantities(described: type) -> dict[str, Quantity]:
-    """Return unit and meaning of each annotated field of a dataclass, by its name, in order."""
+    """Return unit and meaning of each annotated field of a dataclass, by field name, in order."""
     return {
         name: mark
         for name, hint in get_type_hints(described, include_extras=True).items()

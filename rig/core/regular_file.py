@@ -1,6 +1,6 @@
-"""Files that a user or a page names: regular ones only, opened without waiting, and read up to a bound.
+"""Read files that a user or a page names: only regular files, without waiting, and up to a largest size.
 
-A FIFO would wait for its writer, a device would never end, and a serial port that is opened resets its board.
+A FIFO would wait for its writer, a device would never end, and opening a serial port can reset its board.
 
 Experiment files, maps, journals, recordings, studies and images of firmware are read through it. It must not write.
 """
@@ -21,7 +21,7 @@ _FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 
 
 def open_regular(path: str | Path, most: int | None = None) -> io.BufferedReader:
-    """Open a regular file to read; raises `OSError` for anything else, which is not opened, and above `most` bytes."""
+    """Open a regular file to read; raise `OSError` for a file of another type or of more than `most` bytes."""
     _check(os.stat(path), path, most)
     # The file owns its descriptor from the start: whatever interrupts, it is closed once.
     file = open(  # noqa: SIM115  (the caller closes it)
@@ -36,7 +36,7 @@ def open_regular(path: str | Path, most: int | None = None) -> io.BufferedReader
 
 
 def read_regular(path: str | Path, most: int = TEXT_BYTES) -> bytes:
-    """Return the content of a regular file of at most so many bytes; raises `OSError` for any other."""
+    """Return the content of a regular file; raise `OSError` for another type or for more than `most` bytes."""
     with open_regular(path, most) as file:
         data = file.read(most + 1)
     if len(data) > most:  # it grew, or lies in /proc, where sizes are 0

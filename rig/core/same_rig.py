@@ -22,19 +22,19 @@ ROUNDING = 1e-6
 
 
 def check_rig(model: RigModel, device: Dictionary) -> Check:
-    """Compare a device with a rig.
+    """Check that a device was built for a rig.
 
     Parameters
     ----------
     model
-        The rig of the experiment.
+        Rig of the experiment.
     device
-        The device's dictionary. Constants that it does not contain are not compared; a passed check lists them.
+        Dictionary of the device. Constants that it does not contain are not compared; a passed check lists them.
 
     Returns
     -------
     Check
-        Refused, with both values of all that differs; or what it was found to be.
+        Refused check with both values of each difference; or passed check with the device's name.
     """
     ours = describe(
         model,
@@ -66,7 +66,7 @@ def check_rig(model: RigModel, device: Dictionary) -> Check:
 
 
 def _other_settings(model: RigModel, device: Dictionary) -> list[str]:
-    """Return pins and scales of the experiment that the board was not built with; none for a simulated device."""
+    """Return a text for each setting of the experiment's board that differs from the device's setting."""
     of_device = {info.name: info.value for info in device.settings}
     wanted = {
         **{name: value for name, value in _inputs(model).items() if name in of_device},
@@ -80,7 +80,7 @@ def _other_settings(model: RigModel, device: Dictionary) -> list[str]:
 
 
 def _inputs(model: RigModel) -> dict[str, SettingValue]:
-    """Return the inputs of the board that the rig's reference needs, as the Pico's settings name them."""
+    """Return the board's input settings that the rig's reference needs, by the names of the Pico's settings."""
     given = model.reference
     needed = {"encoder_index": given.index, "limit_switch": given.limit_switch != "none"}
     return {name: "wired" for name, wanted in needed.items() if wanted}
@@ -92,7 +92,7 @@ def _agree(name: str, theirs: float, ours: float, effort_limit: float) -> bool:
 
 
 def _known(dictionary: Dictionary) -> dict[str, float]:
-    """Return what a dictionary says of the rig, with the unit in the name."""
+    """Return the rig's constants in a dictionary, by name with unit."""
     found = {"current quantum (A)": dictionary.current_quantum_a}
     for name, unit in (("motion", ""), ("encoder_sign", ""), ("current_limit", " (quantum)")):
         if (info := dictionary.parameter(name)) is not None:

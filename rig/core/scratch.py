@@ -1,4 +1,4 @@
-"""Temporary directories that end with their process or, after a kill -9, with the next process that makes one.
+"""Temporary directories that are removed when their process ends; after kill -9, by the next process that makes one.
 
 Exports, builds, pictures and the console work in them. They must not hold what a user may want to keep.
 """
@@ -21,7 +21,7 @@ YOUNG_S = 60.0  # between a directory and its lock: far longer than that takes
 
 @contextmanager
 def scratch(kind: str) -> Iterator[Path]:
-    """Make a directory for the length of the block, and remove those whose processes were killed."""
+    """Yield a temporary directory until the block ends; also remove directories of killed processes."""
     _remove_left()
     with (
         tempfile.TemporaryDirectory(prefix=f"rig-{kind}-") as place,

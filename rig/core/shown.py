@@ -1,9 +1,9 @@
-"""What a result is at a prompt and in a notebook: a few lines (`Shown`), and a picture if it has one (`Drawn`).
+"""Display of a result at a Python prompt and in a notebook: a few lines (`Shown`), and a picture (`Drawn`).
 
-Results of all rooms inherit from these classes, commands and notebooks call them. A room or an extra that draws has a
-table (`rig.core.extras`): under the name of a result's class stands the function that returns its figure, which is
-imported when a picture is drawn. This file must not import what draws, nor any result; all that a result offers to
-commands and pages is in `rig.core.present`.
+Results of all packages inherit from these classes, commands and notebooks call them. A package or an extra that draws
+has a table (`rig.core.extras`) with a function for each class name of a result; the function returns the figure, and is
+imported when a picture is drawn. This file must not import drawing code or results. The forms of a result for commands
+and pages are in `rig.core.present`.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ LINES, WIDTH = 10, 200  # at a prompt
 
 
 class Shown:
-    """A result with a short form; a dataclass that is one has ``repr=False``, which would come before this one."""
+    """Result with a short form for the prompt. A dataclass that inherits from it must have ``repr=False``."""
 
     __slots__ = ()
 
     def brief(self) -> Sequence[Item]:
-        """Return the most important results in `LINES` lines: a heading and rows."""
+        """Return the most important results as a heading and rows, at most `LINES` lines."""
         raise NotImplementedError
 
     def detailed(self) -> Sequence[Item]:
-        """Return the items that a notebook shows; the same as `brief` unless overridden."""
+        """Return the items that a notebook shows; those of `brief` unless overridden."""
         return self.brief()
 
     def __repr__(self) -> str:
@@ -75,12 +75,12 @@ def _table(table: Table) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A picture: a notebook shows it, `save` writes it, and `figure` is a `matplotlib.figure.Figure` to edit."""
+    """Picture that a notebook shows and `save` writes; `figure` is a `matplotlib.figure.Figure` to edit."""
 
     figure: Any
 
     def save(self, path: str | Path) -> Path:
-        """Write it as PNG, SVG or PDF, as the name ends; `RecordingError` when it cannot be."""
+        """Write the picture as PNG, SVG or PDF, by the suffix of `path`; raise `RecordingError` on failure."""
         written: Path = extras.load("writers", "file")(self.figure, Path(path))
         return written
 
@@ -102,7 +102,7 @@ class Drawn:
 def plot(result: object) -> Picture:
     """Draw a result that has a picture, such as a hit, a recording or a column of it, a map or an impedance.
 
-    Raises `ConfigError` for another one.
+    Raise `ConfigError` for a result without a picture.
     """
     known = extras.added("pictures")
     for kind in type(result).__mro__:

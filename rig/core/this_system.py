@@ -1,4 +1,4 @@
-"""Facilities of this operating system for a process, and what it does not support.
+"""Processors that this process may use, and refusal of real time on systems other than Linux.
 
 Devices, experiments and the bridge of drives call it before they run in real time. It must not set anything up;
 `rig.realtime.scheduling` does.
@@ -13,7 +13,7 @@ from rig.core.errors import PlanError
 
 
 def processors() -> list[int]:
-    """Return the numbers of those that this process may use."""
+    """Return the numbers of the processors that this process may use."""
     if sys.platform == "linux":
         return sorted(os.sched_getaffinity(0))
     else:
@@ -24,14 +24,14 @@ ON_THE_BOARD = 'let the board run the law: set controller.loop = "device"'
 
 
 def refuse_real_time(what: str, remedy: str = ON_THE_BOARD) -> None:
-    """Raise `PlanError` where something would have to keep time on this computer and it runs no Linux.
+    """Raise `PlanError` if this computer does not run Linux, which a loop in real time needs.
 
     Parameters
     ----------
     what
-        That would, as the subject of a sentence.
+        Subject of the message: the thing that would run in real time.
     remedy
-        Instruction on what to do instead.
+        What to do instead.
     """
     if sys.platform != "linux":
         raise PlanError(f"{what} needs Linux to run in real time", remedy=remedy)

@@ -187,7 +187,7 @@ def _pass_head(block: int) -> None:
 
 @kernel(_i64(_i64))
 def _look(block: int) -> int:
-    """Return the number of unread bytes in the IN transfer at the head, 0 if there are none, or a negative errno."""
+    """Return the number of unread bytes in the IN transfer at the head, 0 without any, or a negative errno."""
     # Bytes that arrived before an error are delivered before it.
     for _ in range(_word(block, _IN_COUNT)):
         slot = _slot(block, _word(block, _IN_HEAD))
