@@ -1,6 +1,7 @@
 """Helpers to write checks of a machine or device as functions that return a `Check`.
 
-The packages `rig.doctor`, `rig.firmware` and `rig.experiments` define checks with it. It must not examine anything itself.
+The packages `rig.doctor`, `rig.firmware` and `rig.experiments` define checks with it. It must not examine
+anything itself.
 """
 
 from __future__ import annotations

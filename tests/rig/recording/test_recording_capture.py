@@ -275,7 +275,7 @@ def test_files_that_are_no_recordings(tmp_path: Path) -> None:
 
 def test_recording_with_losses_is_not_written_as_whole() -> None:
     damaged = Recording(HEADER, example_rows(2), {}, True, (Loss("torn tail", 0, 9, 2, None),))
-    with pytest.raises(RecordingError, match="with losses"):
+    with pytest.raises(RecordingError, match="with lost parts"):
         write_capture(BytesIO(), damaged)
 
 
