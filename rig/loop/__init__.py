@@ -1,1 +1,1 @@
-"""The compiled loop and its threads."""
+"""The compiled control loop, for a law on the host or on the device, and the threads that run it."""

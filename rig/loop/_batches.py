@@ -1,7 +1,7 @@
-"""From the frames of a device that runs the law to its samples, in order and each once.
+"""Extract samples from the frames of a device that runs the law: each sample once, in order.
 
-Every sample goes through a queue, because an answer of the device may decide under which wall it was taken. Duplicates
-and samples behind newer ones are dropped and counted; lost ones are a gap in the sample index.
+Samples wait in a queue, because a later reply of the device can decide which wall was active at a sample. Duplicates
+and samples that arrive after newer ones are dropped and counted; lost samples are a gap in the sample index.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def has_room(supervision: Any) -> bool:
 def _take_batch(
     settings: Any, buffers: Buffers, supervised: SupervisionBuffers, count: int, words: int
 ) -> int:
-    """Put the samples of a BATCH that are new into the queue; return how many."""
+    """Put the new samples of a BATCH into the queue; return their number."""
     v, s, progress = supervised.supervision[0], settings[0], buffers.progress
     header, batch, decoded = buffers.header, supervised.batch, supervised.decoded
     first, time = batch[BATCH.first_index], batch[BATCH.device_time]
@@ -102,7 +102,7 @@ def _take_batch(
 
 @kernel(types.void(SETTINGS_TYPE, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE, types.uintp))
 def _take_state(settings: Any, buffers: Buffers, supervised: SupervisionBuffers, words: int) -> None:
-    """Store a STATE as the newest, and until its sample arrives, if it is newer than the last one and accepted."""
+    """Store a STATE as the newest one and in the queue of STATEs, if it is newer than the last one and accepted."""
     v, p = supervised.supervision[0], buffers.progress[0]
     header, candidate = buffers.header, buffers.candidate
     states, newest = supervised.states, supervised.newest
@@ -135,10 +135,9 @@ def _take_state(settings: Any, buffers: Buffers, supervised: SupervisionBuffers,
 
 @kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE, types.uintp))
 def take_frames(settings: Any, buffers: Buffers, supervised: SupervisionBuffers, words: int) -> int:
-    """Take the whole frames out of the receive buffer: samples and STATEs into their queues; return new samples.
+    """Move samples and STATEs from the receive buffer to their queues; return the number of new samples.
 
-    Answers to a clock exchange and to a parameter transaction are dispatched. The queue must have room
-    (`has_room`).
+    Also process replies to a clock exchange and to a parameter transaction. The queue must have room (`has_room`).
     """
     session = settings[0]["session"]
     raw, header, ack = buffers.raw, buffers.header, supervised.ack

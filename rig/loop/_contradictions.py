@@ -1,8 +1,8 @@
 """Check a device's reports against its earlier reports and the commands sent: a contradiction ends the run.
 
-Its clock advances as its samples do, an edge is not younger than its sample, a missed tick has no sample, and the
-active command was sent shortly before. A sample index that goes back further than frames can be reordered means that
-the device restarted.
+The device's clock must advance with its sample index, an encoder edge must not be later than its sample, a missed tick
+must have no sample, and the active command must have been sent shortly before. If the sample index jumps back further
+than frames can be reordered, the device has restarted.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ WRAP = 1 << 32
 
 
 class Contradiction(IntEnum):
-    """Impossible data from a device, with their texts."""
+    """Kinds of impossible data from a device, each with a text."""
 
     NONE = 0, ""
     RESTARTED = 1, "its sample index started again"
@@ -33,7 +33,7 @@ class Contradiction(IntEnum):
     text: str
 
     def __new__(cls, code: int, text: str = "") -> Contradiction:
-        """Make a member of which `code` is the value."""
+        """Return a member with the value `code` and a text."""
         member = int.__new__(cls, code)
         member._value_ = code
         member.text = text
@@ -48,21 +48,21 @@ _NO_COMMAND_YET, _OLDEST_EDGE = int(NO_COMMAND_YET), int(OLDEST_EDGE)
 
 @kernel(types.int64(types.int64, types.int64), inline=True)
 def ahead(new: int, old: int) -> int:
-    """Return how far a 32-bit number is ahead of another, which may have more bits; negative when behind."""
+    """Return new − old modulo 2³², from −2³¹ to 2³¹ − 1: how far a 32-bit counter is ahead of `old`."""
     return (new - old + WRAP // 2) % WRAP - WRAP // 2
 
 
 @kernel(types.int64(SETTINGS_TYPE, types.int64), inline=True)
 def time_of(settings: Any, samples: int) -> int:
-    """Return the device time that so many samples take (device ticks)."""
+    """Return the duration of a number of samples (units of the device's clock)."""
     return int(samples * settings[0]["period_ns"] * 1000 // settings[0]["device_tick_ps"])
 
 
 @kernel(types.int64(SETTINGS_TYPE, types.int64, types.int64, types.int64))
 def clock_error(settings: Any, error: int, samples: int, time: int) -> int:
-    """Return how far the device's clock is ahead of its sample index, after `samples` that took `time` (device ticks).
+    """Return how far the device's clock is ahead of its sample index (units of its clock).
 
-    `error` is the value before.
+    `error` is the previous result; since then `samples` samples and the device time `time` have passed.
     """
     # A share of the elapsed time is forgotten: a timer that cannot have the exact rate drifts and is no contradiction.
     expected = time_of(settings, samples)
@@ -73,7 +73,7 @@ def clock_error(settings: Any, error: int, samples: int, time: int) -> int:
 
 @kernel(types.int64(SETTINGS_TYPE, types.int64, types.int64))
 def find_clock_contradiction(settings: Any, samples: int, error: int) -> int:
-    """Return the contradiction in a sample that comes `samples` after the last one and has this `clock_error`."""
+    """Return the `Contradiction` in a sample that is `samples` after the last one and has this `clock_error`."""
     if samples < -settings[0]["lost_after_ns"] // settings[0]["period_ns"]:
         return _RESTARTED
     return _CLOCK if abs(error) > time_of(settings, _PERIODS) else _NONE
@@ -81,7 +81,7 @@ def find_clock_contradiction(settings: Any, samples: int, error: int) -> int:
 
 @kernel(types.int64(SETTINGS_TYPE, PROGRESS_TYPE, INTS))
 def _find_own_contradiction(settings: Any, progress: Any, state: Any) -> int:
-    """Return the contradiction between a STATE and itself, or the COMMANDs that were sent."""
+    """Return the `Contradiction` inside a STATE, or between a STATE and the sent COMMANDs."""
     s, age = settings[0], state[STATE.command_age]
     if (state[STATE.device_time] - state[STATE.edge_time]) % WRAP > _OLDEST_EDGE:
         return _EDGE
@@ -93,9 +93,10 @@ def _find_own_contradiction(settings: Any, progress: Any, state: Any) -> int:
 
 @kernel(types.UniTuple(types.int64, 2)(SETTINGS_TYPE, PROGRESS_TYPE, INTS, INTS, types.boolean))
 def take_news(settings: Any, progress: Any, state: Any, before: Any, first: bool) -> tuple[int, int]:
-    """Compare a STATE with the newest one so far; return by how many samples it is newer, and 1 if it is accepted.
+    """Compare a STATE with the last one (`before`); return by how many samples it is newer, and 1 if accepted, else 0.
 
-    A contradiction is stored in `progress`. A STATE that reports a fault is accepted: it ends the run anyway.
+    A STATE with a contradiction is rejected, and the contradiction is stored in `progress`. A STATE that reports a
+    fault is always accepted, because it ends the run anyway.
     """
     p = progress[0]
     newer, error, found = 1, 0, _NONE

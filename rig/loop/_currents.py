@@ -1,9 +1,9 @@
-"""Commanded, active and measured current, which have to agree in every tick.
+"""Check in every tick that commanded, active and measured current agree.
 
-The active current is that of the COMMAND that STATE names, unless a limit flag says why not. Where that one came in the
-very tick, one before it has driven the tick: a host that was late sends several within one. The measured current is
-compared with the active one by `rig.control.current`. Both are marks of the row (`rig.core.sample.RowFlag`); with the
-law on the device the first comparison is `rig.loop._device_host_agreement`'s.
+The active current in a STATE must be that of the COMMAND that the STATE names as active, unless a limit acted. If this
+COMMAND arrived in the same tick, an earlier one was active in the tick: a late host sends several in one tick.
+`rig.control.current` compares the measured current with the active one. The results are flags of the row
+(`rig.core.sample.RowFlag`). With the law on the device, `rig.loop._device_host_agreement` replaces the first check.
 """
 
 from __future__ import annotations
@@ -33,28 +33,28 @@ OLDER = 8
 
 @kernel(types.void(INTS, types.int64, types.int64, types.int64), inline=True)
 def keep_command(sent: Any, sequence: int, current: int, answers: int) -> None:
-    """Remember the current of a COMMAND and the sample that it answers, for what the device says of it."""
+    """Store the current of a COMMAND and the index of the sample that it answers, to check later STATEs."""
     place = 3 * (sequence % COMMANDS_KEPT)
     sent[place], sent[place + 1], sent[place + 2] = sequence, current, answers
 
 
 @kernel(types.int64(INTS, types.int64), inline=True)
 def answered_by(sent: Any, sequence: int) -> int:
-    """Return the index of the sample that a COMMAND answers, -1 of one that is forgotten."""
+    """Return the index of the sample that a COMMAND answers, -1 if the COMMAND is no longer stored."""
     place = 3 * (sequence % COMMANDS_KEPT)
     return int(sent[place + 2]) if sent[place] == sequence else -1
 
 
 @kernel(types.boolean(INTS, types.int64, types.int64), inline=True)
 def _was_sent(sent: Any, sequence: int, current: int) -> bool:
-    """Return True if a COMMAND had a current, or is too old to be remembered."""
+    """Return True if the COMMAND number `sequence` had this current, or is no longer stored."""
     place = 3 * (sequence % 65536 % COMMANDS_KEPT)
     return bool(sent[place] != sequence % 65536 or sent[place + 1] == current)
 
 
 @kernel(types.void(BUFFERS_TYPE, MEMORY_TYPE))
 def compare_command(buffers: Buffers, memory: Any) -> None:
-    """Mark a tick whose active current is not the one that was commanded, though no limit acted."""
+    """Set the flag OTHER_CURRENT if the active current is not the commanded one although no limit acted."""
     state, sent = buffers.state, buffers.sent
     if state[STATE.state] != _RUNNING or state[STATE.command_age] == _NONE_YET or state[STATE.fault] != 0:
         return
@@ -70,7 +70,7 @@ def compare_command(buffers: Buffers, memory: Any) -> None:
 
 @kernel(types.void(BUFFERS_TYPE, MEMORY_TYPE, types.int64))
 def compare_measured(buffers: Buffers, memory: Any, elapsed: int) -> None:
-    """Mark a tick that ends a window in which the measured current followed the active one, or did not."""
+    """At the end of a window, set the flag CURRENT_FOLLOWS or CURRENT_DIFFERS by the measured current."""
     words, state = buffers.currents, buffers.state
     # A rig without a current sensor, or without an expected current: nothing was configured.
     if words[CURRENT.ticks] == 0:

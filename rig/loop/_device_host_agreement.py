@@ -1,9 +1,9 @@
-"""Device–host agreement: the current active at a sample beside the one that the law gave a sample before.
+"""Device–host agreement: comparison of the device's current with that of the same law on the host.
 
-The two compute in different arithmetic, so they may differ slightly. Where a limit, a ramp or a gap acts the
-difference is expected and nothing is compared, nor for a while after a gap, until the estimators have forgotten it. A
-STATE reports limits afterwards, so what was found since the last one waits for the next; samples that no STATE covers,
-because it was lost or the run ended, are excluded.
+The current that is active at a sample is compared with the host's result at the sample before. The two laws use
+different arithmetic, so they may differ slightly. Samples are excluded while a limit or a ramp acts, and after a gap
+until the estimators no longer depend on it. A STATE reports limits afterwards, so differences are counted when the next
+STATE arrives; samples that no STATE covers, because it was lost or the run ended, are excluded.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ FORGET_PERIODS, FORGET_NS = 50, 20_000_000  # velocity periods, and time, whiche
 
 @kernel(types.void(SUPERVISION_TYPE, SETTINGS_TYPE, CONTROL_TYPE, types.int64, types.int64))
 def compare(supervision: Any, settings: Any, control: Any, elapsed: int, applied: int) -> None:
-    """Compare the active current at a sample with what the law gave at the sample before."""
+    """Compare the active current `applied` (quanta) with the host law's current at the sample before."""
     v, s = supervision[0], settings[0]
     if v["comparable"] == 0:
         return
@@ -55,7 +55,7 @@ def compare(supervision: Any, settings: Any, control: Any, elapsed: int, applied
 
 @kernel(types.void(SUPERVISION_TYPE, INTS))
 def settle(supervision: Any, state: Any) -> None:
-    """Count what was found since the last STATE, now that the next one shows whether a limit acted."""
+    """Count the differences since the last STATE, or exclude them if the new STATE reports that a limit acted."""
     v = supervision[0]
     limits = state[STATE.limits] & _ACTING
     if state[CONTIGUOUS] == 1 and (limits | v["limits_before"]) == 0:

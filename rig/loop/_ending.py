@@ -1,4 +1,4 @@
-"""Reasons to end that all loops share: a stop from outside, or a flag of the law."""
+"""Reasons for the end of a run (`EndReason`) that all loops share: the device, a stop request, a flag of the law."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _CURRENT, _FLAG_CURRENT = int(EndReason.CURRENT_DIFFERS), int(RowFlag.CURRENT_DI
 
 @kernel(types.int64(PROGRESS_TYPE))
 def reason_by_contradiction(progress: Any) -> int:
-    """Return the reason to end that a contradiction of the device gives, or 0."""
+    """Return the end reason for contradictory data from the device, 0 without a contradiction."""
     found = progress[0]["contradiction"]
     if found == 0:
         return 0
@@ -49,9 +49,9 @@ def reason_by_contradiction(progress: Any) -> int:
 
 @kernel(types.int64(INTS, PROGRESS_TYPE))
 def reason_by_device(state: Any, progress: Any) -> int:
-    """Return the reason to end that a STATE or a contradiction of the device gives, or 0.
+    """Return the end reason if a STATE reports a fault or a disarmed device, or for a contradiction; 0 to continue.
 
-    A pressed emergency stop is a fault too, although a device may still report ARMED.
+    A pressed emergency stop counts as a fault, although a device may still report ARMED.
     """
     # Not armed is enough: a device that left the session may report no fault.
     armed = state[STATE.state] == _ARMED or state[STATE.state] == _RUNNING
@@ -62,9 +62,9 @@ def reason_by_device(state: Any, progress: Any) -> int:
 
 @kernel(types.int64(INTS, SETTINGS_TYPE, PROGRESS_TYPE))
 def reason_by_switch(state: Any, settings: Any, progress: Any) -> int:
-    """Return the reason to end that the limit switch gives in a STATE, or 0.
+    """Return the end reason if the limit switch is pressed in a STATE, 0 to continue.
 
-    A broken wire reads as pressed and ends the run as well.
+    A broken wire reads as pressed and so ends the run too.
     """
     # The switch lies outside of the position window: where it is reached, position zero is wrong or the guard failed.
     s, p = settings[0], progress[0]
@@ -79,7 +79,7 @@ def reason_by_switch(state: Any, settings: Any, progress: Any) -> int:
 
 @kernel(types.int64(PORT_TYPE, SETTINGS_TYPE, types.uintp))
 def reason_by_request(port: LoopPort, settings: Any, words: int) -> int:
-    """Return the reason to end from outside, or 0: stop word, stop request, supervisor without heartbeat."""
+    """Return the end reason for a stop word, a stop request or a missing heartbeat of the supervisor, else 0."""
     requests = settings[0]["stop_requests"]
     # The request is copied to the stop word of this run, so that `rig stop --list` shows that it is stopping.
     if requests != 0 and load_word(requests) != settings[0]["stop_requests_before"]:
@@ -94,9 +94,10 @@ def reason_by_request(port: LoopPort, settings: Any, words: int) -> int:
 
 @kernel(types.int64(MEMORY_TYPE))
 def reason_by_law(memory: Any) -> int:
-    """Return the reason to end that `rig.control.step` or a comparison of the currents left in the tick's flags, or 0.
+    """Return the end reason that follows from the tick's flags and phase, 0 to continue.
 
-    With the law on the device this is the host's own step on the samples of a BATCH.
+    `rig.control.step` and the comparison of currents set the flags. With the law on the device, the host runs the same
+    step on the samples of each BATCH.
     """
     # A device's law does not watch energy, violence or a count that stands: it drives until the STOP arrives, after the
     # rest of the batch (5 ms at most, `rig.config.device_law._batch`) and the transfer of both.

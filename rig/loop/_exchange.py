@@ -1,6 +1,6 @@
-"""Clock exchanges while the loop runs: GET_TIME about eleven times a second, behind a COMMAND, and its answer TIME.
+"""Clock exchanges while the loop runs: GET_TIME about eleven times a second, after a COMMAND, and the reply TIME.
 
-Four stamps make an exchange: the host's at sending, the device's at receipt and at sending, the host's at receipt.
+An exchange has four time stamps: the host's at sending, the device's at receipt and at sending, the host's at receipt.
 `rig.core.clock_fit` fits a line to them.
 """
 
@@ -24,16 +24,16 @@ EVERY_NS = 91_000_000
 
 @kernel(types.int64(types.int64, types.int64))
 def device_ns(ticks: int, device_tick_ps: int) -> int:
-    """Return the device time in ns."""
+    """Return a device time in ns; `ticks` are units of its clock, of `device_tick_ps` (ps) each."""
     # In two parts: the product of ticks and picoseconds would leave 64 bits after 107 days.
     return ticks // 1000 * device_tick_ps + ticks % 1000 * device_tick_ps // 1000
 
 
 @kernel(types.int64(PORT_TYPE, SETTINGS_TYPE, BUFFERS_TYPE))
 def ask_time(port: LoopPort, settings: Any, buffers: Buffers) -> int:
-    """Send a GET_TIME when it is time for one: 0, or the negative errno of a broken link.
+    """Send a GET_TIME if one is due; return 0, or the negative errno of a broken link.
 
-    An answer that has not arrived by the next request is given up.
+    A reply that has not arrived by the next request is ignored.
     """
     s, p = settings[0], buffers.progress[0]
     asked_at = port.now(port.clock_handle)
@@ -54,7 +54,7 @@ def ask_time(port: LoopPort, settings: Any, buffers: Buffers) -> int:
 
 @kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, types.int64, types.uintp))
 def take_time(settings: Any, buffers: Buffers, length: int, words: int) -> int:
-    """Keep the frame in `buffers.raw` if it is the TIME that is awaited; return 1 then, else 0."""
+    """Store the clock exchange and return 1 if the frame in `buffers.raw` is the expected TIME; else return 0."""
     p, times, exchanges = buffers.progress[0], buffers.times, buffers.exchanges
     device_tick_ps = settings[0]["device_tick_ps"]
     if p["asking"] == 0 or codec.decode_time(buffers.raw, length, buffers.header, times) != 0:

@@ -1,6 +1,6 @@
 """The control loop on the host, as one compiled function without the GIL.
 
-For each fresh STATE: read the count, run `rig.control.step`, answer with a COMMAND, leave one row in the ring.
+For each new STATE: read the count, run `rig.control.step`, reply with a COMMAND, put one row into the ring.
 `rig.loop._run` starts it in a thread. It must not wait without a bound, allocate, or return before it has sent several
 STOP commands.
 """
@@ -63,7 +63,7 @@ def _overran(settings: Any, memory: Any, progress: Any) -> bool:
 
 @kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, MEMORY_TYPE))
 def _outcome(settings: Any, buffers: Buffers, memory: Any) -> int:
-    """End reason that follows from this tick, 0 to continue."""
+    """Return the end reason that follows from this tick, 0 to continue."""
     progress = buffers.progress
     reason = reason_by_device(buffers.state, progress)
     if reason == 0 and is_delayed(settings, buffers):
@@ -79,7 +79,7 @@ def _outcome(settings: Any, buffers: Buffers, memory: Any) -> int:
 
 @kernel(types.void(PORT_TYPE, SETTINGS_TYPE, PROGRESS_TYPE, types.uintp))
 def _sleep_to_the_grid(port: LoopPort, settings: Any, progress: Any, words: int) -> None:
-    """Sleep to the next point of the grid (host-paced); count and skip points that passed before."""
+    """Sleep until the next tick of the host's regular grid (host-paced); count and skip ticks that have passed."""
     s, p = settings[0], progress[0]
     if p["deadline"] == 0:
         p["deadline"] = port.now(port.clock_handle)
@@ -102,7 +102,7 @@ _ENDS = -1  # times an EndReason: what `_receive` returns instead of a number of
 
 @kernel(types.int64(PORT_TYPE, SETTINGS_TYPE, BUFFERS_TYPE, types.uintp))
 def _receive(port: LoopPort, settings: Any, buffers: Buffers, words: int) -> int:
-    """Wait for the next tick, one period at most: samples passed, 0 for none, or minus the reason to end."""
+    """Wait at most one period for a sample; return the samples since the last one, 0 if none came, or −`EndReason`."""
     s, p = settings[0], buffers.progress[0]
     reason = reason_by_request(port, settings, words)
     if reason != 0:
@@ -143,24 +143,24 @@ def _receive(port: LoopPort, settings: Any, buffers: Buffers, words: int) -> int
 def run(
     port: LoopPort, controller: ControllerArguments, shared: SharedRing, settings: Any, buffers: Buffers
 ) -> int:
-    """Run until an end reason; then send zero effort several times, and return the reason.
+    """Run the loop until an end reason; then send zero effort several times, and return the reason.
 
     Parameters
     ----------
     port
-        The link and its clock.
+        Functions of the link and of its clock.
     controller
-        The law of one tick (`rig.control.step`).
+        Arguments of the law of one tick (`rig.control.step`).
     shared
-        The ring that recorder and supervisor share with the loop.
+        Ring that recorder and supervisor share with the loop.
     settings, buffers
         Memory of the loop (`rig.loop.layout`).
 
     Returns
     -------
     int
-        `EndReason`; also stored in the ring. LOOP_DONE is the caller's to set, because it must be set after an
-        exception of a law too.
+        `EndReason`; also stored in the ring. The caller must set LOOP_DONE, because it must be set after an exception
+        of a law too.
     """
     memory, state, words = controller.memory, buffers.state, shared.words
     p, m = buffers.progress[0], memory[0]

@@ -1,8 +1,8 @@
-"""Detect a delayed link by a command's age at receipt: it delivers one frame each tick, and all of them too late.
+"""Detect a delayed link, which delivers a frame in every tick, but all of them too late.
 
-The age in STATE counts from receipt, and so does a command's lifetime. How long a command was in transit follows from
-the sample that it answers. A single late command is not yet a fault of the link; only late ones for a whole command
-lifetime are.
+The command age in a STATE counts from receipt, and so does a command's lifetime. The transit time of a command follows
+from the sample that it answers. A single late command is not a fault of the link; the run ends only if all commands are
+late for a whole command lifetime.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _NONE_YET, _TOO_OLD = int(NO_COMMAND_YET), int(LimitFlag.COMMAND_TOO_OLD)
 
 @kernel(types.int64(BUFFERS_TYPE))
 def ticks_under_way(buffers: Buffers) -> int:
-    """Return the ticks from the sample that the active command answers to its receipt; of an old one, a lower bound."""
+    """Return the ticks from the sample that the active command answers to its receipt; a lower bound if it is old."""
     state, active = buffers.state, buffers.state[STATE.command_sequence]
     answered = answered_by(buffers.sent, active)
     if answered >= 0:
@@ -34,9 +34,9 @@ def ticks_under_way(buffers: Buffers) -> int:
 
 @kernel(types.boolean(SETTINGS_TYPE, BUFFERS_TYPE))
 def is_delayed(settings: Any, buffers: Buffers) -> bool:
-    """Return True if this sample ends a command's lifetime in which every command was older than that.
+    """Return True if all commands of the last command lifetime were in transit for longer than this lifetime.
 
-    A device that looks at the age of a command leaves an old one out and says so; of another one it becomes active.
+    Some devices check the age of a command and reject an old one with a limit flag; on others it becomes active.
     """
     s, p, state = settings[0], buffers.progress[0], buffers.state
     too_old = state[STATE.limits] & _TOO_OLD != 0

@@ -1,11 +1,11 @@
-"""An update of the wall while the law runs on the device: how it becomes active there, and here at the same sample.
+"""Update of the wall while the law runs on the device: it becomes active on device and host at the same sample.
 
 Python encodes a posted set (`update_of`) for the loop, which owns the link: the set for the host's law, and the same
 wall as a parameter block of the device. The loop sends the block as a transaction (SET_BEGIN, SET_CHUNKs, SET_COMMIT;
 see `firmware_protocol.transaction`), and repeats it when the device finds the handle inside a wall. The last reply
-names the sample from which the new wall is active, for the host's law too: until then samples wait.
+names the first sample with the new wall; the host's law waits for this reply.
 
-The newest update counts: one that waits for free space is replaced, one that is being sent is not.
+A newer update replaces one that waits for the handle to be in free space, but not one that is being sent.
 """
 
 from __future__ import annotations
@@ -59,14 +59,15 @@ AGAIN_NS = 2_000_000  # after the device found the handle inside a wall
 
 
 def update_of(number: int, block: bytes, values: Sequence[float]) -> bytes:
-    """Return bytes of an update: the number of a set, its block of live parameters, and the values for the host's law.
+    """Return the bytes of an update: number of the set, parameter block for the device, values for the host's law.
 
-    Raises `ConfigError` for a set that does not fit.
+    Raise `ConfigError` if block or values are too long.
     """
     if len(block) > BLOCK_BYTES or VALUES_AT + 8 * len(values) > MOST_BYTES:
         raise ConfigError(
             f"{len(block) // ENTRY_BYTES} parameters on the device and {len(values)} on the host are "
-            "too many for a running loop",
+            "too many for a running loop: it takes at most "
+            f"{BLOCK_BYTES // ENTRY_BYTES} and {(MOST_BYTES - VALUES_AT) // 8}",
             remedy="use a law with fewer parameters",
         )
     head = _HEAD.pack(number, len(block)) + block.ljust(BLOCK_BYTES, b"\0")
@@ -75,7 +76,7 @@ def update_of(number: int, block: bytes, values: Sequence[float]) -> bytes:
 
 @kernel(types.void(types.uintp, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE))
 def _take_update(mailbox: int, buffers: Buffers, supervised: SupervisionBuffers) -> None:
-    """Take the newest update, if there is one, unless more sets than a replay can hold were active already."""
+    """Take the newest update from the mailbox, unless `SETS_KEPT` sets, the most for a replay, have become active."""
     v, p, values = supervised.supervision[0], buffers.progress[0], supervised.update_values
     if p["sets"] == len(buffers.sets) or take(mailbox, supervised.update) == 0:
         return
@@ -88,7 +89,7 @@ def _take_update(mailbox: int, buffers: Buffers, supervised: SupervisionBuffers)
 
 @kernel(TRANSACTION(SUPERVISION_TYPE))
 def _transaction(supervision: Any) -> Transaction:
-    """Return the state of the transaction that is under way."""
+    """Return the state of the current transaction."""
     v = supervision[0]
     return Transaction(v["nonce"], v["length"], v["request"], v["offset"], v["tries"], v["again_at"])
 
@@ -103,7 +104,7 @@ def _remember(supervision: Any, t: Transaction) -> None:
 
 @kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE, TRANSACTION))
 def _encode(settings: Any, buffers: Buffers, supervised: SupervisionBuffers, t: Transaction) -> int:
-    """Return the frame of the request that is under way, in `buffers.transmit`."""
+    """Encode the current request into `buffers.transmit`; return the frame's length (bytes), negative on failure."""
     session, request, block = settings[0]["session"], supervised.request, supervised.update_block
     request[SET_BEGIN.nonce] = t.nonce
     if t.step == BEGIN:
@@ -119,7 +120,7 @@ def _encode(settings: Any, buffers: Buffers, supervised: SupervisionBuffers, t: 
 
 @kernel(types.boolean(CONTROL_TYPE, FLOATS, SUPERVISION_TYPE, types.int64))
 def _may_begin(control: Any, waiting: Any, supervision: Any, time_ns: int) -> bool:
-    """Return True if the handle was outside both walls in the newest sample; the device checks by its own."""
+    """Return True if the handle was outside old and new wall in the newest sample; the device checks this too."""
     v = supervision[0]
     if v["started"] == 0 or time_ns < v["not_before"]:
         return False
@@ -139,10 +140,10 @@ def send_update(
     buffers: Buffers,
     supervised: SupervisionBuffers,
 ) -> int:
-    """Send what is due of an update: 0, or the negative errno of a broken link.
+    """Send the request of an update that is due, if any; return 0, or the negative errno of a broken link.
 
-    `mailbox` is the address of that in which updates come, or 0 for a loop without one; `control` is what the host's
-    law uses.
+    `mailbox` is the address of the mailbox of updates, 0 for a loop without updates; `control` has the parameters of
+    the host's law.
     """
     v, p = supervised.supervision[0], buffers.progress[0]
     if mailbox == 0:
@@ -171,7 +172,7 @@ def send_update(
 
 @kernel(types.int64(BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE))
 def take_answer(buffers: Buffers, supervised: SupervisionBuffers) -> int:
-    """Continue the update if an ACK answers the last request; return 1 then, else 0."""
+    """Continue the update and return 1 if the received ACK replies to the last request; else return 0."""
     v, p, ack = supervised.supervision[0], buffers.progress[0], supervised.ack
     if v["step"] != UNDER_WAY and v["step"] != COMMITTED:
         return 0

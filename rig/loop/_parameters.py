@@ -1,8 +1,8 @@
 """Parameter updates of a running loop: from the mailbox, between two ticks, never with the handle in the wall.
 
-A step of stiffness, damping or position under a pressed handle is a step of effort. So a set waits until the handle is
-outside both the present wall and the new one; a newer set replaces it meanwhile. Each set that became active is kept
-with its tick, for the replay.
+A step of stiffness, damping or position inside the wall would be a step of effort. So a new parameter set waits until
+the handle is outside both the present and the new wall; a newer set replaces a waiting one. Each set that became active
+is stored with its tick, for the replay.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rig.realtime.mailbox import take
 
 @kernel(types.boolean(CONTROL_TYPE, types.float64, types.int64))
 def inside(control: Any, wall_position: float, count: int) -> bool:
-    """Return True if a count lies inside a wall at a position."""
+    """Return True if an encoder count lies inside a wall whose surface is at `wall_position` (rad or m)."""
     c = control[0]
     position = c["resolution"] * count_difference(count, c["reference_count"])
     return bool(c["wall_side"] * (position - wall_position) > 0.0)
@@ -30,7 +30,7 @@ def inside(control: Any, wall_position: float, count: int) -> bool:
 
 @kernel(types.void(CONTROLLER_TYPE, FLOATS))
 def activate(controller: ControllerArguments, values: Any) -> None:
-    """Make a parameter set the law's: `values` are the wall's position and the law's parameters."""
+    """Copy a parameter set into the law: `values` are the wall's position (rad or m) and the law's parameters."""
     controller.control[0]["wall_position"] = values[0]
     for i in range(len(controller.law_parameters)):
         controller.law_parameters[i] = values[1 + i]
@@ -38,7 +38,7 @@ def activate(controller: ControllerArguments, values: Any) -> None:
 
 @kernel(types.void(CONTROLLER_TYPE, BUFFERS_TYPE, types.int64, types.uintp))
 def begin_set(controller: ControllerArguments, buffers: Buffers, tick: int, words: int) -> None:
-    """Activate the waiting set from this tick on, and keep it for a replay."""
+    """Activate the waiting parameter set from this tick on, and store it for a replay."""
     p, waiting = buffers.progress[0], buffers.waiting
     activate(controller, waiting)
     row = buffers.sets[p["sets"]]
@@ -56,7 +56,7 @@ def begin_set(controller: ControllerArguments, buffers: Buffers, tick: int, word
 def renew_parameters(
     controller: ControllerArguments, shared: SharedRing, buffers: Buffers, tick: int
 ) -> None:
-    """Check the mailbox, and activate the waiting set from this tick on if the handle is in free space."""
+    """Read the mailbox; activate the waiting parameter set from this tick on if the handle is in free space."""
     if shared.mailbox == 0:
         return
     p, waiting, control = buffers.progress[0], buffers.waiting, controller.control

@@ -1,4 +1,4 @@
-"""From the link's bytes to the newest sample: frames split, checked and dispatched."""
+"""Receive bytes from the link: split them into frames, check and dispatch these, and return the newest STATE."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from rig.realtime.kernel import kernel
 
 @kernel(types.void(types.uintp, types.int64, types.int64))
 def add(words: int, word: int, amount: int) -> None:
-    """Raise a counter of the ring, whose only writer is the loop."""
+    """Increase a counter of the ring by `amount`; only the loop writes it."""
     store_word(words + WORD * word, load_word(words + WORD * word) + amount)
 
 
 @kernel(types.int64(PORT_TYPE, BUFFERS_TYPE))
 def drain(port: LoopPort, buffers: Buffers) -> int:
-    """Read all available bytes into the receive buffer: 0, or the negative errno of a broken link."""
+    """Read all available bytes into the receive buffer; return 0, or the negative errno of a broken link."""
     p, start = buffers.progress[0], np.int64(buffers.received.ctypes.data)
     while p["filled"] < RECEIVE_BYTES:
         got = port.read(port.handle, start + p["filled"], np.int64(RECEIVE_BYTES - p["filled"]))
@@ -38,7 +38,7 @@ def drain(port: LoopPort, buffers: Buffers) -> int:
 
 @kernel(types.void(BUFFERS_TYPE, types.int64, types.int64, types.uintp))
 def forget_noise(buffers: Buffers, start: int, end: int, words: int) -> None:
-    """Keep the unfinished frame behind the last whole one for the next reading, unless it is noise."""
+    """Move the unfinished frame (`start` to `end`) to the front of the receive buffer; discard it if it is noise."""
     rest = keep_rest(buffers.received, start, end)
     if rest < 0:
         add(words, control_words.BAD_FRAMES, 1)
@@ -47,7 +47,7 @@ def forget_noise(buffers: Buffers, start: int, end: int, words: int) -> None:
 
 @kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, types.uintp))
 def _take(settings: Any, buffers: Buffers, words: int) -> int:
-    """Store a STATE of this session in `buffers.state` if it is newer and accepted; return by how many samples."""
+    """Store a STATE in `buffers.state` if it is newer and accepted; return by how many samples it is newer, else 0."""
     p, candidate, state = buffers.progress[0], buffers.candidate, buffers.state
     newer, accepted = take_news(settings, buffers.progress, candidate, state, p["started"] == 0)
     if accepted == 0:
@@ -73,11 +73,11 @@ def _take(settings: Any, buffers: Buffers, words: int) -> int:
 
 @kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, types.uintp))
 def newest_state(settings: Any, buffers: Buffers, words: int) -> int:
-    """Take the whole frames out of the receive buffer and leave the newest fresh STATE in `buffers.state`.
+    """Process all whole frames in the receive buffer and store the newest STATE in `buffers.state`.
 
-    Returns the samples passed since the last one delivered, 0 when nothing is fresh; ``progress["fresh"]`` is how
-    many of them arrived. An answer to a clock exchange goes to `buffers.exchanges`. An unfinished frame moves to the
-    front of the buffer; two kilobytes without a delimiter are noise and are discarded.
+    Return the number of samples since the last stored STATE, 0 if no newer one arrived; ``progress["fresh"]`` is the
+    number of STATEs that arrived. A reply to a clock exchange goes to `buffers.exchanges`. An unfinished frame moves to
+    the front of the buffer; two kilobytes without a delimiter are noise and are discarded.
     """
     p, header = buffers.progress[0], buffers.header
     p["fresh"] = 0

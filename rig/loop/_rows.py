@@ -1,4 +1,4 @@
-"""One tick as one row: what arrived, what the law computed, and when."""
+"""Write one row per tick into the ring: received data, results of the law, and times."""
 
 from __future__ import annotations
 
@@ -38,9 +38,10 @@ FLAG_LATE, FLAG_GAP = int(RowFlag.LATE), int(RowFlag.GAP)
 
 @kernel(types.int64(SETTINGS_TYPE, PROGRESS_TYPE, types.int64, types.int64, types.int64))
 def behind_grid(settings: Any, progress: Any, sample_index: int, ticks: int, received_ns: int) -> int:
-    """Return the receipt of a sample behind the grid of the sample index, against the earliest receipt so far (ns).
+    """Return the lateness of a sample (ns): its receipt minus its regular time by the sample index.
 
-    `ticks` is how many have passed since the last call: so far the host's grid may have stretched.
+    Regular times follow from the earliest receipt so far. This reference grows by the clock drift `DRIFT_PPM` over the
+    `ticks` since the last call.
     """
     p = progress[0]
     offset = received_ns - sample_index * settings[0]["period_ns"]
@@ -52,13 +53,13 @@ def behind_grid(settings: Any, progress: Any, sample_index: int, ticks: int, rec
 
 @kernel(types.int64(SETTINGS_TYPE, PROGRESS_TYPE, types.int64))
 def lateness(settings: Any, progress: Any, received_ns: int) -> int:
-    """Return how late the newest sample came (ns), device-paced."""
+    """Return the lateness of the newest sample (ns) in a device-paced loop."""
     return int(behind_grid(settings, progress, progress[0]["sample_index"], 1, received_ns))
 
 
 @kernel(types.int64(types.uintp, types.int64, types.int64))
 def room(words: int, capacity: int, wait_for_room: int) -> int:
-    """Return the slot for the next row, or -1 when the ring is full and must not be waited for."""
+    """Return the slot for the next row; -1 (row dropped) if the ring is full and the loop must not wait."""
     head = load_word(words + WORD * control_words.HEAD)
     while head - load_word(words + WORD * control_words.TAIL) >= capacity:
         if wait_for_room == 0 or load_word(words + WORD * control_words.RECORDER_ERROR) != 0:
@@ -79,9 +80,9 @@ def edge_age_ns(progress: Any, state: Any, settings: Any) -> int:
 
 @kernel(types.int64(PROGRESS_TYPE, INTS))
 def sync_time(progress: Any, state: Any) -> int:
-    """Return device time of the newest rising edge of the sync input, extended to 64 bits (device ticks); 0 for none.
+    """Return the device time of the newest rising edge of the sync input (64 bits, device clock units); 0: no edge.
 
-    A STATE may report an edge that is younger than its sample, since it is made later.
+    An edge may be later than the sample of its STATE, because the STATE is made after the sample.
     """
     # Extended when it is first reported: its 32 bits stay the same while the clock wraps.
     p = progress[0]
@@ -95,7 +96,7 @@ def sync_time(progress: Any, state: Any) -> int:
 
 @kernel(types.void(ROWS_TYPE, types.int64, MEMORY_TYPE), inline=True)
 def show_law(rows: Any, slot: int, memory: Any) -> None:
-    """Copy what `step` left in its memory into a row: all that a replay computes again."""
+    """Copy the results of `step` from its memory into a row: the columns that a replay computes again."""
     r, m = rows[slot], memory[0]
     r["phase"] = m["phase"]
     r["position"] = m["position"]
@@ -129,9 +130,9 @@ def leave_row(
     computed_ns: int,
     sent_ns: int,
 ) -> None:
-    """Put one row of `rig.core.sample.COLUMNS` into the ring and publish it; in a full ring, count its loss.
+    """Put one row of `rig.core.sample.COLUMNS` into the ring; if the ring is full, drop the row and count it.
 
-    The active effort follows from the active current.
+    The active effort is computed from the active current.
     """
     words, rows, state, progress = shared.words, shared.rows, buffers.state, buffers.progress
     # Before the row may be dropped: an edge is extended to 64 bits once, when it is first reported.
@@ -174,7 +175,7 @@ def leave_row(
 
 @kernel(types.void(SETTINGS_TYPE, MEMORY_TYPE, PROGRESS_TYPE, types.int64, types.uintp))
 def flag_timing(settings: Any, memory: Any, progress: Any, elapsed: int, words: int) -> None:
-    """Flag and count lateness and gaps of this tick; lost samples are counted apart from late ones."""
+    """Set the flags LATE and GAP of this tick, and count late, skipped and lost samples."""
     if progress[0]["late"] > settings[0]["period_ns"]:
         memory[0]["flags"] |= FLAG_LATE
         add(words, control_words.LATE, 1)

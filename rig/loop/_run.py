@@ -1,7 +1,7 @@
-"""The thread around the compiled loop: start it, watch it, stop it, and report how it ended.
+"""Thread that runs the compiled loop: start, supervise and stop it, and report its end.
 
-Trials and motions start it. A stop is one store into the ring, which the loop reads within a tick whichever thread has
-the GIL; the main thread must stay free for Ctrl-C.
+Trials and motions start it. To stop it, one word of the ring is written, which the loop reads within a tick, whichever
+thread has the GIL. The main thread must stay free for Ctrl-C.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ JOIN_S = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopSettings:
-    """Settings of the loop besides the controller; times in the link's clock."""
+    """Settings of the loop besides the controller; see `rig.loop.layout.SETTINGS` for each field."""
 
     period_ns: int
     session: int
@@ -60,7 +60,7 @@ class LoopSettings:
     agreement_quanta: int = 0
 
     def as_array(self) -> NDArray[np.void]:
-        """Return the length-1 array that the compiled loop reads."""
+        """Return the settings as the array of length 1 that the compiled loop reads."""
         array = np.zeros(1, SETTINGS)
         for name in SETTINGS.names or ():
             array[name] = getattr(self, name)
@@ -69,10 +69,10 @@ class LoopSettings:
 
 @dataclass(frozen=True, slots=True)
 class LoopEnd:
-    """How a loop ended: the reason, an exception of a law or of the simulation, the link's counters.
+    """End of a loop: the reason, an exception of a law or of the simulation, and the counters of loop and link.
 
-    `contradiction` describes what is inconsistent in the device's reports, "" if nothing is.
-    `stopper` completes "stopped": which signal or process stopped it, "" where the owner of the loop did.
+    `contradiction` describes an inconsistency in the device's reports, "" without one.
+    `stopper` completes the text "stopped": the signal or process that stopped it, "" if the owner of the loop did.
     `watched` has the quantities of `rig.control._watch` and their limits: energy given in the trial and its limit (J),
     oscillations in a row at the end, and the time within which they are in a row (s).
     """
@@ -111,33 +111,34 @@ COUNTERS = {
 
 
 def fault_of(state: NDArray[np.int64]) -> int:
-    """Return the fault of a STATE, 0 for none; a pressed emergency stop counts, also if the device did not latch it."""
+    """Return the fault code in a STATE, 0 without a fault; a pressed emergency stop counts even if not latched."""
     pressed = int(state[STATE.inputs]) & Input.EMERGENCY_STOP
     return int(state[STATE.fault]) or (Fault.EMERGENCY_STOP if pressed else Fault.NONE)
 
 
 class LoopThread:
-    """One run of the loop: `start`, `wait`, `finish`, `end`; `stop` from anywhere, any number of times.
+    """One run of the loop: call `start`, `wait`, `finish` and `end`; `stop` from any thread, any number of times.
 
     Parameters
     ----------
     link, controller, settings, ring
-        The device, the law, and the memory that recorder and supervisor share with the loop.
+        Link to the device, law, settings, and the memory that recorder and supervisor share with the loop.
     realtime
-        Scheduling for the thread; None leaves it an ordinary one.
+        Real-time scheduling of the thread; None for an ordinary thread.
     heartbeat_s
-        The loop ends when `wait` was not called for this long; 0: never, as in virtual time.
+        The loop ends when `wait` has not run for this time (s); 0: never, as in virtual time.
     nonce
         Nonce of the last transaction with the device.
     sensor, encoder_sign
-        Expected measured current, and the direction of counting; None: the two are not compared.
+        Parameters of the expected measured current, and the sign of the encoder; without `sensor` (None) the measured
+        current is not checked.
     """
 
     compiled: ClassVar[tuple[Any, ...]] = (host.run,)  # what thread and supervisor call
 
     @classmethod
     def prepare(cls, link: Link, controller: ControllerState) -> None:
-        """Compile or load all that a run reaches, before the device is armed: inside a loop nothing compiles."""
+        """Compile or load all code of a run; call it before the device is armed, since a loop must not compile."""
         prepare(*cls.compiled, *link.port(), *controller.arguments())
 
     def __init__(
@@ -184,14 +185,14 @@ class LoopThread:
         self._thread.start()
 
     def stop(self) -> None:
-        """Set the stop word: zero effort within one tick."""
+        """Set the stop word, so that the loop sends zero effort within one tick and ends."""
         self.ring.put(control_words.STOP, 1)
 
     def wait(self, progress: Callable[[int, int], None] | None = None) -> None:
         """Block until the loop has ended; call `progress(ticks, phase)` a few times a second meanwhile.
 
-        A stop is waited for `JOIN_S` at most: a law that never returns must not keep Ctrl-C from ending the program.
-        Whatever interrupts this, Ctrl-C or an exception of `progress`, the caller continues with `finish`.
+        After a stop, wait at most `JOIN_S`, because a law that never returns must not keep Ctrl-C from ending the
+        program. After Ctrl-C or an exception of `progress`, the caller must call `finish`.
         """
         requested_at: float | None = None
         while not self._ended.wait(POLL_S):
@@ -223,10 +224,10 @@ class LoopThread:
             self.ring.put(control_words.HEARTBEAT, self._link.clock.now_ns() + self._heartbeat_ns)
 
     def _attend(self) -> None:
-        """Do the loop's periodic work in Python."""
+        """Do periodic work in Python while the loop runs; subclasses override it."""
 
     def finish(self) -> None:
-        """Stop the loop if it still runs, and wait until it has ended. Cannot raise; Ctrl-C again changes nothing."""
+        """Stop the loop if it still runs, and wait at most `JOIN_S` for its end. Never raise, also not after Ctrl-C."""
         patience = time.monotonic() + JOIN_S
         while self._started and not self._ended.is_set() and time.monotonic() < patience:
             with suppress(KeyboardInterrupt):
@@ -236,7 +237,7 @@ class LoopThread:
             self.ring.put(control_words.STOP, control_words.ABANDONED)
 
     def end(self) -> LoopEnd:
-        """Return how the loop ended; `EndReason.STUCK` where it did not, though `finish` stopped it."""
+        """Return how the loop ended; `EndReason.STUCK` if it has not ended although `finish` stopped it."""
         stuck = self._started and not self._ended.is_set()
         # END_REASON of a loop that is stuck is not written yet.
         reason = EndReason.STUCK if stuck else EndReason(self.ring.get(control_words.END_REASON))
@@ -254,25 +255,25 @@ class LoopThread:
 
     @property
     def fault(self) -> int:
-        """Return the fault in the newest STATE, 0 for none."""
+        """Return the fault code in the newest STATE, 0 without a fault."""
         return fault_of(self._buffers.state)
 
     def messages(self) -> list[str]:
-        """Return the warnings about the run for the user, besides how it ended."""
+        """Return warnings about the run for the user, in addition to the reason of its end."""
         return []
 
     def findings(self) -> dict[str, Any]:
-        """Return the entries of the recording's trailer that only this kind of loop has."""
+        """Return additional entries for the recording's trailer that only this kind of loop has."""
         return {}
 
     def exchanges(self) -> NDArray[np.int64]:
-        """Return the clock exchanges of the run: rows of four stamps (`rig.core.clock_fit.EXCHANGE`), oldest first."""
+        """Return the clock exchanges of the run: rows of 4 stamps (ns; `rig.core.clock_fit.EXCHANGE`), oldest first."""
         done = self.ring.get(control_words.EXCHANGES)
         kept = np.arange(max(0, done - EXCHANGES_KEPT), done) % EXCHANGES_KEPT
         return self._buffers.exchanges[kept]
 
     def parameter_sets(self) -> list[dict[str, Any]]:
-        """Return the sets that became active: number, first tick, wall position, the law's parameters."""
+        """Return the parameter sets that became active: number, first tick, wall position, and the law's parameters."""
         count = len(self._controller.law.parameters)
         return [
             {
@@ -285,9 +286,9 @@ class LoopThread:
         ]
 
     def handover(self) -> dict[str, int] | None:
-        """Return where the streams stand after the loop: arguments of `rig.devices.framed.FramedDevice.take_back`.
+        """Return the loop's last sequence numbers and nonce: arguments of `rig.devices.framed.FramedDevice.take_back`.
 
-        None when it never saw a sample, and so never touched them.
+        Return None if the loop received no sample, and so has not used them.
         """
         progress = self._buffers.progress[0]
         if not progress["started"]:
@@ -333,5 +334,5 @@ class LoopThread:
         return self.ring.mailbox if len(self._controller.law.parameters) < SET_FLOATS else 0
 
     def _arrays(self) -> tuple[NDArray[Any], ...]:
-        """Return the memory that the loop must not wait for."""
+        """Return the arrays to keep in memory, so that the loop never waits for a page."""
         return tuple(self._buffers)

@@ -1,7 +1,7 @@
 """Ctrl-C, SIGTERM and a closed terminal as a stop of the loop, and never as an exception in the middle of a run.
 
-`rig.realtime.stop_requests` stops the loop at once, in whichever thread it runs. What is added here is for a run in the
-main thread, where Python's handlers raise: they are replaced meanwhile, and called all the same.
+`rig.realtime.stop_requests` stops the loop at once, in whichever thread it runs. This file is for a run in the main
+thread, where Python's signal handlers raise exceptions: it replaces them during the run, and calls them itself.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from rig.realtime.stop_requests import STOPPING, RunSeries
 
 @dataclass(slots=True)
 class Signals:
-    """Causes that stopped a run from outside; all but `series` are set when the run is over.
+    """Signals that stopped a run; all attributes but `series` are set at the end of the run.
 
     Attributes
     ----------
     series
-        The runs that this one belongs to.
+        Series of runs to which this run belongs.
     is_stopped, number
-        True if a stop was requested, and the number of the signal that did so, if one.
+        True if a stop was requested, and the number of the signal that requested it, None without a signal.
     raised
-        Exception that a handler of the caller raised, other than KeyboardInterrupt.
+        Exception that a signal handler of the caller raised, except KeyboardInterrupt.
     """
 
     series: RunSeries
@@ -39,11 +39,11 @@ class Signals:
 
 @contextmanager
 def stop_on_signals() -> Iterator[Signals]:
-    """Let signals stop the loop instead of raising here, as often as they come.
+    """Make signals stop the loop instead of raising an exception, until the block ends.
 
-    An exception in between, from the first or from a second signal, could cut short what brings the rig to rest. A
-    handler that the caller had set is called at once, and what it raises waits for the end of the run. A signal that
-    comes while the old handlers return is given to them, when everything is as it was.
+    An exception during the run, also by a second signal, could interrupt the code that brings the rig to rest. A signal
+    handler of the caller is called at once; its exception is stored until the end of the run. A signal that arrives
+    while the old handlers are being restored is raised again afterwards.
     """
     received: int | None = None
     before: dict[int, Any] = {number: signal.getsignal(number) for number in STOPPING}

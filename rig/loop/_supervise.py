@@ -1,7 +1,7 @@
-"""The loop of a law that runs on the device: it receives, records, and keeps the device running every few milliseconds.
+"""Loop for a law that runs on the device: it receives samples, records them, and sends a keep-alive every few ms.
 
-The device sends every tick in BATCH frames; `rig.control.step` runs on each of these samples too, and leaves the same
-row as in `rig.loop._host`. It must not wait without a bound, or return before it has sent several STOP commands.
+The device sends every tick in BATCH frames. The host runs `rig.control.step` on each sample too, and writes the same
+row as `rig.loop._host`. It must not wait without a bound, or return before it has sent several STOP commands.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def _send_due(
     buffers: Buffers,
     supervised: SupervisionBuffers,
 ) -> int:
-    """Send what is due, the keep-alive first: 0, or the negative errno of a broken link."""
+    """Send keep-alive, GET_TIME and parameter update if they are due; return 0, or -errno if the link is broken."""
     v, s = supervised.supervision[0], settings[0]
     time_ns = port.now(port.clock_handle)
     if time_ns >= v["next_command"]:
@@ -121,7 +121,7 @@ def _listen(
     until_ns: int,
     words: int,
 ) -> int:
-    """Wait for bytes until a moment, and take in all that is there: 0, or the negative errno of a broken link."""
+    """Wait for bytes until `until_ns`, and process all available ones; return 0, or -errno if the link is broken."""
     p = buffers.progress[0]
     ready = port.wait(port.handle, until_ns)
     p["read_at"] = port.now(port.clock_handle)
@@ -145,7 +145,7 @@ def _listen(
 
 @kernel(types.void(INT_ROWS, INTS, SUPERVISION_TYPE, types.int64))
 def _take_states(states: Any, state: Any, supervision: Any, sample_index: int) -> None:
-    """Move on to the newest STATE at or before a sample."""
+    """Copy the newest STATE at or before a sample into `state`."""
     # A batch carries neither limits, inputs nor fault: a sample has those of the STATE before it.
     v = supervision[0]
     while v["states_tail"] < v["states_head"]:
@@ -162,7 +162,7 @@ def _take_states(states: Any, state: Any, supervision: Any, sample_index: int) -
 def _show_sample(
     control: Any, settings: Any, buffers: Buffers, supervised: SupervisionBuffers, sample: Any
 ) -> int:
-    """Set `buffers.state` to the STATE that this sample would have had; return the ticks since the last one."""
+    """Set `buffers.state` to the STATE that belongs to a sample; return the ticks since the last sample."""
     supervision, state = supervised.supervision, buffers.state
     v, p = supervision[0], buffers.progress[0]
     elapsed = sample[INDEX] - p["sample_index"]
@@ -195,9 +195,9 @@ def _run_law(
     supervised: SupervisionBuffers,
     to_the_end: bool,
 ) -> int:
-    """Run the law on the samples in the queue and leave their rows: a reason to end, `_CONTINUE`, or `_ABANDONED`.
+    """Run the law on queued samples and write their rows; return an `EndReason`, `_CONTINUE` or `_ABANDONED`.
 
-    `to_the_end` empties the queue.
+    With `to_the_end`, samples do not wait for the reply about a new wall.
     """
     # While the reply about a new wall is awaited, samples wait as long as there is room: the reply names the sample
     # from which the new wall counts.
@@ -247,7 +247,7 @@ def _run_law(
 def _reason_without_row(
     newest: Any, supervision: Any, settings: Any, memory: Any, progress: Any, ready: int
 ) -> int:
-    """Return the reason to end that lies with the device or the link, or 0."""
+    """Return the end reason that follows from device or link without a new row, 0 to continue."""
     v, s, p = supervision[0], settings[0], progress[0]
     reason = reason_by_contradiction(progress)
     if reason == 0 and v["heard"] != 0:
@@ -267,7 +267,7 @@ def _reason_without_row(
 
 @kernel(types.void(INT_ROWS, INT_ROWS, SUPERVISION_TYPE, PROGRESS_TYPE))
 def _queue_fault(states: Any, samples: Any, supervision: Any, progress: Any) -> None:
-    """Queue the STATE with a fault in place of a sample: after a fault a device sends no further batch."""
+    """Queue the STATE that reports a fault as a last sample, because a device sends no BATCH after a fault."""
     v = supervision[0]
     for i in range(v["states_tail"], v["states_head"]):
         state = states[i % STATES_KEPT]
@@ -293,7 +293,7 @@ def _queue_fault(states: Any, samples: Any, supervision: Any, progress: Any) -> 
 
 @kernel(types.int64(INTS, SUPERVISION_TYPE), inline=True)
 def _shows_stop(newest: Any, supervision: Any) -> int:
-    """Return 1 if the newest STATE names one of our STOPs as the active command, else 0."""
+    """Return 1 if the newest STATE names one of the host's STOPs as the active command, else 0."""
     since = (newest[STATE.command_sequence] - supervision[0]["stop_sequence"]) % 65536
     return 1 if supervision[0]["heard"] != 0 and since < STOP_FRAMES else 0
 
@@ -311,19 +311,19 @@ def run(
     buffers: Buffers,
     supervised: SupervisionBuffers,
 ) -> int:
-    """Supervise until an end reason; then send zero effort several times, take what is still in transit, and return it.
+    """Supervise until an end reason; then send zero effort several times, receive late samples, and return the reason.
 
     Parameters
     ----------
     port, controller, shared, settings, buffers
-        As in `rig.loop._host.run`; but the mailbox is one of updates (`rig.loop._parameter_update`).
+        As in `rig.loop._host.run`, but the mailbox contains updates (`rig.loop._parameter_update`).
     supervised
-        Memory that this loop has in addition.
+        Additional memory of this loop.
 
     Returns
     -------
     int
-        `EndReason`; also stored in the ring. LOOP_DONE is the caller's to set.
+        `EndReason`; also stored in the ring. The caller must set LOOP_DONE.
     """
     supervision, newest, words = supervised.supervision, supervised.newest, shared.words
     v, p = supervision[0], buffers.progress[0]

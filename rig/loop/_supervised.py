@@ -1,4 +1,4 @@
-"""The thread around the loop of a law on the device: as around any loop, and it encodes parameter updates."""
+"""Thread of the loop for a law on the device: a `LoopThread` that also encodes parameter updates."""
 
 from __future__ import annotations
 
@@ -37,24 +37,24 @@ Live = Callable[[Sequence[float]], Mapping[str, Value]]
 
 @dataclass(frozen=True, slots=True)
 class DeviceHostAgreement:
-    """How the device's current followed the host's law, which `rig.control.step` ran on the same counts.
+    """Comparison of the device's current with the host's law, which `rig.control.step` ran on the same counts.
 
     Attributes
     ----------
     compared
-        Ticks in which the two could be compared: no limit, no ramp, no gap.
+        Compared ticks: no limit, ramp or gap acted in them.
     excluded
-        Ticks excluded, because a limit acted, no STATE covered them, or a gap was not yet forgotten.
+        Excluded ticks: a limit acted, no STATE covered them, or a gap was shortly before.
     differing
-        Ticks with another current.
+        Compared ticks in which the currents differ.
     greatest_quanta
-        Greatest difference.
+        Greatest difference (current quanta).
     bound_quanta
-        Difference that rounding explains: `BOUNDS`.
+        Largest difference that rounding explains (current quanta): `BOUNDS`.
     beyond
-        Ticks beyond that.
+        Compared ticks with a difference above `bound_quanta`.
     holds
-        True if these ticks are few enough.
+        True if `beyond` is at most `MANY_TICKS`, or at most `MANY_SHARE` of `compared`.
     """
 
     compared: int
@@ -74,8 +74,8 @@ class SupervisedThread(LoopThread):
     arguments, keywords
         Arguments of `LoopThread`.
     live
-        Makes the device's parameters of a posted set; None: the wall stays as it is. A `rig.core.errors.RigError` of it
-        refuses the set.
+        Function that converts a posted parameter set to the device's parameters; if it raises a
+        `rig.core.errors.RigError`, the set is refused. None: the wall cannot change.
     """
 
     compiled: ClassVar[tuple[Any, ...]] = (supervise.run, mailboxes.take)
@@ -96,11 +96,11 @@ class SupervisedThread(LoopThread):
 
     @property
     def fault(self) -> int:
-        """Return the fault in the newest STATE, 0 for none."""
+        """Return the fault code in the newest STATE, 0 without a fault."""
         return fault_of(self._supervision.newest)
 
     def agreement(self) -> DeviceHostAgreement:
-        """Return how the device's current followed the host's law so far."""
+        """Return the comparison of the device's current with the host's law so far."""
         v = self._supervision.supervision[0]
         compared, beyond = int(v["compared"]), int(v["beyond"])
         return DeviceHostAgreement(
@@ -114,7 +114,7 @@ class SupervisedThread(LoopThread):
         )
 
     def messages(self) -> list[str]:
-        """Return the parameter updates that failed, and a device that does not follow the law."""
+        """Return warnings about refused parameter updates, and about a device whose current differs from the law."""
         found, refusals = self.agreement(), list(self._refused)
         v = self._supervision.supervision[0]
         if v["refused_set"]:
@@ -127,7 +127,7 @@ class SupervisedThread(LoopThread):
                 f"the device's current differed from the host's law by more than {found.bound_quanta} quanta in "
                 f"{found.beyond} of {found.compared} ticks, at most by {found.greatest_quanta}"
                 + (
-                    f"; {lost} samples were lost, so the two may be in different phases: relieve the link"
+                    f"; {lost} samples were lost, so the two may be in different phases: reduce the load of the link"
                     if lost
                     else ": check that firmware and package are of one version (rig firmware info)"
                 )
@@ -135,11 +135,11 @@ class SupervisedThread(LoopThread):
         return refusals
 
     def findings(self) -> dict[str, Any]:
-        """Return how the device followed the law (`DeviceHostAgreement`)."""
+        """Return the entry ``device_host_agreement`` (`DeviceHostAgreement`) for the recording's trailer."""
         return {"device_host_agreement": plain(self.agreement())}
 
     def handover(self) -> dict[str, int] | None:
-        """Return what `LoopThread.handover` returns; commands are sent before the first STATE is received."""
+        """Return what `LoopThread.handover` returns; not None if commands were sent but no STATE was received."""
         progress, v = self._buffers.progress[0], self._supervision.supervision[0]
         if not progress["sequence"] and not v["stop_sequence"] >= 0:
             return None
@@ -163,14 +163,14 @@ class SupervisedThread(LoopThread):
         )
 
     def _mailbox(self) -> int:
-        """Return the address of the mailbox of updates; 0 where the wall does not change."""
+        """Return the address of the mailbox of updates, 0 if the wall cannot change."""
         return int(self._updates.ctypes.data) if self._live_parameters and super()._mailbox() else 0
 
     def _arrays(self) -> tuple[NDArray[Any], ...]:
         return (*super()._arrays(), *self._supervision)
 
     def _attend(self) -> None:
-        """Turn a posted set into an update for the loop."""
+        """Convert a posted parameter set to an update for the loop; store the reason if it is refused."""
         if self._live_parameters is None or not super()._mailbox():
             return
         number = mailboxes.take(self.ring.mailbox, self._posted)
@@ -181,4 +181,4 @@ class SupervisedThread(LoopThread):
             block = encode_block(self._live_parameters(values))
             self._writer.post(update_of(number, block, values))
         except RigError as error:
-            self._refused.append(f"parameter set {number} is not for this device: {error}")
+            self._refused.append(f"parameter set {number} was not sent to the device: {error}")

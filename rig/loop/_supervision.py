@@ -1,4 +1,4 @@
-"""Memory of the loop of a law on the device, besides that of any loop, and its buffers."""
+"""Memory that only the loop for a law on the device needs, in addition to `rig.loop.layout`."""
 
 from __future__ import annotations
 
@@ -85,24 +85,24 @@ VALUES_AT = BLOCK_AT + BLOCK_BYTES
 
 @group
 class SupervisionBuffers(NamedTuple):
-    """Everything that the loop of a law on the device writes into besides `rig.loop.layout.Buffers` and the ring.
+    """Memory of the loop for a law on the device, in addition to `rig.loop.layout.Buffers` and the ring.
 
     Attributes
     ----------
     supervision
-        `SUPERVISION`.
+        State of the loop in one row, of dtype `SUPERVISION`.
     batch, decoded
-        Fields and samples of a BATCH that just came.
+        Fields and samples of the BATCH that was received last.
     samples
-        Samples that wait for the law, oldest first.
+        Queue of samples for the law, oldest first.
     states
-        STATEs that wait for their sample.
+        Queue of STATEs whose sample has not been processed yet.
     newest
-        The newest STATE, whatever sample it belongs to.
+        Newest STATE; its sample may not have been processed yet.
     ack, request
-        Values of an ACK that just came, and of a request to send.
+        Fields of the ACK that was received last, and of a request to send.
     update, update_head, update_block, update_values
-        The newest update (`rig.loop._parameter_update`), and what stands in its bytes.
+        Bytes of the newest update (`rig.loop._parameter_update`), and views of the three parts of these bytes.
     """
 
     supervision: Annotated[NDArray[np.void], SUPERVISION_TYPE]
@@ -120,7 +120,7 @@ class SupervisionBuffers(NamedTuple):
 
     @classmethod
     def allocate(cls) -> SupervisionBuffers:
-        """Make them before the first sample."""
+        """Return new buffers; call it before the loop starts."""
         supervision, update = np.zeros(1, SUPERVISION), np.zeros(MOST_BYTES, np.uint8)
         for name in ("stop_sequence", "done_at", "parameters_crc"):
             supervision[name] = -1

@@ -1,4 +1,4 @@
-"""From a byte stream to whole frames: the one place where compiled code splits it at the delimiters.
+"""Split a byte stream into frames at the delimiters, in compiled code.
 
 The loop's receiving kernels and the ping of `rig.doctor` call it. Kernels here allocate nothing and interpret no
 message.
@@ -20,7 +20,7 @@ _BYTES = types.uint8[::1]
 
 @kernel(types.UniTuple(types.int64, 2)(_BYTES, types.int64, types.int64, _BYTES))
 def next_frame(received: Any, start: int, end: int, raw: Any) -> tuple[int, int]:
-    """Take the next frame out of ``received[start:end]``.
+    """Decode the next frame in ``received[start:end]`` into `raw`.
 
     Returns
     -------
@@ -28,7 +28,7 @@ def next_frame(received: Any, start: int, end: int, raw: Any) -> tuple[int, int]
         Length of the frame without its CRC, which is then in `raw` (`codec.RAW_BYTES`); a negative defect of
         `codec.decode_frame`; or `NO_FRAME`.
     int
-        Where the bytes behind it begin.
+        Index of the first byte after the frame.
     """
     stop = codec.find_delimiter(received, start, end)
     while stop == start:  # delimiters alone mean nothing
@@ -41,9 +41,9 @@ def next_frame(received: Any, start: int, end: int, raw: Any) -> tuple[int, int]
 
 @kernel(types.int64(_BYTES, types.int64, types.int64))
 def keep_rest(received: Any, start: int, end: int) -> int:
-    """Move an unfinished frame to the front of the buffer; return its bytes.
+    """Move an unfinished frame to the front of the buffer; return its length (bytes).
 
-    Half a buffer without a delimiter is noise and is thrown away: returns -1 then.
+    Discard it and return -1 if it is longer than half the buffer: so many bytes without a delimiter are noise.
     """
     rest = end - start
     if rest > len(received) // 2:

@@ -1,7 +1,7 @@
-"""Interface of the room for a trial: a loop in its thread, supervised or not, and the signals that stop it.
+"""Interface of `rig.loop` for trials: the threads of both loops, and the signals that stop them.
 
-`rig.experiments.trials` alone imports it; it defines nothing, and no file of the room imports it. What a row and an end
-consist of is in `rig.loop.layout`, which followers of a run read without loading a loop.
+Only `rig.experiments.trials` imports it; it defines nothing, and no file of `rig.loop` imports it. Memory layout and
+end reasons are in `rig.loop.layout`, which followers of a run read without loading a loop.
 """
 
 from rig.loop._exchange import EVERY_NS

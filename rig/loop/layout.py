@@ -1,7 +1,7 @@
-"""Memory of the compiled loop besides the ring: settings, its state of the link, its buffers.
+"""Memory of the compiled loop besides the ring: settings, state of the link, and buffers.
 
-The files of the loop, trials, motions and the console's and LSL's followers import it. The numbers of `EndReason`
-stand in the shared memory of running loops: add new ones at the end, and do not change one.
+The files of the loop, trials, motions and the followers of the console and of LSL import it. The numbers of `EndReason`
+are in the shared memory of running loops: add new numbers at the end, and do not change existing ones.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from rig.realtime.mailbox import MOST_BYTES, SET_FLOATS
 
 
 class EndReason(IntEnum):
-    """Why the loop ended."""
+    """Reason for the end of a loop."""
 
     RUNNING = 0
     FINISHED = 1  # all phases done
@@ -125,7 +125,7 @@ ROWS_TYPE = types.Array(numba.from_dtype(ROW), 1, "C")
 
 @group
 class SharedRing(NamedTuple):
-    """The ring (`rig.realtime.ring`): control words and mailbox (0: none) by address, and the rows."""
+    """Ring (`rig.realtime.ring`): addresses of control words and mailbox (0: no mailbox), and array of rows."""
 
     words: Address
     mailbox: Address
@@ -134,26 +134,27 @@ class SharedRing(NamedTuple):
 
 @group
 class Buffers(NamedTuple):
-    """Everything the loop writes into besides the ring: allocated once, since the loop allocates nothing.
+    """Memory that the loop writes besides the ring; it is allocated once, because the loop must not allocate.
 
     Attributes
     ----------
     received, raw, transmit
-        Bytes from the link, a decoded frame, a frame to send.
+        Bytes from the link, a decoded frame, and a frame to send.
     header, candidate, state, command, question, times
-        Values of a frame's header, of a STATE that just arrived, the newest STATE, COMMAND, GET_TIME and TIME.
+        Fields of a frame's header, of a received STATE, of the newest STATE, of COMMAND, GET_TIME and TIME.
     exchanges
         The four stamps of each clock exchange (ns), the newest `EXCHANGES_KEPT` of them.
     mail, waiting
-        Parameter set that waits to become active, its bytes and their numbers: wall position, the law's parameters.
+        Bytes of the parameter set that waits to become active, and a view of them as numbers: wall position, then the
+        law's parameters.
     sets
-        Each set that became active: its number, the tick, its values.
+        Each parameter set that became active: its number, its first tick, its values.
     sent
         Sequence and current of the newest `COMMANDS_KEPT` COMMANDs, and the index of the sample that each answers.
     currents
-        Settings and memory of `rig.control.current`; zeros: nothing is compared.
+        Settings and memory of `rig.control.current`; zeros if the measured current is not checked.
     progress
-        `PROGRESS`.
+        State of the link in one row, of dtype `PROGRESS`.
     """
 
     received: Bytes
@@ -175,7 +176,7 @@ class Buffers(NamedTuple):
 
     @classmethod
     def allocate(cls) -> Buffers:
-        """Make them, zeroed, before the first sample."""
+        """Return new buffers filled with initial values; call it before the loop starts."""
         progress, mail = np.zeros(1, PROGRESS), np.zeros(MOST_BYTES, np.uint8)
         progress["earliest"] = 1 << 62
         progress["active"] = progress["too_old_from"] = -1

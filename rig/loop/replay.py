@@ -1,7 +1,6 @@
-"""Replay: the law over recorded rows, without a link.
+"""Replay: run the law on recorded rows, without a link.
 
-`rig.experiments.trials.replay` and the comparison of schemes call it. It must not compute a row in another way than the
-loop does.
+`rig.experiments.trials.replay` and the comparison of schemes call it. It must compute a row exactly as the loop does.
 """
 
 from __future__ import annotations
@@ -27,9 +26,10 @@ NO_SETS = np.zeros((0, 1))  # of a run without parameter updates
 
 @kernel(types.void(CONTROLLER_TYPE, ROWS_TYPE, ROWS_TYPE, types.float64[:, ::1]))
 def replay_rows(controller: ControllerArguments, recorded: Any, replayed: Any, sets: Any) -> None:
-    """Run `step` over the samples of `recorded` and write what it computes into `replayed`.
+    """Run `step` on the samples of `recorded` and write its results into `replayed`.
 
-    `sets` are the parameter sets that became active on the way: first tick, wall position, the law's parameters.
+    Each row of `sets` is a parameter set that became active during the run: first tick, wall position, the law's
+    parameters.
     """
     due = 0
     for i in range(len(recorded)):
