@@ -1,9 +1,9 @@
-"""An experiment file becomes the numbers of a run.
+"""Experiment files: read, check, change and list them, and derive values that depend on several keys.
 
-Every room above calls it: read and check a file, change keys, list them, and derive the numbers that several of them
-decide. It prepares no run (`controller`), knows no device, and keeps nothing between two calls.
+Every higher package calls it. It does not prepare a run (`rig.config.controller` does), does not depend on a device,
+and stores nothing between two calls.
 
-pydantic is loaded when something is validated, not by this import.
+pydantic is loaded at the first validation, not by this import.
 """
 
 from rig.config._derive import (

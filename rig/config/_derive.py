@@ -1,4 +1,4 @@
-"""Values derived from an experiment: the physics of its rig, the verdict's thresholds, and that its plug-ins exist."""
+"""Values derived from an experiment: physics of the rig, thresholds of the verdict; and a check of its plug-ins."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SHARE_OF_LIMIT = 0.02  # and at least this share of the effort limit
 def rig_model(described: Experiment | Rig) -> RigModel:
     """Return the physics of a rig, for simulation and theory.
 
-    With a person it includes the hand and its reach, and leaves out the end mass.
+    If a person performs the trial, it includes the hand and its reach, but not the end mass.
     """
     rig = described.rig if isinstance(described, Experiment) else described
     model = RigModel(
@@ -47,7 +47,7 @@ def rig_model(described: Experiment | Rig) -> RigModel:
 
 
 def free_s(experiment: Experiment) -> float:
-    """Free space before the cue (s): the baseline, and a foreperiod that the trial's seed draws."""
+    """Return the time in free space before the cue (s): the baseline plus a foreperiod drawn by the trial's seed."""
     trial = experiment.trial
     return trial.baseline_s + random.Random(f"foreperiod {trial.seed}").uniform(0.0, trial.foreperiod_s)
 
@@ -70,12 +70,12 @@ def motor_push(experiment: Experiment) -> float:
 
 
 def push_s(experiment: Experiment) -> float:
-    """Return how long a trial pushes at most (s)."""
+    """Return the longest duration of the push in a trial (s)."""
     return experiment.trial.hold_s or experiment.trial.duration_s
 
 
 def push_at_rest(experiment: Experiment) -> float:
-    """Return effort into the wall in the end (N·m or N, not negative): the motor's, or a person's press and spring."""
+    """Return the final effort into the wall (N·m or N, ≥ 0): of the motor, or of the hand with its press and spring."""
     wall = experiment.wall
     if experiment.trial.kind != "human":
         return max(0.0, wall.side * motor_push(experiment))
@@ -88,7 +88,7 @@ def push_at_rest(experiment: Experiment) -> float:
 
 
 def press_for(experiment: Experiment, push: float) -> float:
-    """Press of a hand (N, at the handle) that makes its effort into the wall in the end this one (N·m or N)."""
+    """Return the press of the hand (N, at the handle) for which `push_at_rest` is `push` (N·m or N)."""
     operator, given = experiment.operator, push_at_rest(experiment)
     if given == 0.0:
         return operator.press
@@ -97,7 +97,7 @@ def press_for(experiment: Experiment, push: float) -> float:
 
 
 class Size(TypedDict, total=False):
-    """Size of an excitation (N·m or N), by one of both."""
+    """Size of an excitation (N·m or N), given as either rms or peak."""
 
     rms: float
     peak: float
@@ -106,8 +106,8 @@ class Size(TypedDict, total=False):
 def excitation_size(experiment: Experiment) -> Size:
     """Return the size of the excitation (N·m or N): its rms or its peak.
 
-    Ten times the Coulomb friction, so that friction hardly distorts the motion; two per cent of the effort limit where
-    there is hardly any friction.
+    By default, the rms is ten times the Coulomb friction, so that friction hardly distorts the motion, but at least 2 %
+    of the effort limit.
     """
     given, mechanics = experiment.excitation, experiment.rig.mechanics
     if given.peak is not None:
@@ -119,13 +119,13 @@ def excitation_size(experiment: Experiment) -> Size:
 
 
 def excitation_s(experiment: Experiment) -> tuple[float, float]:
-    """Return the length of an excited run, and of the part before the analysed periods (s)."""
+    """Return the duration of an excited run, and of its part before the analysed periods (s)."""
     given = experiment.excitation
     return (given.settle_periods + given.periods) * given.period_s, given.settle_periods * given.period_s
 
 
 def excited(experiment: Experiment) -> Experiment:
-    """Return the experiment as an excited run: it begins at the wall, nothing pushes, it lasts as long as it must."""
+    """Return the experiment as an excited run: start at the wall, no push, duration of all excitation periods."""
     trial = replace(
         experiment.trial,
         kind="excitation",
@@ -137,9 +137,9 @@ def excited(experiment: Experiment) -> Experiment:
 
 
 def verdict_thresholds(experiment: Experiment) -> Thresholds:
-    """Return the thresholds of the verdict in the units of the rig: at the link, not at the handle.
+    """Return the thresholds of the verdict at the link, in the units of the rig; the file gives them at the handle.
 
-    A handle that moves by x has turned the link by x / radius; a force F there is a torque of F · radius.
+    A travel x of the handle is x / radius at the link; a force F at the handle is a torque F · radius at the link.
     """
     given, radius = experiment.verdict, experiment.rig.mechanics.handle_radius
     return Thresholds(
@@ -161,12 +161,12 @@ def verdict_thresholds(experiment: Experiment) -> Thresholds:
 def check_plugins(experiment: Experiment, source: str) -> None:
     """Check estimator, law and the estimator's settings, which `load_experiment` does not check.
 
-    Imports the estimator, and numba with it; everything that plans or runs an experiment calls this first.
+    It imports the estimator, and with it numba; code that plans or runs an experiment calls it first.
 
     Raises
     ------
     ConfigError
-        An unknown name (with the closest known one), an unknown setting, or one out of range.
+        A name is unknown (the message has the closest known one), or a setting is unknown or out of range.
     """
     controller = experiment.controller
     problems: list[Problem] = []
@@ -186,9 +186,9 @@ def check_plugins(experiment: Experiment, source: str) -> None:
 
 
 def prepare_estimator(experiment: Experiment, resolution: float, period_s: float) -> Prepared:
-    """Prepare the estimator of an experiment; settings of the rig that it does not give come from its mechanics.
+    """Prepare the estimator of an experiment; settings about the rig that are not given follow from its mechanics.
 
-    Raises `ConfigError` as `Estimator.prepare`.
+    `resolution` is the travel per count (rad or m), `period_s` the velocity period (s). Errors as `Estimator.prepare`.
     """
     estimator = estimators.get(experiment.controller.estimator)
     own = estimator.settings_of(settings_of_rig(experiment))
@@ -196,7 +196,7 @@ def prepare_estimator(experiment: Experiment, resolution: float, period_s: float
 
 
 def settings_of_rig(experiment: Experiment) -> dict[str, float]:
-    """Properties of a rig that an estimator may use, by the names of its settings: all that moves without a hand."""
+    """Return inertia, viscosity and friction of the rig without a hand, for estimators with these settings."""
     mechanics = moved_mechanics(rig_model(experiment.rig))
     return {"inertia": mechanics.inertia, "viscosity": mechanics.damping, "friction": mechanics.friction}
 
@@ -209,6 +209,6 @@ def _unknown(key: str, name: str, known: Sequence[str]) -> list[Problem]:
             key,
             shown(name),
             f"must be one of {', '.join(known)}",
-            did_you_mean(name, known, "choose one of these"),
+            did_you_mean(name, known, f"set {key} to one of the listed names"),
         )
     ]

@@ -1,4 +1,4 @@
-"""Experiment files and presets as raw tables: reading TOML, and overlaying one table on another."""
+"""Experiment files and presets as nested tables: read TOML, and overlay one table on another."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ DEPTH = 8  # no section lies deeper; what does is refused by name, not by a stac
 
 
 def read_toml(path: Path, kind: str = "an experiment") -> Table:
-    """Read a TOML file of this kind; `ConfigError` when it is missing, unreadable or not TOML."""
+    """Return the content of a TOML file; raise `ConfigError` if it is missing, unreadable or not TOML.
+
+    `kind` is used in messages, such as "an experiment".
+    """
     try:
         text = read_regular(path).decode("utf-8-sig")
     except FileNotFoundError:
@@ -40,7 +43,7 @@ def read_toml(path: Path, kind: str = "an experiment") -> Table:
 
 
 def parse_toml(text: str, source: str) -> Table:
-    """Parse TOML; raises `ConfigError` with the line of a syntax error."""
+    """Parse TOML text; raise `ConfigError` with the line of a syntax error. `source` names the text in messages."""
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
@@ -48,12 +51,14 @@ def parse_toml(text: str, source: str) -> Table:
         names = _misleading(text, reason)
         raise ConfigError(
             f"{source}: not valid TOML: {reason}{names and f'; that line contains {names}'}",
-            remedy="retype these characters, or put them in quotes" if names else "correct the file there",
+            remedy="retype these characters, or put them in quotes"
+            if names
+            else "correct the file at this place",
         ) from None
 
 
 def _misleading(text: str, reason: str) -> str:
-    """Name the characters of the line that a parser complains of which look like others, or like nothing."""
+    """Return the names of non-ASCII or invisible characters outside quotes in the line of a syntax error; else ""."""
     place = re.search(r"at line (\d+)", reason)
     if place is None:
         return ""
@@ -64,13 +69,13 @@ def _misleading(text: str, reason: str) -> str:
 
 @cache
 def preset_names() -> tuple[str, ...]:
-    """Return the names of the presets that this package ships."""
+    """Return the names of the presets in this package, sorted."""
     found = (files("rig.config") / "presets").iterdir()
     return tuple(sorted(entry.name.removesuffix(".toml") for entry in found if entry.name.endswith(".toml")))
 
 
 def preset_text(name: str) -> str:
-    """Return the text of a preset, comments and sources included; `ConfigError` when there is no such preset."""
+    """Return the TOML text of a preset with its comments; raise `ConfigError` for an unknown name."""
     if name not in preset_names():
         choice = f"choose one of: {', '.join(preset_names())}"
         raise ConfigError(f"unknown preset {name!r}", remedy=did_you_mean(name, preset_names(), choice))
@@ -79,26 +84,25 @@ def preset_text(name: str) -> str:
 
 @cache
 def preset_table(name: str) -> Table:
-    """Parse a preset once. All callers share the table and must not change it."""
+    """Return the table of a preset, parsed once; callers share it and must not change it."""
     return parse_toml(preset_text(name), f"preset {name}")
 
 
 def tidy(value: Any, depth: int = 0) -> Any:
-    """Copy a table into plain dicts with text keys, cut off at `DEPTH`; other values pass as they are."""
+    """Copy a table into dicts with text keys and lists, cut off below `DEPTH` levels; other values are unchanged."""
     if type(value) in LEAVES or not isinstance(value, Mapping | list | tuple):
         return value
     if depth == DEPTH:
-        return "a table nested too deeply"
+        return f"a table nested deeper than {DEPTH} levels"
     if isinstance(value, list | tuple):
         return [tidy(inner, depth + 1) for inner in value]
     return {str(key): tidy(inner, depth + 1) for key, inner in value.items()}
 
 
 def overlay(base: Table, top: Table) -> Table:
-    """Overlay one table on another, key by key; neither is changed.
+    """Return `base` with the keys of `top` replaced or added, table by table; the arguments are not changed.
 
-    When `top` names another estimator, the settings of the one in `base` are dropped; so are the numbers of another
-    grip.
+    If `top` names another estimator or grip than `base`, the settings in `base` for its estimator or grip are dropped.
     """
     merged = dict(base)
     for key, value in top.items():
@@ -121,7 +125,7 @@ def flatten(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, A
 
 
 def nest(flat: Mapping[str, Any]) -> Table:
-    """Turn dotted keys into nested tables: the opposite of `flatten`."""
+    """Return nested tables from dotted keys: the inverse of `flatten`."""
     root: Table = {}
     for dotted, value in flat.items():
         *path, leaf = dotted.split(".")

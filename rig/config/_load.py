@@ -1,4 +1,4 @@
-"""From a file, a mapping or the command line to a checked `Experiment`, or to one error that lists all."""
+"""Make a checked `Experiment` from a file, a mapping or options; or raise one error with all problems."""
 
 from __future__ import annotations
 
@@ -36,12 +36,13 @@ EXPERIMENT = FileKind(
 def load_experiment(path: str | Path) -> Experiment:
     """Read and check an experiment file.
 
-    The file may begin with ``preset = "koul-compliant"`` and then needs only what differs.
+    The file may begin with ``preset = "koul-compliant"``; then it needs only the keys that differ from the preset.
 
     Raises
     ------
     ConfigError
-        With every problem found, one per line: file, key, value, allowed range with its unit, and what to do.
+        The file has problems. The message has one line for each problem: file, key, value, allowed range with its unit,
+        and what to do.
     """
     mapping = read_toml(Path(path))
     if not mapping:
@@ -53,15 +54,15 @@ def load_experiment(path: str | Path) -> Experiment:
 
 
 def experiment_from_mapping(mapping: Mapping[str, Any], source: str) -> Experiment:
-    """Check nested tables like those of an experiment file; `source` names them in errors.
+    """Return the checked experiment from nested tables like those of a file; `source` names them in errors.
 
-    Over a preset, a rig with a name of its own has a homing servo of its own: what the table does not give of it
-    follows from the described friction, inertia, resolution and delays (`rig.config.homing`).
+    If a table names a preset but another rig, the keys of ``[homing]`` that it does not give are computed from the
+    friction, inertia, resolution and delays of the rig (`rig.config.homing`).
     """
     table = tidy(mapping)
     if not isinstance(table, dict):
         raise ConfigError(
-            f"{source}: must be a table of sections", remedy="give tables like those of an experiment file"
+            f"{source}: must be a table of sections", remedy='give a mapping of sections, like {"wall": {…}}'
         )
     preset, top = None, table
     if "preset" in table:
@@ -86,7 +87,7 @@ def experiment_from_mapping(mapping: Mapping[str, Any], source: str) -> Experime
 
 
 def restore_experiment(mapping: Mapping[str, Any]) -> Experiment:
-    """Return the experiment of which `as_mapping` made these values: it was checked then, and no rule is again."""
+    """Return the experiment that `as_mapping` converted to these values, without checking the rules again."""
     parsed = parse_table(EXPERIMENT, dict(mapping), None)
     if parsed[0] is None:
         raise config_error(parsed[1], "a checked experiment")
@@ -100,10 +101,10 @@ def override(
     *,
     check_rules: bool = True,
 ) -> Experiment:
-    """Return the experiment with some keys changed: each new value is checked, and then the rules between all keys.
+    """Return the experiment with some keys changed; check each new value, and then the rules between keys.
 
-    The settings of a replaced estimator and the numbers of a replaced grip are dropped. A key that is set applies in
-    real time too: it is removed from ``[realtime]``. A trial that becomes a person's gets the limits for people.
+    If the estimator or grip changes, the settings of the old one are dropped. A changed key applies in real time too:
+    it is removed from ``[realtime]``. If ``trial.kind`` becomes "human", the limits for people are set.
 
     Parameters
     ----------
@@ -112,9 +113,9 @@ def override(
     changes
         New values by dotted key, like ``{"wall.stiffness": 400.0}``.
     source
-        Name of the changes in errors.
+        Name of the changes in error messages.
     check_rules
-        False for changes that others follow, which may settle what is inconsistent until then.
+        False if further changes follow, before which the experiment may be inconsistent.
     """
     wanted = nest(tidy(changes))
     start, meant = _without_what_goes(experiment, wanted), _keys_of(wanted)
@@ -135,12 +136,12 @@ def override(
 
 
 def _keys_of(table: Table) -> set[str]:
-    """Return the dotted keys that a table sets, but for those of ``[realtime]``."""
+    """Return the dotted keys that a table sets, except those of ``[realtime]``."""
     return {key for key, _ in flatten({name: part for name, part in table.items() if name != "realtime"})}
 
 
 def _without_what_goes(experiment: Experiment, wanted: Table) -> Experiment:
-    """Return the experiment without the settings of a replaced estimator or the numbers of a replaced grip."""
+    """Return the experiment without the settings of its estimator or grip, if `wanted` names another one."""
     estimator, grip = value_at(wanted, ("controller", "estimator")), value_at(wanted, ("operator", "grip"))
     if estimator is not None and estimator != experiment.controller.estimator:
         experiment = replace(experiment, controller=replace(experiment.controller, parameters={}))
@@ -150,9 +151,9 @@ def _without_what_goes(experiment: Experiment, wanted: Table) -> Experiment:
 
 
 def realtime_changes(experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what ``[realtime]`` changes, and over it what the user sets by hand, by dotted key.
+    """Return the changes in ``[realtime]`` together with the user's `changes`, which take precedence, by dotted key.
 
-    Where the device runs the law, only the keys of ``[realtime]`` about this computer apply.
+    If the device runs the law, only the keys ``host.…`` of ``[realtime]`` apply.
     """
     gentler: dict[str, Any] = dict(experiment.realtime)
     if changes.get(LOOP, experiment.controller.loop) == "device":
@@ -161,13 +162,13 @@ def realtime_changes(experiment: Experiment, changes: Mapping[str, Any]) -> dict
 
 
 def with_realtime(experiment: Experiment, changes: Mapping[str, Any] | None = None) -> Experiment:
-    """Return the experiment as it runs in real time, checked; see `realtime_changes`."""
+    """Return the checked experiment as it runs in real time, with the changes of `realtime_changes`."""
     wanted = realtime_changes(experiment, changes or {})
     return override(experiment, wanted, f"[realtime] of {experiment.rig.name}")
 
 
 def as_mapping(experiment: Experiment) -> dict[str, Any]:
-    """Return plain nested dicts for JSON; `experiment_from_mapping` makes an equal experiment of them."""
+    """Return the experiment as nested dicts for JSON, which `experiment_from_mapping` converts back."""
     return plain(experiment)  # type: ignore[no-any-return]
 
 
@@ -189,9 +190,9 @@ def _preset(name: Any, source: str) -> Table:
 
 
 def _stack(base: Table, top: Table) -> Table:
-    """Lay one experiment over another; their ``[realtime]`` tables are flattened first, so that keys meet.
+    """Return the table `base` with the keys of `top` replaced or added, also inside ``[realtime]``.
 
-    A key that the upper one sets applies in real time too: it replaces the lower one's ``[realtime]`` value.
+    A key that `top` sets applies in real time too: its value in ``[realtime]`` of `base` is dropped.
     """
     merged = overlay(base, top)
     layers = [layer["realtime"] for layer in (base, top) if "realtime" in layer]
@@ -204,7 +205,7 @@ def _stack(base: Table, top: Table) -> Table:
 
 
 def _own_servo(preset: Table, table: Table) -> frozenset[str]:
-    """Return the names of `[homing]` that follow from the rig: those not given, if its name is not the preset's."""
+    """Return the keys of ``[homing]`` to compute for the rig: those not given, if its name is not the preset's."""
     name, given = value_at(table, ("rig", "name")), table.get("homing", {})
     if name in (None, value_at(preset, ("rig", "name"))) or not isinstance(given, dict):
         return frozenset()
@@ -212,7 +213,7 @@ def _own_servo(preset: Table, table: Table) -> frozenset[str]:
 
 
 def _with_servo(x: Experiment, names: frozenset[str]) -> Experiment:
-    """Return the experiment with a homing servo for its rig, at its rate and at that of `[realtime]`."""
+    """Return the experiment with these keys of ``[homing]`` computed, for its rates and for those of ``[realtime]``."""
     if not names:
         return x
     servo = asdict(homing.stable_servo(x))
@@ -231,14 +232,14 @@ def _computable(source: str) -> Iterator[None]:
     except ArithmeticError as error:
         raise ConfigError(
             f"{source}: some values are too large or too small to compute with ({error})",
-            remedy="check units and powers of ten",
+            remedy="check the units and powers of ten of the numbers",
         ) from None
 
 
 def _with_defaults(table: Table) -> Table:
-    """Fill in what follows from other keys.
+    """Return a table with defaults that depend on other keys.
 
-    The effort limit is the nominal effort, safe for people; the numbers of an operator are those of its grip.
+    The default effort limit is the nominal effort, safe for people; the default operator follows from its grip.
     """
     limits = value_at(table, ("rig", "limits"))
     if isinstance(limits, dict) and "nominal_effort" in limits and "effort" not in limits:
@@ -254,7 +255,7 @@ def _with_defaults(table: Table) -> Table:
 
 
 def _wrong_realtime(changes: Any) -> Iterator[Problem]:
-    """Find unknown keys of ``[realtime]``; values are checked when they are applied."""
+    """Yield a problem for each unknown key of ``[realtime]``; its values are checked when they are applied."""
     for key, value in changes.items() if isinstance(changes, dict) else ():
         section, _, leaf = key.rpartition(".")
         if key not in parameters() and section != FREE:

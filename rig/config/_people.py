@@ -1,6 +1,6 @@
-"""Limits for people: a trial whose ``trial.kind`` is ``human`` has them unless its file says otherwise.
+"""Limits for people: default limits of a trial with ``trial.kind = "human"``.
 
-They are an effort of at most ``nominal_effort``, and the watch on violent oscillations (`rig.control._watch`).
+The effort is at most ``nominal_effort``, and violent oscillations end the trial (`rig.control._watch`).
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ HARD = 1e12  # N·m/rad or N/m: nothing gives but the hand, so the press holds f
 
 
 def with_human_limits(experiment: Experiment, meant: Collection[str]) -> Experiment:
-    """Return the experiment with the limits for people, where the keys `meant` make its trial a person's.
+    """Return the experiment with the limits for people, if the user's keys `meant` set ``trial.kind = "human"``.
 
-    A simulated hand presses less where the lower effort limit demands it. Keys that are `meant` themselves stay:
-    `rig.config._rules` and `human_limits_exceeded` judge those.
+    A simulated hand presses less if the lower effort limit requires it. Keys in `meant` are not changed:
+    `rig.config._rules` and `human_limits_exceeded` check them.
     """
     limits = experiment.rig.limits
     if experiment.trial.kind != "human" or "rig.limits.human" in meant:
@@ -43,7 +43,7 @@ def with_human_limits(experiment: Experiment, meant: Collection[str]) -> Experim
 
 
 def human_limits_exceeded(experiment: Experiment) -> list[str]:
-    """Return, as ``key = value``, what lets a person's trial exceed the limits for people; a real rig refuses it."""
+    """Return each key that exceeds the limits for people, as ``key = value``; on a real rig such a trial is refused."""
     limits = experiment.rig.limits
     if experiment.trial.kind != "human":
         return []

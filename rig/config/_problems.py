@@ -1,4 +1,4 @@
-"""Everything that is wrong with an experiment at once, one line for each problem."""
+"""Problems of an experiment, joined into one error with a line for each problem."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rig.core.errors import ConfigError
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One thing that is wrong: ``key = value`` (or the key alone), what it must be, and what to do."""
+    """Problem of one key: ``key = value`` (or only the key), the allowed values, and what to do."""
 
     key: str
     value: str  # as `rig.config._table.shown` writes it; empty when the key has no value
@@ -19,7 +19,7 @@ class Problem:
     remedy: str
 
     def text(self, source: str) -> str:
-        """Return one line: where, what, and why it is refused."""
+        """Return one line: source, key with value, and the violated requirement."""
         subject = f"{self.key} = {self.value}" if self.value else self.key
         return f"{source}: {subject}: {self.must}"
 
@@ -32,6 +32,6 @@ def config_error(problems: Sequence[Problem], source: str) -> ConfigError:
 
 
 def did_you_mean(name: str, known: Iterable[str], otherwise: str) -> str:
-    """Suggest the closest known name, or say `otherwise`."""
+    """Return a question with the known name closest to `name`, or `otherwise` if no known name is close."""
     close = get_close_matches(name, list(known), n=1, cutoff=0.6)
     return f"did you mean {close[0]}?" if close else otherwise

@@ -1,6 +1,6 @@
-"""Rules that tie keys together: each is a function that yields the problems it finds.
+"""Rules between several keys of an experiment; each rule is a function that yields the problems it finds.
 
-They run on an experiment whose every value is already of the right type and in its own range.
+They run after each single value has been checked for its type and range.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ LARGEST_DISC = 10_000_000  # lines of an encoder; no disc has more
 
 
 def broken_rules(experiment: Experiment) -> list[Problem]:
-    """Return the problems of all rules, empty for a consistent experiment."""
+    """Return the problems that all rules find; an empty list for a consistent experiment."""
     return [problem for rule in RULES for problem in rule(experiment)]
 
 
 def magnitudes(x: Experiment) -> Iterator[Problem]:
-    """Refuse numbers whose squares and products exceed a float: theory would have infinities without a reason.
+    """Refuse numbers so small or large that their squares and products overflow.
 
-    Settings of laws and estimators have their own ranges.
+    Settings of laws and estimators have their own ranges and are not checked here.
     """
     for key, value in flatten(plain(x)):
         if ".parameters." in key:
@@ -47,7 +47,7 @@ def magnitudes(x: Experiment) -> Iterator[Problem]:
 
 
 def rates(x: Experiment) -> Iterator[Problem]:
-    """Require T2 = N·T1 with a whole N of a dual-rate scheme."""
+    """Require that the position rate is an integer multiple of the velocity rate."""
     fast, slow = x.controller.position_rate, x.controller.velocity_rate
     if fast % slow == 0:
         return
@@ -64,7 +64,7 @@ def rates(x: Experiment) -> Iterator[Problem]:
 
 
 def wall_position(x: Experiment) -> Iterator[Problem]:
-    """Require uniform sampling where the law sees the estimator's position: it has none between samples."""
+    """Require uniform sampling if the law uses the estimator's position, which is unknown between velocity samples."""
     fast, slow = x.controller.position_rate, x.controller.velocity_rate
     if x.wall.position_from == "estimator" and fast != slow:
         yield _problem(
@@ -76,19 +76,19 @@ def wall_position(x: Experiment) -> Iterator[Problem]:
 
 
 def slow_rate(x: Experiment) -> Iterator[Problem]:
-    """Require a whole number of velocity periods between the samples of an adaptive rate."""
+    """Require that the slow velocity rate of adaptive sampling divides the velocity rate."""
     slow, rate = x.controller.slow_velocity_rate, x.controller.velocity_rate
     if slow is not None and (slow > rate or rate % slow):
         yield _problem(
             x,
             "controller.slow_velocity_rate",
             f"must divide controller.velocity_rate = {rate} Hz",
-            f"for example {rate // 2 if rate % 2 == 0 else 1} Hz",
+            f"set a divisor of it, for example {rate // 2 if rate % 2 == 0 else 1} Hz",
         )
 
 
 def encoder(x: Experiment) -> Iterator[Problem]:
-    """Require lines of a rotary encoder and a quantum of a linear one (`Encoder` requires one of the two)."""
+    """Require the number of lines for a rotary encoder, and the quantum (m per count) for a linear encoder."""
     motion, lines = x.rig.motion, x.rig.encoder.counts_per_revolution
     if motion == "rotary" and lines is None:
         yield _wrong_encoder(x, "quantum", "counts_per_revolution", "linear")
@@ -96,7 +96,7 @@ def encoder(x: Experiment) -> Iterator[Problem]:
         yield _wrong_encoder(x, "counts_per_revolution", "quantum", "rotary")
     elif lines is not None and lines > LARGEST_DISC:
         key = "rig.encoder.counts_per_revolution"
-        yield _problem(x, key, f"must be > 0 and ≤ {LARGEST_DISC}", "take it from the data sheet")
+        yield _problem(x, key, f"must be > 0 and ≤ {LARGEST_DISC}", "give the lines in its data sheet")
 
 
 def _wrong_encoder(x: Experiment, given: str, wanted: str, other: Motion) -> Problem:
@@ -111,7 +111,7 @@ def _wrong_encoder(x: Experiment, given: str, wanted: str, other: Motion) -> Pro
 
 
 def reference(x: Experiment) -> Iterator[Problem]:
-    """Require that an index is unique in the travel, or behind a limit switch."""
+    """Require that the travel contains only one index of the encoder, or that a limit switch identifies one."""
     given, key, unit = x.rig.reference, "rig.reference", _unit(x, "position")
     if not given.index:
         if given.limit_switch != "none":
@@ -132,7 +132,7 @@ def reference(x: Experiment) -> Iterator[Problem]:
             x,
             f"{key}.index_distance",
             f"must be at least {LEAST_INDEX_COUNTS} counts, {LEAST_INDEX_COUNTS * x.rig.encoder.resolution:.3g} {unit}",
-            "give it: the encoder's data sheet has it",
+            "give the distance between two indices from the encoder's data sheet",
         )
     elif given.travel is None or given.travel < window:
         yield _problem(
@@ -161,7 +161,7 @@ def reference(x: Experiment) -> Iterator[Problem]:
 
 
 def cogging(x: Experiment) -> Iterator[Problem]:
-    """Require a cosine and a sine for each order of cogging, which is a harmonic of a period."""
+    """Require valid orders, one cosine and one sine for each order, a period, and a valid range of the cogging map."""
     given, key = x.rig.cogging, "rig.cogging"
     if len(set(given.orders)) < len(given.orders) or not all(1 <= n <= MOST_ORDER for n in given.orders):
         yield _problem(
@@ -210,7 +210,7 @@ def _ripple(x: Experiment) -> Iterator[Problem]:
 
 
 def cogging_compensation(x: Experiment) -> Iterator[Problem]:
-    """Yield what cogging compensation lacks: a map with its range, an index, or a law on the host."""
+    """Require a cogging map with its range, an encoder index, and a law on the host for cogging compensation."""
     if not x.controller.cogging_compensation:
         return
     given, key = x.rig.cogging, "controller.cogging_compensation"
@@ -219,29 +219,32 @@ def cogging_compensation(x: Experiment) -> Iterator[Problem]:
             x,
             key,
             "needs a map: rig.cogging.orders, minimum and maximum",
-            "`rig identify --cogging` measures it",
+            "measure the map with `rig identify --cogging`",
         )
     if not x.rig.reference.index:
         yield _problem(
             x,
             key,
             "needs a position zero from an index (rig.reference.index); otherwise the map may be shifted",
-            "wire the encoder's index and describe it in [rig.reference], or set it to false",
+            f"wire the encoder's index and describe it in [rig.reference], or set {key} = false",
         )
     if x.controller.loop == "device":
         yield _problem(
             x,
             key,
             'must be false with controller.loop = "device": the firmware does not compensate cogging',
-            'set it to false, or let the host run the law (controller.loop = "host")',
+            f'set {key} = false, or let the host run the law (controller.loop = "host")',
         )
 
 
 def handle(x: Experiment) -> Iterator[Problem]:
-    """Require that on a linear rig the handle moves as far as the encoder."""
+    """Require a handle radius of 1 on a linear rig, where the handle moves as far as the encoder."""
     if x.rig.motion == "linear" and x.rig.mechanics.handle_radius != 1.0:
         yield _problem(
-            x, "rig.mechanics.handle_radius", "must be 1 on a linear rig, which has no lever arm", "remove it"
+            x,
+            "rig.mechanics.handle_radius",
+            "must be 1 on a linear rig, which has no lever arm",
+            "remove this key",
         )
 
 
@@ -254,15 +257,15 @@ def current(x: Experiment) -> Iterator[Problem]:
             x,
             "rig.amplifier.effort_limit",
             f"must be ≤ {largest:.4g} {_unit(x, 'effort')}, which is {LARGEST_CURRENT} current quanta",
-            "make rig.amplifier.current_quantum_a coarser",
+            "raise rig.amplifier.current_quantum_a",
         )
 
 
 def profile(x: Experiment) -> Iterator[Problem]:
-    """Yield the values of the rig's amplifier that contradict the profile named."""
+    """Require that the values of the rig's amplifier agree with its profile."""
     amplifier, key = x.rig.amplifier, "rig.amplifier.profile"
     if (why := amplifiers.REFUSED.get(amplifier.profile)) is not None:
-        yield _problem(x, key, why, "take a bridge with phase and enable inputs: voltage-bridge")
+        yield _problem(x, key, why, 'use a bridge with phase and enable inputs ("voltage-bridge")')
         return
     if amplifier.profile not in amplifiers.names():
         known = f"choose one of: {', '.join(amplifiers.names())}"
@@ -275,13 +278,16 @@ def profile(x: Experiment) -> Iterator[Problem]:
             x,
             "rig.amplifier.drive",
             f"must be {known_of.drive} with {key} = {shown(known_of.name)}",
-            f"set it to {known_of.drive}"
+            f"set rig.amplifier.drive to {known_of.drive}"
             if known_of.drive == "current"
-            else "and set back_emf_damping: k_t²/R",
+            else "set it to voltage, and rig.amplifier.back_emf_damping to k_t²/R at the link",
         )
     if amplifier.drive == "voltage" and known_of.drive == "voltage" and amplifier.back_emf_damping == 0.0:
         yield _problem(
-            x, "rig.amplifier.back_emf_damping", "must be > 0 on a plain bridge", "k_t²/R at the link"
+            x,
+            "rig.amplifier.back_emf_damping",
+            "must be > 0 on a plain bridge",
+            "set it to k_t²/R at the link",
         )
     if amplifier.set_point_delay_s < known_of.set_point_delay_s * (1.0 - 1e-9):
         yield _problem(
@@ -294,7 +300,7 @@ def profile(x: Experiment) -> Iterator[Problem]:
 
 
 def efforts(x: Experiment) -> Iterator[Problem]:
-    """Require that the motor bounds the guard, and the guard the efforts that are configured."""
+    """Require effort limits of the guard below the motor's limit, and configured efforts below those of the guard."""
     limits, motor = x.rig.limits, x.rig.amplifier.effort_limit
     for key, value, bound_key, bound in (
         ("rig.limits.nominal_effort", limits.nominal_effort, "rig.amplifier.effort_limit", motor),
@@ -317,19 +323,19 @@ def efforts(x: Experiment) -> Iterator[Problem]:
             "rig.limits.effort",
             f"must be at most rig.limits.nominal_effort, {limits.nominal_effort:g} {_unit(x, 'effort')}, "
             "while a person holds the handle (rig.limits.human = true)",
-            "lower it; or set rig.limits.override_stall = true and take responsibility for it",
+            "lower rig.limits.effort; or set rig.limits.override_stall = true and take responsibility for it",
         )
 
 
 def window(x: Experiment) -> Iterator[Problem]:
-    """Require wall, start and rest position inside the window."""
+    """Require wall, start and initial position inside the position window."""
     low, high, unit = x.rig.limits.position_minimum, x.rig.limits.position_maximum, _unit(x, "position")
     if low >= high:
         yield _problem(
             x,
             "rig.limits.position_minimum",
             f"must be below position_maximum, {high:g} {unit}",
-            "swap the two",
+            "swap the two values",
         )
         return
     for key, value in (
@@ -342,7 +348,7 @@ def window(x: Experiment) -> Iterator[Problem]:
                 x,
                 key,
                 f"must lie inside the position window, {low:g} to {high:g} {unit}",
-                "move it, or widen rig.limits.position_minimum and position_maximum if the rig allows it",
+                f"change {key}, or widen rig.limits.position_minimum and position_maximum if the rig allows it",
             )
 
 
@@ -370,7 +376,7 @@ def approach(x: Experiment) -> Iterator[Problem]:
 
 
 def choreography(x: Experiment) -> Iterator[Problem]:
-    """Refuse cue, free contact and hold where no person pushes."""
+    """Refuse baseline, foreperiod and hold time in a trial without a person, which has no cue."""
     if x.trial.kind == "human":
         return
     for name in ("baseline_s", "foreperiod_s", "hold_s"):
@@ -379,12 +385,12 @@ def choreography(x: Experiment) -> Iterator[Problem]:
                 x,
                 f"trial.{name}",
                 f'must be 0 with trial.kind = "{x.trial.kind}", which has no cue and starts at a fixed time',
-                'leave it out, or set trial.kind = "human"',
+                f'remove trial.{name}, or set trial.kind = "human"',
             )
 
 
 def rest(x: Experiment) -> Iterator[Problem]:
-    """Refuse a push that rests less than a few counts deep: it would test the encoder, not the wall."""
+    """Refuse a push that comes to rest only a few counts deep in the wall: it would test the encoder, not the wall."""
     if x.wall.stiffness == 0 or any(True for _ in encoder(x)):
         return
     resolution, least = x.rig.encoder.resolution, x.trial.minimum_rest_counts
@@ -400,12 +406,12 @@ def rest(x: Experiment) -> Iterator[Problem]:
         key,
         f"must be at least {asked}: against wall.stiffness = {x.wall.stiffness:g} {_unit(x, 'stiffness')} it rests "
         f"{least * push / needed:.2g} counts deep, less than trial.minimum_rest_counts = {least:g}",
-        f"push harder, or choose a wall.stiffness of at most {softest:.3g} {_unit(x, 'stiffness')}",
+        f"raise {key}, or choose a wall.stiffness of at most {softest:.3g} {_unit(x, 'stiffness')}",
     )
 
 
 def press(x: Experiment) -> Iterator[Problem]:
-    """Refuse a person's press above the effort that the wall may return."""
+    """Refuse a press of the hand whose effort exceeds the effort limit of the wall."""
     push, limit = push_at_rest(x), x.rig.limits.effort
     if x.trial.kind == "human" and push > limit:
         effort = _unit(x, "effort")
@@ -414,12 +420,12 @@ def press(x: Experiment) -> Iterator[Problem]:
             "operator.press",
             f"must leave the push, {push:.3g} {effort} at the link with the spring of the hand, at most "
             f"rig.limits.effort, {limit:g} {effort}",
-            "press less, or raise rig.limits.effort if the motor allows it",
+            "lower operator.press, or raise rig.limits.effort if the motor allows it",
         )
 
 
 def reach(x: Experiment) -> Iterator[Problem]:
-    """Require that a person's reach ends before the judged tail; with a hold, before the wait for a contact ends."""
+    """Require that a person's reach ends before the judged tail; with a hold time, within the wait for a contact."""
     end = x.operator.begin_s + x.operator.reach_s
     if x.trial.hold_s > 0.0:
         if x.trial.kind == "human" and end > x.trial.duration_s:
@@ -444,7 +450,7 @@ def reach(x: Experiment) -> Iterator[Problem]:
 
 
 def speeds(x: Experiment) -> Iterator[Problem]:
-    """Require a homing speed below the speed that ends a run."""
+    """Require a homing speed below the speed limit of the guard."""
     if x.homing.speed >= x.rig.limits.speed:
         yield _problem(
             x,
@@ -455,26 +461,26 @@ def speeds(x: Experiment) -> Iterator[Problem]:
 
 
 def times(x: Experiment) -> Iterator[Problem]:
-    """Require that the judged tail is a part of the push and that its band has a width."""
+    """Require that the judged tail is shorter than the push, and that its band has a width above 0."""
     if x.trial.kind != "excitation" and x.verdict.tail_s >= push_s(x):
         of = "hold_s" if x.trial.hold_s else "duration_s"
         yield _problem(
             x,
             "verdict.tail_s",
             f"must be shorter than trial.{of}, {push_s(x):g} s",
-            "shorten the tail or lengthen the trial",
+            f"shorten verdict.tail_s or lengthen trial.{of}",
         )
     if x.verdict.highpass_hz >= x.verdict.lowpass_hz:
         yield _problem(
             x,
             "verdict.highpass_hz",
             f"must be below verdict.lowpass_hz, {x.verdict.lowpass_hz:g} Hz",
-            "swap the two",
+            "swap the two values",
         )
 
 
 def excitation(x: Experiment) -> Iterator[Problem]:
-    """Require of a multisine lines that the loop can play, and one size; Schroeder's phases have no seed."""
+    """Require a multisine with lines that the loop can generate, one size, and one realisation of Schroeder phases."""
     e, rate = x.excitation, x.controller.position_rate
     if e.low_hz > e.high_hz:
         yield _problem(
@@ -486,11 +492,11 @@ def excitation(x: Experiment) -> Iterator[Problem]:
             "excitation.period_s",
             f"must have a line between {e.low_hz:g} and {e.high_hz:g} Hz: the lines are "
             f"{1.0 / e.period_s:g} Hz apart",
-            "lengthen the period or widen the band",
+            "lengthen the period, or widen the band from low_hz to high_hz",
         )
     if e.rms is not None and e.peak is not None:
         yield _problem(
-            x, "excitation.peak", "must be left out where excitation.rms is given", "drop one of the two"
+            x, "excitation.peak", "must be left out when excitation.rms is given", "remove rms or peak"
         )
     if e.kind == "schroeder" and e.realisations > 1:
         yield _problem(
@@ -506,7 +512,7 @@ def excitation(x: Experiment) -> Iterator[Problem]:
             x,
             "excitation.high_hz",
             f"must be below {0.5 * rate:g} Hz, half of controller.position_rate",
-            "end the band lower, or run the loop faster",
+            "lower excitation.high_hz, or raise controller.position_rate",
         )
     ticks = e.period_s * rate
     if abs(ticks - round(ticks)) > 1e-6:
@@ -519,27 +525,27 @@ def excitation(x: Experiment) -> Iterator[Problem]:
 
 
 def heartbeat(x: Experiment) -> Iterator[Problem]:
-    """Require of a heartbeat at least the time that a supervising program needs, or 0 (no check)."""
+    """Require a heartbeat time of 0 (no check), or one that is long enough for the supervising thread."""
     # The supervising thread runs some fifty times a second, when it gets the interpreter.
     if 0.0 < x.host.heartbeat_s < SHORTEST_HEARTBEAT_S:
         yield _problem(
             x,
             "host.heartbeat_s",
             f"must be 0 or at least {SHORTEST_HEARTBEAT_S:g} s",
-            "give the supervising program more time, or set 0, which never ends a run",
+            f"set at least {SHORTEST_HEARTBEAT_S:g} s, or 0 to run without this check",
         )
 
 
 def device_loop(x: Experiment) -> Iterator[Problem]:
-    """Require of a law on the device that the device paces it and that overruns do not stop the run."""
+    """Require pacing by the device, and runs that an overrun does not end, if the law runs on the device."""
     if x.controller.loop != "device":
         return
     why = 'where the device runs the law (controller.loop = "device")'
     if x.host.pacing == "host":
-        yield _problem(x, "host.pacing", f'must be "device" {why}', "leave it out")
+        yield _problem(x, "host.pacing", f'must be "device" {why}', "remove this key")
     if x.host.overrun == "stop":
         yield _problem(
-            x, "host.overrun", f'must be "skip" {why}', "leave it out: the device counts its own ticks"
+            x, "host.overrun", f'must be "skip" {why}', "remove this key: the device counts its own ticks"
         )
 
 

@@ -1,8 +1,8 @@
 """Keys of an experiment file: one dataclass per section, every range, unit and meaning in its annotation.
 
-The annotations are the only place of a range or a unit; the validator, the error messages, the listing of a
-plan and the schema for editors all read them from here (see `rig.config._table`). Rules that tie two keys
-together are in `rig.config._rules`. The physics of the rig is typed by `rig.core.model`.
+Ranges and units are only in the annotations; the validator, the error messages, the listing of a plan and the schema
+for editors read them from here (see `rig.config._table`). Rules between several keys are in `rig.config._rules`.
+`rig.core.model` has the sections about the physics of the rig.
 
 Positions, efforts and stiffnesses are at the link, in SI units, which depend on ``rig.motion``
 (`rig.core.sample.unit_of`).
@@ -32,7 +32,7 @@ Setting = bool | int | float | str
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Limits:
-    """Limits that the guard enforces on this rig, whatever the law commands."""
+    """Section ``[rig.limits]``: limits that the guard enforces, whatever the law commands."""
 
     nominal_effort: Annotated[
         float, Gt(0), Quantity("effort", "continuous effort of the motor, without overheating")
@@ -100,7 +100,7 @@ class Limits:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Rig:
-    """The machine: its physics as far as it is known, and its limits."""
+    """Section ``[rig]``: the machine, with its physics and its limits."""
 
     name: Annotated[str, MinLen(1), Quantity("", "short name, written into recordings")]
     motion: Annotated[Motion, Quantity("", "decides the units: rad and N·m, or m and N")]
@@ -133,7 +133,7 @@ BOARD_ARITHMETICS = ("fixed", "float32")  # in which a board renders the wall it
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Controller:
-    """Rates of the law and the velocity estimator; where the law runs."""
+    """Section ``[controller]``: rates of the law, velocity estimator, and where the law runs."""
 
     position_rate: Annotated[
         int,
@@ -238,13 +238,13 @@ class Controller:
 
     @property
     def wall_is_elsewhere(self) -> bool:
-        """Return True if neither this computer nor the board renders the wall, but what is behind the board."""
+        """Return True if a drive behind the board renders the wall, not this computer or the board."""
         return self.loop == "device" and self.arithmetic not in ("auto", *BOARD_ARITHMETICS)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Wall:
-    """The virtual wall: stiffness · penetration + damping · velocity inside, nothing outside."""
+    """Section ``[wall]``: the virtual wall; inside it the effort is stiffness · penetration + damping · velocity."""
 
     stiffness: Annotated[float, Ge(0), Quantity("stiffness", "K")]
     damping: Annotated[float, Ge(0), Quantity("damping", "B")]
@@ -282,7 +282,7 @@ class Wall:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Homing:
-    """The soft servo that takes the handle to the start of a trial."""
+    """Section ``[homing]``: the soft servo that moves the handle to the start of a trial."""
 
     speed: Annotated[float, Gt(0), Quantity("velocity", "speed of the set point")]
     stiffness: Annotated[float, Gt(0), Quantity("stiffness", "stiffness of the servo to the set point")]
@@ -307,7 +307,7 @@ class Homing:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Trial:
-    """One hit: from the start into the wall, pushed by a constant effort, or by a person who holds the handle."""
+    """Section ``[trial]``: one hit from the start into the wall, by a constant effort or by a person."""
 
     effort: Annotated[
         float,
@@ -385,9 +385,9 @@ class Trial:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Excitation:
-    """Excitation of the handle for a measurement of impedance: whole periods of a multisine.
+    """Section ``[excitation]``: whole periods of a multisine at the handle, to measure impedance.
 
-    Its lines are all multiples of 1/period_s in the band. The wall is bilateral meanwhile, about wall.position.
+    Its lines are all multiples of 1/period_s in the band. The wall is then bilateral about wall.position.
     """
 
     kind: Annotated[
@@ -440,7 +440,7 @@ class Excitation:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Host:
-    """How the loop runs on this computer, in real time; virtual time knows nothing of it but `pacing`."""
+    """Section ``[host]``: how the loop runs on this computer in real time; virtual time uses only `pacing`."""
 
     realtime: Annotated[
         Literal["enforce", "try", "off"],
@@ -483,7 +483,7 @@ class Host:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class VerdictLimits:
-    """Thresholds of the verdict, at the handle; `Mechanics.handle_radius` turns them for a rotary rig."""
+    """Section ``[verdict]``: thresholds at the handle; `Mechanics.handle_radius` converts them for a rotary rig."""
 
     tail_s: Annotated[
         float, Gt(0), Le(3600), Quantity("s", "duration of the judged last part of the push")
@@ -539,7 +539,7 @@ class VerdictLimits:
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class Experiment(Shown):
-    """A whole experiment, validated. `realtime` holds what `with_realtime` changes, by dotted key."""
+    """Complete, validated experiment. `realtime` has the changes for a run in real time, by dotted key."""
 
     rig: Rig
     controller: Controller
@@ -557,7 +557,7 @@ class Experiment(Shown):
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     def headline(self) -> str:
-        """Return the rig, wall and scheme in one line."""
+        """Return rig, wall and sampling scheme as one line."""
         motion, wall, rates = self.rig.motion, self.wall, self.controller
         scheme = "uniform" if rates.position_rate == rates.velocity_rate else "dual-rate"
         return (
@@ -568,7 +568,7 @@ class Experiment(Shown):
         )
 
     def brief(self) -> list[Item]:
-        """Return the wall, scheme, law, what pushes, for how long."""
+        """Return rig, wall, scheme, law, source of the push and its duration, to print."""
         trial, motion = self.trial, self.rig.motion
         push = f"{trial.effort:g} {unit_of('effort', motion)}"
         who = {"human": f"a hand with a {self.operator.grip} grip", "excitation": "an excitation"}
@@ -582,7 +582,7 @@ class Experiment(Shown):
         ]
 
     def detailed(self) -> list[Item]:
-        """Return every key of the file, with its value."""
+        """Return a table of all keys with their values."""
         return [self.headline(), Table(("key", "value"), list(_leaves(self, "")), words=2)]
 
 

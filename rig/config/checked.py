@@ -1,11 +1,10 @@
-"""Read TOML files of a declared kind: nest and check them by a dataclass, and report every problem at once.
+"""Read and check TOML files of any declared kind by a dataclass, and report all problems at once.
 
 Experiments, protocols of studies and descriptions of boards are such files; each kind declares its dataclass as a
-`FileKind`. Types and ranges of every key are checked here, each by itself; rules that tie keys together belong to the
-kind of file.
+`FileKind`. This file checks type and range of each key alone; the owner of the kind checks rules between keys.
 
 `rig.config`, sessions, the boards of `rig.firmware`, the data sheets of `rig.experiments` and the console call it. It
-must not know any kind of file.
+must not depend on a certain kind of file.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ _WRITE = {
     "whole number": "write a whole number, without quotes",
     "true or false": "write true or false, without quotes",
     "text": "write text in quotes",
-    "choice": "choose one of these, written exactly so",
+    "choice": "write one of the allowed values exactly as it is listed",
     "list of number": "write numbers in brackets, like [0.0, 0.5]",
     "list of whole number": "write whole numbers in brackets, like [1, 7]",
     "list of text": 'write texts in brackets, like ["a", "b"]',
@@ -60,18 +59,18 @@ _WRITE = {
 
 @dataclass(frozen=True)
 class FileKind(Generic[T]):
-    """A kind of file.
+    """Kind of a TOML file.
 
     Attributes
     ----------
     root
-        The dataclass that it describes; its fields are sections.
+        Dataclass of the file's content; its fields are the sections.
     whole
-        Subject of such a file, for messages.
+        Name of the content in messages, like "the experiment".
     also
-        Keys that a file may have at the top beside the sections.
+        Further keys that a file may have at the top level.
     otherwise
-        Alternative remedy where something is missing, as the end of a sentence; may be empty.
+        Alternative remedy for a missing key, as the end of a sentence; may be empty.
     """
 
     root: type[T]
@@ -80,27 +79,27 @@ class FileKind(Generic[T]):
     otherwise: str = ""
 
     def parameters(self) -> Mapping[str, ConfigKey]:
-        """Return every key of such a file, by its dotted name."""
+        """Return each key of a file of this kind, by its dotted name."""
         root: Any = self.root  # mypy finds type[T] not hashable
         return parameters_of(root)
 
     def sections(self) -> Mapping[str, tuple[str, ...]]:
-        """Return the keys of each table, by its name."""
+        """Return the keys in each table of a file of this kind, by the table's dotted name."""
         root: Any = self.root
         return sections_of(root, self.also)
 
     def known_instead(self, section: str, leaf: str) -> str:
-        """Suggest what an unknown key may have meant: the nearest of its section, or the same name elsewhere."""
+        """Return a remedy for an unknown key: the closest key of its section, or the same name in another section."""
         siblings = self.sections().get(section, ())
         elsewhere = [key.replace("[]", "") for key in self.parameters() if key.rpartition(".")[2] == leaf]
         otherwise = (
-            f"did you mean {' or '.join(elsewhere)}?" if elsewhere else f"known here: {', '.join(siblings)}"
+            f"did you mean {' or '.join(elsewhere)}?" if elsewhere else f"known keys: {', '.join(siblings)}"
         )
         return did_you_mean(leaf, siblings, otherwise)
 
 
 def parse_table(kind: FileKind[T], table: Table, motion: Motion | None) -> tuple[T | None, list[Problem]]:
-    """Check every key and value by itself.
+    """Return the content of a table as the kind's dataclass (None if invalid), and the problems of single keys.
 
     Parameters
     ----------
@@ -125,16 +124,17 @@ def parse_table(kind: FileKind[T], table: Table, motion: Motion | None) -> tuple
 def apply_changes(
     kind: FileKind[T], described: T, changes: Table, motion: Motion | None
 ) -> tuple[T, list[Problem]]:
-    """Set some keys of what is checked already; only their new values are checked, each by itself.
+    """Return a copy of a checked dataclass with some keys changed, and the problems of the new values.
 
     Parameters
     ----------
     kind
-        Kind of the file that it came from.
+        Kind of file to which `described` belongs.
     described
-        Values to start from; they are not changed.
+        Checked values to start from; they are not changed.
     changes
-        Nested tables (`rig.config._files.nest`) of new values; in a table of free keys they join those that are there.
+        New values in nested tables (`rig.config._files.nest`). In a table with free keys, they are added to the
+        existing entries.
     motion
         As in `parse_table`.
     """
@@ -145,7 +145,7 @@ def apply_changes(
 
 
 class _Changing:
-    """Dataclasses with other values, and what is wrong with those: an error of pydantic, and the tables it is about."""
+    """Makes changed copies of dataclasses; collects pydantic's errors, each with the table that it is about."""
 
     def __init__(self, whole: Table) -> None:
         self._whole = whole
@@ -194,7 +194,7 @@ class _Changing:
 
 
 def plain(value: Any) -> Any:
-    """Return a dataclass as nested dicts; a value None is left out, and read back as None."""
+    """Return a dataclass as nested dicts; fields with value None are omitted."""
     kind: Any = type(value)  # mypy finds types not hashable
     if kind in LEAVES:
         return value
@@ -207,7 +207,7 @@ def plain(value: Any) -> Any:
 
 
 def value_at(table: Any, path: Iterable[str]) -> Any:
-    """Return the value at a path, with list places counted from 0; None where nothing is stored."""
+    """Return the value at a path of keys and list indices (from 0); None if it does not exist."""
     value: Any = table
     for part in path:
         if isinstance(value, list) and part.isdecimal():
@@ -218,7 +218,7 @@ def value_at(table: Any, path: Iterable[str]) -> Any:
 
 
 def place(path: Sequence[str]) -> str:
-    """Name a place for people: the second table of [[condition]] is ``condition 2``."""
+    """Return a path as text; the second table of [[condition]] is ``condition 2``."""
     text = ""
     for part in path:
         text += f" {int(part) + 1}" if part.isdecimal() else f".{part}"
@@ -242,7 +242,7 @@ def _adapter_of_key(section: type, name: str) -> Any:
 
 
 def _jsonable(value: Any) -> Any:
-    """Replace what JSON cannot write by what no key accepts."""
+    """Replace values that JSON cannot represent by values that no key accepts (infinity, empty list)."""
     if isinstance(value, dict):
         return {key: _jsonable(inner) for key, inner in value.items()}
     if isinstance(value, list):
@@ -253,7 +253,7 @@ def _jsonable(value: Any) -> Any:
 
 
 def _problem_of(error: ErrorDetails, kind: FileKind[Any], table: Table, motion: Motion | None) -> Problem:
-    """Turn an error of pydantic into a `Problem`."""
+    """Return the `Problem` for an error of pydantic."""
     path, pattern = _within_leaf([str(part) for part in error["loc"]], kind)
     key, section, leaf = ".".join(pattern), ".".join(pattern[:-1]), path[-1] if path else ""
     where, value = place(path), value_at(table, path)
@@ -261,7 +261,7 @@ def _problem_of(error: ErrorDetails, kind: FileKind[Any], table: Table, motion: 
         return Problem(where, "", "is not a known key", kind.known_instead(section, leaf))
     owner = kind.parameters().get(section)
     if owner is not None and owner.kind == "table":
-        return Problem(where, shown(value), f"must be {owner.values}", "write one of these")
+        return Problem(where, shown(value), f"must be {owner.values}", f"write {owner.values}")
     parameter = kind.parameters().get(key)
     if parameter is None or parameter.kind == "table":
         return _wrong_section(error, kind, key, path, value)
@@ -274,7 +274,7 @@ def _problem_of(error: ErrorDetails, kind: FileKind[Any], table: Table, motion: 
 
 
 def _within_leaf(path: list[str], kind: FileKind[Any]) -> tuple[list[str], list[str]]:
-    """Cut off what follows a key (elements of a list, arms of a union); the path, and its name in the table."""
+    """Return a pydantic path up to the key (without list elements and union arms), and the key's dotted name parts."""
     pattern: list[str] = []
     for length, part in enumerate(path, start=1):
         if part.isdecimal() and pattern and ".".join(pattern) not in kind.parameters():
@@ -317,11 +317,11 @@ def _wrong_section(
 
 
 def better(value: Any, parameter: ConfigKey) -> str:
-    """Return the remedy for a wrong value: the nearest choice, or how to write it."""
+    """Return the remedy for a wrong value: the closest choice, or how to write the value."""
     kind = parameter.kind
     if kind == "choice" and isinstance(value, str):
         known = [choice for choice in parameter.choices if isinstance(choice, str)]
-        return did_you_mean(value, known, "choose one of these")
+        return did_you_mean(value, known, "write one of the allowed words")
     if kind == "whole number" and isinstance(value, float) and value.is_integer():
         return (
             "write a whole number in this range"
@@ -334,7 +334,7 @@ def better(value: Any, parameter: ConfigKey) -> str:
 
 
 def _mistaken_choices(kind: FileKind[Any], table: Table) -> Iterator[Problem]:
-    """Find true or 1.0 where a choice is the whole number 1: equal in Python, but not in a file."""
+    """Yield a problem for true or 1.0 in place of the choice 1: they are equal in Python, but not in a file."""
     root: Any = kind.root
     for key, parameter in _numbered_keys(root):
         value = value_at(table, key.split("."))
@@ -345,7 +345,7 @@ def _mistaken_choices(kind: FileKind[Any], table: Table) -> Iterator[Problem]:
 
 @cache
 def _numbered_keys(root: Any) -> tuple[tuple[str, ConfigKey], ...]:
-    """Return the keys below a dataclass that choose among numbers."""
+    """Return the keys of a dataclass whose choices are numbers."""
     found = parameters_of(root).items()
     return tuple(
         (key, one) for key, one in found if not all(isinstance(choice, str) for choice in one.choices)

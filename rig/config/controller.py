@@ -1,8 +1,8 @@
-"""From an experiment to the numbers of one run: the controller of the loop, and the parameters of the device.
+"""Prepare the controller of the loop and the parameters of the device from an experiment.
 
-One place turns configured quantities into ticks, counts and quanta: the host's law (`for_experiment`) and the device's
-parameters (`device_parameters`) come from the same values. `prepare_controller` makes both once for a run: a plan
-shows, checks and executes that object.
+Only this file converts configured quantities to ticks, counts and quanta: the host's law (`for_experiment`) and the
+device's parameters (`device_parameters`) use the same values. `prepare_controller` makes both once for a run; a plan
+shows, checks and executes this object.
 
 Plans, trials, hits, maps, the design, `rig.doctor.gate` and self tests of boards call it. It must not open a device,
 nor write to one.
@@ -42,7 +42,7 @@ I16_MAXIMUM = 32767
 
 
 def resolution(experiment: Experiment) -> float:
-    """Return the travel for one count (rad or m), negative when counts fall while the position rises."""
+    """Return the travel per count (rad or m); negative when counts fall while the position rises."""
     encoder = experiment.rig.encoder
     return encoder.sign * encoder.resolution
 
@@ -53,7 +53,7 @@ def effort_quantum(experiment: Experiment, current_quantum_a: float) -> float:
 
 
 def current_limit(experiment: Experiment, current_quantum_a: float) -> int:
-    """Return the largest whole number of quanta within the effort limit: what guard and device both clip to."""
+    """Return the current limit of guard and device: the most whole quanta within the effort limit."""
     # The factor makes 10.999… quanta 11: the quotient of two decimals is rounded.
     return math.floor(
         experiment.rig.limits.effort / effort_quantum(experiment, current_quantum_a) * (1.0 + 1e-12)
@@ -61,7 +61,7 @@ def current_limit(experiment: Experiment, current_quantum_a: float) -> int:
 
 
 def oscillation_limit(experiment: Experiment) -> int:
-    """Return the oscillations of the effort in a row that end a trial (`rig.control._watch`); 0: any number."""
+    """Return the number of successive effort oscillations that ends a trial (`rig.control._watch`); 0: no limit."""
     # An excitation makes the effort oscillate itself.
     if experiment.trial.kind == "excitation":
         return 0
@@ -72,30 +72,30 @@ def oscillation_limit(experiment: Experiment) -> int:
 
 
 def energy_limit(experiment: Experiment) -> float:
-    """Return the energy that the motor may give in a trial (J); 0: any. An excitation gives as much as it must."""
+    """Return the largest energy that the motor may give in a trial (J); 0: no limit, as in an excitation."""
     return 0.0 if experiment.trial.kind == "excitation" else experiment.rig.limits.energy or 0.0
 
 
 def for_experiment(
     experiment: Experiment, *, current_quantum_a: float, reference_count: int = 0, law: Law | None = None
 ) -> ControllerState:
-    """Build the controller of one trial.
+    """Return the controller of one trial.
 
     Parameters
     ----------
     experiment
         Validated experiment.
     current_quantum_a
-        Quantum that the device declares (A).
+        Current quantum that the device reports (A).
     reference_count
-        Count at position zero.
+        Encoder count at position zero.
     law
-        Stands in for the law that the experiment names.
+        Law to use instead of the one that the experiment names.
 
     Raises
     ------
     ConfigError
-        An unknown estimator or law, or settings that cannot be realised at these rates.
+        Estimator or law is unknown, or its settings cannot be realised at the rates of the experiment.
     """
     rates, wall, homing, trial, limits = (
         experiment.controller,
@@ -163,7 +163,10 @@ def for_experiment(
 
 
 def _position_state(estimator: Estimator) -> int:
-    """Return where an estimator keeps its position, as `CONTROL` has it; `ConfigError` for one that has none."""
+    """Return the value of `position_state` in `CONTROL`: 1 + index of the estimator's position in its state.
+
+    Raise `ConfigError` for an estimator that does not estimate a position.
+    """
     if estimator.position is None:
         raise ConfigError(
             f'wall.position_from = "estimator": the estimator {estimator.name} estimates no position',
@@ -173,7 +176,7 @@ def _position_state(estimator: Estimator) -> int:
 
 
 def _free_space(experiment: Experiment) -> dict[str, float]:
-    """Return where the handle may be before the cue: up to half of its way to the wall."""
+    """Return the allowed range of the handle before the cue (rad or m): up to halfway to the wall."""
     limits, halfway = experiment.rig.limits, 0.5 * (experiment.trial.start + experiment.wall.position)
     free = {"free_minimum": limits.position_minimum, "free_maximum": limits.position_maximum}
     if free_s(experiment) > 0.0:
@@ -182,7 +185,7 @@ def _free_space(experiment: Experiment) -> dict[str, float]:
 
 
 def _law(experiment: Experiment, law: Law) -> Law:
-    """Return the law with friction and cogging compensated, as far as the experiment wants that."""
+    """Return the law with the compensation of friction and cogging that the experiment requires."""
     rates, rig = experiment.controller, experiment.rig
     if rates.friction_compensation > 0.0:
         law = _without_friction(experiment, law)
@@ -192,7 +195,7 @@ def _law(experiment: Experiment, law: Law) -> Law:
 
 
 def _without_friction(experiment: Experiment, law: Law) -> Law:
-    """Return the law with the Coulomb friction of the experiment compensated."""
+    """Return the law with a compensation of the rig's Coulomb friction."""
     # On two masses that of the motor side alone: the link's lies behind the capstan, and compensating it from the motor
     # would add more energy than it removes.
     rates, mechanics = experiment.controller, experiment.rig.mechanics
@@ -209,7 +212,7 @@ def _without_friction(experiment: Experiment, law: Law) -> Law:
 
 
 def command_lifetime_s(experiment: Experiment) -> float:
-    """Return how long a command holds without the next (s): 5 ticks, 3 to 20 ms, unless configured."""
+    """Return the lifetime of a command without a successor (s): as configured, or 5 ticks within 3 to 20 ms."""
     configured = experiment.controller.command_lifetime_s
     if configured is not None:
         return configured
@@ -219,13 +222,13 @@ def command_lifetime_s(experiment: Experiment) -> float:
 
 
 def rate_of_lifetime(lifetime_s: float) -> int:
-    """Return the highest rate at which a command lives for so long, unless its lifetime is configured (Hz)."""
+    """Return the highest position rate (Hz) whose default command lifetime is at least `lifetime_s` (s)."""
     periods = FEWEST_PERIODS if lifetime_s > LONGEST_LIFETIME_S else LIFETIME_PERIODS
     return math.floor(periods / max(lifetime_s, SHORTEST_LIFETIME_S))
 
 
 def supervise_lifetime_s(experiment: Experiment) -> float:
-    """Return how long a law on the device continues without a command from the host (s)."""
+    """Return the time for which a law on the device continues without a command from the host (s)."""
     configured = experiment.controller.supervise_lifetime_s
     return SUPERVISE_LIFETIME_S if configured is None else configured
 
@@ -239,22 +242,22 @@ def prepare_controller(
     verified: bool = False,
     law: Law | None = None,
 ) -> PreparedRun:
-    """Prepare a run.
+    """Return a prepared run: controller of the host and parameters of the device.
 
     Parameters
     ----------
     experiment
-        Validated experiment, as it is to run.
+        Validated experiment to run.
     current_quantum_a
-        Quantum that the device declares (A); None for that of the experiment's amplifier.
+        Current quantum that the device reports (A); None: that of the experiment's amplifier.
     reference_count
-        Count at position zero.
+        Encoder count at position zero.
     referenced
-        `reference_count` follows from the encoder's index, not from where the handle was placed.
+        True if `reference_count` follows from the encoder's index, not from a position set by hand.
     verified
-        The polarity of motor and encoder is verified, or nothing can move.
+        True if the polarity of motor and encoder is verified, or nothing can move.
     law
-        Stands in for the law that the experiment names.
+        Law to use instead of the one that the experiment names.
 
     Raises
     ------
@@ -301,14 +304,14 @@ def device_parameters(
 ) -> dict[str, Value]:
     """Return the values of `firmware_protocol.parameters` for this experiment, in ticks, counts and quanta.
 
-    With ``controller.loop = "device"`` the device's law is among them, as `rig.config.device_law` makes it of
-    `controller`, the host's; else it is switched off.
+    With ``controller.loop = "device"`` they include the device's law, which `rig.config.device_law` makes from the
+    host's `controller`; otherwise the parameter ``law`` is 0.
 
     Raises
     ------
     PlanError
-        A limit that does not fit the wire: more current than a 16-bit command carries, a window beyond 32-bit counts. A
-        law that the device does not have.
+        A value is out of the range of its parameter, such as a current above 16 bits or a window beyond 32-bit counts;
+        or the device does not have the law.
     """
     reference_count = int(controller.control[0]["reference_count"])
     rig, rates, human = experiment.rig, experiment.controller, experiment.trial.kind == "human"

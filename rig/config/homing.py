@@ -1,6 +1,6 @@
-"""The homing servo of a rig: where friction can hold the handle, whether the servo is stable, and one that is.
+"""Homing servo of a rig: tolerance because of friction, phase margin, and design of a stable servo.
 
-Computed from the description alone, without linear theory's libraries, so that every hit can be checked.
+All results follow from the experiment alone, without heavy libraries, so that every hit can be checked.
 
 Plans, predictions of `rig.doctor`, identification and `rig.experiments.new_rig` call it. It must not import scipy or
 `rig.analysis.theory`.
@@ -41,7 +41,7 @@ GRID = np.logspace(-3.0, 3.0, 1201)  # frequencies, over 1/delay
 
 @dataclass(frozen=True, slots=True)
 class Servo:
-    """Keys of `[homing]` that depend on the rig."""
+    """Keys of ``[homing]`` that depend on the rig, in the units of the rig."""
 
     stiffness: float
     damping: float
@@ -51,28 +51,28 @@ class Servo:
 
 
 def holding_effort(x: Experiment) -> float:
-    """Return the effort below which the handle may stay: friction, cogging and the end mass's weight (N·m or N)."""
+    """Return the effort below which the handle may stay at rest (N·m or N): friction, cogging, end mass's weight."""
     mechanics = x.rig.mechanics
     weight = 0.0 if x.trial.kind == "human" else abs(mechanics.gravity_effort)
     return mechanics.motor_coulomb + mechanics.link_coulomb + x.rig.cogging.crest + weight
 
 
 def resting_offset(x: Experiment) -> float:
-    """Return how far from its set point the handle may come to rest (rad or m)."""
+    """Return the largest distance from its set point at which the handle may come to rest (rad or m)."""
     return holding_effort(x) / x.homing.stiffness
 
 
 def home_tolerance(x: Experiment) -> float:
-    """Return the distance from the start within which the handle is home (rad or m).
+    """Return the distance from the start within which homing is complete (rad or m).
 
-    `homing.tolerance_counts`, or more where friction can hold the handle farther away: it would never arrive.
+    It is `homing.tolerance_counts`, or more if friction can hold the handle farther away, where homing would never end.
     """
     described = x.homing.tolerance_counts * x.rig.encoder.resolution
     return max(described, ABOVE_FRICTION * resting_offset(x))
 
 
 def largest_offset(x: Experiment) -> float:
-    """Return the distance from the start at which a trial would no longer be the planned one (rad or m)."""
+    """Return the largest acceptable distance from the start (rad or m): beyond it, the trial would differ too much."""
     return LARGEST_SHARE * abs(x.wall.position - x.trial.start)
 
 
@@ -82,12 +82,12 @@ def usual_offset(x: Experiment) -> float:
 
 
 def nearest_tolerance(x: Experiment) -> float:
-    """Return a tolerance that an encoder of any resolution can show and that is small beside the way to the wall."""
+    """Return a homing tolerance (counts, 1 to `USUAL_TOLERANCE`) that is small beside the distance to the wall."""
     return max(1.0, min(USUAL_TOLERANCE, math.floor(usual_offset(x) / x.rig.encoder.resolution)))
 
 
 def inertia(x: Experiment) -> float:
-    """Return the inertia of everything that moves (kg·m² or kg)."""
+    """Return the inertia of all moving parts of the rig (kg·m² or kg), without a hand."""
     mechanics = x.rig.mechanics
     return mechanics.motor_inertia + (
         mechanics.link_inertia if x.trial.kind == "human" else mechanics.loaded_link_inertia
@@ -95,35 +95,35 @@ def inertia(x: Experiment) -> float:
 
 
 def _cutoff_hz(x: Experiment) -> float:
-    """Cut-off of the velocity filter, the usual one where none is described."""
+    """Return the cut-off of the velocity filter (Hz); `USUAL_CUTOFF` of the velocity rate if none is given."""
     cutoff = x.controller.parameters.get("cutoff_hz", 0.0)
     usual = USUAL_CUTOFF * x.controller.velocity_rate
     return float(cutoff) if isinstance(cutoff, float | int) and cutoff > 0.0 else usual
 
 
 def _delays_s(x: Experiment, ticks: int) -> tuple[float, float]:
-    """Return delay from a position to its effort, and what the velocity has besides (s); the lag is counted apart."""
+    """Return the delay from a position to its effort, and the additional delay of the velocity (s), without the lag."""
     c = x.controller
     set_point = x.rig.amplifier.set_point_ticks(1.0 / c.position_rate)
     return (ticks + set_point + 0.5) / c.position_rate, FILTER_DELAY / _cutoff_hz(x) + 1.0 / c.velocity_rate
 
 
 def stiffest_for_counts(x: Experiment, effort: float, share: float) -> float:
-    """Return the stiffness at which one count changes the effort by a share of it and by twice the friction."""
+    """Return the stiffness at which one count changes the effort by share · effort + 2 · holding effort."""
     return (share * effort + 2.0 * holding_effort(x)) / x.rig.encoder.resolution
 
 
 def phase_margin(x: Experiment, stiffness: float, damping: float, ticks: int) -> float:
-    """Return the smallest phase margin of a servo (rad), negative for one that oscillates.
+    """Return the smallest phase margin of a servo (rad); negative if the servo oscillates.
 
     Parameters
     ----------
     x
-        The rig and its controller; both masses move together.
+        Experiment with rig and controller; motor and link are assumed to move together.
     stiffness, damping
-        Gains of the servo.
+        Gains of the servo (N·m/rad and N·m·s/rad, or N/m and N·s/m).
     ticks
-        Delay besides that of the set-point.
+        Delay of the loop in addition to the set-point delay (ticks).
     """
     delay_s, velocity_s = _delays_s(x, ticks)
     lag_s, mass = x.rig.amplifier.lag_s, inertia(x)
@@ -140,7 +140,7 @@ def phase_margin(x: Experiment, stiffness: float, damping: float, ticks: int) ->
 
 
 def stable_servo(x: Experiment, ticks: int = SPARE_TICKS) -> Servo:
-    """Return the stiffest well damped servo that the delay of the loop leaves stable on this rig."""
+    """Return the stiffest well damped servo that is stable on the rig with the loop's delay plus `ticks`."""
     delay_s, velocity_s = _delays_s(x, ticks)
     phase = CORNER_IN_HAND if x.trial.kind == "human" else CORNER
     corner = phase / (delay_s + velocity_s + x.rig.amplifier.lag_s)
@@ -160,5 +160,5 @@ def stable_servo(x: Experiment, ticks: int = SPARE_TICKS) -> Servo:
 
 
 def _round(value: float) -> float:
-    """Return three digits of a value."""
+    """Return a value rounded to three digits."""
     return float(f"{value:.3g}")

@@ -1,9 +1,9 @@
-"""A run, prepared for one device: what a trial executes.
+"""Data of a run that is prepared for one device, which a trial executes.
 
-Data alone. `rig.config.controller.prepare_controller` makes it; its users need not know how a law or a device's
-parameters are designed.
+`rig.config.controller.prepare_controller` makes it; its users do not depend on how a law or a device's parameters are
+designed.
 
-Trials, hits and motions of `rig.experiments` receive it. It must not import what makes it.
+Trials, hits and motions of `rig.experiments` receive it. It must not import `rig.config.controller`.
 """
 
 from __future__ import annotations
@@ -18,20 +18,21 @@ from rig.control.step import ControllerState
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LawOnDevice:
-    """The law of a run as the device computes it itself.
+    """Law of a run on the device.
 
     Attributes
     ----------
     arithmetic
         Arithmetic of the law on the device.
     currents_compared
-        True if its measured current is compared with the command. Not where a drive renders the wall: its current
+        True if the measured current is compared with the active one. False if a drive renders the wall: its current
         changes within a tick, and it reports one value.
     live
-        Given a set of the loop's mailbox, the device's parameters that make another wall while the law runs; raises
-        `PlanError` for a wall that does not fit.
+        Function that converts a parameter set from the loop's mailbox to the device's parameters for another wall;
+        raises `PlanError` for a wall that is out of range.
     rendered
-        Given the device's active parameters, stiffness, damping and position of the wall that it renders, in SI.
+        Function that returns stiffness, damping and position of the rendered wall in SI, from the device's active
+        parameters.
     """
 
     arithmetic: str
@@ -42,23 +43,22 @@ class LawOnDevice:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PreparedRun:
-    """A run, prepared for one device.
+    """Run that is prepared for one device.
 
     Attributes
     ----------
     experiment
-        In effect.
+        Experiment that is in effect.
     current_quantum_a, reference_count
         Current quantum of the device (A), and its count at position zero.
     controller
-        The host's law before the first sample: numbers, and rows of the tables that name its kernels. A copy of it is
-        executed.
+        Controller of the host before the first sample; a copy of it is executed.
     parameters
         Parameters of the device.
     own_law
-        A law of the caller's own, in place of the one that the experiment names.
+        True if the caller gave the law object, instead of the name in the experiment.
     on_device
-        The law as the device computes it; None where the host runs it.
+        Law on the device; None if the host runs the law.
     """
 
     experiment: Experiment

@@ -1,4 +1,4 @@
-"""A sampling scheme: how often position and velocity are sampled, and what estimates the velocity.
+"""Sampling scheme: rates of position and velocity, and the velocity estimator.
 
 It has a text form for the command line::
 
@@ -11,7 +11,7 @@ It has a text form for the command line::
 Unless a scheme states its cut-off, a filter keeps its share of the velocity rate: 200 Hz at 2 kHz become 2 kHz at 20
 kHz, as Koul et al. compare their schemes. With `controller.scheme_cutoff` = "same" all have the experiment's cut-off.
 
-Theory, maps, comparisons, the design, sessions and the console call it. Nothing here runs a scheme or judges one.
+Theory, maps, comparisons, the design, sessions and the console call it. It must not run or judge a scheme.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ Prediction = Literal["hold", "extrapolate"]
 
 @dataclass(frozen=True, kw_only=True)
 class Scheme:
-    """Rates, estimator and prediction; fields left at None come from the experiment that it is applied to.
+    """Rates, estimator and prediction; fields that are None come from the experiment to which it is applied.
 
     Attributes
     ----------
     position_rate, velocity_rate
-        1/T1 and 1/T2 (Hz).
+        Position rate 1/T1 and velocity rate 1/T2 (Hz).
     estimator
         Name of the velocity estimator.
     parameters
-        Settings of the estimator, over those of the experiment when the estimator is the same.
+        Settings of the estimator; they replace those of the experiment if the estimator is the same.
     prediction
-        Velocity between its samples.
+        Velocity between its samples: held, or extrapolated.
     slow_velocity_rate, slow_below
         Adaptive T2: velocity rate (Hz) while the handle is slower than `slow_below` (rad/s or m/s).
     """
@@ -65,11 +65,13 @@ class Scheme:
 
     @classmethod
     def parse(cls, text: str) -> Scheme:
-        """Read the text form (see the module's text); `ConfigError` says what is wrong with it."""
+        """Return the scheme of a text (form: see the module's docstring); raise `ConfigError` for an invalid text."""
         head, *settings = text.split(",")
         kind, colon, rates = head.strip().partition(":")
         if kind not in _KINDS or not colon:
-            raise ConfigError(f"scheme {text!r}: unknown kind of sampling", remedy=_FORM)
+            raise ConfigError(
+                f"scheme {text!r}: unknown kind of sampling, not uniform: or dual:", remedy=_FORM
+            )
         position_rate, velocity_rate = parse_rates(rates)
         if kind == "uniform" and position_rate != velocity_rate:
             raise ConfigError(
@@ -93,7 +95,7 @@ class Scheme:
 
     @classmethod
     def of(cls, experiment: Experiment) -> Scheme:
-        """Return the scheme of an experiment, with every field stated."""
+        """Return the scheme of an experiment, with values in all fields."""
         controller = experiment.controller
         return cls(
             position_rate=controller.position_rate,
@@ -107,12 +109,12 @@ class Scheme:
 
     @property
     def kind(self) -> str:
-        """Return ``uniform`` or ``dual``, by the two rates."""
+        """Return ``uniform`` if both rates are equal, else ``dual``."""
         return "uniform" if self.position_rate == self.velocity_rate else "dual"
 
     @cached_property
     def text(self) -> str:
-        """Return the text form, which `parse` turns into an equal scheme."""
+        """Return the text form, from which `parse` makes an equal scheme."""
         rates = f"{_kilo(self.position_rate)}"
         if self.kind == "dual":
             rates += f"/{_kilo(self.velocity_rate)}"
@@ -122,7 +124,7 @@ class Scheme:
         return ",".join([f"{self.kind}:{rates}", *shown])
 
     def label(self, experiment: Experiment) -> str:
-        """Return the text for legends of the scheme on an experiment: rates, estimator, and a cut-off if it has one."""
+        """Return a legend for the scheme on an experiment: rates, estimator, and cut-off if it has one."""
         controller = self.on(experiment).controller
         fast, slow = controller.position_rate / 1e3, controller.velocity_rate / 1e3
         rates = f"{fast:g} kHz" if fast == slow else f"{fast:g}/{slow:g} kHz"
@@ -140,21 +142,21 @@ class Scheme:
         return text
 
     def applied(self, experiment: Experiment) -> Experiment:
-        """Return the experiment under this scheme.
+        """Return the experiment with this scheme, fully checked.
 
         Raises
         ------
         ConfigError
-            Rates that do not divide, an unknown estimator or setting.
+            The rates are not multiples, or the estimator or a setting is unknown.
         """
         applied = self.on(experiment, check_rules=True)
         check_plugins(applied, f"scheme {self.text}")
         return applied
 
     def on(self, experiment: Experiment, *, check_rules: bool = False) -> Experiment:
-        """Return the experiment with the keys of this scheme, each checked by itself: a step on the way to `applied`.
+        """Return the experiment with the keys of this scheme, each checked alone; `applied` also checks the rules.
 
-        What [realtime] says about a controller no longer holds.
+        The keys of ``[realtime]`` about the controller are dropped.
         """
         changes: dict[str, Any] = {
             "controller.position_rate": self.position_rate,
@@ -170,7 +172,7 @@ class Scheme:
         return override(bare, changes, f"scheme {self.text}", check_rules=check_rules)
 
     def _parameters_on(self, experiment: Experiment) -> dict[str, float | str]:
-        """Return settings of the estimator: the scheme's over the experiment's, a cut-off at its share of the rate."""
+        """Return the estimator's settings: the scheme's, else the experiment's with the cut-off scaled to the rate."""
         own = experiment.controller
         inherits = self.estimator in (None, own.estimator)
         settings = (
@@ -186,7 +188,7 @@ class Scheme:
 
 
 def describe_cutoffs(schemes: Iterable[Scheme], experiment: Experiment) -> str | None:
-    """Return a sentence if the rates of schemes that state no cut-off change it from the experiment's, or None."""
+    """Return a sentence if schemes without their own cut-off have different cut-offs by their rates, else None."""
     own = experiment.controller
     unstated = [
         own,
@@ -203,16 +205,19 @@ def describe_cutoffs(schemes: Iterable[Scheme], experiment: Experiment) -> str |
 
 
 def parse_rates(text: str) -> tuple[int, int]:
-    """Return the rates of ``20k/2k``, ``20000/2000`` or ``1k`` (uniform), in Hz; `ConfigError` for anything else."""
+    """Return position and velocity rate (Hz) of ``20k/2k`` or ``1k`` (uniform); raise `ConfigError` for other text."""
     parts = text.split("/")
     if len(parts) > 2:
-        raise ConfigError(f"rate {text}: too many rates", remedy="give T1/T2, like 20k/2k")
+        raise ConfigError(
+            f"rate {text}: too many rates ({len(parts)}); at most 2 are allowed",
+            remedy="give position rate / velocity rate, like 20k/2k",
+        )
     rates = [_hertz(part, text) for part in parts]
     return rates[0], rates[-1]
 
 
 def usual_settings(estimator: str, velocity_rate: int) -> dict[str, float | str]:
-    """Return the default settings of an estimator: a filter has its cut-off at a tenth of the velocity rate."""
+    """Return the default settings of an estimator: a cut-off at a tenth of the velocity rate (Hz), or none."""
     return {_CUTOFF: _USUAL_SHARE * velocity_rate} if _has_cutoff(estimator) else {}
 
 
@@ -242,7 +247,7 @@ def _setting(text: str, whole: str) -> tuple[str, float | str]:
 
 
 def _check_types(own: Mapping[str, float | str], text: str) -> dict[str, Any]:
-    """Types of the keys of [controller]; their ranges are the experiment's business."""
+    """Return the keys of ``[controller]`` with their types checked; the experiment checks their ranges."""
     checked: dict[str, Any] = dict(own)
     for key in ("slow_velocity_rate", "slow_below"):
         if isinstance(checked.get(key, 0.0), str):

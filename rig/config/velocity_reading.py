@@ -1,7 +1,7 @@
-"""Reading of the velocity filter for encoder counts: the value that a limit of speed is compared with.
+"""Velocity that the estimator outputs for given encoder counts: the value that the speed limit is compared with.
 
-One count is a pulse of the estimate whose area over time is the count. Behind a fast filter a coarse encoder's single
-count reads as a speed that no handle has.
+One count gives a pulse of the estimated velocity, whose integral is the travel of one count. With a fast filter and a
+coarse encoder, the peak of this pulse can exceed any real speed of the handle.
 
 Plans, predictions of `rig.doctor`, maps, identification and `rig.experiments.new_rig` call it. It must not simulate a
 run or read a recording.
@@ -34,15 +34,15 @@ Settings = tuple[tuple[str, float | str], ...]
 
 
 def pulse_of_count(x: Experiment) -> NDArray[np.float64]:
-    """Return the velocity that the estimator reads of one count (rad/s or m/s), sample by sample."""
+    """Return the estimated velocity for a single count, sample by sample (rad/s or m/s)."""
     own = x.controller
     return _pulse(own.estimator, _settings(x), own.velocity_rate, abs(x.rig.encoder.resolution))
 
 
 def highest_reading(x: Experiment, velocity: float = 0.0) -> float:
-    """Return the highest speed (rad/s or m/s) that the loop reads of a handle at a steady velocity.
+    """Return the highest estimated speed (rad/s or m/s) while the handle moves at a steady velocity (rad/s or m/s).
 
-    It is at least what the loop reads of a single count, however slowly the handle moves.
+    It is at least the peak for a single count, however slowly the handle moves.
     """
     own = x.controller
     ahead = own.position_rate // own.velocity_rate - 1 if own.prediction == "extrapolate" else 0
@@ -51,9 +51,9 @@ def highest_reading(x: Experiment, velocity: float = 0.0) -> float:
 
 
 def quiet_cutoff(x: Experiment, most: float) -> float | None:
-    """Return the highest cut-off (Hz), up to the present one, at which one count reads as no more than a speed.
+    """Return the highest cut-off (Hz), up to the present one, at which one count gives at most the speed `most`.
 
-    None for an estimator without such a setting.
+    `most` is in rad/s or m/s. Return None for an estimator without a cut-off.
     """
     own = x.controller
     cutoff = own.parameters.get(CUTOFF)
@@ -76,7 +76,7 @@ def _settings(x: Experiment) -> Settings:
 
 @lru_cache(maxsize=4096)
 def _peak(name: str, settings: Settings, rate: int, delta: float, velocity: float, ahead: int) -> float:
-    """Return the highest speed read of one count and of a steady velocity, with extrapolation over some ticks."""
+    """Return the highest estimated speed for one count and at a steady velocity, extrapolated over `ahead` ticks."""
     read = [_pulse(name, settings, rate, delta)]
     if velocity > 0.0:
         samples = int(np.clip(RAMP_COUNTS * delta * rate / velocity, *RAMP_SAMPLES))

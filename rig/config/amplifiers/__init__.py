@@ -1,8 +1,9 @@
-"""Profiles of amplifiers: how a set-point reaches them, and the settings for their makers' tools.
+"""Profiles of amplifiers: how they receive the set-point, and how to set them up with the maker's tool.
 
-A TOML file here is a profile. The firmware gives the set-point of an external amplifier and closes no current loop.
+Each TOML file in this folder is a profile. The firmware outputs a set-point to an external amplifier; it has no current
+loop of its own.
 
-Predictions of `rig.doctor`, `rig firmware`, builds of images and `rig.experiments.new_rig` read it. It must not set up
+Predictions of `rig.doctor`, `rig firmware`, firmware builds and `rig.experiments.new_rig` read it. It must not set up
 an amplifier: a person does that with the maker's tool.
 """
 
@@ -24,30 +25,30 @@ REFUSED = dict.fromkeys(("in-in-bridge", "l298n", "drv8871", "tb6612", "bts7960"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AmplifierProfile:
-    """One amplifier.
+    """Profile of one amplifier.
 
     Attributes
     ----------
     name, description
-        As `rig.amplifier.profile` names it; in one line.
+        Name in `rig.amplifier.profile`, and description in one line.
     source
-        The data sheet that was opened for it, or that none was.
+        Data sheet from which the numbers are, or a note that no data sheet was read.
     drive
-        ``current``: it closes a current loop; ``voltage``: it does not; None: either.
+        ``current``: the amplifier has a current loop; ``voltage``: it has none; None: both are possible.
     set_point_delay_s
-        From a set-point to the amplifier's answer (s). Of a pulse width half a period until the next one begins, and
-        half of one until it has been seen, twice that at worst; of a voltage its transfer, its settling, and until the
-        amplifier has looked.
+        Delay from a set-point to the response of the amplifier (s). For PWM, half a period until the next pulse
+        begins and half a period until its width is measured, at worst twice that. For a voltage, its transfer, its
+        settling, and the time until the amplifier samples it.
     most_a
-        Largest current it gives (A); None: not known.
+        Largest current of the amplifier (A); None: unknown.
     steps
-        Distinct set-points from full negative to full positive current; None: as many as are sent.
+        Number of distinct set-points from full negative to full positive current; None: not limited by the amplifier.
     pwm_frequency
-        Least and greatest pulse width rate that it takes (Hz); None: not known.
+        Least and greatest PWM frequency that the amplifier accepts (Hz); None: unknown.
     settings
-        Settings of the board: defaults instead of the board's own.
+        Settings of the board that replace the board's defaults.
     set_up
-        Settings to make at the amplifier.
+        Instructions for settings at the amplifier.
     """
 
     name: str
@@ -62,7 +63,7 @@ class AmplifierProfile:
     set_up: tuple[str, ...] = ()
 
     def items(self) -> list[Item]:
-        """Return the profile's values, for people."""
+        """Return the profile as text and rows, to print."""
         asked = {"profile": f'"{self.name}"'}
         if self.drive is not None:
             asked["drive"] = f'"{self.drive}"'
@@ -87,7 +88,7 @@ def names() -> tuple[str, ...]:
 
 @cache
 def load(name: str) -> AmplifierProfile:
-    """Return the profile of one of `names`."""
+    """Return the profile with a name from `names`."""
     content = tomllib.loads((files(__name__) / f"{name}.toml").read_text(encoding="utf-8"))
     for key in ("set_up", "pwm_frequency"):
         if key in content:

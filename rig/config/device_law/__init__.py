@@ -1,10 +1,10 @@
-"""From a controller to the law that a device runs itself: the same designs, scaled to counts, periods and quanta.
+"""Convert a controller to the parameters of a law that the device runs itself.
 
-`rig.control.step` runs in SI and float64 on a host. A device runs the same law, tick for tick, in integers or in
-float32 (firmware/law): lengths are counts there, velocities counts per velocity period, currents quanta, times ticks.
-Everything is designed and scaled here, once, and leaves as values of `firmware_protocol.law_parameters`. The
-preparation of a run, its plan and the export of an estimator call it; it sends nothing. What the device lacks is
-refused with `PlanError` (`rig.control.on_device`), and `check_values` alone decides whether a value fits its parameter.
+`rig.control.step` runs in SI and float64 on the host. A device runs the same law tick by tick in integers or in float32
+(firmware/law): lengths are in counts, velocities in counts per velocity period, currents in quanta, times in ticks.
+This package scales everything to values of `firmware_protocol.law_parameters`. The preparation of a run, its plan and
+the export of an estimator call it; it sends nothing. Features that the device lacks are refused with `PlanError`
+(`rig.control.on_device`); only `check_values` decides whether a value is in the range of its parameter.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How a device that runs the law sends its samples: layout, samples per frame, bytes per second."""
+"""Frames in which a device that runs the law sends its samples: layout, samples per frame, bytes per second."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ _FORMATS = {"i8": "b", "i16": "h"}
 
 
 def counts_in_a_tick(experiment: Experiment) -> float:
-    """Return the most counts that the handle passes in a tick at the speed that ends a run."""
+    """Return the number of counts that the handle passes in a tick at the speed limit of the guard."""
     return experiment.rig.limits.speed / (
         experiment.rig.encoder.resolution * experiment.controller.position_rate
     )
 
 
 def batch_layout(experiment: Experiment) -> int:
-    """Return the layout: differences in one byte where the fastest handle fits with a margin, else in two.
+    """Return the layout of a BATCH: count differences in one byte if the speed limit allows it, else in two bytes.
 
-    Raises `PlanError` where two do not hold them either.
+    Raise `PlanError` if two bytes are not enough either.
     """
     counts = MARGIN * counts_in_a_tick(experiment) + 1.0
     if counts > _I16_GREATEST:
@@ -47,12 +47,12 @@ def batch_layout(experiment: Experiment) -> int:
 
 
 def sample_bytes(layout: int) -> int:
-    """Return the bytes of one sample in a layout."""
+    """Return the size of one sample in a layout (bytes)."""
     return struct.calcsize("<" + "".join(_FORMATS[kind] for kind in BATCH_LAYOUTS[layout] if kind))
 
 
 def batch_samples(experiment: Experiment) -> int:
-    """Return the samples to a frame: as many as fit, but none waits longer than `LONGEST_FRAME_S` or a tick."""
+    """Return the samples per frame: as many as fit, of at most `LONGEST_FRAME_S` in total, but at least one."""
     room = RAW_LIMIT - _overhead()
     fitting = room // sample_bytes(batch_layout(experiment))
     in_time = math.floor(LONGEST_FRAME_S * experiment.controller.position_rate)
@@ -60,7 +60,7 @@ def batch_samples(experiment: Experiment) -> int:
 
 
 def bytes_per_second(experiment: Experiment) -> float:
-    """Return the bytes per second that a device sends while it runs the law: every tick in a BATCH, and its STATEs."""
+    """Return the data rate of a device that runs the law (bytes/s): BATCH frames with every tick, and STATEs."""
     samples, rate = batch_samples(experiment), experiment.controller.position_rate
     raw = _overhead() + samples * sample_bytes(batch_layout(experiment))
     stuffed = raw + 2  # one byte of COBS for a frame below 254 bytes, and the delimiter
@@ -68,5 +68,5 @@ def bytes_per_second(experiment: Experiment) -> float:
 
 
 def _overhead() -> int:
-    """Return the bytes of a raw BATCH without samples."""
+    """Return the size of a raw BATCH without samples (bytes)."""
     return encoded_bytes(messages.Batch) - 2

@@ -1,7 +1,7 @@
-"""A wall that neither this computer nor the board renders, but what is behind the board: what an extra says of it.
+"""Interface to an extra for a wall that a drive behind the board renders, not this computer or the board.
 
-Plans (`rig.experiments.trials.plan`) and the design of the device's parameters call it. Theory, maps and judgements
-only have to know that there is such a wall (`Controller.wall_is_elsewhere`): it has filters that they do not have.
+Plans (`rig.experiments.trials.plan`) and the design of the device's parameters call it. Theory, maps and verdicts only
+check `Controller.wall_is_elsewhere`, because such a wall has filters that they do not model.
 """
 
 from __future__ import annotations
@@ -17,30 +17,30 @@ from rig.core.check import Check
 
 
 class WallElsewhere(Protocol):
-    """What an extra adds for an arithmetic of its own.
+    """Functions that an extra provides for a wall in its own arithmetic.
 
     Attributes
     ----------
     stands_for
-        Note on how a simulation under the host's law represents it.
+        Note on how a simulation with the host's law represents this wall.
     """
 
     stands_for: str
 
     def refuse_what_it_lacks(self, controller: ControllerState, c: Control) -> None:
-        """Raise `NotOnDeviceError` for what such a wall cannot be."""
+        """Raise `NotOnDeviceError` if the controller has a feature that this wall does not support."""
         ...
 
     def planned(self, experiment: Experiment) -> list[Check]:
-        """Return what a plan says of it."""
+        """Return the checks of this wall for a plan."""
         ...
 
     def fits(self, experiment: Experiment, dictionary: Dictionary) -> list[Check]:
-        """Return whether a device can render the wall of an experiment."""
+        """Return checks whether a device with this dictionary can render the wall of an experiment."""
         ...
 
 
 def wall_elsewhere(arithmetic: str) -> WallElsewhere:
-    """Return what the extra of an arithmetic says; raises `ConfigError` where that extra is missing."""
+    """Return the `WallElsewhere` of an extra's arithmetic; raise `ConfigError` if the extra is missing."""
     found: WallElsewhere = extras.load("arithmetics", arithmetic)()
     return found

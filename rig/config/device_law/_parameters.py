@@ -1,4 +1,4 @@
-"""All parameters of a law on the device, and which of them may change while it runs."""
+"""Parameters of a law on the device, and those of them that can change while it runs."""
 
 from __future__ import annotations
 
@@ -64,26 +64,26 @@ _KEYS = {
 
 
 def arithmetic_of(rates: Rates) -> Arithmetic:
-    """Return the arithmetic of the law on a device: what is asked for, else integers where the estimator has them."""
+    """Return the arithmetic of the law on a device: as configured, or for "auto" integers if the estimator has them."""
     if rates.arithmetic != "auto":
         return rates.arithmetic
     return "fixed" if rates.estimator == FIXED_ESTIMATOR else "float32"
 
 
 def law_parameters(controller: ControllerState, arithmetic: Arithmetic) -> Values:
-    """Return the values of the parameters that this law reads, but for those that say how its samples travel.
+    """Return the values of the parameters that the law on the device reads, without those of the BATCH frames.
 
     Parameters
     ----------
     controller
-        As the host would run it (`rig.config.controller.for_experiment`).
+        Controller of the host (`rig.config.controller.for_experiment`).
     arithmetic
         Arithmetic of the law on the device.
 
     Raises
     ------
     PlanError
-        An estimator, a law or an option that the device does not have, or a value that does not fit.
+        The device does not have the estimator, the law or an option, or a value is out of range.
     """
     c, law = _plain(controller), controller.law.parameters
     _check_arithmetic(c, controller, arithmetic)
@@ -127,22 +127,22 @@ def law_parameters(controller: ControllerState, arithmetic: Arithmetic) -> Value
 
 
 def live_parameters(controller: ControllerState, arithmetic: Arithmetic, numbers: Sequence[float]) -> Values:
-    """Return the values of the parameters that make another wall while the law runs.
+    """Return the values of the parameters that change the wall while the law runs.
 
     Parameters
     ----------
     controller
-        As the law was armed with.
+        Controller with which the device was armed.
     arithmetic
         Arithmetic of the law on the device.
     numbers
-        A set of the loop's mailbox: position of the wall, then the parameters of its law
+        Parameter set from the loop's mailbox: position of the wall, then the parameters of its law
         (`rig.experiments.trials.live.parameter_set`).
 
     Raises
     ------
     PlanError
-        A wall that does not fit the device, or an option of it that does not change while it runs.
+        A value is out of range for the device, or an option changes that cannot change while the law runs.
     """
     position, *law = numbers
     name, before, after = controller.law.law.name, controller.law.parameters, np.array(law, dtype=np.float64)
@@ -166,9 +166,9 @@ def rendered_wall(values: Mapping[str, Value], controller: ControllerState) -> D
     Parameters
     ----------
     values
-        Its active parameters; the law is its own.
+        Active parameters of a device that runs the law.
     controller
-        That they were designed from, for its scales.
+        Controller from which the parameters were computed, for its scales.
     """
     fixed = ARITHMETICS[int(values["law"])] == "fixed"
     in_si = fixed_wall_in_si if fixed else float_wall_in_si
@@ -176,10 +176,7 @@ def rendered_wall(values: Mapping[str, Value], controller: ControllerState) -> D
 
 
 def check_values(values: Mapping[str, Value]) -> None:
-    """Check values against the ranges of the wire.
-
-    Raises `PlanError` for one that does not fit, naming the key that it comes from.
-    """
+    """Raise `PlanError` if a value is out of the range of its parameter; the message names the experiment's key."""
     for name, value in values.items():
         parameter = BY_NAME[name]
         if parameter.accepts(value):
@@ -188,7 +185,7 @@ def check_values(values: Mapping[str, Value]) -> None:
         raise PlanError(
             f"{_KEYS[key] if key else name}: {name} = {value:g} {parameter.unit}".rstrip()
             + f" is out of range for the device: allowed are {parameter.minimum:g} to {parameter.maximum:g}",
-            remedy=f"change that key, the rate or the current quantum, or {ELSE_HOST}",
+            remedy=f"change this key, the position rate or the current quantum, or {ELSE_HOST}",
         )
 
 
@@ -224,19 +221,19 @@ def _check_passivity(c: Control) -> None:
 
 
 def _check_work(c: Control) -> None:
-    """A filter that skipped some periods computes them in one tick: a board has time for only so many."""
+    """Raise `PlanError` if a filter would compute more than `MOST_PERIODS_A_TICK` skipped periods in one tick."""
     if c["slow_multiple"] > MOST_PERIODS_A_TICK:
         raise refusal(
             "controller.slow_velocity_rate",
             round(1.0 / (c["tick_s"] * c["velocity_divider"] * c["slow_multiple"])),
             f"{c['slow_multiple']} velocity periods would be computed in one tick; a board has time "
             f"for {MOST_PERIODS_A_TICK} at most",
-            "choose at least that fraction of controller.velocity_rate",
+            f"choose at least controller.velocity_rate / {MOST_PERIODS_A_TICK}",
         )
 
 
 def _places(c: Control) -> Values:
-    """Return window, start and homing in whole counts from the reference, such that they decide as the host does."""
+    """Return window, start and homing range in counts from the reference, with the same decisions as the host's law."""
     delta, target, tolerance = abs(c["resolution"]), c["home_target"], c["home_tolerance"]
     target_bits = round(target / delta * 2**SETPOINT_BITS)
     return {
@@ -258,17 +255,17 @@ def _places(c: Control) -> Values:
 
 
 def _least(position: float, delta: float) -> int:
-    """Return the first count that is at a position or above."""
+    """Return the lowest count whose position is at or above `position`; `delta` is the travel per count."""
     return _first(lambda t: delta * t >= position, position / delta)
 
 
 def _most(position: float, delta: float) -> int:
-    """Return the last count that is at a position or below."""
+    """Return the highest count whose position is at or below `position`; `delta` is the travel per count."""
     return _first(lambda t: delta * t > position, position / delta) - 1
 
 
 def _first(passes: Callable[[int], bool], near: float) -> int:
-    """Return the least count that passes a test that is false below some count and true from it on, within 32 bits."""
+    """Return the lowest 32-bit count for which `passes` is True; it must be False below and True above that count."""
     if not abs(near) < 2.0**31:
         return I32[near > 0.0] + (near > 0.0)
     at = math.floor(near) - 2

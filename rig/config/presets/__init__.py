@@ -1,4 +1,4 @@
-"""The rigs of the two papers and rigs that people own: experiment files whose comments say where numbers are from.
+"""Built-in experiment files: rigs of the two papers, and real rigs; comments in them give the sources of numbers.
 
 Commands, theory, `rig.doctor`, sessions, the reproductions of papers and `rig.testing` load them. Nothing here writes a
 file or opens a device.
@@ -17,12 +17,12 @@ __all__ = ["load", "load_named", "names", "text"]
 
 
 def load(name: str) -> Experiment:
-    """Return a preset's experiment; `ConfigError` (with the closest name) when no preset has that name."""
+    """Return the experiment of a preset; raise `ConfigError` (with the closest name) for an unknown name."""
     return experiment_from_mapping({"preset": name}, f"preset {name}")
 
 
 def load_named(name: str | Path | Experiment) -> Experiment:
-    """Load a file or a built-in rig, whichever the name is: a path ends in .toml or has a slash; errors as theirs."""
+    """Return the experiment of a file (name with .toml or a slash) or of a preset; return an experiment unchanged."""
     if isinstance(name, Experiment):
         return name
     if isinstance(name, Path) or name.endswith(".toml") or "/" in name:

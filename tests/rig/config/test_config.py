@@ -118,7 +118,7 @@ def test_a_byte_order_mark_is_no_error(tmp_path: Path) -> None:
         ('stiffness = \u22123  # N·m "°'.encode(), ("line 1, column 13", "contains U+2212 MINUS SIGN;")),
         ("preset = \u201ckoul-rigid\u201d".encode(), ("U+201C LEFT DOUBLE", "U+201D RIGHT DOUBLE")),
         (b"a = 1\0", ("line 1", "U+0000 control character")),
-        ("[wall]\nstiffness = = 3  # N·m".encode(), ("correct the file there",)),
+        ("[wall]\nstiffness = = 3  # N·m".encode(), ("correct the file at this place",)),
     ],
 )
 def test_a_file_that_is_not_toml_is_named_with_the_place(
@@ -233,7 +233,7 @@ def test_units_in_messages_follow_the_motion_of_the_rig() -> None:
         ("realtime", {"wall.stiffness": math.nan}, "realtime.wall.stiffness = nan"),
         ("stiffness", 3, "did you mean wall.stiffness or homing.stiffness?"),
         ("wal.stiffness", 3, "did you mean wall?"),
-        ("zzz", 3, "known here: preset, rig, controller"),
+        ("zzz", 3, "known keys: preset, rig, controller"),
     ],
     ids=itertools.count(),  # some values have too many digits for a name
 )
@@ -324,7 +324,7 @@ ROTARY_RULES = [
     ),
     (
         {"rig.encoder.counts_per_revolution": 10**30},
-        "a number of more than 64 bits: must be > 0 and ≤ 10000000; take it from the data sheet",
+        "a number of more than 64 bits: must be > 0 and ≤ 10000000; give the lines in its data sheet",
     ),
     (
         {"rig.limits.effort": 1.4},
@@ -339,7 +339,7 @@ ROTARY_RULES = [
     (
         {"rig.limits.human": True},
         "rig.limits.effort = 1.3 N·m: must be at most rig.limits.nominal_effort, 0.286 N·m, while a person holds "
-        "the handle (rig.limits.human = true); lower it; or set rig.limits.override_stall = true",
+        "the handle (rig.limits.human = true); lower rig.limits.effort; or set rig.limits.override_stall = true",
     ),
     (
         {"rig.limits.position_minimum": 0.6},
@@ -364,7 +364,7 @@ ROTARY_RULES = [
     (
         {"wall.stiffness": 3000.0},
         "trial.effort = 0.15 N·m: must be at least 0.942 N·m: against wall.stiffness = 3000 N·m/rad it rests 0.32 "
-        "counts deep, less than trial.minimum_rest_counts = 2; push harder, or choose a wall.stiffness of at most "
+        "counts deep, less than trial.minimum_rest_counts = 2; raise trial.effort, or choose a wall.stiffness of at most "
         "477 N·m/rad",
     ),
     ({"homing.speed": 11.0}, "homing.speed = 11.0 rad/s: must be below rig.limits.speed, 10 rad/s"),
@@ -375,7 +375,7 @@ ROTARY_RULES = [
     ),
     (
         {"rig.amplifier.current_quantum_a": 1e-4},
-        "rig.amplifier.effort_limit = 1.3 N·m: must be ≤ 0.7667 N·m, which is 32767 current quanta; make rig.ampl",
+        "rig.amplifier.effort_limit = 1.3 N·m: must be ≤ 0.7667 N·m, which is 32767 current quanta; raise rig.ampl",
     ),
     (
         {"rig.amplifier.profile": "escon-50-5"},
@@ -391,7 +391,7 @@ ROTARY_RULES = [
     ),
     (
         {"rig.amplifier.profile": "voltage-bridge", "rig.amplifier.set_point_delay_s": 2e-5},
-        'rig.amplifier.drive = "current": must be voltage with rig.amplifier.profile = "voltage-bridge"; and set',
+        'rig.amplifier.drive = "current": must be voltage with rig.amplifier.profile = "voltage-bridge"; set it to voltage',
     ),
     (
         {
@@ -400,7 +400,7 @@ ROTARY_RULES = [
             "rig.amplifier.drive": "voltage",
             "rig.amplifier.back_emf_damping": 0.0,
         },
-        "rig.amplifier.back_emf_damping = 0.0 N·m·s/rad: must be > 0 on a plain bridge; k_t²/R at the link",
+        "rig.amplifier.back_emf_damping = 0.0 N·m·s/rad: must be > 0 on a plain bridge; set it to k_t²/R at the link",
     ),
     (
         {"rig.cogging.orders": [1, 7], "rig.cogging.period": 0.6, "rig.cogging.cosine": [0.1]},

@@ -488,7 +488,7 @@ def test_a_wall_below_zero_is_refused() -> None:
     [
         ({"excitation.low_hz": 300.0}, "excitation.low_hz = 300.0 Hz: must be at most excitation.high_hz, 250 Hz"),
         ({"excitation.low_hz": 1.2, "excitation.high_hz": 1.8}, "must have a line between 1.2 and 1.8 Hz"),
-        ({"excitation.rms": 1.0, "excitation.peak": 2.0}, "must be left out where excitation.rms is given"),
+        ({"excitation.rms": 1.0, "excitation.peak": 2.0}, "must be left out when excitation.rms is given"),
         ({"excitation.kind": "schroeder"}, "excitation.realisations = 4: must be 1"),
         ({"trial.kind": "excitation", "excitation.high_hz": 500.0}, "must be below 500 Hz, half of"),
         ({"trial.kind": "excitation", "excitation.period_s": 1.00037}, "whole number of ticks of 1/1000 s"),
