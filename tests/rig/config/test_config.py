@@ -364,8 +364,8 @@ ROTARY_RULES = [
     (
         {"wall.stiffness": 3000.0},
         "trial.effort = 0.15 N·m: must be at least 0.942 N·m: against wall.stiffness = 3000 N·m/rad it rests 0.32 "
-        "counts deep, less than trial.minimum_rest_counts = 2; raise trial.effort, or choose a wall.stiffness of at most "
-        "477 N·m/rad",
+        "counts deep, less than trial.minimum_rest_counts = 2; raise trial.effort, or choose a wall.stiffness of at "
+        "most 477 N·m/rad",
     ),
     ({"homing.speed": 11.0}, "homing.speed = 11.0 rad/s: must be below rig.limits.speed, 10 rad/s"),
     ({"verdict.tail_s": 1.0}, "verdict.tail_s = 1.0 s: must be shorter than trial.duration_s, 1 s; shorten"),
@@ -391,7 +391,7 @@ ROTARY_RULES = [
     ),
     (
         {"rig.amplifier.profile": "voltage-bridge", "rig.amplifier.set_point_delay_s": 2e-5},
-        'rig.amplifier.drive = "current": must be voltage with rig.amplifier.profile = "voltage-bridge"; set it to voltage',
+        'rig.amplifier.drive = "current": must be voltage with rig.amplifier.profile = "voltage-bridge"; set it to',
     ),
     (
         {
