@@ -47,7 +47,7 @@ def parse_toml(text: str, source: str) -> Table:
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        reason = str(error) if isinstance(error, ValueError) else "nested too deeply"
+        reason = str(error) if isinstance(error, ValueError) else "the tables are nested too deeply"
         names = _misleading(text, reason)
         raise ConfigError(
             f"{source}: not valid TOML: {reason}{names and f'; that line contains {names}'}",

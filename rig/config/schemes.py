@@ -75,7 +75,8 @@ class Scheme:
         position_rate, velocity_rate = parse_rates(rates)
         if kind == "uniform" and position_rate != velocity_rate:
             raise ConfigError(
-                f"scheme {text!r}: uniform sampling has one rate", remedy=f"write dual:{rates}, or one rate"
+                f"scheme {text!r}: uniform sampling has one rate",
+                remedy=f"write dual:{rates}, or uniform: with one rate",
             )
         if kind == "dual" and "/" not in rates:
             raise ConfigError(

@@ -152,7 +152,7 @@ class ClockFit:
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise RecordingError(
                 f"the clock fit in the recording is invalid ({error!r})",
-                remedy="read it with the version that wrote it",
+                remedy="read the recording with the version of haptic-rig that wrote it",
             ) from error
 
 

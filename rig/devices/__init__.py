@@ -91,7 +91,9 @@ def load_backend(url: str) -> Callable[[DeviceUrl, RigModel | None], Link]:
         opener = plugins.load("rig.devices", "backend", scheme, callable)
     if opener is None:
         schemes = ", ".join(f"{backend.scheme}://" for backend in backends())
-        raise ConfigError(f"no backend for {scheme}:// (in {url!r})", remedy=f"known schemes: {schemes}")
+        raise ConfigError(
+            f"no backend for {scheme}:// (in {url!r})", remedy=f"use one of the known schemes: {schemes}"
+        )
     return cast("Callable[[DeviceUrl, RigModel | None], Link]", opener)
 
 

@@ -53,7 +53,9 @@ def _not_opened(place: str, error: Exception) -> DeviceNotFoundError:
         )
     if number in (errno.EACCES, errno.EAGAIN, errno.EBUSY) or "PermissionError" in text or "lock" in text:
         return DeviceNotFoundError(f"{place} is in use by another program", remedy="close that program")
-    return DeviceNotFoundError(f"{place} does not open: {error}", remedy=ports_in_words())
+    return DeviceNotFoundError(
+        f"{place} does not open: {error}", remedy=f"plug the device in again; {ports_in_words()}"
+    )
 
 
 class ThreadedSerialLink(RealLink):

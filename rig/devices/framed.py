@@ -176,7 +176,7 @@ class FramedDevice:
         if block_crc(block) != ack.crc:
             raise DeviceRefusedError(
                 "the active parameters are not those that were sent",
-                remedy="report it: the device is inconsistent",
+                remedy="report this as a fault of the firmware",
             )
         self._crc, self._known = ack.crc, active
         return Echo(dict(active), ack.crc, ack.sample_index)
@@ -387,7 +387,9 @@ class FramedDevice:
         time_ns = stamp * tick_ps // 1000
         with self._understood():
             if time_ns > MOST_NS:
-                raise RemoteProtocolError(f"a device time of {time_ns * 1e-9:.3g} s")
+                raise RemoteProtocolError(
+                    f"a device time of {time_ns * 1e-9:.3g} s, above {MOST_NS * 1e-9:.3g} s"
+                )
         return time_ns
 
     def clock(self, exchanges: int = EXCHANGES, *, over_s: float = 0.0) -> ClockFit:

@@ -98,7 +98,9 @@ def serve_locally(
     refuse_real_time("a simulated rig", IN_VIRTUAL_TIME)
     parsed = DeviceUrl.parse(url)
     if parsed.scheme != "sim":
-        raise ConfigError(f"{url} cannot be served", remedy="only sim:// can, like sim://koul-compliant")
+        raise ConfigError(
+            f"{url} cannot be served", remedy="give the URL of a simulated rig, like sim://koul-compliant"
+        )
     options = _served_options(parsed)
     described = simulated_model(parsed, model)
     if "hand" in options:
@@ -152,7 +154,7 @@ def _served_options(url: DeviceUrl) -> dict[str, Any]:
     if options:
         raise ConfigError(
             f"{url.text}: {next(iter(options))} has no effect in real time",
-            remedy="leave it out, or run in virtual time",
+            remedy="remove this option, or run in virtual time",
         )
     if firmware not in (None, "0", "1"):
         raise ConfigError(

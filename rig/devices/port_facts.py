@@ -133,7 +133,7 @@ def available_ports() -> list[tuple[str, str]]:
 def ports_in_words() -> str:
     """Return a list of the available ports as text, for a remedy."""
     found = [name for name, _ in available_ports()]
-    return f"ports here: {', '.join(found)}" if found else "there are no serial ports here"
+    return f"available ports: {', '.join(found)}" if found else "no serial port was found"
 
 
 def is_pseudo(device: str) -> bool:

@@ -41,7 +41,8 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> SerialLink:
     except (termios.error, OSError) as error:
         port.close()
         raise DeviceNotFoundError(
-            f"{url.place} was unplugged while it was opened: {error}", remedy=ports_in_words()
+            f"{url.place} was unplugged while it was opened: {error}",
+            remedy=f"plug the device in again; {ports_in_words()}",
         ) from None
     except DeviceNotFoundError:
         port.close()
@@ -64,9 +65,13 @@ def _open(port: str, baud: int) -> serial.Serial:
             raise DeviceNotFoundError(
                 f"there is no port {port}", remedy=f"plug the device in; {ports_in_words()}"
             ) from None
-        raise DeviceNotFoundError(f"{port} does not open: {error}", remedy=ports_in_words()) from None
+        raise DeviceNotFoundError(
+            f"{port} does not open: {error}", remedy=f"plug the device in again; {ports_in_words()}"
+        ) from None
     except (OSError, ValueError, termios.error) as error:
-        raise DeviceNotFoundError(f"{port} is not a serial port: {error}", remedy=ports_in_words()) from None
+        raise DeviceNotFoundError(
+            f"{port} is not a serial port: {error}", remedy=f"name a serial port; {ports_in_words()}"
+        ) from None
 
 
 class SerialLink(DescriptorLink):

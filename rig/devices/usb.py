@@ -107,7 +107,7 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> UsbLink:
         if pipes is None:
             raise IncompatibleDeviceError(
                 f"{url.text} is not a haptic rig: it has no interface of vendor class with one bulk endpoint each way",
-                remedy=_rigs(bus),
+                remedy=f"give the URL of a rig. {_rigs(bus)}",
             )
         detached = _claim(device, pipes, url)
         try:
@@ -141,7 +141,7 @@ def _chosen(bus: UsbBus, url: DeviceUrl, vendor: int, product: int, serial: str)
     found = [device for device in bus.devices if (device.idVendor, device.idProduct) == (vendor, product)]
     if not found:
         raise DeviceNotFoundError(
-            f"there is no USB device {vendor:04x}:{product:04x}", remedy=f"plug it in. {_rigs(bus)}"
+            f"there is no USB device {vendor:04x}:{product:04x}", remedy=f"plug the device in. {_rigs(bus)}"
         )
     if serial:
         numbers = [_text(device, "serial") for device in found]
@@ -149,7 +149,8 @@ def _chosen(bus: UsbBus, url: DeviceUrl, vendor: int, product: int, serial: str)
         if not matching:
             there = ", ".join(number or "one without a number" for number in numbers)
             raise DeviceNotFoundError(
-                f"no {vendor:04x}:{product:04x} has the serial number {serial}", remedy=f"there is: {there}"
+                f"no {vendor:04x}:{product:04x} has the serial number {serial}",
+                remedy=f"choose one of the connected numbers: {there}",
             )
         found = matching
     if len(found) > 1:
@@ -367,7 +368,7 @@ def _open(url: DeviceUrl, device: Any, pipes: _Pipes, wanted: str) -> Transfers:
     if why and wanted == "queued":
         raise IncompatibleDeviceError(
             f"{url.text}: transfers cannot be queued: {why}",
-            remedy="leave transfers=queued out, or install pyusb 1.3",
+            remedy="remove transfers=queued from the URL, or install pyusb 1.3",
         )
     try:
         if why:

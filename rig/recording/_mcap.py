@@ -36,7 +36,9 @@ def write_mcap(file: BinaryIO, recording: Recording) -> None:
     try:
         writer = mcap.Writer(file)
     except ImportError as error:
-        raise RigError("mcap is not installed", remedy="pip install haptic-rig[mcap]") from error
+        raise RigError(
+            "mcap is not installed", remedy="install it: pip install 'haptic-rig[mcap]'"
+        ) from error
     writer.start(library="haptic-rig")
     facts = {"header": recording.header, "trailer": recording.trailer, "complete": recording.complete}
     writer.add_metadata("recording", {name: canonical_json(part).decode() for name, part in facts.items()})

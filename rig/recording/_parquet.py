@@ -129,7 +129,8 @@ def _open_file(path: Path) -> Iterator[Any]:
         try:
             yield parquet.ParquetFile(file)
         except (pyarrow.ArrowException, OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-            raise RecordingError(f"{path} is damaged", remedy=f"{error}".partition("\n")[0]) from error
+            reason = f"{error}".partition("\n")[0]
+            raise RecordingError(f"{path} is damaged: {reason}", remedy="restore it from a copy") from error
 
 
 def _metadata(path: Path, schema: Any) -> dict[bytes, bytes]:

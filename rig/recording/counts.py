@@ -187,12 +187,12 @@ def _check(resolution: float, time: object, time_unit: str, period_s: float | No
         )
     if time_unit not in UNITS_S:
         raise ConfigError(
-            f"time_unit = {time_unit!r} is not a unit of time", remedy=f"choose {', '.join(UNITS_S)}"
+            f"time_unit = {time_unit!r} is not a unit of time", remedy=f"choose one of {', '.join(UNITS_S)}"
         )
     if (time is None) == (period_s is None):
         raise ConfigError(
             "exactly one of time and period_s must be given",
-            remedy="name the column of times, or give s between rows",
+            remedy="give the column of times (time), or the seconds between rows (period_s)",
         )
     if period_s is not None and not (math.isfinite(period_s) and period_s > 0.0):
         raise ConfigError(
@@ -230,7 +230,7 @@ def _read(path: Path, wanted: list[str | int], delimiter: str | None) -> list[An
     except pyarrow.ArrowException as error:
         reason = str(error).partition("\n")[0]
         raise RecordingError(
-            f"{path} is not a CSV file of equal rows: {reason}", remedy="correct that row"
+            f"{path} is not a CSV file of equal rows: {reason}", remedy="correct this row of the file"
         ) from error
     return [table.column(name) for name in columns]
 
@@ -249,7 +249,7 @@ def _number_of(path: Path, wanted: str | int, names: list[str], columns: int) ->
             return wanted
         raise RecordingError(
             f"{path} has {columns} columns; there is no column number {wanted}",
-            remedy=f"choose 0 to {columns - 1}",
+            remedy=f"choose a number from 0 to {columns - 1}",
         )
     if names.count(wanted) == 1:
         return names.index(wanted)

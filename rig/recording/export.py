@@ -131,7 +131,9 @@ def write_mat(file: BinaryIO, recording: Recording) -> None:
     try:
         scipy_io.savemat(file, contents, long_field_names=True, do_compression=True, oned_as="column")
     except ValueError as error:
-        raise RecordingError(f"MAT cannot hold this recording: {error}", remedy="export Parquet") from error
+        raise RecordingError(
+            f"MAT cannot hold this recording: {error}", remedy="export it as parquet, which has no such limit"
+        ) from error
 
 
 EXPORTERS: Mapping[str, Callable[[BinaryIO, Recording], None]] = {

@@ -150,7 +150,10 @@ def free_name(directory: Path, stem: str) -> Path:
             capture.with_suffix(suffix).exists() for suffix in (".rigcap", ".parquet", ".png", ".svg", ".pdf")
         ):
             return capture
-    raise ConfigError(f"{directory} is full of recordings named {stem}", remedy="choose another `output`")
+    raise ConfigError(
+        f"{directory} has 9999 recordings named {stem}: no name is left",
+        remedy="choose another `output`",
+    )
 
 
 _reserved: set[Path] = set()

@@ -68,7 +68,9 @@ def dtype_of(schema: Mapping[str, Any]) -> np.dtype[np.void]:
             }
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise RecordingError(f"the recording's schema is invalid ({error})") from error
+        raise RecordingError(
+            f"the recording's schema is invalid ({error})", remedy="restore the file from a copy"
+        ) from error
 
 
 def schema_of(schema: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:

@@ -39,7 +39,7 @@ def batch_layout(experiment: Experiment) -> int:
             "rig.limits.speed",
             experiment.rig.limits.speed,
             f"the handle may move by {counts:.0f} counts in a tick, more than a BATCH can carry",
-            "lower it, or raise controller.position_rate",
+            "lower rig.limits.speed, or raise controller.position_rate",
         )
     if counts > _I8_GREATEST:
         return WIDE

@@ -153,7 +153,9 @@ def test_a_serial_number_selects_one_of_two_devices(bus: Any) -> None:
     pair = (Device(serial="A"), Device(serial="B", port=2))
     caught = refused(bus, DeviceNotFoundError, *pair)
     assert "usb://1209:0001/A, usb://1209:0001/B" in caught.remedy
-    assert "there is: A, B" in refused(bus, DeviceNotFoundError, *pair, url="usb://1209:0001/C").remedy
+    assert (
+        "connected numbers: A, B" in refused(bus, DeviceNotFoundError, *pair, url="usb://1209:0001/C").remedy
+    )
     open_link("usb://1209:0001/B").close()
     assert pair[0].calls == []
     assert "claim" in pair[1].calls
