@@ -196,7 +196,7 @@ def prepare_estimator(experiment: Experiment, resolution: float, period_s: float
 
 
 def settings_of_rig(experiment: Experiment) -> dict[str, float]:
-    """Return inertia, viscosity and friction of the rig without a hand, for estimators with these settings."""
+    """Return inertia, viscosity and friction of the rig without a hand (SI), as settings of estimators."""
     mechanics = moved_mechanics(rig_model(experiment.rig))
     return {"inertia": mechanics.inertia, "viscosity": mechanics.damping, "friction": mechanics.friction}
 

@@ -73,7 +73,8 @@ class MovedMechanics:
 def current_sensor(model: RigModel) -> CurrentSensor:
     """Return the parameters from which the expected measured current follows from the set current.
 
-    With a simulated computation delay, which is not modelled here, `noise` is -1: the currents are not compared.
+    `noise` is -1, and the currents are not compared, if the device does not measure the current or if a computation
+    delay is simulated, which is not modelled here.
     """
     amplifier = model.amplifier
     back_emf = amplifier.back_emf * model.encoder.resolution / amplifier.effort_quantum

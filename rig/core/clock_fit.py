@@ -7,19 +7,20 @@ times, which is at most half of the round trip. Exchanges with a short round tri
 * the excess of an exchange is its round trip minus the least round trip. Its offset is uncertain by half the excess,
   and by half of the time that the fastest exchange may itself have waited: this is taken as the excess of the √n-th
   fastest of n exchanges, or as 1/n of the least round trip if that is more;
-* the offset is a line in device time, plus a share of the excess: where only one way waits, the share is ± ½, and the
-  line is what remains without excess;
-* the drift has a prior of 0 ± 100 ppm (two ordinary crystals) and the share one of 0 ± 0.29 (evenly within ± ½): one
-  exchange, or several within a moment, leave the drift at 0 ± 100 ppm, and a second of them replaces the prior.
+* the model of the offset is a line in device time plus a share of the excess; if all delay is in one direction, the
+  share is ± ½;
+* the drift has a prior of 0 ± 100 ppm (two ordinary crystals), and the share has a prior of 0 ± 0.29 (uniform within
+  ± ½). After one exchange, or several at nearly the same time, the drift is still 0 ± 100 ppm; after exchanges over a
+  second the measurement dominates.
 
 An exchange is rejected when it is
 
 1. impossible: a clock ran backwards within it, its round trip is shorter than the stamps can resolve, or a stamp is
-   none (negative, or more than 18 years);
+   invalid (negative, or more than 18 years);
 2. slow: its excess is above `SLOW` times the median excess;
-3. off the line: by more than `OFF_LINE` times what its excess allows, against the median slope and height of the
-   fastest exchange of each stretch of time first, against the fit then. That finds stamps of two different
-   exchanges, and a clock that was set.
+3. off the line: its distance from a line is more than `OFF_LINE` times its uncertainty. The line is first that of the
+   median slope and height of the fastest exchange in each interval of time, then the fit. This detects stamps of two
+   different exchanges, and a clock that was set.
 
 The two directions may differ: `asymmetry_bound_ns`, half of the least round trip, is a bound beside the standard
 uncertainties, not a part of them. One line serves one trial.

@@ -1,4 +1,4 @@
-"""Find what the extras of this distribution add to the core, by listing the folder ``rig/extras``.
+"""Find the commands, schemes and other parts that extras add to the core, by listing the folder ``rig/extras``.
 
 An extra is a package there with a ``table.json``: its commands, URL schemes and so on by their names, each with a
 target ``module:attribute`` that is imported on use. A package of `rig` can have such a table for lower packages.

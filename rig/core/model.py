@@ -1,6 +1,6 @@
-"""The physics of a rig as data: mechanics, amplifier, encoder, and the continuous matrices that follow.
+"""Physics of a rig as data: mechanics, amplifier, encoder, and the continuous state space model that follows.
 
-No time stepping here; `sim_backend.mechanics.plant` discretises and steps what this file describes, and theory reads
+This file does no time stepping: `sim_backend.mechanics.plant` discretises and simulates this model, and theory uses
 the same matrices. Everything is reflected to the link (the moving side that a person holds), in SI units; for
 a linear rig read mass for inertia and force for effort.
 
@@ -8,7 +8,7 @@ State of the continuous model, in this order:
 
 * two-mass: motor position, motor velocity, link position, link velocity, motor effort
 * rigid: position, velocity, motor effort
-* coupled to a person's hand: hand position and hand velocity after these
+* coupled to a person's hand: hand position and hand velocity after the others
 
 Inputs, in this order: commanded effort, external effort on the link, then one Coulomb friction effort for
 each mass; with a person then the intended position, the intended velocity and the press on the hand. Saturation,

@@ -1,6 +1,6 @@
 """Temporary directories that are removed when their process ends; after kill -9, by the next process that makes one.
 
-Exports, builds, pictures and the console work in them. They must not hold what a user may want to keep.
+Exports, builds, pictures and the console work in them. They must not contain files that a user may want to keep.
 """
 
 from __future__ import annotations

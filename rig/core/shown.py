@@ -90,7 +90,7 @@ class Picture:
 
 
 class Drawn:
-    """A result that has a picture."""
+    """Result that has a picture."""
 
     __slots__ = ()
 

@@ -1,4 +1,4 @@
-"""The version of this package, as it is installed."""
+"""Version of the installed package haptic-rig."""
 
 from importlib.metadata import version
 

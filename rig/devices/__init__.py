@@ -203,5 +203,5 @@ def simulated_trial() -> tuple[Any, Any]:
 
 
 def open_device(url: str, model: RigModel | None = None) -> FramedDevice:
-    """Open the device behind a URL; parameters and errors as `open_link`."""
+    """Open the device at a URL; parameters and errors as `open_link`."""
     return FramedDevice(open_link(url, model))

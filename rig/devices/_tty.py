@@ -103,7 +103,7 @@ def _number(character: int | bytes) -> int:
 
 
 def configure(descriptor: int) -> None:
-    """Set VMIN = 1, VTIME = 0, HUPCL off and non-blocking calls; raises `termios.error` when the line is gone."""
+    """Set VMIN = 1, VTIME = 0, HUPCL off and non-blocking calls; raise `termios.error` when the line is gone."""
     attributes = termios.tcgetattr(descriptor)
     # pyserial leaves VMIN at 0, where "nothing available" and "unplugged" both read 0 bytes.
     attributes[_CC][termios.VMIN] = 1

@@ -157,7 +157,7 @@ class FramedDevice:
         ------
         DeviceRefusedError
             The device does not accept a value; then nothing has changed. Or a real device has restarted or lost
-            counts since it was first opened, so that its position zero is no longer valid.
+            counts since this object first read its dictionary: its position zero is no longer valid.
         """
         self._make_configurable()
         before, self._crc = self._crc, None

@@ -1,4 +1,4 @@
-"""A simulated device as a process of its own, for a run in real time on this machine.
+"""Simulated device in its own process, for a run in real time on this machine.
 
 The process communicates through a socket (`rig.devices._local_socket`); everything above the link is as with a real
 rig. `rig serve rig` communicates through a pseudo-terminal, which exercises pyserial too.

@@ -45,7 +45,7 @@ class PortFacts:
     by_id
         Names in ``/dev/serial/by-id`` that stay the same wherever the device is plugged in.
     ftdi
-        Whether it is an FTDI adapter, which waits for its latency timer.
+        True for an FTDI adapter, which holds bytes back until its latency timer expires.
     latency_timer_ms
         Latency timer of an FTDI adapter (ms); None on all other ports.
     low_latency

@@ -1,4 +1,4 @@
-"""A serial port as a link: opened by pyserial, read and written through its descriptor.
+"""Link to a serial port: opened by pyserial, read and written through its descriptor.
 
 pyserial finds, opens, configures and locks the port; the bytes then move by read(2), write(2) and poll(2), which the
 compiled loop and Python share. Settings that could not be obtained are in `SerialLink.messages`, with their remedy.

@@ -1,4 +1,4 @@
-"""A USB device with two bulk endpoints as a link: ``usb://1209:0001``, ``usb://1209:0001/SERIAL``.
+"""Link to a USB device with two bulk endpoints: ``usb://1209:0001``, ``usb://1209:0001/SERIAL``.
 
 pyusb finds, opens and claims it. The compiled loop and Python then transfer bytes by libusb's transfers
 (`rig.devices._usb_queue`), or by pyusb's own calls if libusb's handles cannot be used (`rig.devices._usb_plain`). A rig
@@ -363,7 +363,10 @@ class UsbLink(RealLink):
 
 
 def _open(url: DeviceUrl, device: Any, pipes: _Pipes, wanted: str) -> Transfers:
-    """Return `QueuedTransfers` for a claimed device if possible or required by `wanted`, else `PlainTransfers`."""
+    """Return `QueuedTransfers` if possible and `wanted` is not "plain", else `PlainTransfers`.
+
+    Raise `IncompatibleDeviceError` if `wanted` is "queued" and they are impossible.
+    """
     why = "the URL has transfers=plain" if wanted == "plain" else unsuitable(device)
     if why and wanted == "queued":
         raise IncompatibleDeviceError(

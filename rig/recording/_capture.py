@@ -24,9 +24,9 @@ zlib)::
     instead of rows
 
 The JSON of the header holds under ``schema`` the size of a row and the dtype, offset, unit and meaning of each column:
-a reader needs this page and a JSON parser. A damaged block is skipped and reported, with its number of rows when its
-own or the next head is good. A file without an end was cut off: its last bytes may be a torn block, all others are
-good.
+a reader needs this page and a JSON parser. A damaged block is skipped and reported, with its number of rows if its
+own head or the next one is valid. A file without an end block was cut off: its last bytes may be an incomplete block,
+all other blocks are valid.
 """
 
 from __future__ import annotations
@@ -146,7 +146,7 @@ def read_capture(path: Path, columns: Collection[str] | None = None) -> Recordin
     Raises
     ------
     RecordingError
-        No such file, not a capture, a damaged header, or another format version.
+        The file does not exist, is not a capture, or has a damaged header or another format version.
     """
     with _open_mapped(path) as data:
         header, start = _read_header(path, data)

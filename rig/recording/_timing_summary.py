@@ -74,7 +74,8 @@ class TimingSummary(TimingFacts):
     edges_ns
         Edges of the histograms (ns).
     worst
-        Ticks with the longest delay from sample to command, or, without a clock fit, the latest ticks; worst first.
+        Ticks with the longest delay from sample to command and its effect, or, without a clock fit, the latest ticks;
+        the worst first.
     counts
         Number of ticks, samples or commands of each kind in `COUNTED`; None if the loop stored no counters.
     """

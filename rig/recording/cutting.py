@@ -51,7 +51,7 @@ def cut(
     Raises
     ------
     RecordingError
-        There are no two rows between these times, or ticks are lost between them.
+        There are fewer than two rows between these times, or ticks are lost between them.
     """
     times, rows = recording.time_s, recording.rows
     first, end = np.searchsorted(times, first_s, "left"), np.searchsorted(times, last_s, "right")

@@ -77,8 +77,8 @@ class Recording(Shown, Drawn):
     header
         Everything known before the trial (`rig.recording.header.make_header`).
     rows
-        Structured array, one row a tick; its fields are those of the file: `rig.core.sample.ROW`, and in simulation
-        the truth.
+        Structured array with one row per tick: the columns of `rig.core.sample.ROW`, and in simulation also those of
+        `rig.core.sample.TRUTH_COLUMNS`.
     trailer
         How and why the trial ended, with its statistics; None if the file has none, as after a crash.
     complete
@@ -155,7 +155,7 @@ class Recording(Shown, Drawn):
     def to_pandas(self) -> Any:
         """Return a DataFrame whose `attrs` hold ``units``, ``descriptions`` and ``header``.
 
-        Raises `RigError` when pandas is not installed.
+        Raise `RigError` when pandas is not installed.
         """
         try:
             frame = pandas.DataFrame(self.to_numpy())
@@ -167,7 +167,7 @@ class Recording(Shown, Drawn):
     def to_xarray(self) -> Any:
         """Return a Dataset over ``time`` (s); each variable has ``units`` and ``long_name``.
 
-        Raises `RigError` when xarray is not installed.
+        Raise `RigError` when xarray is not installed.
         """
         try:
             columns = {name: ("time", values) for name, values in self.to_numpy().items()}

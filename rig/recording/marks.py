@@ -1,15 +1,15 @@
 """Marks of a recording: its events (contact, end, sync edges, …) with their times on device and host clock.
 
 ========  =============================================================================================
-homed     the first sample behind the homing
+homed     the first sample after homing
 trial     the first sample of the trial
-contact   the first sample inside the wall in the trial, and each first one after a sample outside
+contact   each first sample inside the wall after a sample outside it, during the trial
 release   the first sample of the release
 end       the last sample
-sync      a rising edge of the sync input; its `tick` is that of the first row that reports it
+sync      a rising edge of the sync input; `tick` is the tick of the first row that reports the edge
 trial_out, inside_out
-          a rising edge of a sync output, where the host ran the law: the device's tick that set it began then, or
-          where samples are missing before it, so much earlier at most
+          a rising edge of a sync output, if the host ran the law: the begin of the device tick that set the
+          output; if samples before it are missing, the edge was earlier by up to the length of this gap
 ========  =============================================================================================
 
 Device times are on the scale of the column device_time; host times come from the clock fit: None if it is missing.

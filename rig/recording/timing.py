@@ -6,8 +6,8 @@ times on the host's clock, 0 where unknown:
 ========  =====================================================================================================
 sampled   the device read its encoder: device time through the clock fit
 received  the loop received the STATE
-computed  the law had computed its effort
-sent      the link had accepted the COMMAND
+computed  the law finished the computation of its effort
+sent      the link accepted the COMMAND
 applied   the COMMAND was active, at the earliest: device time of sample k − a, where STATE k is the first that names
           it as the active one, and a is the age that it gives; or when it was sent, if that is later. A device
           reports the tick in which a COMMAND came, not the time: it may have been up to a tick later
