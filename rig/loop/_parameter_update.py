@@ -66,8 +66,7 @@ def update_of(number: int, block: bytes, values: Sequence[float]) -> bytes:
     if len(block) > BLOCK_BYTES or VALUES_AT + 8 * len(values) > MOST_BYTES:
         raise ConfigError(
             f"{len(block) // ENTRY_BYTES} parameters on the device and {len(values)} on the host are "
-            "too many for a running loop: it takes at most "
-            f"{BLOCK_BYTES // ENTRY_BYTES} and {(MOST_BYTES - VALUES_AT) // 8}",
+            "too many for a running loop",
             remedy="use a law with fewer parameters",
         )
     head = _HEAD.pack(number, len(block)) + block.ljust(BLOCK_BYTES, b"\0")

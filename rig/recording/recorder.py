@@ -215,9 +215,7 @@ class Recorder:
         flush_s: float = FLUSH_S,
     ) -> None:
         if header["schema"]["row_bytes"] != ROW.itemsize or sys.byteorder != "little":
-            raise RecordingError(
-                "the header does not describe the loop's rows: the size differs, or this computer is big-endian"
-            )
+            raise RecordingError("the header does not describe the rows of the loop")
         prepare(record)
         self.path = Path(path)
         self._ring = ring

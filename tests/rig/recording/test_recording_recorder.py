@@ -160,7 +160,7 @@ def test_a_missing_directory_is_one_clear_line(tmp_path: Path) -> None:
 
 def test_rows_of_another_kind_are_refused(tmp_path: Path) -> None:
     header = {**HEADER, "schema": {"row_bytes": ROW.itemsize + 8, "columns": []}}
-    with pytest.raises(RecordingError, match="does not describe the loop's rows"):
+    with pytest.raises(RecordingError, match="does not describe the rows"):
         Recorder(tmp_path / "trial.rigcap", header, Ring.allocate(4))
 
 
