@@ -1,1 +1,1 @@
-"""Linear theory, impedance, identification: arrays in, numbers out."""
+"""Linear theory, impedance and identification: pure computations that take arrays and return numbers."""

@@ -1,11 +1,11 @@
-"""What this machine and a link can do, the remedy for what they cannot, and whether a wall may be armed.
+"""Examine this machine and a link to a device, and decide whether a wall may be armed.
 
 * `machine`: the checks of this computer; `subject`, `limits`, `kernel`, `access`, `wake_up`, `udev` are its parts
-* `ports`: what is connected, without opening it
-* `ping`, `round_trip`: the link, measured by the loop's own means
-* `late_loops`, `walls`: linear theory under the measured delay
-* `gate`: whether a wall may be armed there; `rig.experiments.hits.admission` adds what a plan and the device itself
-  refuse
+* `ports`: list of connected ports and USB devices, without opening them
+* `ping`, `round_trip`: measurement of a link with the real-time loop's own code
+* `late_loops`, `walls`: stable walls by linear theory with the measured delay
+* `gate`: decision whether a wall may be armed; `rig.experiments.hits.admission` adds the refusals of a plan and of the
+  device itself
 
-All of it, as `rig doctor` prints it, is `rig.experiments.hits.examine`.
+`rig.experiments.hits.examine` runs the whole examination that `rig doctor` prints.
 """

@@ -1,4 +1,4 @@
-"""Serial ports: who may open them, and which other programs do."""
+"""Check whether this user may open serial ports, and which other programs would open them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ if sys.platform == "linux":
     from rig.doctor._subject import Machine
     from rig.realtime.scheduling import name_of_group
 
-assert sys.platform == "linux"
+assert (
+    sys.platform == "linux"
+)  # only `rig.doctor.interface` imports this file, on Linux; mypy skips the rest elsewhere
 
 PORTS = ("ttyACM*", "ttyUSB*", "ttyAMA*")
 GROUPS = ("dialout", "uucp")  # Debian and Fedora, Arch
@@ -25,7 +27,7 @@ RULES_PLACES = ("etc/udev/rules.d", "run/udev/rules.d", "usr/lib/udev/rules.d", 
 
 @question("serial ports", "the user must be allowed to open the rig's port")
 def serial_ports(machine: Machine) -> Check:
-    """Check whether this user may open the serial ports that are here, or those that will be."""
+    """Check whether this user may open the connected serial ports; if there are none, any port of the usual group."""
     ports = sorted(path for pattern in PORTS for path in (machine.root / "dev").glob(pattern))
     closed = [path for path in ports if not machine.openable(path)]
     if not ports:
@@ -55,7 +57,7 @@ def _group_missing(machine: Machine, group: str, text: str) -> Check:
 
 
 def _groups(machine: Machine) -> dict[str, list[str]]:
-    """Return the members of each group of /etc/group."""
+    """Return the names of the members of each group in /etc/group."""
     lines = (line.split(":") for line in text_of(machine.root / "etc/group").splitlines())
     return {parts[0]: parts[3].split(",") for parts in lines if len(parts) > 3}
 
@@ -65,7 +67,7 @@ def _groups(machine: Machine) -> dict[str, list[str]]:
     "they name the rig's port after its serial number, grant access to it, and keep other programs away",
 )
 def udev_rules_present(machine: Machine) -> Check:
-    """Check whether the rules for rigs are installed."""
+    """Check whether the udev rules for rigs are installed."""
     path = machine.root / RULES_FILE.lstrip("/")
     if path.exists() or any("haptic-rig" in rules.name for rules in _rules(machine)):
         return ok("installed")
@@ -74,7 +76,7 @@ def udev_rules_present(machine: Machine) -> Check:
 
 @question("ModemManager", "it opens every new serial port and sends modem commands for up to half a minute")
 def modem_manager(machine: Machine) -> Check:
-    """Check whether a program that looks for modems would open the port first."""
+    """Check whether ModemManager, which looks for modems, would open the rig's port."""
     if not running(machine.root, "ModemManager"):
         return ok("not running")
     ignoring = (rules for rules in _rules(machine) if "haptic-rig" in rules.name)
@@ -85,7 +87,7 @@ def modem_manager(machine: Machine) -> Check:
 
 @question("brltty", "it takes some serial adapters (CH340, CP210x, FTDI) for braille displays and keeps them")
 def brltty(machine: Machine) -> Check:
-    """Check whether a program for braille displays would take the adapter."""
+    """Check whether brltty, a program for braille displays, would take the serial adapter."""
     rules = [rules.name for rules in _rules(machine) if "brltty" in rules.name]
     if not running(machine.root, "brltty") and not rules:
         return ok("not installed")
@@ -96,12 +98,12 @@ def brltty(machine: Machine) -> Check:
 
 
 def running(root: Path, program: str) -> bool:
-    """Return True if a program runs, by its name in the process table."""
+    """Return True if a process with the name `program` runs."""
     return any(text_of(path) == program for path in (root / "proc").glob("[0-9]*/comm"))
 
 
 def _rules(machine: Machine) -> Iterator[Path]:
-    """Yield each file of udev rules, without masks (links to /dev/null)."""
+    """Yield the path of each file of udev rules, except links to /dev/null, which disable a rule."""
     for place in RULES_PLACES:
         for path in (machine.root / place).glob("*.rules"):
             if path.resolve() != Path("/dev/null"):

@@ -1,4 +1,4 @@
-"""Doctor's report on a computer without Linux: a law in real time must run on the device there."""
+"""Checks of a computer without Linux, on which a real-time law must run on the device."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rig.realtime.scheduling import RealtimeRequest
 
 
 def machine_checks(host: RealtimeRequest | None = None) -> list[Check]:
-    """Return the checks of a machine that is not Linux, as `rig.doctor._machine.machine_checks`."""
+    """Return the checks of a machine without Linux; counterpart of `rig.doctor._machine.machine_checks`."""
     return [_real_time()]
 
 

@@ -1,4 +1,4 @@
-"""What the kernel and the processors are: how late they may wake a thread, whatever it may ask for."""
+"""Check properties of kernel and processors that delay the wake-up of any thread."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from rig.realtime.scheduling.facts import text_of
 if sys.platform == "linux":
     from rig.doctor._subject import Machine
 
-assert sys.platform == "linux"
+assert (
+    sys.platform == "linux"
+)  # only `rig.doctor.interface` imports this file, on Linux; mypy skips the rest elsewhere
 
 PREEMPT_FILE = "/sys/kernel/debug/sched/preempt"
 CLOCK_FILE = "/sys/devices/system/clocksource/clocksource0/current_clocksource"
@@ -28,7 +30,7 @@ _HYPERVISORS = re.compile(
 
 @question("kernel", "the loop must wait for kernel work that cannot be interrupted")
 def preemption(machine: Machine) -> Check:
-    """Return how the kernel lets a real-time thread interrupt what runs."""
+    """Check whether a real-time thread may interrupt the kernel's own work (kind of preemption)."""
     kind = facts.preemption(machine.root)
     if kind == "PREEMPT_RT":
         return ok("PREEMPT_RT: almost everything can be interrupted")
@@ -43,7 +45,7 @@ def preemption(machine: Machine) -> Check:
 
 @question("timers", "coarse timers wake the loop at multiples of 1 to 10 ms only")
 def timer(machine: Machine) -> Check:
-    """Check whether timers are finer than the kernel's tick."""
+    """Check whether timers have a resolution of 0.001 ms or finer."""
     listed = re.search(r"\.resolution:\s*(\d+) nsecs", text_of(machine.root / "proc/timer_list"))
     resolution = int(listed[1]) if listed else round(time.clock_getres(time.CLOCK_MONOTONIC) * 1e9)
     if resolution <= COARSE_NS:
@@ -58,7 +60,7 @@ def timer(machine: Machine) -> Check:
     "clock", "the loop reads the clock several times a tick, and a slow counter costs microseconds each time"
 )
 def clock(machine: Machine) -> Check:
-    """Check whether reading the clock is cheap."""
+    """Check whether the kernel's clock source is fast to read."""
     source = facts.clock_source(machine.root)
     if source not in SLOW_CLOCKS:
         return ok(source or "not known")
@@ -70,7 +72,7 @@ def clock(machine: Machine) -> Check:
 
 @question("frequency", "a processor that lowers its clock between ticks computes the next tick late")
 def governor(machine: Machine) -> Check:
-    """Check whether processors stay at their full frequency."""
+    """Check whether all processors stay at their full frequency (governor ``performance``)."""
     chosen = facts.governors(machine.root)
     # Any other governor lowers the clock of a processor that sleeps most of a tick.
     others = sorted(by for by in chosen.values() if by != "performance")
@@ -85,7 +87,7 @@ def governor(machine: Machine) -> Check:
 
 @question(refusals.PROCESSOR, "on an isolated processor the loop shares neither time nor caches")
 def isolation(machine: Machine) -> Check:
-    """Check whether the loop's processor is its own."""
+    """Check whether the processor in ``host.cpu`` is isolated, so that only the loop runs on it."""
     cpu, isolated = machine.request.cpu, sorted(facts.isolated_cpus(machine.root))
     online = sorted(facts.online_cpus(machine.root))
     if cpu is None:

@@ -1,4 +1,4 @@
-"""What linear theory says of a wall whose commands act late, before any link was measured and after."""
+"""Judge by linear theory a wall whose commands act late; the delay may be measured or assumed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rig.doctor.late_loops import LateLoops, unstable_hands
 
 @dataclass(frozen=True, slots=True)
 class LateWall:
-    """What linear theory says of a wall behind a delay: checks, and by hand radius and k_max as `Gate` has them."""
+    """Stability of a wall with a delay: checks, spectral radius and largest stable K by hand, largest passive K."""
 
     checks: tuple[Check, ...]
     radius: Mapping[str, float]
@@ -28,7 +28,7 @@ class LateWall:
 
 
 def late_wall(experiment: Experiment, delay: int) -> LateWall:
-    """Judge the wall of an experiment whose commands act so many ticks late."""
+    """Judge the stability and passivity of an experiment's wall with a delay in ticks of the position rate."""
     wall = experiment.wall
     try:
         loops = LateLoops.of(experiment, delay)
@@ -53,7 +53,7 @@ def _not_computed(error: ConfigError) -> Check:
 def stability(
     experiment: Experiment, delay: int, radius: Mapping[str, float], limits: Mapping[str, float]
 ) -> Check:
-    """Check whether any hand makes the wall unstable, by its spectral radius and limits in each."""
+    """Refuse a wall that is unstable with any hand; `radius` and `limits` (largest stable K) are by hand."""
     wall, unit = experiment.wall, unit_of("stiffness", experiment.rig.motion)
     hands, largest = unstable_hands(radius, wall.stiffness), min(limits.values())
     what = f"K = {wall.stiffness:g} {unit} with B = {wall.damping:g}"
@@ -71,13 +71,13 @@ def stability(
 
 
 def _rounded_down(value: float) -> str:
-    """Round down to two digits."""
+    """Return a value above 0, rounded down to two significant digits, as text."""
     scale = 10.0 ** (math.floor(math.log10(value)) - 1)
     return f"{math.floor(value / scale) * scale:.12g}"
 
 
 def _theory_checks(experiment: Experiment, loops: LateLoops, passive: float) -> Iterator[Check]:
-    """Yield further results of theory: the stand-in for an estimator, homing, passivity."""
+    """Yield checks of the estimator's replacement, of homing's stability and of passivity; none of them refuses."""
     if loops.stand_in:
         yield replace(warning(loops.stand_in), name="estimator")
     homing = loops.radius(experiment.homing.stiffness, experiment.homing.damping)

@@ -1,4 +1,4 @@
-"""What this process may have: priority, locked memory, processors that stay awake."""
+"""Check whether this process may have real-time priority, locked memory and processors that stay awake (Linux)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ if sys.platform == "linux":
     from rig.doctor._subject import Machine
     from rig.realtime.scheduling import IDLE_DEVICE
 
-assert sys.platform == "linux"
+assert (
+    sys.platform == "linux"
+)  # only `rig.doctor.interface` imports this file, on Linux; mypy skips the rest elsewhere
 
 
 @question(
@@ -22,7 +24,7 @@ assert sys.platform == "linux"
     "without real-time priority a thread waits for other programs, for milliseconds on a busy machine",
 )
 def priority(machine: Machine) -> Check:
-    """Check whether SCHED_FIFO is granted: by limits and control group, then by trying it in a short-lived thread."""
+    """Check whether SCHED_FIFO is granted: by limits and control group, then by a try in a short-lived thread."""
     wanted = machine.request.priority
     if not machine.rights.may_schedule(wanted):
         return machine.judged(refusals.of_policy(wanted, machine.rights, errno.EPERM, machine.root))
@@ -41,7 +43,7 @@ def memory(machine: Machine) -> Check:
 
 @question(refusals.IDLE, "waking from deep sleep takes 0.1 ms or more")
 def idle_states(machine: Machine) -> Check:
-    """Check that processors can be kept from deep sleep."""
+    """Check whether this process may keep processors from deep sleep."""
     device = machine.root / IDLE_DEVICE
     if device.exists() and machine.openable(device):
         return ok("processors can be kept from deep sleep (/dev/cpu_dma_latency)")
@@ -51,7 +53,7 @@ def idle_states(machine: Machine) -> Check:
 
 @question("swap", "swapped memory must be read back from disk before the loop continues")
 def swap(machine: Machine) -> Check:
-    """Check whether memory may be moved to a disk."""
+    """Check whether the kernel may move the loop's memory to a swap area."""
     areas = [line.split() for line in text_of(machine.root / "proc/swaps").splitlines()[1:]]
     used = sum(int(area[3]) for area in areas if len(area) > 3 and area[3].isdecimal()) // 1024
     if not areas:
@@ -66,7 +68,7 @@ def swap(machine: Machine) -> Check:
     "the time that the kernel reserves keeps a processor usable if a real-time loop never waits",
 )
 def real_time_share(machine: Machine) -> Check:
-    """Return how much of a second real-time threads may run."""
+    """Check which share of each period the kernel lets real-time threads run (kernel.sched_rt_runtime_us)."""
     remedy = "sudo sysctl -w kernel.sched_rt_runtime_us=950000"
     runtime, period = rt_runtime_us(machine.root), rt_period_us(machine.root) or 1_000_000
     if runtime is None:

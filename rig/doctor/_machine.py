@@ -1,4 +1,4 @@
-"""Everything about this computer that decides how well the loop runs."""
+"""Run all checks of this computer that decide how well the real-time loop runs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ from rig.realtime.scheduling import RealtimeRequest
 if sys.platform == "linux":
     from rig.doctor._subject import Machine
 
-assert sys.platform == "linux"
+assert (
+    sys.platform == "linux"
+)  # only `rig.doctor.interface` imports this file, on Linux; mypy skips the rest elsewhere
 
 CHECKS: tuple[Callable[[Machine], Check], ...] = (
     limits.priority,
@@ -40,16 +42,16 @@ CHECKS: tuple[Callable[[Machine], Check], ...] = (
 def machine_checks(
     host: RealtimeRequest | None = None, *, machine: Machine | None = None, seconds: float = 1.0
 ) -> list[Check]:
-    """Run all checks, and measure wake-ups.
+    """Run all checks of a machine and measure its wake-up latency.
 
     Parameters
     ----------
     host
-        What an experiment requests (``experiment.host``); the defaults when left out.
+        Scheduling that an experiment requests (``experiment.host``); the defaults if left out.
     machine
-        What to examine instead of this machine; it brings its own `host`.
+        Machine to examine instead of this computer; its own request replaces `host`.
     seconds
-        How long wake-ups are measured; not at all when 0.
+        Duration of the measurement of wake-ups (s); 0 for no measurement.
     """
     machine = machine or Machine(request=host or Host())
     checks = [check(machine) for check in CHECKS]

@@ -1,7 +1,7 @@
-"""Clock exchanges one after another, as one compiled function without the GIL: how long a link takes there and back.
+"""Measure a link by repeated clock exchanges (GetTime and its reply) in one compiled function without the GIL.
 
-`rig.doctor._round_trip` calls it. It must use the loop's plug points, codec and way of waiting, so that the loop will
-have the times that it measures.
+`rig.doctor._round_trip` calls it. It must use the loop's plug points, codec and way of waiting, so that the measured
+times are valid for the loop.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _NONCES = 1 << 16
 
 @group
 class PingBuffers(NamedTuple):
-    """Bytes from the link, a decoded frame, a frame to send; fields of a header, of a message, of the last answer."""
+    """Working arrays of `ping`: received bytes, decoded and outgoing frame; fields of header, message, last reply."""
 
     received: Bytes
     raw: Bytes
@@ -65,7 +65,7 @@ class PingBuffers(NamedTuple):
 
     @classmethod
     def allocate(cls) -> PingBuffers:
-        """Allocate the arrays that the compiled ping loop uses, zeroed."""
+        """Return arrays of the required sizes, filled with zeros."""
         return cls(
             received=np.zeros(RECEIVE_BYTES, np.uint8),
             raw=np.zeros(codec.RAW_BYTES, np.uint8),
@@ -81,7 +81,7 @@ _BUFFERS_TYPE = type_of(PingBuffers)
 
 @kernel(types.int64(_BUFFERS_TYPE, types.int64, _INTS))
 def _take(buffers: PingBuffers, length: int, tally: Any) -> int:
-    """Decode one frame: 1 for the reply to the newest request, whose fields are then in `buffers.values`."""
+    """Decode one frame; return 1 if it is the reply to the newest request (fields in `buffers.values`), otherwise 0."""
     raw, header, values = buffers.raw, buffers.header, buffers.values
     if codec.decode_time(raw, length, header, values) == 0:
         if values[TIME.nonce] == tally[TALLY.nonce] and values[TIME.host_sent] == tally[TALLY.last_sent]:
@@ -95,7 +95,7 @@ def _take(buffers: PingBuffers, length: int, tally: Any) -> int:
 
 @kernel(types.int64(PORT_TYPE, _BUFFERS_TYPE, _INTS))
 def _gather(port: LoopPort, buffers: PingBuffers, tally: Any) -> int:
-    """Read and decode all available frames: 1 when the reply came (into `buffers`), 0, or negative errno."""
+    """Read and decode available frames; return 1 if the reply came (in `buffers.answer`), 0 if not, or -errno."""
     received, answer = buffers.received, buffers.answer
     came = 0
     got = np.int64(1)
@@ -130,7 +130,7 @@ def _gather(port: LoopPort, buffers: PingBuffers, tally: Any) -> int:
 
 @kernel(types.int64(PORT_TYPE, _BUFFERS_TYPE, _INTS, types.int64, types.int64))
 def _listen(port: LoopPort, buffers: PingBuffers, tally: Any, until_ns: int, for_answer: int) -> int:
-    """Receive until a moment, or until the awaited reply arrives: 1 if it arrived, 0, or -errno."""
+    """Receive until `until_ns`, or until the reply if `for_answer` is 1; return 1 if the reply came, 0, or -errno."""
     while port.now(port.clock_handle) < until_ns:
         ready = port.wait(port.handle, until_ns)
         if ready > 0:
@@ -156,29 +156,29 @@ def ping(
     period_ns: int,
     timeout_ns: int,
 ) -> int:
-    """Request the time repeatedly, until a moment or until the table is full.
+    """Request the device's time repeatedly, until `until_ns` or until the table `exchanges` is full.
 
     Parameters
     ----------
     port
         The link and its clock.
     buffers
-        What it writes into besides.
+        Working arrays of this function.
     exchanges
-        Table of `EXCHANGE`, filled from ``tally[TALLY.answered]`` on.
+        Table with the columns of `EXCHANGE`, one row per reply; filled from row ``tally[TALLY.answered]`` on.
     tally
-        Counters and what is remembered from call to call (`TALLY`).
+        Counters and the state between calls, with the fields of `TALLY`.
     until_ns
-        When to begin no other exchange (ns, link's clock); a call ends one time-out later at most.
+        Time after which no exchange begins (ns, link's clock); the call ends at most one time-out later.
     period_ns
-        Least time from one question to the next; the next one waits for the answer, too.
+        Least time from one request to the next (ns); a request also waits for the previous reply or its time-out.
     timeout_ns
-        How long to wait for an answer.
+        Longest time to wait for a reply (ns).
 
     Returns
     -------
     int
-        Exchanges in the table, or the negative errno of a broken link.
+        Number of exchanges in the table, or the negative errno of a broken link.
     """
     values, transmit, answer = buffers.values, buffers.transmit, buffers.answer
     time_ns = port.now(port.clock_handle)

@@ -1,4 +1,4 @@
-"""The ports and USB devices that are connected, and what costs time or safety on them. Nothing is opened."""
+"""List connected ports and USB devices, with their problems of latency or safety, without opening them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NO_PORTS = "ports"  # name of the check that warns where nothing is connected
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """A way to a device: the URL that opens it, its description, and all that is known of it."""
+    """A port or USB device: the URL that opens it, its description, and known facts such as its serial number."""
 
     url: str
     description: str
@@ -24,7 +24,7 @@ class Port:
 
 
 def ports_here() -> tuple[list[Port], list[Check]]:
-    """List serial ports and USB rigs, with a check for each thing that is wrong with one."""
+    """Return all connected serial ports and USB rigs, and a check for each problem of a port."""
     ports = [serial_port(name, description) for name, description in available_ports()]
     checks = [problem for _, facts in ports for problem in facts.problems()]
     rigs = [Port(device.url, device.product, device) for device in available_devices() if device.is_rig]
@@ -34,7 +34,7 @@ def ports_here() -> tuple[list[Port], list[Check]]:
 
 
 def serial_port(name: str, description: str = "") -> tuple[Port, PortFacts]:
-    """Return the facts about one serial port."""
+    """Return a serial port as a `Port`, and the facts about it."""
     facts = port_facts(name)
     return Port(DeviceUrl.of("serial", name).text, description or facts.product or "", facts), facts
 
@@ -45,6 +45,6 @@ def _nothing_here() -> Check:
 
 
 def rules_for_rigs() -> str:
-    """Return the udev rules for the rigs that this package knows, and for those that are connected."""
+    """Return the text of the udev rules for all rigs of this package and for the connected ones."""
     connected = ((device.vid, device.pid) for device in available_devices() if device.is_rig)
     return udev_rules((*RIGS, *connected))

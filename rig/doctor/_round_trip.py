@@ -1,4 +1,4 @@
-"""The round trip of a link, measured: duration of request and reply, losses, and the rate that the link carries.
+"""Measure the round trip of a link: duration of request and reply, losses, and the rate that the link carries.
 
 The device reports how long it kept a request (two of the four stamps of a clock exchange). The rest of the round trip
 is the link's, which decides the delay of a loop. The gate and `rig doctor` call it.
@@ -40,35 +40,35 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinkMeasurement:
-    """What was measured of one link.
+    """Measured round trips, losses and throughput of one link.
 
     Attributes
     ----------
     url, virtual, simulated
-        The device, whether its time is virtual, whether it is simulated.
+        URL of the device; True if its time is virtual; True if it is simulated.
     duration_s
-        Length of the measurement (s, the link's clock).
+        Length of the measurement (s, by the link's clock).
     asked_rate_hz
-        Questions a second that were allowed at most; None for as fast as answers come.
+        Highest rate of requests (Hz); None to send each request as soon as the previous reply arrives.
     sent, lost, late, unsent, bad_frames
-        Questions; those without an answer in `TIMEOUT_S`; answers after that; those that the line did not take; bad
-        frames.
+        Number of requests; of requests without a reply within `TIMEOUT_S`; of replies after that; of requests that
+        the port did not accept; of damaged frames.
     round_trip_s
-        From the question to its answer (s).
+        Time from a request to its reply (s).
     travel_s
-        The same without the time that the device kept the question (s): the link alone.
+        `round_trip_s` minus the time that the device kept the request (s): the time on the link alone.
     stamps_trusted
-        Whether the device's stamps are possible; if not, `travel_s` is the whole round trip.
+        True if the device's time stamps are plausible; otherwise `travel_s` is the whole round trip.
     bytes_to_device_per_s, bytes_to_host_per_s
-        Bytes that moved, frames that the device sent on its own included.
+        Bytes per second on the link, including frames that the device sends on its own.
     capacity_bytes_per_s
-        What the link can carry each way, or None.
+        Capacity of the link in each direction (bytes/s); None if unknown.
     states
-        STATE frames that came meanwhile.
+        Number of STATE frames received during the measurement.
     exchanges
-        The four stamps of each answered question (ns; host, device, device, host).
+        Four time stamps of each exchange (ns): host sends, device receives, device sends, host receives; shape (n, 4).
     drive
-        Behind a bridge: what happened between it and the drive since it was opened; empty for a board.
+        Behind a bridge: statistics of the bus between bridge and drive since it was opened; empty for a board.
     """
 
     url: str
@@ -93,7 +93,7 @@ class LinkMeasurement:
 
     @reported
     def loss_share(self) -> float:
-        """Return the share of the questions that got no answer in time."""
+        """Return the share of the requests without a reply within `TIMEOUT_S`, from 0 to 1."""
         return self.lost / self.sent
 
     @reported
@@ -109,16 +109,16 @@ class LinkMeasurement:
 
     @property
     def sample_delay_s(self) -> float:
-        """From a tick of a bridge until its sample is there, in 99.9 % of all cases (s); 0 for a board."""
+        """Return the time from a bridge's tick to the drive's sample (s) that 99.9 % do not exceed; 0 for a board."""
         return 1e-6 * self.drive.get("p999_us", 0.0)
 
     @property
     def late_s(self) -> float:
-        """From a tick of the device to the command that answers it (s), in 99.9 % of all cases."""
+        """Return the time from a tick of the device to the command computed from it (s) that 99.9 % do not exceed."""
         return self.travel_s.almost_all + self.sample_delay_s
 
     def delay_ticks(self, rate: float, pacing: str = "device") -> int:
-        """Return ticks from a sample to its command at a rate (Hz), in 99.9 % of all cases; none in virtual time."""
+        """Return the ticks from a sample to its command at `rate` (Hz) that 99.9 % do not exceed; 0 in virtual time."""
         return 0 if self.virtual else ticks_late(self.late_s, rate, pacing)
 
     def rows(self) -> list[Row]:
@@ -147,7 +147,7 @@ class LinkMeasurement:
 
 
 def _drive(facts: Mapping[str, float]) -> str:
-    """From a bridge's tick to the drive's sample (ms), and what was lost there."""
+    """Return a sentence on the bus behind a bridge: reply times (ms), lost replies, temperature (°C)."""
     named = (("p50", "median_us"), ("p99.9", "p999_us"), ("longest", "longest_us"))
     times = ", ".join(f"{name} {1e-3 * facts[key]:.3g} ms" for name, key in named)
     asked, kind = (
@@ -158,7 +158,7 @@ def _drive(facts: Mapping[str, float]) -> str:
 
 
 def _times(times: Distribution) -> str:
-    """Return the quantiles with their bounds, and the longest (ms)."""
+    """Return the quantiles p50, p99 and p99.9 with their bounds, and the longest time, as text in ms."""
     named = (("p50", times.p50), ("p99", times.p99), ("p99.9", times.p999))
     return f"{', '.join(f'{name} {_time(q)}' for name, q in named)}, longest {1e3 * times.maximum:.3g} ms"
 
@@ -176,25 +176,25 @@ def measure_link(
     realtime: Realtime | None = None,
     progress: Progress | None = None,
 ) -> LinkMeasurement:
-    """Exchange clock stamps with an open device that is not in a run.
+    """Measure the link to an open device, which must not be in a run, by exchanging time stamps.
 
     Parameters
     ----------
     device
-        Open device; nothing else may use it meanwhile.
+        Open device; no other thread may use it during the measurement.
     seconds
-        How long (the link's clock).
+        Duration of the measurement (s, by the link's clock).
     rate
-        Questions a second at most (Hz); None asks again as soon as the answer is there.
+        Highest rate of requests (Hz); None to send each request as soon as the previous reply arrives.
     realtime
-        Scheduling for the thread that asks, as the loop would have it (`rig.realtime.scheduling.obtained`).
+        Scheduling of the measuring thread, from `rig.realtime.scheduling.obtained`: the same as the loop's.
     progress
-        Called with the share that is done, 0 … 1, some times a second.
+        Called several times a second with the completed share of the measurement, 0 … 1.
 
     Raises
     ------
     LinkLostError
-        No reply, or the link is lost.
+        The device does not reply, or the link is lost.
     """
     dictionary = device.dictionary  # a device that has just started answers IDENTIFY only
     run = _Run(device, seconds, rate)
@@ -204,7 +204,7 @@ def measure_link(
 
 
 class _Run:
-    """Buffers, the thread, and the result."""
+    """One measurement: its buffers, its thread and its counters."""
 
     def __init__(self, device: FramedDevice, seconds: float, rate: float | None) -> None:
         self._device = device
@@ -225,7 +225,7 @@ class _Run:
         self._error: BaseException | None = None
 
     def warm_up(self) -> None:
-        """Make some exchanges that do not count."""
+        """Make `WARM_UP` exchanges and reset the counters, so that first-time costs are not measured."""
         few = np.zeros((WARM_UP, len(EXCHANGE)), np.int64)
         self._ping(few, self._clock.now_ns() + round(4 * TIMEOUT_S * 1e9))
         kept = (
@@ -240,7 +240,7 @@ class _Run:
             self._tally[place] = 0
 
     def perform(self, realtime: Realtime | None, progress: Progress | None) -> None:
-        """Run in a thread of its own, as the loop does, and wait for it; then give the link back to Python."""
+        """Measure in a separate thread, as the loop runs, wait for its end, then return the link to Python."""
         thread = threading.Thread(target=self._body, args=(realtime,), name="rig-ping", daemon=True)
         self._begun_ns = self._clock.now_ns()
         thread.start()
@@ -290,7 +290,7 @@ class _Run:
             ) from failure
 
     def _give_back(self) -> None:
-        """Give the connection the place in the stream of STATE, so that frames read here are not counted as lost."""
+        """Set the connection's newest STATE number, so that frames that `ping` read are not counted as lost."""
         connection, newest = self._device.connection, int(self._tally[TALLY.state_sequence])
         if newest >= 0:
             self._device.take_back(
@@ -301,7 +301,7 @@ class _Run:
             )
 
     def measured(self, simulated: bool, time_unit_ns: float) -> LinkMeasurement:
-        """Compute the statistics of the measured round trips."""
+        """Return the statistics of the measured round trips; raise `LinkLostError` if no reply came."""
         tally = dict(zip(TALLY._fields, self._tally.tolist(), strict=True))
         if not tally["answered"]:
             raise LinkLostError(

@@ -1,4 +1,4 @@
-"""What the checks of a machine examine; all of it can be replaced, so that they run on trees made up for a test."""
+"""The machine that the checks examine; a test replaces it by a made-up file tree."""
 
 from __future__ import annotations
 
@@ -16,11 +16,13 @@ from rig.realtime.scheduling.facts import ROOT
 if sys.platform == "linux":
     from rig.realtime.scheduling import tried
 
-assert sys.platform == "linux"
+assert (
+    sys.platform == "linux"
+)  # only `rig.doctor.interface` imports this file, on Linux; mypy skips the rest elsewhere
 
 
 def openable(path: Path) -> bool:
-    """Return True if this process may read and write a device, by owner, group or access list."""
+    """Return True if this process may read and write the device file, by owner, group or access list."""
     return os.access(path, os.R_OK | os.W_OK)
 
 
@@ -35,6 +37,6 @@ class Machine:
     tried: Callable[[int, int | None], tuple[object, list[Check]]] = tried  # with a priority and a processor
 
     def judged(self, refusal: Check) -> Check:
-        """Return a refusal of the kernel, as a warning unless the experiment enforces real time."""
+        """Return a refusal as it is if the experiment enforces real time, otherwise as a warning."""
         demanded = self.request.realtime == "enforce"
         return refusal if demanded else replace(refusal, outcome=Outcome.WARNING)

@@ -35,12 +35,12 @@ KERNEL=="cpu_dma_latency", GROUP="{GROUP}", MODE="0660", TAG+="uaccess"
 
 
 def udev_rules(rigs: Iterable[tuple[int, int]] = RIGS) -> str:
-    """Return the rules for these rigs.
+    """Return the text of the udev rules for rigs.
 
     Parameters
     ----------
     rigs
-        USB vendor and product number of each kind of rig.
+        USB vendor and product identifier of each kind of rig.
     """
     parts = [
         _RIG.format(vendor=f"{vendor:04x}", product=f"{product:04x}")

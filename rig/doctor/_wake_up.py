@@ -1,4 +1,4 @@
-"""How late a sleeping thread is woken on this machine, measured with the loop's own sleep."""
+"""Measure how late this machine wakes a sleeping thread, with the loop's own sleep function."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ from rig.realtime.system import monotonic_now, sleep_until
 if sys.platform == "linux":
     from rig.realtime.scheduling import ThreadState
 
-assert sys.platform == "linux"
+assert (
+    sys.platform == "linux"
+)  # only `rig.doctor.interface` imports this file, on Linux; mypy skips the rest elsewhere
 
 RATE_HZ = 1000
 LATE_S = 0.0002  # a fifth of the period
@@ -28,7 +30,7 @@ LATE_S = 0.0002  # a fifth of the period
 
 @kernel(types.int64(types.int64, types.int64[::1]))
 def wake_ups(period_ns: int, late_ns: NDArray[np.int64]) -> int:
-    """Sleep to a grid of deadlines; each lateness goes into `late_ns`, the periods slept through are returned."""
+    """Sleep until each deadline of a grid; write each lateness into `late_ns`; return the number of missed periods."""
     skipped = 0
     deadline = monotonic_now(0) + period_ns
     for index in range(late_ns.size):
@@ -43,7 +45,7 @@ def wake_ups(period_ns: int, late_ns: NDArray[np.int64]) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WakeUps:
-    """Latenesses in seconds, and how the thread ran."""
+    """Quantiles of the measured lateness (s), number of missed periods, and the scheduling of the measuring thread."""
 
     rate_hz: int
     count: int
@@ -57,7 +59,7 @@ class WakeUps:
 
 @dataclass(frozen=True, slots=True)
 class _Trying:
-    """The same request, satisfied with what is granted."""
+    """Request for scheduling that accepts a refusal (``realtime = "try"`` in place of ``"enforce"``)."""
 
     priority: int
     cpu: int | None
@@ -65,7 +67,7 @@ class _Trying:
 
 
 def measure(request: RealtimeRequest, seconds: float = 1.0, rate_hz: int = RATE_HZ) -> WakeUps:
-    """Measure for some seconds, scheduled as the loop would be as far as that is granted."""
+    """Measure wake-ups for `seconds`, with the loop's scheduling if the kernel grants it."""
     asked = "try" if request.realtime == "enforce" else request.realtime
     late = np.zeros(max(round(seconds * rate_hz), 2), np.int64)
     ran: list[tuple[ThreadState, int]] = []
@@ -96,7 +98,7 @@ def measure(request: RealtimeRequest, seconds: float = 1.0, rate_hz: int = RATE_
 
 @question("wake-ups", "wake-up latency shortens each period and varies from tick to tick")
 def judge(woken: WakeUps) -> Check:
-    """Return checks of the measured wake-up latencies."""
+    """Check the measured latency: warn if p99 is above `LATE_S` or a period was missed."""
     thread = woken.thread
     policy = f"{thread.name} {thread.priority}" if thread.priority else thread.name
     p50, p99, worst = (f"{value * 1e6:.0f} µs" for value in (woken.p50_s, woken.p99_s, woken.worst_s))

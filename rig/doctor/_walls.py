@@ -1,8 +1,8 @@
-"""Which walls a measured link supports: the largest stable stiffness at some dampings and rates, in every hand.
+"""Compute the largest stable stiffness that a measured link supports, at several rates and dampings, for each hand.
 
-The rates: the device's highest, what the link carries, what it allows with one tick of delay, and the experiment's. At
-each the delay in ticks follows from the measured link, and the stiffness from linear theory
-(`rig.doctor.late_loops`), uniform and dual-rate, with the experiment's estimator.
+The rates are the experiment's, the device's highest, the highest that the link carries, and the highest with one tick
+of delay. For each rate the delay in ticks follows from the measured link, and the stiffness from linear theory
+(`rig.doctor.late_loops`), for a uniform and a dual-rate scheme with the experiment's estimator.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """A rate (Hz) that is looked at, and what names it."""
+    """A rate of the table (Hz), and the reason why it is in the table."""
 
     hertz: int
     because: str
@@ -37,36 +37,36 @@ class Rate:
 
 @dataclass(frozen=True, slots=True)
 class Largest:
-    """At one damping: by hand, the largest stable stiffness."""
+    """Largest stable stiffness (N/m or N·m/rad) for each hand, at one damping."""
 
     damping: float
     by_hand: Mapping[str, float]
 
     @property
     def least(self) -> tuple[str, float]:
-        """Hand in which it is smallest, and its value there."""
+        """Return the hand with the smallest of these stiffnesses, and that stiffness."""
         hand = min(self.by_hand, key=lambda name: self.by_hand[name])
         return hand, self.by_hand[hand]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Supported:
-    """One row: the stable walls under one scheme.
+    """One row of the table: the stable walls under one scheme.
 
     Attributes
     ----------
     because
-        Why this rate.
+        Reason why the rate is in the table, such as ``the device's maximum``.
     scheme, label
-        Text form, and its name in a table.
+        Text form of the scheme, and its name in the table.
     position_rate, velocity_rate
-        Of the scheme (Hz).
+        Rates of the scheme (Hz).
     delay_ticks
-        That the link gives at this rate.
+        Delay by the measured link at this rate (ticks).
     k_max
-        At each damping.
+        Largest stable stiffness at each damping; empty if theory does not cover the scheme.
     reason
-        Why there is nothing, or what stands in for the estimator; else empty.
+        Reason why `k_max` is empty, or the replacement of a nonlinear estimator; empty otherwise.
     """
 
     because: str
@@ -80,7 +80,7 @@ class Supported:
 
 
 def wall_items(experiment: Experiment, rows: Sequence[Supported]) -> list[Item]:
-    """Return the table for people, with the reasons below it."""
+    """Return the table to print, followed by the reasons of its rows."""
     motion = experiment.rig.motion
     dampings = dampings_of(experiment)
     units = unit_of("stiffness", motion), unit_of("damping", motion)
@@ -99,7 +99,7 @@ def _cells(row: Supported, columns: int) -> list[str]:
 
 
 def candidate_rates(experiment: Experiment, measurement: LinkMeasurement, rate_maximum: int) -> list[Rate]:
-    """Return the rates worth looking at, the slowest first, each once."""
+    """Return the rates of the table in ascending order, each once."""
     found = [Rate(experiment.controller.position_rate, "the experiment's")]
     fastest, on_the_device = rate_maximum, experiment.controller.loop == "device"
     if measurement.capacity_bytes_per_s is not None and not on_the_device:
@@ -121,7 +121,7 @@ def candidate_rates(experiment: Experiment, measurement: LinkMeasurement, rate_m
 
 
 def dampings_of(experiment: Experiment) -> tuple[float, ...]:
-    """Return the dampings that are looked at: none, the experiment's, and twice that."""
+    """Return the dampings of the table: 0, the experiment's, and twice the experiment's (SI)."""
     own = experiment.wall.damping
     return (0.0, own, 2.0 * own) if own > 0.0 else (0.0,)
 
@@ -132,18 +132,18 @@ def supported_walls(
     rate_maximum: int,
     progress: Progress | None = None,
 ) -> list[Supported]:
-    """Compute the table.
+    """Compute the rows of the table of stable walls.
 
     Parameters
     ----------
     experiment
-        Rig, wall and estimator.
+        Experiment with the rig, the wall and the estimator.
     measurement
-        Of the link.
+        Measurement of the link.
     rate_maximum
-        Of the device (Hz).
+        Highest rate of the device (Hz).
     progress
-        Called with the share that is done.
+        Called with the completed share, 0 … 1.
     """
     rates = candidate_rates(experiment, measurement, rate_maximum)
     wanted = [(rate, scheme) for rate in rates for scheme in _schemes(experiment, rate.hertz)]
@@ -159,7 +159,7 @@ def supported_walls(
 
 
 def _schemes(experiment: Experiment, rate: int) -> list[Scheme]:
-    """Return the uniform scheme at this rate, and the dual-rate one with about the experiment's ratio."""
+    """Return the uniform scheme at `rate` (Hz), and the dual-rate scheme with about the experiment's ratio of rates."""
     controller = experiment.controller
     asked = controller.position_rate // controller.velocity_rate
     asked = asked if asked > 1 else DIVIDER
@@ -193,7 +193,7 @@ def _row(experiment: Experiment, scheme: Scheme, because: str, delay: int) -> Su
 
 
 def _round(hertz: float) -> int:
-    """Round a rate down to two digits, so that it can be divided."""
+    """Return a rate (Hz) rounded down to two significant digits, so that it has integer divisors."""
     if hertz < 100.0:
         return int(hertz)
     scale = int(10.0 ** (math.floor(math.log10(hertz)) - 1))

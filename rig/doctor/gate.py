@@ -1,11 +1,11 @@
-"""The arming gate: whether a wall may be rendered on a device, as its link was measured.
+"""The arming gate: decide from the measured link whether a wall may be rendered on a device.
 
 On a real device it refuses
 
-* a link that in 99.9 % of all cases takes more than half of a command's lifetime there and back;
-* more lost requests than `LOST_SHARE`;
-* a wall that linear theory finds unstable at the loop's rate with the measured delay, in no hand or in any of those
-  that may hold it (`rig.doctor.late_loops`: the spectral radius over one velocity period is 1 or more).
+* a link whose round trip in 99.9 % of all cases is more than half of a command's lifetime;
+* a share of lost requests above `LOST_SHARE`;
+* a wall that is unstable by linear theory at the loop's rate with the measured delay, without a hand or with any
+  preset of a hand (`rig.doctor.late_loops`: the spectral radius over one velocity period is 1 or more).
 
 Passivity is reported and not required. A simulated device is never refused.
 
@@ -43,7 +43,7 @@ SIMULATED_S = 0.2  # on a simulated device, which is never refused
 
 
 def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
-    """Judge one experiment on one measured link."""
+    """Judge whether the wall of an experiment may be armed over a measured link."""
     rate, wall = experiment.controller.position_rate, experiment.wall
     delay = loop_delay_ticks(experiment, measurement, rate)
     # Coulomb friction, which stabilises walls that linear theory finds unstable, is not counted on.
@@ -73,7 +73,7 @@ def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
 def refused_among(
     experiment: Experiment, measurement: LinkMeasurement, stiffnesses: Iterable[float]
 ) -> tuple[float, ...]:
-    """Return the stiffnesses that `gate` refuses at the experiment's damping, without its detailed checks."""
+    """Return those of the stiffnesses that `gate` refuses as unstable at the experiment's damping."""
     walls = tuple(stiffnesses)
     delay = loop_delay_ticks(experiment, measurement, experiment.controller.position_rate)
     if check.refused([*_link_checks(experiment, measurement), *homing_checks(experiment, delay)]):
@@ -87,20 +87,20 @@ def refused_among(
 
 
 def check_change(experiment: Experiment, armed: Mapping[str, Any]) -> None:
-    """Refuse a wall for a running loop where it would have been refused before arming.
+    """Raise `PlanError` if a new wall for a running loop would have been refused before arming.
 
     Parameters
     ----------
     experiment
-        With the new wall.
+        Experiment with the new wall.
     armed
-        Of the JSON of `Gate`, as the loop was armed: ``delay_ticks``, ``simulated`` and ``forced``.
+        Result of the gate when the loop was armed: ``delay_ticks``, ``simulated`` and ``forced`` of `Gate`.
 
     Raises
     ------
     PlanError
-        Linear theory finds it unstable with the delay that was measured then. Nothing is refused on a simulated
-        device, after arming anyway, or for a law that theory does not cover.
+        The wall is unstable by linear theory with the delay that was measured before arming. Nothing is refused on a
+        simulated device, after arming with ``forced``, or for a law that theory does not cover.
     """
     if armed["simulated"] or armed["forced"]:
         return
@@ -121,7 +121,7 @@ def _lifetime_s(experiment: Experiment) -> float:
 
 
 def _link_checks(experiment: Experiment, measurement: LinkMeasurement) -> list[Check]:
-    """Return the checks of the link, the same for any wall."""
+    """Return the checks of the link that do not depend on the wall: delay, losses, length of the measurement."""
     found = [_delay(experiment, measurement), _losses(measurement)]
     times = measurement.travel_s
     if times.p999.high is None and not measurement.virtual:
@@ -172,7 +172,7 @@ def _short(number: int, bounded: float) -> Check:
 
 @question("execution")
 def _execution(experiment: Experiment) -> Check:
-    """Report the wall's stability under a whole tick of delay, where the device runs the law."""
+    """Report whether a wall whose law runs on the device would be stable with one tick of delay."""
     # The device answers within two thirds of a tick at most, or reports missed ticks: the gate counts no delay.
     wall = experiment.wall
     late = LateLoops.of(experiment, 1).radius(wall.stiffness, wall.damping)
@@ -191,10 +191,10 @@ _MEASURED: WeakKeyDictionary[FramedDevice, dict[tuple[str, int, int | None], Lin
 def measured_once(
     device: FramedDevice, host: Host, rate: int, progress: Progress | None = None
 ) -> LinkMeasurement:
-    """Measure the link of an open device, once for each scheduling: under that which the loop would have.
+    """Measure the link of an open device with the loop's scheduling; return the earlier result if there is one.
 
-    Errors as `rig.doctor._round_trip.measure_link`, and `RealtimeError` where scheduling is demanded and not
-    granted.
+    Raise the errors of `rig.doctor._round_trip.measure_link`, and `RealtimeError` if the experiment enforces a
+    scheduling that the kernel does not grant.
     """
     kept = _MEASURED.setdefault(device, {})
     found = kept.get(scheduling := (host.realtime, host.priority, host.cpu))
@@ -215,30 +215,30 @@ def check_armable(
     anyway: bool = False,
     progress: Progress | None = None,
 ) -> Gate | None:
-    """Measure the link of an open device (once) and refuse a wall that must not be armed on it.
+    """Measure the link of an open device (once) and raise `PlanError` for a wall that must not be armed on it.
 
     Parameters
     ----------
     device
         Open device that is not in a run.
     experiment
-        As it is about to run.
+        Experiment that is about to run.
     anyway
-        The user takes the responsibility: nothing is refused, everything is reported and recorded.
+        True if the user takes the responsibility: nothing is refused, all checks are reported and recorded.
     progress
-        Called with the share of the measurement that is done.
+        Called with the completed share of the measurement, 0 … 1.
 
     Returns
     -------
     Gate or None
-        What was found; None in virtual time, where there is no delay and nothing to measure.
+        Result of the gate; None in virtual time, in which the link has no delay.
 
     Raises
     ------
     PlanError
-        The wall must not be armed: all reasons, all remedies. Nothing has moved.
+        The wall must not be armed; the message has all reasons and remedies. Nothing has moved.
     LinkLostError
-        The device does not answer.
+        The device does not reply.
     """
     if device.link.clock.virtual:
         return None

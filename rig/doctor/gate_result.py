@@ -1,7 +1,7 @@
-"""What the arming gate found (`rig.doctor.gate`), and the delay of a loop in ticks, in which it is stated.
+"""Result of the arming gate (`rig.doctor.gate`), and conversion of a delay to ticks of the loop.
 
-Admission, hits, commands and pages read it; recordings keep it. It must not measure anything, nor import the gate: a
-hit that was admitted earlier loads neither the gate nor what measures a link.
+Admission, hits, commands and pages read the result; recordings store it. This file must not measure anything nor import
+the gate: a hit that was admitted earlier must load neither the gate nor the measurement of a link.
 """
 
 from __future__ import annotations
@@ -17,45 +17,45 @@ from rig.core.present import Item, Row, reported
 
 
 def ticks_late(late_s: float, rate: float, pacing: str = "device") -> int:
-    """Return the ticks from a sample to its command, which is so late (s), at a rate (Hz): one at least in real time.
+    """Return the whole ticks from a sample to its command for a delay `late_s` (s) at `rate` (Hz): at least one.
 
-    A command that arrives in the course of a tick is active from the next one on, hence whole ticks. A loop that the
-    host paces lets a sample wait for its own tick, one more at most.
+    A command that arrives during a tick acts from the next tick on, so the number is rounded up. If the host paces the
+    loop, a sample waits for the host's tick: at most one tick more.
     """
     return max(1, math.ceil(late_s * rate - 1e-9)) + (1 if pacing == "host" else 0)
 
 
 def ticks_text(number: int) -> str:
-    """Return a number of ticks in words: ``1 tick``, ``2 ticks``."""
+    """Return a number of ticks with its noun: ``1 tick``, ``2 ticks``."""
     return f"{number} tick{'' if number == 1 else 's'}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gate:
-    """What the gate found.
+    """Result of the arming gate for one wall on one link.
 
     Attributes
     ----------
     checks
-        Delay, losses, stability and what else is worth knowing; one that refuses forbids arming.
+        Checks of delay, losses, stability and others; a check that refuses forbids arming.
     rate_hz, delay_ticks
-        Rate of the loop, and the delay that the link gives it.
+        Rate of the loop (Hz), and the delay by the link (ticks).
     travel_s
-        Upper bound of the link's time there and back in 99.9 % of all cases, or the longest one measured (s).
+        Upper bound of the round trip on the link in 99.9 % of all cases, or the longest measured round trip (s).
     lifetime_s
-        Of a command (s).
+        Lifetime of a command (s).
     loss_share
-        Share of questions that were lost.
+        Share of lost requests, 0 to 1.
     stiffness, damping
-        The wall.
+        Stiffness (N/m or N·m/rad) and damping (N·s/m or N·m·s/rad) of the wall.
     spectral_radius
-        By hand; empty where nothing is computed.
+        Spectral radius for each hand; empty if it was not computed.
     k_max
-        By hand: the largest stable stiffness at this damping and delay.
+        Largest stable stiffness for each hand, at the wall's damping and the measured delay.
     passive_stiffness
-        The largest one that is passive there, or None.
+        Largest passive stiffness at the wall's damping and the measured delay; None if not computed.
     simulated, forced
-        The device is a simulated one; the user arms anyway. Neither is refused.
+        True if the device is simulated; True if the user arms in spite of refusals. In both cases nothing is refused.
     """
 
     checks: tuple[Check, ...]
@@ -74,7 +74,7 @@ class Gate:
 
     @reported
     def armable(self) -> bool:
-        """Return True if no check refuses."""
+        """Return True if no check refuses to arm the wall."""
         return not self.refused
 
     @property
@@ -84,16 +84,16 @@ class Gate:
 
     @property
     def text(self) -> str:
-        """Return the texts of all refusing checks, joined."""
+        """Return the texts of all checks that refuse, joined to one text."""
         return "; ".join(one.text for one in self.refused)
 
     @property
     def remedy(self) -> str:
-        """Return all remedies in one text."""
+        """Return the remedies of all checks that refuse, joined to one text."""
         return "; ".join(dict.fromkeys(one.remedy for one in self.refused))
 
     def items(self) -> list[Item]:
-        """Return the checks of the gate as items to print."""
+        """Return the checks as items to print."""
         verdict = Check("arming", Outcome.OK, "this wall may be armed")
         if not self.armable:
             verdict = Check("arming", Outcome.REFUSED, "this wall must not be armed")

@@ -1,4 +1,4 @@
-"""What a computer has to do with rigs: backends, ports, USB devices, and rigs that it can simulate.
+"""List what this computer offers for rigs: backends, ports, USB devices, and rigs that it can simulate.
 
 `rig device list` and the console show it. It must not open a port or a device.
 """
@@ -18,14 +18,14 @@ from rig.doctor._ports import Port, serial_port
 
 @dataclass(frozen=True, slots=True)
 class Here:
-    """See the module.
+    """Backends, ports, USB devices and simulated rigs of this computer.
 
     Attributes
     ----------
     backends
-        Each with the reason why it does not load; empty where it does.
+        Each backend with the reason why it does not load; the reason is empty if it loads.
     ports, usb
-        That are connected; USB devices that could be no rig too.
+        Connected serial ports and USB devices; a USB device may be something other than a rig.
     simulated
         Names of built-in rigs.
     """
@@ -36,7 +36,7 @@ class Here:
     simulated: tuple[str, ...]
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the examination as plain values, for JSON."""
+        """Return the lists as plain values for JSON."""
         return {
             "backends": [{**asdict(one), "broken": broken} for one, broken in self.backends],
             "ports": self.ports,
@@ -45,7 +45,7 @@ class Here:
         }
 
     def items(self) -> list[Item]:
-        """Return what was found as items to print."""
+        """Return the lists as items to print."""
         nothing = [Row("none", "")]
         return [
             "backends",
@@ -60,7 +60,7 @@ class Here:
 
 
 def here() -> Here:
-    """List backends, ports, USB devices and simulated rigs without opening any."""
+    """List backends, ports, USB devices and simulated rigs without opening a port or a device."""
     return Here(
         backends=tuple((one, devices.broken(one.scheme)) for one in devices.backends()),
         ports=tuple(serial_port(name, text)[0] for name, text in available_ports()),

@@ -1,7 +1,7 @@
-"""Interface of this room for a whole examination: machine, ports, link, and the walls that are stable there.
+"""Public names of this package for a whole examination: machine, ports, link, and stable walls.
 
-`rig doctor` and `rig.experiments.hits.examine` import it. It defines nothing, and no file of the room imports it: what
-arms a wall needs `gate` alone, what plans one `predicted`.
+`rig doctor` and `rig.experiments.hits.examine` import it. It defines nothing, and no file of this package imports it.
+Code that only arms a wall imports `gate`; code that only plans a run imports `predicted`.
 """
 
 import sys

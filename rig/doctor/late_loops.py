@@ -1,8 +1,8 @@
-"""Linear theory of an experiment whose commands act a number of ticks late, in every hand that may hold the handle.
+"""Apply linear theory to an experiment whose commands act a number of ticks late, for each hand on the handle.
 
-Theory covers the spring and damper of the built-in walls with linear estimators. For an estimator that is not linear
-the usual filtered difference at the same rates is used, and every result with it is marked. Two velocity rates that
-alternate are computed one by one.
+Theory covers the spring and damper of the built-in walls with linear estimators. An estimator that is not linear is
+replaced by the usual filtered difference at the same rates, and each result with it is marked. If the velocity rate
+alternates between two rates, each rate is computed separately.
 
 The gate, the examination of a machine, sessions and the console call it. It must not measure a link, nor decide whether
 a wall may be armed.
@@ -33,7 +33,7 @@ SPRING_AND_DAMPER = ("spring-damper", "bilateral", "excited")  # laws whose wall
 
 
 def hands_of(experiment: Experiment) -> dict[str, str | Operator]:
-    """Return no hand, every preset of a hand, and the experiment's own hand if it differs from the presets."""
+    """Return by name: no hand, each preset of a hand, and the experiment's own hand if it differs from the presets."""
     hands: dict[str, str | Operator] = {name: name for name in (NO_OPERATOR, *GRIPS)}
     own = experiment.operator
     if experiment.trial.kind == "human" and GRIPS.get(own.grip) != own:
@@ -42,13 +42,13 @@ def hands_of(experiment: Experiment) -> dict[str, str | Operator]:
 
 
 def late_by(experiment: Experiment, ticks: int) -> Experiment:
-    """Return the experiment on a rig whose commands act so many ticks late."""
+    """Return the experiment with a rig whose commands act `ticks` late."""
     simulation = replace(experiment.rig.simulation, computation_delay_ticks=ticks)
     return replace(experiment, rig=replace(experiment.rig, simulation=simulation))
 
 
 def loop_delay_ticks(experiment: Experiment, measurement: LinkMeasurement, rate: int) -> int:
-    """Return whole ticks from a sample to its effort: the link's, or none where the device itself runs the law."""
+    """Return the ticks from a sample to its effort at `rate` (Hz): by the link, or 0 if the device runs the law."""
     if experiment.controller.loop == "device":
         return 0
     return measurement.delay_ticks(rate, experiment.host.pacing)
@@ -56,14 +56,14 @@ def loop_delay_ticks(experiment: Experiment, measurement: LinkMeasurement, rate:
 
 @dataclass(frozen=True)
 class LateLoops:
-    """The linear loops of one experiment at one delay: by hand, and by velocity rate where there are two.
+    """Linear loops of one experiment with one delay: one for each hand and each velocity rate.
 
     Attributes
     ----------
     experiment
-        As it is, its rig late by the delay.
+        The experiment with a rig whose commands are late by the delay.
     stand_in
-        Why the usual filter stands in for the estimator; empty if it does not.
+        Reason why the usual filter replaces the estimator; empty if the estimator is linear.
     """
 
     experiment: Experiment
@@ -72,20 +72,21 @@ class LateLoops:
 
     @classmethod
     def of(cls, experiment: Experiment, delay_ticks: int) -> LateLoops:
-        """Find what is linear about an experiment.
+        """Return the linear loops of an experiment with a delay in ticks.
 
-        Raises `ConfigError` for a law or a delay that theory does not cover.
+        Raise `ConfigError` for a law or a delay that theory does not cover.
         """
         law = experiment.wall.law
         if law not in SPRING_AND_DAMPER:
             raise ConfigError(
-                f"the law {law} is not a spring and damper, so its stability cannot be computed",
-                remedy="begin with little effort",
+                f"the law {law} is not a spring and damper ({', '.join(SPRING_AND_DAMPER)}), so its stability cannot "
+                "be computed",
+                remedy="reduce rig.limits.effort for the first trials, then raise it step by step",
             )
         if experiment.controller.wall_is_elsewhere:
             raise ConfigError(
-                "the drive renders the wall itself, with filters that linear theory here does not model",
-                remedy="begin with little effort",
+                "the drive renders the wall itself, with filters that the linear theory does not model",
+                remedy="reduce rig.limits.effort for the first trials, then raise it step by step",
             )
         if delay_ticks > LARGEST_DELAY:
             raise ConfigError(
@@ -100,7 +101,7 @@ class LateLoops:
 
     @cached_property
     def by_hand(self) -> Mapping[str, tuple[Lifted, ...]]:
-        """Return the loops for each hand, one for each velocity rate."""
+        """Return the loops by hand, one for each velocity rate."""
         return {
             name: tuple(
                 Lifted.of(linear_loop(self.experiment, scheme, operator=hand, estimator=free.estimator))
@@ -110,14 +111,14 @@ class LateLoops:
         }
 
     def radius(self, stiffness: float, damping: float) -> dict[str, float]:
-        """Return the spectral radius for each hand, the larger of the rates: below 1 the wall is linearly stable."""
+        """Return for each hand the largest spectral radius over the velocity rates: below 1 the wall is stable."""
         return {
             name: max(float(loop.radius(stiffness, damping)) for loop in loops)
             for name, loops in self.by_hand.items()
         }
 
     def k_max(self, dampings: Sequence[float]) -> list[dict[str, float]]:
-        """Return the largest stable stiffness for each hand, the smaller of the rates, at each damping."""
+        """Return for each damping, by hand, the largest stiffness that is stable at all velocity rates."""
         curves = {
             hand: [k_max_curve(loop, None, dampings) for loop in loops]
             for hand, loops in self.by_hand.items()
@@ -129,13 +130,13 @@ class LateLoops:
 
 
 def unstable_hands(radius: Mapping[str, float], stiffness: float) -> list[str]:
-    """Return the hands in which a wall of this stiffness is unstable, by its spectral radius in each."""
+    """Return the hands with which a wall is unstable; `radius` is its spectral radius for each hand."""
     # Without stiffness the handle is free to stay anywhere: an eigenvalue of 1, which rounding may lift.
     return [hand for hand, value in radius.items() if value >= (1.0 if stiffness > 0.0 else 1.0 + 1e-9)]
 
 
 def _linear_schemes(experiment: Experiment) -> tuple[tuple[Scheme, ...], str]:
-    """Return the schemes to look at, and why the usual filter stands in for the estimator (empty: it does not)."""
+    """Return the schemes to compute, and the reason why the usual filter replaces the estimator, or an empty text."""
     own = replace(Scheme.of(experiment), slow_velocity_rate=None, slow_below=0.0)
     slow = experiment.controller.slow_velocity_rate if experiment.controller.slow_below else None
     rates = [own.velocity_rate] if slow in (None, own.velocity_rate) else [own.velocity_rate, slow]

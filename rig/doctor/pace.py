@@ -1,9 +1,9 @@
-"""What a link and this computer make of a loop's rate: how many of its samples are lost, and which rate keeps them.
+"""Measure how many samples a loop would lose at its rate with this computer and link, and which rate loses none.
 
-Clock stamps are exchanged at the loop's own rate, in a thread scheduled like the loop. Answers follow each other
-by a period, or by the link's own time where that is longer. A reply that is late by whole periods means that a loop
-would have missed the samples of these periods, or received them late where the device paused as well; the measurement
-does not distinguish the two. The same replies show what a lower rate would lose.
+Clock stamps are exchanged at the loop's rate, in a thread scheduled like the loop. Replies follow each other by a
+period, or by the link's round trip if that is longer. A reply that is late by whole periods means that a loop would
+have missed the samples of these periods, or received them late if the device paused as well; the measurement does not
+distinguish the two. The same replies show what a lower rate would lose.
 
 Identification and sessions call it, between runs. It must not move anything, and in virtual time it measures nothing.
 """
@@ -42,21 +42,21 @@ SLOWEST_HZ = 100  # below this rate no wall feels stiff
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pace:
-    """What was lost at a rate, or late by a period or more.
+    """Samples that a loop at one rate would lose, or receive late by a period or more.
 
     Attributes
     ----------
     rate_hz
-        Of the loop.
+        Rate of the loop (Hz).
     lost_share
-        Share of its samples that were lost or late.
+        Share of the samples that were lost or late, 0 to 1.
     longest_gap_s
-        Longest time without a sample that should have come (s).
+        Longest time without a sample (s).
     hopeless
-        Whether nearly every trial would be invalid: in each quarter of the measurement a hit would have been.
+        True if a hit would have been invalid in each quarter of the measurement.
     kept_hz
-        Highest of the halves of the rate that loses no more than `LOST_SHARE`, by the same answers; None where none
-        above `SLOWEST_HZ` does.
+        Highest rate among rate/2, rate/4, … that loses no more than `LOST_SHARE`; None if no rate of `SLOWEST_HZ` or
+        more does (Hz).
     """
 
     rate_hz: int
@@ -67,7 +67,7 @@ class Pace:
 
     @property
     def text(self) -> str:
-        """Return a sentence about the losses; empty if nothing was lost."""
+        """Return a sentence about the losses; empty if no sample was lost."""
         if self.lost_share == 0.0:
             return ""
         lost = f"{100 * self.lost_share:.2g} % of the samples at {self.rate_hz} Hz, or is late with them"
@@ -77,25 +77,25 @@ class Pace:
 
 
 def measured_pace(device: FramedDevice, host: Host, rate_hz: int, limits: VerdictLimits) -> Pace | None:
-    """Measure an open device for `SECONDS`; None in virtual time, where nothing is late.
+    """Measure the losses at the loop's rate for `SECONDS`; return None in virtual time, in which nothing is late.
 
     Parameters
     ----------
     device
-        Open, and not in a run. Nothing moves.
+        Open device that is not in a run; nothing moves.
     host
-        Scheduling of the loop.
+        Settings of the host with the loop's scheduling.
     rate_hz
-        Of the loop.
+        Rate of the loop (Hz).
     limits
-        Of lost samples, beyond which a trial is invalid.
+        Limits of lost samples beyond which a trial is invalid.
 
     Raises
     ------
     LinkLostError
-        The device does not answer.
+        The device does not reply.
     RealtimeError
-        Scheduling is demanded and not granted.
+        The experiment enforces a scheduling that the kernel does not grant.
     """
     if device.link.clock.virtual:
         return None
@@ -104,7 +104,7 @@ def measured_pace(device: FramedDevice, host: Host, rate_hz: int, limits: Verdic
 
 
 def pace_of(measurement: LinkMeasurement, rate_hz: int, limits: VerdictLimits) -> Pace:
-    """Return the losses at a rate, from a measurement of the link."""
+    """Return the losses of a loop at `rate_hz`, computed from a measurement of the link at this rate."""
     received_ns = measurement.exchanges[:, EXCHANGE.host_received]
     apart_ns = np.diff(received_ns)
     late_ns = np.maximum(apart_ns - int(np.median(apart_ns)), 0)

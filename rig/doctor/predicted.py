@@ -1,7 +1,7 @@
-"""What a run will run into, as far as a description says it: homing, the way to the wall, the measured current.
+"""Predict from the description whether a run will work: homing, the push to the wall, the measured current.
 
-`rig experiment plan`, a hit and the arming gate call this one function. Each check that does not hold names the keys
-and the values with which it would. Predictions are those of one rigid mass, which friction and weight hold back.
+`rig experiment plan`, a hit and the arming gate call `predict_checks`. Each check that fails names keys and values with
+which it would pass. The predictions model the rig as one rigid mass with friction and weight.
 
 It must not open a device.
 """
@@ -46,12 +46,12 @@ QUIET_SHARE = 0.9  # of a window's ticks in which a current must be above the no
 
 
 def predict_checks(x: Experiment, ticks: int) -> list[Check]:
-    """Return the checks of a run whose commands act so many ticks late, besides the set-point's delay."""
+    """Return all checks of a run whose commands act `ticks` late, in addition to the set-point's delay."""
     return [*homing_checks(x, ticks), *_approach_checks(x), *_current_checks(x)]
 
 
 def homing_checks(x: Experiment, ticks: int) -> list[Check]:
-    """Return whether homing arrives: strong enough, stable, near enough to its start, in time."""
+    """Return the checks that homing is strong enough, stable, fast enough, and ends near enough to trial.start."""
     return [
         _homing_effort(x),
         _homing_stability(x, ticks),
@@ -64,7 +64,7 @@ def homing_checks(x: Experiment, ticks: int) -> list[Check]:
 
 
 def speed_reading(x: Experiment) -> Check:
-    """Return whether the limit of speed lets the slowest motion pass: the loop reads a single count as a speed."""
+    """Check that the speed that a single count is estimated as stays below rig.limits.speed."""
     reading, limit = highest_reading(x, x.homing.speed), x.rig.limits.speed
     unit = unit_of("velocity", x.rig.motion)
     text = (
@@ -78,7 +78,10 @@ def speed_reading(x: Experiment) -> Check:
 
 
 def quieter_changes(x: Experiment) -> dict[str, float]:
-    """Return the cut-off at which one count reads as at most half of the speed limit; nothing where it does now."""
+    """Return the cut-off (by its key) at which one count is estimated as at most half of the speed limit.
+
+    The result is empty if the present cut-off fulfils this, or if no cut-off does.
+    """
     most = COUNT_SPEED_SHARE * x.rig.limits.speed
     if highest_reading(x) <= most or (cutoff := quiet_cutoff(x, most)) is None:
         return {}
@@ -93,7 +96,7 @@ def finding(
     remedy: str = "",
     otherwise: Outcome = Outcome.REFUSED,
 ) -> Check:
-    """Return a check whose remedy lists the changes with which it would pass."""
+    """Return a passed check, or a failed one whose remedy lists the changes (key: value) with which it would pass."""
     if holds:
         return Check(name, Outcome.OK, text)
     changes = changes or {}
@@ -102,12 +105,12 @@ def finding(
 
 
 def round_up(value: float) -> float:
-    """Return three digits, not below a value."""
+    """Return a value rounded up to three significant digits."""
     return _round(value, math.ceil)
 
 
 def _down(value: float) -> float:
-    """Round down to three digits."""
+    """Return a value rounded down to three significant digits."""
     return _round(value, math.floor)
 
 
@@ -154,7 +157,7 @@ def _homing_stability(x: Experiment, ticks: int) -> Check:
 
 
 def _homing_slew(x: Experiment) -> Check:
-    """Check that the servo's effort can follow its own oscillation, which would not decay otherwise."""
+    """Check that homing.slew is high enough to damp the homing servo's oscillation."""
     h = x.homing
     natural = math.sqrt(h.stiffness / servos.inertia(x))
     least = h.effort * natural / servos.SLOWEST_RISE
@@ -169,7 +172,7 @@ def _homing_slew(x: Experiment) -> Check:
 
 
 def _homing_resolution(x: Experiment, ticks: int) -> Check:
-    """Check that a change by one count changes the effort by a small share only."""
+    """Check that one count changes the effort of the homing servo only by a small share."""
     h, unit = x.homing, unit_of("effort", x.rig.motion)
     delta, stiffest = x.rig.encoder.resolution, servos.stiffest_for_counts(x, h.effort, servos.COUNT_SHARE)
     text = (
@@ -180,7 +183,7 @@ def _homing_resolution(x: Experiment, ticks: int) -> Check:
 
 
 def _homing_offset(x: Experiment, ticks: int) -> Check:
-    """Compare where friction may hold the handle with the distance to the wall."""
+    """Check that homing ends near trial.start, compared with the distance to the wall, in spite of friction."""
     # A person brings the handle to its start; an excitation has no approach.
     if x.trial.kind != "constant-effort":
         return Check("homing offset", Outcome.OK, "not relevant: no push begins at trial.start")
@@ -217,7 +220,7 @@ def _homing_offset(x: Experiment, ticks: int) -> Check:
 
 
 def _homing_time(x: Experiment) -> Check:
-    """Check the time of homing from where a simulated rig begins, or from the farther end of the window."""
+    """Check homing.timeout_s for the way from a simulated rig's initial position, or from the window's farther end."""
     limits, simulation = x.rig.limits, x.rig.simulation
     ends = (limits.position_minimum, limits.position_maximum)
     begins = (simulation.initial_position,) if simulation.initial_position is not None else ends
@@ -238,7 +241,7 @@ def _homing_time(x: Experiment) -> Check:
 
 
 def _approach_checks(x: Experiment) -> Iterator[Check]:
-    """Check whether an automated push moves the handle, and brings it to the wall in time."""
+    """Yield checks that an automated push moves the handle and brings it to the wall in time."""
     if x.trial.kind != "constant-effort":
         return
     unit, held, push = unit_of("effort", x.rig.motion), holding_effort(x), abs(motor_push(x))
@@ -266,7 +269,7 @@ def _approach_checks(x: Experiment) -> Iterator[Check]:
 
 
 def _unseen_speed(x: Experiment, net: float) -> Check:
-    """Check that the guard of a dead encoder ends a run before the handle is fast on two neighbouring counts."""
+    """Check that the push stays below the speed at which the guard against a dead encoder would end the run."""
     inertia, unit = servos.inertia(x), unit_of("velocity", x.rig.motion)
     way, limit = UNMOVED_COUNTS * x.rig.encoder.resolution, UNMOVED_SPEED * x.rig.limits.speed
     speed = math.sqrt(2.0 * net * way / inertia)
@@ -276,7 +279,7 @@ def _unseen_speed(x: Experiment, net: float) -> Check:
 
 
 def _current_checks(x: Experiment) -> Iterator[Check]:
-    """Check which current differences can be detected at this rate, with delay, quantum and noise."""
+    """Check which difference of the motor's current can be detected at this rate, with delay, quantum and noise."""
     model, amplifier = rig_model(x), x.rig.amplifier
     sensor = current_sensor(model)
     if sensor.noise < 0.0 or not amplifier.current_monitor:

@@ -1,10 +1,10 @@
-"""Cogging from slow sweeps: half the sum of both ways is the motor's effort over position, half the rest is friction.
+"""Fit cogging to slow sweeps: half the sum of the efforts up and down is cogging, half the difference is friction.
 
 While the handle moves slowly through x the motor's command is −F(x) + friction upwards and −F(x) − friction downwards,
-F being cogging; inertia and damping are taken off, because no servo keeps a speed quite constant. F is a sum of
-harmonics of a period, fitted to each pair of ways by itself. The pairs differ in speed, so that what depends on it
-widens the intervals, as noise does. A constant external effort is not part of cogging: it appears in the friction
-levels, which any motion that slides both ways measures better (`sliding`).
+F being cogging. The efforts of inertia and damping are subtracted, because no servo keeps the speed exactly constant.
+F is a sum of harmonics of a period, fitted to each pair of sweeps (up and down) separately. The pairs differ in speed,
+so effects that depend on speed widen the intervals, as noise does. A constant external effort is not part of cogging:
+it appears in the friction levels, which `rig.analysis.identification._sliding` measures better.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ LEAST_PERIODS = 1.0  # in the range; with fewer, harmonics cannot be separated
 
 @dataclass(frozen=True, eq=False)
 class CoggingMap:
-    """Effort of the motor over its position.
+    """Cogging: effort of the motor over its position.
 
     Attributes
     ----------
@@ -43,15 +43,16 @@ class CoggingMap:
     orders, cosine, sine
         Orders of the identified harmonics, and their amplitudes (N·m or N); see `rig.core.model.Cogging`.
     minimum, maximum
-        Range in which they were measured (rad or m).
+        Range of positions in which the harmonics were measured (rad or m).
     ci95
-        Half width of the 95 % interval of the whole map, where it is widest in the range (N·m or N).
+        Half width of the 95 % interval of the map at the position where it is widest (N·m or N).
     unseen
-        Amplitude that a harmonic may have and not have been found (N·m or N).
+        Largest amplitude that a harmonic not listed in `orders` may have (N·m or N).
     friction
-        Half the difference of the two ways (N·m or N).
+        Friction level: half the difference of the efforts up and down (N·m or N).
     position, effort, rubbing
-        Half the sum and half the difference of the two ways, measured, at positions in the range, shape (n,).
+        Measured cogging and friction (N·m or N): half the sum and half the difference of the efforts up and down, at
+        positions in the range (rad or m), shape (n,).
     """
 
     period: float
@@ -69,7 +70,7 @@ class CoggingMap:
 
     @property
     def cogging(self) -> Cogging:
-        """Return the map as a rig has it."""
+        """Return the map as the `Cogging` of a rig's description."""
         return Cogging(
             period=self.period,
             orders=self.orders,
@@ -81,12 +82,12 @@ class CoggingMap:
 
     @reported
     def peak(self) -> float:
-        """Return the most effort in the range (N·m or N)."""
+        """Return the largest absolute effort of cogging in the range (N·m or N)."""
         return float(np.abs(self.cogging.effort(self._range)).max())
 
     @reported
     def stiffness(self) -> tuple[float, float]:
-        """Return the least and most stiffness that it gives the handle in the range (N·m/rad or N/m)."""
+        """Return the smallest and largest stiffness by cogging in the range (N·m/rad or N/m)."""
         stiffness = -self.cogging.slope(self._range)
         return float(stiffness.min()), float(stiffness.max())
 
@@ -106,25 +107,27 @@ def fit_cogging(
     inertia: float,
     damping: float,
 ) -> CoggingMap:
-    """Fit a map to sweeps.
+    """Fit a map of cogging to slow sweeps.
 
     Parameters
     ----------
     time_s, effort, position
-        Signals of the whole run, shape (n,), evenly sampled, with the time origin of the sweeps; `effort` as commanded.
+        Time (s), commanded effort and position of the whole run, shape (n,), evenly sampled; the times of `sweeps`
+        have the same origin.
     sweeps
-        Commanded sweeps: pairs, up and down, over the same travel.
+        Commanded sweeps in pairs, up and then down, over the same travel.
     period
         Period of the harmonics (rad or m).
     most_order
-        Highest harmonic that is looked for.
+        Highest order of harmonic to look for.
     inertia, damping
-        Totals of all moving parts (kg·m² or kg; N·m·s/rad or N·s/m, back-EMF included under voltage drive).
+        Total inertia (kg·m² or kg) and damping (N·m·s/rad or N·s/m, with back-EMF under voltage drive) of all moving
+        parts.
 
     Raises
     ------
     IdentificationError
-        Fewer than two pairs that moved, or a range of less than a period.
+        The handle moved in fewer than two pairs, or the common range is shorter than a period.
     """
     wave = period / most_order
     pairs = pairs_of(time_s, effort, position, sweeps, wave=wave, inertia=inertia, damping=damping)
@@ -167,34 +170,37 @@ def pairs_of(
     inertia: float,
     damping: float,
 ) -> list[Pair]:
-    """Return the positions and efforts of cogging less friction in pairs of sweeps; see `fit_cogging`.
+    """Return positions and efforts (cogging minus friction) of each pair of sweeps; parameters as `fit_cogging`.
 
-    `wave` is the shortest that is looked for (rad or m). Raises `IdentificationError` where fewer than two pairs moved.
+    `wave` is the shortest period of a harmonic (rad or m). Raise `IdentificationError` if fewer than two pairs moved.
     """
     ways = [_points(time_s, effort, position, sweep, wave, inertia, damping) for sweep in sweeps]
     if len(ways) < 4 or min(len(x) for x, _ in ways) == 0:
         raise IdentificationError(
-            "the handle moved in fewer than two pairs of sweeps",
-            remedy="keep everything off the handle, and allow more effort",
+            "the handle moved in fewer than two pairs of sweeps; at least two are needed",
+            remedy="keep everything off the handle, and allow more effort (rig.limits.effort)",
         )
     return list(zip(ways[::2], ways[1::2], strict=True))
 
 
 def common_range(pairs: Sequence[Pair], period: float) -> tuple[float, float]:
-    """Return where all sweeps have been (rad or m); raises `IdentificationError` for less than a period."""
+    """Return the ends of the range that all sweeps covered (rad or m).
+
+    Raise `IdentificationError` if it is shorter than a period.
+    """
     ways = [x for pair in pairs for x, _ in pair]
     low, high = max(float(x.min()) for x in ways), min(float(x.max()) for x in ways)
     if high - low < LEAST_PERIODS * period:
         raise IdentificationError(
-            f"the sweeps cover {high - low:.4g} of a period of {period:.4g}, which is too little to "
-            "separate its harmonics",
+            f"the sweeps cover a common range of {high - low:.4g} rad or m; at least a period of cogging, "
+            f"{period:.4g}, is needed to separate its harmonics",
             remedy="widen the window of positions, or give rig.cogging.period if it is shorter",
         )
     return low, high
 
 
 def within(pair: Pair, low: float, high: float) -> Pair:
-    """Return what of a pair lies in a range."""
+    """Return the points of a pair at positions from low to high (rad or m)."""
     up, down = ((x[(x >= low) & (x <= high)], y[(x >= low) & (x <= high)]) for x, y in pair)
     return up, down
 
@@ -208,7 +214,7 @@ def _points(
     inertia: float,
     damping: float,
 ) -> Points:
-    """Return positions in a sweep, and cogging less friction there: block means without the acceleration's effort."""
+    """Return positions in a sweep, and cogging minus friction at each: block means without inertia and damping."""
     tick_s = float(time_s[1] - time_s[0])
     n = max(1, round(wave / abs(sweep.velocity) / BLOCKS / tick_s))
     inside = (time_s >= sweep.begin_s + SETTLE_S) & (time_s < sweep.end_s - SETTLE_S)
@@ -222,13 +228,13 @@ def _points(
 
 
 def basis(x: Floats, period: float, orders: Sequence[int]) -> Floats:
-    """Return the cosines and then sines of harmonics at positions, shape (n, 2·orders)."""
+    """Return the cosines, then the sines, of the harmonics at positions x, shape (n, 2·len(orders))."""
     angle = 2.0 * math.pi / period * np.multiply.outer(x, np.asarray(orders, dtype=np.float64))
     return np.hstack([np.cos(angle), np.sin(angle)])
 
 
 def fitted_pair(pair: Pair, period: float, orders: Sequence[int]) -> Floats:
-    """Return the cosines, sines, and the level of each way, of one pair."""
+    """Fit one pair; return amplitudes of the cosines and of the sines, then the level up and the level down."""
     up, down = pair
     rows = [
         np.column_stack(
@@ -241,7 +247,7 @@ def fitted_pair(pair: Pair, period: float, orders: Sequence[int]) -> Floats:
 
 
 def _orders(pairs: Sequence[Pair], period: float, most: int) -> tuple[tuple[int, ...], float]:
-    """Return the harmonics that are there for certain, and the amplitude from which any would have been."""
+    """Return the orders with a significant amplitude, and the largest amplitude that another order may have."""
     every = range(1, most + 1)
     each = np.array([fitted_pair(pair, period, every) for pair in pairs])[:, : 2 * most]
     mean, spread = each.mean(axis=0), each.std(axis=0, ddof=1)
@@ -253,7 +259,7 @@ def _orders(pairs: Sequence[Pair], period: float, most: int) -> tuple[tuple[int,
 
 
 def _both_ways(pairs: Sequence[Pair], low: float, high: float, wave: float) -> tuple[Floats, Floats, Floats]:
-    """Return the means over bins of position, of all ways up and of all ways down."""
+    """Return the centres of position bins, and the mean effort in each bin over all sweeps up and all sweeps down."""
     edges = np.linspace(low, high, max(2, round(8.0 * (high - low) / wave)) + 1)
     means = []
     for way in (0, 1):

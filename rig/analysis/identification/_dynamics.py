@@ -1,23 +1,23 @@
-"""Inertia, delay and the first structural mode, from excited motion: least squares in the frequency domain.
+"""Fit inertia, delay and the first structural mode to excited motion, by least squares in the frequency domain.
 
-The motor's effort F is known, the position X is measured with an encoder's noise, so the error is counted in X
-(output error: noise in X then biases nothing) and weighted by its own variance at each line, over the realisations:
+The motor's effort F is known, the position X is measured with an encoder's noise. So the fit minimises the error of X
+(output error: noise in X then causes no bias), weighted at each line by the error's variance over the realisations:
 
     X = H·P·F − P·S,    P = 1/(s·(m·s + b)) · (s²/ω_a² + 2ζ_a·s/ω_a + 1)/(s²/ω_r² + 2ζ_r·s/ω_r + 1)
 
-H is the delay of the effort: whole ticks and a first-order lag. The second factor of P is there for a rig of two
-masses: a sensor beside the motor sees the link vibrate against a motor that stands still (anti-resonance ω_a) and both
-against each other (resonance ω_r), and m·(ω_a/ω_r)² is the motor's own share of the inertia. S is Coulomb friction: the
-levels from sliding, with the sign of the measured velocity, removed within the fit.
+H is the delay of the effort: whole ticks and a first-order lag. The second factor of P is used for a rig of two masses
+with a sensor beside the motor: at the anti-resonance ω_a the link vibrates while the motor stands still, at the
+resonance ω_r the two vibrate against each other, and m·(ω_a/ω_r)² is the motor's share of the inertia. S is Coulomb
+friction: the levels from sliding, with the sign of the measured velocity.
 
-Under voltage drive the effort that flows is H·F less the back-EMF b_e·s·X behind the lag L. So the rig answers like
-1/(1/P + b_e·s·L) in the place of P; b_e is given, because the motion of a rigid rig does not tell it from b.
+Under voltage drive the acting effort is H·F minus the back-EMF b_e·s·X behind the lag L, so P is replaced by
+1/(1/P + b_e·s·L). b_e must be given, because the motion of a rigid rig does not separate it from b.
 
-Where the band ends below a mode, that factor is 1 + c·s²: the compliance c·m of what lies above. It is in the model
-when the realisations agree that c is above zero; left out, it would read as inertia and delay.
+If the band ends below the mode, the second factor is 1 + c·s²: the compliance of the mode above. It is part of the
+model if the 95 % interval of c is above zero; left out, it would appear as inertia and delay.
 
-An effort that is held between samples has images around each multiple of the rate, and what they move folds back; the
-first ones are part of the model.
+An effort that is held between samples has images around each multiple of the rate, whose motion folds back onto the
+lines; the first two on each side are part of the model.
 """
 
 from __future__ import annotations
@@ -65,18 +65,19 @@ RIGID, COMPLIANT, TWO_MASS = 3, 4, 7  # how many
 
 @dataclass(frozen=True, slots=True)
 class StructuralMode:
-    """First structural mode, as one sensor beside the motor sees it.
+    """First structural mode, measured by a sensor beside the motor.
 
     Attributes
     ----------
     antiresonance_hz, resonance_hz
-        The link against a motor that stands still; both against each other (Hz).
+        Frequency at which the link vibrates while the motor stands still, and at which the two vibrate against each
+        other (Hz).
     antiresonance_ratio, resonance_ratio
-        Their damping ratios.
+        Damping ratios of anti-resonance and resonance.
     motor_inertia, link_inertia
-        m·(f_a/f_r)² and the rest (kg·m² or kg).
+        Motor's share of the inertia m, m·(f_a/f_r)², and the link's share, m minus that (kg·m² or kg).
     stiffness
-        Stiffness of the transmission: link inertia·ω_a² (N·m/rad or N/m).
+        Stiffness of the transmission, link inertia·ω_a² (N·m/rad or N/m).
     """
 
     antiresonance_hz: Interval
@@ -90,34 +91,35 @@ class StructuralMode:
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """Result of the excitation.
+    """Result of `fit_dynamics`.
 
     Attributes
     ----------
     inertia
         Inertia of all moving parts (kg·m² or kg).
     damping
-        Viscous damping, without back-EMF (N·m·s/rad or N·s/m): the given one, or fitted.
+        Viscous damping without back-EMF (N·m·s/rad or N·s/m): as given to the fit, otherwise fitted.
     delay_s
-        From the sample to the effort that answers it, without the half tick for which an effort is held: whole ticks
-        and lag (s).
+        Delay from a sample to the effort that is computed from it (s): whole ticks plus lag, without the half tick of
+        the hold.
     delay_ticks, lag_s
-        How the delay is divided: a whole number of ticks, and a first-order lag (s).
+        The two parts of the delay: whole ticks, and the time constant of a first-order lag (s).
     mode
-        First structural mode, or None where a rigid body explains as much.
+        First structural mode, or None if a rigid body explains the motion as well.
     mode_above_hz
-        Where the anti-resonance of a mode above the band lies, by what it does within the band (Hz); None where it does
-        nothing that is certain.
+        Anti-resonance of a mode above the band (Hz), estimated from its compliance within the band; None if that
+        compliance is not significant.
     band
-        The lines that were fitted, of those that were excited.
+        The range of excited lines that was fitted.
     lines_hz, coherence
-        Fitted lines (Hz) and γ² of motion and excitation there, shape (n,).
+        Fitted lines (Hz), and coherence γ² of motion and excitation at each, shape (n,).
     measured, fitted
-        Position over effort at the lines, friction removed, delay left in: mean over the realisations, and the model.
+        Position over effort at the lines (rad/(N·m) or m/N), without friction but with the delay: mean over the
+        realisations, and the model, shape (n,).
     deviation
-        Standard deviation of `measured` over the realisations, of its magnitude at each line.
+        Standard deviation of the magnitude of `measured` over the realisations, shape (n,).
     unexplained
-        Share of the velocity at the lines that follows the effort and that the model leaves, rms; noise is not counted.
+        Share of the velocity (rms over the lines) that follows the effort but not the model; noise is not counted.
     """
 
     inertia: Interval
@@ -136,7 +138,7 @@ class Dynamics:
     unexplained: float
 
     def later(self, ticks: int, tick_s: float) -> Dynamics:
-        """Return it for an effort that was `ticks` late in what was fitted already: those of the link."""
+        """Return this result with a delay that is longer by `ticks` of the link, each `tick_s` (s) long."""
         delay = Interval(self.delay_s.value + ticks * tick_s, self.delay_s.ci95)
         s = 2j * np.pi * self.lines_hz
         late = np.exp(-s * ticks * tick_s)
@@ -150,7 +152,7 @@ class Dynamics:
 
     @reported
     def coherence_median(self) -> float:
-        """Return the median of γ² over the lines."""
+        """Return the median of the coherence γ² over the lines."""
         return float(np.median(self.coherence))
 
 
@@ -163,27 +165,28 @@ def fit_dynamics(
     damping: Interval | None = None,
     back_emf: float = 0.0,
 ) -> Dynamics:
-    """Fit inertia, delay, and a mode if there is one.
+    """Fit inertia, damping, delay and, if it is significant, the first structural mode.
 
     Parameters
     ----------
     runs
-        Realisations of one excitation, whole periods, with the motor's effort and the measured position.
+        Realisations of one excitation in whole periods; `effort` is the motor's, `position` as measured.
     resolution
         Travel for one count (rad or m).
     inertia
-        A first guess, right within a factor of ten (kg·m² or kg).
+        Start value, right within a factor of ten (kg·m² or kg).
     sliding
-        Coulomb friction to remove; None for a rig without any.
+        Result of `fit_sliding` with the Coulomb friction to remove; None if the rig has no Coulomb friction.
     damping
-        Viscous damping that is known, such as that of `sliding`; None fits it too.
+        Known viscous damping (N·m·s/rad or N·s/m), such as `Sliding.damping`; None to fit it.
     back_emf
-        Damping by back-EMF under voltage drive, behind the lag that is fitted (N·m·s/rad or N·s/m).
+        Damping by back-EMF under voltage drive (N·m·s/rad or N·s/m); it acts behind the fitted lag.
 
     Raises
     ------
     IdentificationError
-        Data without coherence, or that no model of one or two masses explains.
+        The motion is too small, drifts or is not coherent with the excitation, or no model of one or two masses
+        explains it.
     """
     whole, found = check_excited(runs, resolution)
     start = np.array([inertia, 0.0 if damping is None else damping.value, 0.0])
@@ -212,7 +215,7 @@ class _Fit:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Spectra of all realisations at the lines, shape (runs, lines), and what the model needs beside them."""
+    """Spectra of all realisations at the lines, shape (runs, lines), with the constants of the model."""
 
     lines: Floats
     rate: float
@@ -246,12 +249,12 @@ class _Problem:
         )
 
     def gain(self, parameters: Floats, ticks: int) -> Complexes:
-        """Return the position over the samples of the effort, delay, hold and images included."""
+        """Return the model's position over effort at the lines (rad/(N·m) or m/N), with delay, hold and images."""
         late = _late(self.images, parameters, ticks / self.rate)
         return np.asarray((self.held * late * self.answer(self.images, parameters)).sum(axis=0))
 
     def answer(self, frequency_hz: Floats, parameters: Floats) -> Complexes:
-        """Return the position over effort, the back-EMF's apart."""
+        """Return the rig's position over acting effort, with back-EMF but without delay and hold."""
         free = compliance(frequency_hz, parameters)
         if self.back_emf == 0.0:
             return free
@@ -265,7 +268,7 @@ class _Problem:
     def solve(
         self, start: Floats, free: Sequence[int], ticks: int, weights: Floats, which: slice = slice(None)
     ) -> Floats:
-        """Return the least squares over the free parameters, each in units of its own size."""
+        """Return all parameters after a least-squares fit of the free ones; the others keep their start value."""
         # Units of their own size: the parameters span ten orders of magnitude.
         size = np.abs(start)
         size[B] = max(size[B], 1e-3 * abs(start[M]) * 2.0 * np.pi * self.lines[0])
@@ -286,7 +289,7 @@ class _Problem:
         return parameters(found.x)
 
     def fit(self, start: Floats, free: Sequence[int], ticks: int) -> _Fit:
-        """Fit and weights in turn: the weights follow from what the fit leaves, smoothed over neighbouring lines."""
+        """Fit and compute weights in turn: the weights are the residuals, smoothed over neighbouring lines."""
         power = np.mean(np.abs(self.position) ** 2, axis=0)
         # Before anything is known of the noise: 2 % of the motion, and the encoder's floor.
         first = np.sqrt((0.02**2) * power + self.floor**2)
@@ -300,7 +303,7 @@ class _Problem:
         return _Fit(parameters, ticks, weights, cost, unexplained)
 
     def _unexplained(self, error: Complexes, power: Floats) -> float:
-        """Return the share of the velocity (rms) that the fit leaves and that follows the effort."""
+        """Return the share of the velocity (rms) that follows the effort but is not explained by the fit."""
         # Noise is not correlated with the effort: the mean over realisations removes it.
         runs, drive = len(error), np.mean(np.abs(self.effort) ** 2, axis=0)
         gain = np.mean(error * self.effort.conj(), axis=0) / drive
@@ -310,7 +313,7 @@ class _Problem:
         return math.sqrt(max(0.0, float(np.sum(speed * own))) / float(np.sum(speed * power)))
 
     def with_delay(self, start: Floats, free: Sequence[int]) -> _Fit:
-        """Return the best fit over whole ticks of delay, with a lag that is not negative beside them."""
+        """Return the best fit over delays of 0, 1, … whole ticks, each with a fitted lag that is not negative."""
         first = self.fit(start, free, 0)
         period = 1.0 / self.rate
         most = min(WHOLE_TICKS, max(0, math.floor(first.parameters[LAG] / period + 0.5)))
@@ -339,7 +342,7 @@ class _Problem:
         return rigid, free
 
     def each(self, fit: _Fit, free: Sequence[int]) -> Floats:
-        """Return the parameters by each realisation alone, shape (runs, parameters)."""
+        """Return the parameters fitted to each realisation separately, shape (runs, parameters)."""
         runs = range(len(self.position))
         return np.array(
             [self.solve(fit.parameters, free, fit.ticks, fit.weights, slice(i, i + 1)) for i in runs]
@@ -348,7 +351,7 @@ class _Problem:
     def shifted(
         self, fit: _Fit, free: Sequence[int], damping: Interval | None, sliding: Sliding | None
     ) -> list[Floats]:
-        """Return the parameters with what was given at the end of its interval: damping, then Coulomb friction."""
+        """Return the parameters refitted with the given damping, then Coulomb friction, at the end of its interval."""
         found = []
         if damping is not None and math.isfinite(damping.ci95):
             start = fit.parameters.copy()
@@ -360,7 +363,7 @@ class _Problem:
         return found
 
     def mode_start(self, rigid: Floats) -> Floats | None:
-        """Return where to look for a mode: the deepest notch and, above it, the highest peak of position · m·s²."""
+        """Return start values with a mode, at the deepest notch and the highest peak above it; None if not found."""
         level = np.mean(np.abs(self.position), axis=0) / np.mean(np.abs(self.effort + 0.0), axis=0)
         flat = np.log(level * rigid[M] * (2.0 * np.pi * self.lines) ** 2 + 1e-300)
         flat = _smooth(flat - np.median(flat[: max(3, len(flat) // 4)]), 3)
@@ -374,7 +377,7 @@ class _Problem:
 
 
 def compliance(frequency_hz: Floats, parameters: Floats) -> Complexes:
-    """Return the position over effort of the free rig: P of the text above."""
+    """Return position over effort without delay and back-EMF, P in the module's docstring (rad/(N·m) or m/N)."""
     s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
     p = 1.0 / (s * (parameters[M] * s + parameters[B]))
     if len(parameters) == COMPLIANT:
@@ -391,7 +394,7 @@ def _late(frequency_hz: Floats, parameters: Floats, delay_s: float) -> Complexes
 
 
 def _spectra(run: ExcitedRun, sliding: Sliding | None) -> tuple[Complexes, Complexes, Complexes]:
-    """Return the position, effort (its samples, at time 0 of a sample) and Coulomb friction at the lines."""
+    """Return the spectra of position, effort and Coulomb friction at the lines, with their delays undone."""
     n = run.period_samples
     whole = np.fft.rfft(run.level_position().reshape(run.periods, n).mean(axis=0))
     frequency = np.asarray(np.fft.rfftfreq(n, 1.0 / run.rate_hz), dtype=np.float64)

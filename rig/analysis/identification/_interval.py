@@ -1,4 +1,4 @@
-"""A value and how far it may be off: 95 % confidence, from Student's distribution."""
+"""A value with its 95 % confidence interval, from Student's distribution."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A value, and the half width `ci95` of its 95 % interval; infinite where it is not known.
+    """A value and the half width `ci95` of its 95 % interval, in the same unit; infinite if unknown.
 
-    The interval holds scatter, not bias: what is wrong alike in every realisation does not widen it.
+    The interval covers scatter, not bias: an error that is equal in all realisations does not widen it.
     """
 
     value: float
@@ -38,23 +38,23 @@ class Interval:
         return self.low <= value <= self.high
 
     def scaled(self, factor: float) -> Interval:
-        """Return the interval of a multiple."""
+        """Return the interval of `factor` times the value."""
         return Interval(factor * self.value, abs(factor) * self.ci95)
 
     def text(self, unit: str = "") -> str:
-        """Write value ± half width with as many digits as the interval deserves."""
+        """Return "value ± half width unit", with two significant digits of the half width."""
         return f"{_shown(self.value, self.ci95)} {unit}".rstrip()
 
 
 def quantile(degrees_of_freedom: float) -> float:
-    """Return two-sided 95 % quantile of Student's distribution; infinite without a degree of freedom."""
+    """Return the two-sided 95 % quantile of Student's distribution; infinite below one degree of freedom."""
     if degrees_of_freedom < 1:
         return math.inf
     return float(special.stdtrit(degrees_of_freedom, 0.5 + 0.5 * CONFIDENCE))
 
 
 def from_scatter(value: float, samples: ArrayLike) -> Interval:
-    """Return the interval about a value that was fitted to all realisations, from the values fitted to each."""
+    """Return the interval of a value fitted to all realisations, from the values fitted to each realisation."""
     each = np.asarray(samples, dtype=np.float64)
     if len(each) < 2:
         return Interval(value, math.inf)

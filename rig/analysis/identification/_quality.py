@@ -1,4 +1,4 @@
-"""Data that no fit should be made of: each refusal says what is wrong with them and what to do."""
+"""Reject data that are too poor for a fit, with a message that says what is wrong and what to do."""
 
 from __future__ import annotations
 
@@ -32,23 +32,23 @@ LARGEST_UNEXPLAINED = 0.1  # share of the velocity, rms over the lines, that a f
 
 
 class IdentificationError(RigError):
-    """The data do not say what the rig is; the message says why, the remedy what to measure instead."""
+    """The data are too poor to identify the rig; the message says why, the remedy what to measure instead."""
 
     exit_code = 12
 
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """The lines that a fit uses: neighbours at which the motion follows the excitation.
+    """A range of neighbouring excited lines at which the motion follows the excitation; a fit uses these.
 
     Attributes
     ----------
     first, lines
-        Place of the lowest one among the excited lines, and how many there are.
+        Index of the band's lowest line among the excited lines, and number of lines in the band.
     low_hz, high_hz
-        The lowest and the highest of them (Hz).
+        Frequency of the lowest and of the highest line (Hz).
     below, above
-        Why lines at either end are left out; empty where none is.
+        Reason why lines below or above the band are left out; empty if no line is left out.
     """
 
     first: int
@@ -65,25 +65,25 @@ class Band:
 
     @property
     def text(self) -> str:
-        """Return the band and why it ends."""
+        """Return the ends of the band, its number of lines and the reasons why it ends, as text."""
         why = [f"; {side}: {text}" for side, text in (("below", self.below), ("above", self.above)) if text]
         return f"{self.low_hz:.4g} to {self.high_hz:.4g} Hz, {self.lines} lines{''.join(why) or ', all excited ones'}"
 
     def shorter(self, lines_hz: Floats, lines: int, why: str) -> Band:
-        """Return its lowest lines; `lines_hz` are the excited ones."""
+        """Return the band of its lowest `lines` lines; `lines_hz` are all excited lines (Hz), `why` is the reason."""
         return replace(self, lines=lines, high_hz=float(lines_hz[self.first + lines - 1]), above=why)
 
 
 def coherence(runs: Sequence[ExcitedRun]) -> Floats:
-    """γ² of motion and excitation at each line, over all periods of all realisations (`impedance.estimate`)."""
+    """Return the coherence γ² of motion and excitation at each line, over all periods of all realisations."""
     return periodic(runs).coherence_motion
 
 
 def find_band(lines_hz: Floats, found: Floats) -> Band:
-    """Return the lowest row of lines whose coherence, a median over neighbours, is high enough.
+    """Return the lowest band of lines whose coherence `found` (median over neighbours) is high enough.
 
-    A gap of up to an octave, such as an anti-resonance in which the handle stands still, does not end it where as many
-    lines as a fit needs follow. The fit gives the lines in the gap the weight that their scatter deserves.
+    A gap of up to an octave, such as an anti-resonance in which the handle stands still, does not end the band if
+    enough lines for a fit follow. The fit weights lines in the gap by their scatter.
     """
     reach = min(NEAR_LINES, len(found)) // 2
     near = sliding_window_view(np.pad(np.nan_to_num(found), reach, mode="edge"), 2 * reach + 1)
@@ -114,17 +114,17 @@ def find_band(lines_hz: Floats, found: Floats) -> Band:
 
 
 def check_excited(runs: Sequence[ExcitedRun], resolution: float) -> tuple[Band, Floats]:
-    """Refuse excited motion that is too small, drifts or does not follow the excitation; return band and coherence.
+    """Reject excited motion that is too small, drifts or does not follow the excitation; return band and coherence.
 
     Raises
     ------
     IdentificationError
-        With the numbers and a remedy.
+        The motion is rejected, or there are fewer than two realisations.
     """
     if len(runs) < 2:
         raise IdentificationError(
-            "coherence and confidence interval cannot be computed from one realisation",
-            remedy="use two or more realisations; six are usual",
+            f"number of realisations: {len(runs)}; coherence and confidence intervals need at least two",
+            remedy="measure two or more realisations; six are usual",
         )
     for run in runs:
         _check_size(run, resolution)
@@ -145,7 +145,7 @@ def check_excited(runs: Sequence[ExcitedRun], resolution: float) -> tuple[Band, 
 
 
 def check_explained(unexplained: float) -> None:
-    """Refuse a fit that leaves too much of the motion (share, rms) unexplained."""
+    """Raise `IdentificationError` if the unexplained share of the velocity (rms) is above `LARGEST_UNEXPLAINED`."""
     if not unexplained <= LARGEST_UNEXPLAINED:
         raise IdentificationError(
             f"the model leaves {100 * unexplained:.0f} % of the motion unexplained; at most "
@@ -167,7 +167,7 @@ def _check_size(run: ExcitedRun, resolution: float) -> None:
 
 
 def period_change(run: ExcitedRun, lines: slice = slice(None)) -> float:
-    """Return by how much the motion changes from one period to the next, as a share, at the median of these lines."""
+    """Return the relative change of the motion from one period to the next: the median over `lines` and periods."""
     if run.periods < 2:
         return 0.0
     by_period = run.level_position().reshape(run.periods, run.period_samples)

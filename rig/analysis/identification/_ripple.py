@@ -1,10 +1,10 @@
-"""Ripple of the motor's effort, from slow sweeps without and with a steady load.
+"""Fit the ripple of the motor's effort to slow sweeps without and with a steady load.
 
-A motor makes 1 + r(x) times the effort u that it is asked for. While the handle slides slowly, half the sum of both
-ways is F(x)/(1 + r(x)), F being cogging, and half the difference friction/(1 + r(x)): the one sees ripple as a product
-of two small things, the other cannot tell it from friction that varies with place. A steady load W adds W/(1 + r(x))
-to half the sum and nothing else, whatever cogging and friction are, as long as they are the same without it. That
-difference, as a share of its own mean, is the ripple; neither the size of W nor the described torque constant is in it.
+A motor produces 1 + r(x) times the commanded effort u. While the handle slides slowly, half the sum of the efforts up
+and down is F(x)/(1 + r(x)), F being cogging, and half the difference is friction/(1 + r(x)). The sum shows ripple only
+as a product of two small numbers; the difference cannot separate it from friction that varies with position. A steady
+load W adds W/(1 + r(x)) to half the sum, whatever cogging and friction are, if they are the same with and without it.
+This added effort over its mean gives the ripple, which thus depends neither on W nor on the described torque constant.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ ROUNDS = 3  # of the fit; each leaves the ripple's share of what the one before 
 
 @dataclass(frozen=True)
 class Ripple:
-    """Share by which the motor's effort varies over its position.
+    """Ripple r(x): the motor produces 1 + r(x) times the commanded effort at position x.
 
     Attributes
     ----------
@@ -37,9 +37,9 @@ class Ripple:
     orders, cosine, sine
         Orders of the identified harmonics, and their amplitudes as shares of the effort; see `rig.core.model.Cogging`.
     unseen
-        Amplitude that a harmonic may have and not have been found.
+        Largest amplitude that a harmonic not listed in `orders` may have, as a share of the effort.
     load
-        The steady load, measured by the described torque constant (N·m or N).
+        The steady load, computed with the described torque constant (N·m or N).
     """
 
     period: float
@@ -59,7 +59,7 @@ class Ripple:
 
     @reported
     def phase(self) -> tuple[Interval, ...]:
-        """Return the phase of each harmonic (rad): by this part of a wave its crest lies behind position zero."""
+        """Return the phase of each harmonic (rad): its crest lies this part of its period after position zero."""
         return tuple(
             Interval(math.atan2(s.value, c.value), math.hypot(s.value * c.ci95, c.value * s.ci95) / size**2)
             for c, s, size in self._harmonics
@@ -72,21 +72,21 @@ class Ripple:
 
 
 def fit_ripple(free: Sequence[Pair], loaded: Sequence[Pair], *, period: float, most_order: int) -> Ripple:
-    """Fit the harmonics to pairs of sweeps without and with a load, each pair with one of its own.
+    """Fit the harmonics of ripple to pairs of sweeps without and with a steady load.
 
     Parameters
     ----------
     free, loaded
-        From `rig.analysis.identification._cogging.pairs_of`, as many of one as of the other.
+        Pairs without and with the load from `rig.analysis.identification._cogging.pairs_of`, equal in number.
     period
         Period of the harmonics (rad or m).
     most_order
-        Highest harmonic that is looked for.
+        Highest order of harmonic to look for.
 
     Raises
     ------
     IdentificationError
-        Sweeps of less than a period, or a load that is lost in what differs from sweep to sweep.
+        The common range of the sweeps is shorter than a period, or the load is not larger than its 95 % interval.
     """
     low, high = common_range([*free, *loaded], period)
     every = range(1, most_order + 1)
@@ -99,7 +99,8 @@ def fit_ripple(free: Sequence[Pair], loaded: Sequence[Pair], *, period: float, m
     load = from_scatter(float(each[:, -1].mean()), each[:, -1])
     if not abs(load.value) > load.ci95:
         raise IdentificationError(
-            f"the load was measured as {load.text()}: it is masked by the friction, and so is the ripple",
+            f"the load was measured as {load.text()} N·m or N: it must be larger than its interval, otherwise "
+            "friction masks the ripple",
             remedy="hang a larger mass, or use a longer arm",
         )
     intervals = [from_scatter(float(column.mean()), column) for column in each.T]
@@ -118,7 +119,7 @@ def fit_ripple(free: Sequence[Pair], loaded: Sequence[Pair], *, period: float, m
 
 
 def _shares(free: Pair, loaded: Pair, period: float, orders: Sequence[int]) -> Floats:
-    """Return cosines and sines of r, and the load, of one pair: those that make load·(1 + r̂)/(1 + r) constant."""
+    """Return amplitudes of cosines and sines of r, then the load (N·m or N), of one pair without and one with load."""
     shares, load = np.zeros(2 * len(orders)), 0.0
     for _ in range(ROUNDS):
         with_, without = (

@@ -1,10 +1,10 @@
-"""Signs and scale from small pushes: does a positive effort raise the position, and by about as much as it should.
+"""Check with small pushes that a positive effort raises the position, and by about the expected amount.
 
-A push grows evenly until the handle has moved a little. Friction F holds it first, up to the breakaway effort; from
-then on m·x″ = u − F − b·x′ with the effort u as it was commanded, in its steps: where a quantum of current is coarse, a
-push has a handful of them. So m·(x + d·∫x dt) = ∬(u − F) dt², whose fit gives m and F. The described d = b/m, which
-back-EMF may make large, is taken as it is: a wrong scale of effort or way leaves it alone. That is good to some ten per
-cent, enough to see a wrong torque constant, a wrong ratio or a missing factor of four in the decoding.
+The effort of a push rises evenly until the handle has moved a little. Friction F holds the handle up to the breakaway
+effort; then m·x″ = u − F − b·x′, with u the commanded effort in its steps (few, if the quantum of current is coarse).
+So m·(x + d·∫x dt) = ∬(u − F) dt², whose fit gives m and F; d = b/m is taken from the description, because a wrong scale
+of effort or position does not change it. The result is good to some ten per cent: enough to detect a wrong torque
+constant, a wrong ratio or a missing factor of four in the decoding.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ LOOSE = 0.5  # inertia right after a reversal over that of a second push from wh
 
 @dataclass(frozen=True, slots=True)
 class Push:
-    """One push: its direction, what it took to get away, how far it went, and the inertia that it met."""
+    """Result of one push: direction, breakaway effort, travel, and apparent inertia."""
 
     direction: Literal[-1, 1]
     moved: bool  # further than noise
@@ -46,20 +46,20 @@ class Push:
 
 @dataclass(frozen=True, slots=True)
 class SignCheck:
-    """Result of the pushes.
+    """Result of `check_signs`.
 
     Attributes
     ----------
     sign
-        1 when the position rises with a positive effort, −1 when it falls, 0 when nothing moved or the pushes disagree.
+        1 if the position rises with a positive effort, −1 if it falls, 0 if nothing moved or the pushes disagree.
     inertia
-        Median over the pushes (kg·m² or kg); NaN if no push determines it.
+        Median of the inertia over the pushes (kg·m² or kg); NaN if no push determines it.
     scale
-        `inertia` over the expected one.
+        `inertia` over the expected inertia.
     breakaway_up, breakaway_down
         Median effort at the first motion, by direction of the push (N·m or N); NaN if none moved.
     pushes
-        All of them.
+        Result of each push, in order of time.
     warnings
         Observations that a person should check.
     """
@@ -89,7 +89,7 @@ def check_signs(
     damping: float = 0.0,
     friction: float | None = None,
 ) -> SignCheck:
-    """Judge pushes that grow evenly from zero, with rests in between.
+    """Judge signs and scale of a rig from pushes whose effort rises evenly from zero, with rests between them.
 
     Parameters
     ----------
@@ -100,11 +100,11 @@ def check_signs(
     expected_inertia
         Inertia in the description (kg·m² or kg).
     rest_s
-        Zero effort for this long separates two pushes.
+        Time of zero effort that separates two pushes (s).
     damping
         Damping in the description, back-EMF included (N·m·s/rad or N·s/m).
     friction
-        Friction in the description (N·m or N), used where the pushes do not determine it; None: the best fit.
+        Friction in the description (N·m or N), used if the pushes do not determine it; None for the best fit.
     """
     pushes: list[Push] = []
     for first, last in _spans(effort, max(1, round(rest_s / (time_s[1] - time_s[0])))):
@@ -140,17 +140,17 @@ def check_signs(
 
 
 def stiction_warning(breakaway: float, sliding: float) -> str | None:
-    """Say so when a handle at rest holds on much harder than it rubs while sliding."""
+    """Return a warning if the breakaway effort is much larger than the sliding friction (both N·m or N), or None."""
     if not breakaway > STICKS * sliding:
         return None
     return (
-        f"stiction: breaking away needs {breakaway:.3g} and sliding needs {sliding:.3g}; with Coulomb "
+        f"stiction: breaking away needs {breakaway:.3g} and sliding needs {sliding:.3g} N·m or N; with Coulomb "
         "friction alone both would be equal"
     )
 
 
 def _spans(effort: Floats, rest: int) -> list[tuple[int, int]]:
-    """Return the index ranges of the pushes: from the first effort after a rest to the last before the next."""
+    """Return first and end index of each push; `rest` is the number of zero samples that separates two pushes."""
     busy = np.flatnonzero(effort != 0.0)
     if not len(busy):
         return []
@@ -197,9 +197,9 @@ def _fit(
     decay: float,
     expected_friction: float | None,
 ) -> tuple[float, float]:
-    """Return inertia m and beginning t₀ of m·(x + d·∫x dt) = ∬(u − F) dt² by least squares in x, over every friction F.
+    """Return inertia m (kg·m² or kg) and start t₀ (s) of the motion that fit m·(x + d·∫x dt) = ∬(u − F) dt² best.
 
-    Fitted is the way since the handle last was near.
+    The friction F is fitted, too. Only samples after the handle last was within `SETTLED_SHARE` of its travel are used.
     """
     step_s = time_s[1] - time_s[0]
     near = np.flatnonzero(np.abs(way) < SETTLED_SHARE * abs(way[-1]))
@@ -210,7 +210,7 @@ def _fit(
     seen = (far + decay * step_s * np.cumsum(far))[since]
 
     def given(friction: float) -> Floats:
-        """∬(u − F) dt²."""
+        """Return ∬(u − F) dt² of the fitted samples (N·m·s² or N·s²)."""
         momentum = step_s * np.cumsum(np.maximum(pushed - friction, 0.0))
         return np.asarray(step_s * np.cumsum(momentum)[since])
 
@@ -239,8 +239,8 @@ def _warnings(pushes: list[Push], moved: list[Push], sign: int, scale: float) ->
     if not moved:
         most = max((push.breakaway for push in pushes), default=0.0)
         found.append(
-            f"the handle did not move, up to {most:.3g}: check that the motor is connected and the "
-            "handle is free"
+            f"the handle did not move with efforts of up to {most:.3g} N·m or N: check that the motor is connected "
+            "and the handle is free"
         )
     elif sign == 0:
         found.append(

@@ -1,14 +1,14 @@
-"""Friction from sliding: strokes at constant speeds, both ways, tell Coulomb friction each way and viscous damping.
+"""Fit Coulomb friction for each direction and viscous damping to strokes at constant speeds.
 
-While the speed is constant the motor's effort is friction alone: up + b·v for v > 0, −down + b·v for v < 0. Under
-voltage drive that effort is the command less the back-EMF, whose damping has to be given: no motion separates it from
-viscous damping. A constant external effort (weight, a bent cable) adds to one level and subtracts from the other, and
-sliding cannot separate it from friction that differs by direction: `coulomb` is half of up + down, `bias` half of
-up − down, and only the two levels are measured.
+At constant speed the motor's effort is friction alone: up + b·v for v > 0, −down + b·v for v < 0. Under voltage drive
+this effort is the command minus the back-EMF, whose damping must be given: no motion separates it from viscous damping.
+A constant external effort (weight, a bent cable) adds to one level and subtracts from the other, and sliding cannot
+separate it from friction that differs by direction. So only the levels up and down are measured; `coulomb` is half of
+up + down, `bias` half of up − down.
 
 The mean over a piece of a stroke is one point. Friction varies with position, and with a coarse encoder the servo's
-effort ripples: intervals come from the scatter of the points about the line. Pieces of one stroke err together and
-count as one.
+effort has ripple, so intervals are computed from the scatter of the points about the line. Errors of the pieces of one
+stroke are correlated, so they count as one point.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ UNSTEADY = 0.03
 
 @dataclass(frozen=True, slots=True)
 class Stroke:
-    """A motion at constant speed that was asked for: when it begins and ends (s), and its velocity (rad/s or m/s)."""
+    """A commanded motion at constant speed: its begin and end (s) and its velocity (rad/s or m/s)."""
 
     begin_s: float
     end_s: float
@@ -49,20 +49,20 @@ class Stroke:
 
 @dataclass(frozen=True, eq=False)
 class Sliding:
-    """Friction of a sliding handle.
+    """Friction of a sliding handle, as fitted by `fit_sliding`.
 
     Attributes
     ----------
     up, down
-        Level of friction against rising and against falling position (N·m or N, positive).
+        Coulomb friction against rising and against falling position (N·m or N, positive).
     damping
-        Viscous damping, without back-EMF (N·m·s/rad or N·s/m).
+        Viscous damping without back-EMF (N·m·s/rad or N·s/m).
     coulomb, bias
-        Half of up + down, half of up − down (N·m or N).
+        Half of up + down, and half of up − down (N·m or N).
     velocity, effort
-        Points that the line was laid through, shape (n,).
+        Points of the fit: mean velocity (rad/s or m/s) and effort (N·m or N) of each piece of a stroke, shape (n,).
     scatter
-        Rms of the points about it (N·m or N).
+        Rms distance of the points from the fitted line (N·m or N).
     """
 
     up: Interval
@@ -80,7 +80,7 @@ class Sliding:
         return len(self.velocity)
 
     def at(self, velocity: Floats) -> Floats:
-        """Return the effort that keeps these velocities up (N·m or N)."""
+        """Return the effort that overcomes friction at each velocity (N·m or N); `velocity` in rad/s or m/s."""
         level = np.where(velocity > 0.0, self.up.value, -self.down.value)
         return np.asarray(level + self.damping.value * velocity)
 
@@ -94,14 +94,15 @@ def fit_sliding(
     resolution: float,
     back_emf: float = 0.0,
 ) -> Sliding:
-    """Fit friction to strokes.
+    """Fit Coulomb friction and viscous damping to strokes at constant speeds.
 
     Parameters
     ----------
     time_s, effort, position
-        Signals of the whole run, shape (n,), evenly sampled, time 0 as for the strokes; `effort` as commanded.
+        Time (s), commanded effort and position of the whole run, shape (n,), evenly sampled; the times of `strokes`
+        have the same origin.
     strokes
-        Commanded strokes.
+        Commanded strokes, in both directions and at two speeds or more.
     resolution
         Travel for one count (rad or m).
     back_emf
@@ -110,7 +111,8 @@ def fit_sliding(
     Raises
     ------
     IdentificationError
-        Too few strokes that slid at their speed, not both directions, or points too far from a line.
+        Too few strokes slid at their speed, a direction or a second speed is missing, or the points scatter too much
+        about the line.
     """
     velocity, level = _points(time_s, effort, position, strokes, resolution)
     level = level - back_emf * velocity
@@ -146,8 +148,9 @@ def fit_sliding(
     largest = float(np.abs(level).max())
     if fit.scatter > LARGEST_SCATTER * largest:
         raise IdentificationError(
-            f"the effort of sliding scatters by {fit.scatter:.3g} about a line of up to {largest:.3g}",
-            remedy="slide more slowly, so that the servo follows; the picture shows positions at which "
+            f"the effort of sliding scatters by {fit.scatter:.3g} N·m or N about the fitted line; at most "
+            f"{LARGEST_SCATTER * largest:.3g} ({LARGEST_SCATTER:.0%} of the largest effort) is allowed",
+            remedy="slide more slowly, so that the servo follows, and look in the picture for positions at which "
             "a part catches",
         )
     return fit

@@ -1,11 +1,12 @@
-"""Impedance from whole periods of a multisine: a ratio of two lines, and how far it can be trusted.
+"""Estimate an impedance and its variance from whole periods of a multisine excitation.
 
     impedance = periodic(runs)  # of rig.analysis.impedance._signals.ExcitedRun, one for each realisation
     impedance.z, impedance.deviation, impedance.residual
 
-The excitation r is the instrument: Ẑ = S_rF/S_rV with V = jω·X. Whole periods, so no window, no leakage, no detrending
-but of a free rig's steady drift. Uncertainty comes from realisations, that is from other phases of the same lines; from
-the periods of a single realisation (see `variance_from`) it is too small wherever friction is.
+The excitation r is the instrument: Ẑ = S_rF/S_rV with V = jω·X. The records are whole periods, so no window is needed
+and nothing leaks; only a steady drift of the position is removed. The variance is computed from the scatter over
+realisations (the same lines with other phases). From the periods of a single realisation it is too small if the rig
+has friction, because the distortion by friction repeats in each period.
 
 Source of the estimator and its variance: the standard theory of instruments and of ratios (Pintelon and Schoukens,
 "System Identification: A Frequency Domain Approach", chapters 2 and 4, from memory); the delta method is written out
@@ -31,32 +32,33 @@ VarianceFrom = Literal["realisations", "periods", "segments", "nothing"]
 
 @dataclass(frozen=True, eq=False)
 class Impedance:
-    """Measured (or ideal) impedance at the lines: effort over velocity at the handle.
+    """Measured (or ideal) impedance at the excited lines: effort over velocity at the handle.
 
     Attributes
     ----------
     lines_hz
-        Frequencies (Hz), shape (n,); everything below with "each line" has this shape.
+        Frequencies of the lines (Hz), shape (n,); each attribute "at each line" has this shape, too.
     z
-        Impedance at each line, complex (N·s/m or N·m·s/rad).
+        Complex impedance at each line (N·s/m or N·m·s/rad).
     variance
-        Variance of z at each line: mean |Ẑ − Z|², half in the real and half in the imaginary part. NaN if unknown.
+        Variance of z at each line, mean |Ẑ − Z|²: half in the real and half in the imaginary part. NaN if unknown.
     coherence_effort, coherence_motion
-        γ² of effort and of velocity with the excitation at each line, over all periods of all realisations; NaN with
-        a single period. A blind estimate of it is 1/(periods · realisations), not 0.
+        Coherence γ² of effort and of velocity with the excitation at each line, over all periods of all realisations;
+        NaN with a single period. Of unrelated signals it is about 1/(periods · realisations), not 0.
     residual
-        Share of the motion's power (of velocity, in the band of `residual_band_hz`) off the excited lines; NaN where
-        the record cannot show any.
+        Share of the velocity's power within `residual_band_hz` that is not at the excited lines; NaN if the record
+        has no frequencies between the lines (a single period).
     residual_band_hz
-        Band in which the residual was counted.
+        Lowest and highest frequency of the band in which `residual` was computed (Hz).
     realisations, periods
-        How many realisations went in, and periods of all of them together.
+        Number of realisations, and number of periods of all realisations together.
     method
-        ``"periodic"``, ``"welch"``, ``"welch-h1"``, or what a closed form calls itself.
+        Estimator: ``"periodic"``, ``"welch"`` or ``"welch-h1"``; ``"exact"`` or another name for a computed impedance.
     variance_from
-        Where the variance comes from: see the text of `rig.analysis.impedance._estimate`.
+        Repetitions whose scatter gives the variance: ``"realisations"``, ``"periods"`` (of a single realisation),
+        ``"segments"`` (of Welch's method), or ``"nothing"`` if there is no scatter (exact, or a single period).
     degrees_of_freedom
-        Degrees of freedom of the variance (real ones); infinite where it is exact.
+        Degrees of freedom of the variance; infinite if it is not an estimate: exact (0), or unknown (NaN).
     """
 
     lines_hz: Floats
@@ -74,30 +76,30 @@ class Impedance:
 
     @classmethod
     def exact(cls, lines_hz: Floats, z: Complexes, method: str = "exact") -> Impedance:
-        """Return an impedance that is known and not measured: no variance, full coherence, no residual."""
+        """Return an impedance that is known and not measured: variance 0, coherence 1, residual 0."""
         lines = np.asarray(lines_hz, dtype=np.float64)
         ones, none = np.ones(len(lines)), np.zeros(len(lines))
         return cls(lines, np.asarray(z, dtype=np.complex128), none, ones, ones, 0.0, 0, 0, method)
 
     @property
     def magnitude(self) -> Floats:
-        """Return |Z| at each line, shape (lines,)."""
+        """Return |Z| at each line (N·s/m or N·m·s/rad), shape (n,)."""
         return np.abs(self.z)
 
     @property
     def phase_deg(self) -> Floats:
-        """Return the phase at each line (degrees), −180 to 180: no unwrapping, because ±90° are what matters."""
+        """Return the phase of z at each line (degrees), from −180 to 180, not unwrapped."""
         return np.asarray(np.degrees(np.angle(self.z)))
 
     @property
     def deviation(self) -> Floats:
-        """Return the standard deviation of the real part at each line, of the imaginary part, and of the magnitude."""
+        """Return the standard deviation at each line; it is the same for real part, imaginary part and magnitude."""
         return np.sqrt(0.5 * self.variance)
 
     def spread(self, z_score: float) -> Floats:
-        """Return the one-sided uncertainty of the real part (or |Z|) at each line, for the confidence of `z_score`.
+        """Return the one-sided uncertainty of the real part (or |Z|) at each line, in the unit of z.
 
-        2 means 97.7 %.
+        `z_score` gives the confidence, in standard deviations of a normal distribution: 2 means 97.7 %.
         """
         # With few realisations the variance is uncertain itself: Student's distribution in place of the normal one asks
         # for 2.5 deviations with four realisations instead of 2.
@@ -106,9 +108,9 @@ class Impedance:
         return -float(special.stdtrit(self.degrees_of_freedom, special.ndtr(-z_score))) * self.deviation
 
     def within(self, band: tuple[float, float] | None) -> Impedance:
-        """Return the lines of a band (Hz), ends included; all of them for None.
+        """Return the impedance at the lines from band[0] to band[1] (Hz), ends included; at all lines for None.
 
-        Raises `ConfigError` when the band holds none.
+        Raise `ConfigError` if no line lies in the band.
         """
         if band is None:
             return self
@@ -125,25 +127,25 @@ class Impedance:
 
 
 def periodic(runs: Sequence[ExcitedRun], *, residual_band_hz: tuple[float, float] | None = None) -> Impedance:
-    """Return the impedance by the ratio of lines, with the excitation as instrument.
+    """Estimate the impedance at each excited line: Ẑ = S_rF/S_rV, with the excitation r as instrument.
 
     Parameters
     ----------
     runs
-        One record for each realisation, all with the same rate, period and lines. Each should have other phases.
+        One record for each realisation, all with the same rate, period and lines, but with different phases.
     residual_band_hz
-        Band of the residual power; the excited one if left out.
+        Band in which the residual power is computed (Hz); from the lowest to the highest line if left out.
 
     Returns
     -------
     Impedance
         With n ≥ 2 realisations, e_i = (F_i − Ẑ·V_i)·r_i* and Ẑ = Σ F_i·r_i*/Σ V_i·r_i*, the variance is
-        Σ|e_i|²/(n·(n − 1))/|mean V_i·r_i*|². With one, the same over its periods.
+        Σ|e_i|²/(n·(n − 1))/|mean V_i·r_i*|². With one realisation, i counts its periods instead.
 
     Raises
     ------
     ConfigError
-        No runs, or runs that do not belong together.
+        No runs are given, or they differ in rate, period or lines.
     """
     first = same_lines(runs)
     lines = [_Lines.of(run) for run in runs]
@@ -175,11 +177,11 @@ def periodic(runs: Sequence[ExcitedRun], *, residual_band_hz: tuple[float, float
 
 
 def residual_share(runs: Sequence[ExcitedRun], band: tuple[float, float]) -> float:
-    """Return the share of the velocity's power off the excited lines, between the ends of a band (Hz), over all runs.
+    """Return the share of the velocity's power within a band (Hz) that is not at the excited lines, over all runs.
 
-    A transform of the whole record has bins between the lines: P periods put P − 1 of them between neighbours. What
-    is there does not repeat with the excitation: chatter of an estimator, a limit cycle, noise. NaN for a band
-    without such bins (a single period of a full grid) or without any motion.
+    The transform of a record with P periods has P − 1 bins between neighbouring harmonics. Power in these bins does not
+    repeat with the excitation: chatter of an estimator, a limit cycle, noise. Return NaN if the band has no such bins
+    (a single period with every harmonic excited) or if nothing moves.
     """
     off = total = 0.0
     seen = False
@@ -197,7 +199,7 @@ def residual_share(runs: Sequence[ExcitedRun], band: tuple[float, float]) -> flo
 
 @dataclass(frozen=True)
 class _Lines:
-    """Complex amplitudes at the lines, aligned, of shape (periods, lines)."""
+    """Complex amplitudes at the lines, all at the same instant (delays undone), of shape (periods, lines)."""
 
     reference: Complexes
     effort: Complexes
@@ -220,7 +222,7 @@ def _transform(run: ExcitedRun, channel: Floats) -> Complexes:
 def _with_instrument(
     lines: Sequence[_Lines], channel: Literal["effort", "velocity"], of: VarianceFrom
 ) -> Complexes:
-    """Return products with the conjugate reference: a row for each realisation, or each period of the only one."""
+    """Return channel · conj(excitation) at the lines: a row for each realisation, or each period of the only one."""
     # Coulomb friction's distortion repeats in every period: periods agree with each other while all are wrong alike.
     products = [np.asarray(getattr(one, channel) * one.reference.conj()) for one in lines]
     return np.stack([p.mean(axis=0) for p in products]) if of == "realisations" else products[0]
@@ -237,7 +239,7 @@ def _coherence(lines: Sequence[_Lines], channel: Literal["effort", "velocity"]) 
 
 
 def same_lines(runs: Sequence[ExcitedRun]) -> ExcitedRun:
-    """Return the first of runs that have rate, period and lines in common; `ConfigError` if they have not."""
+    """Return the first run; raise `ConfigError` unless all runs have the same rate, period and lines."""
     if not runs:
         raise ConfigError(
             "no runs are given, so an impedance cannot be estimated", remedy="excite the rig at least once"
@@ -250,7 +252,7 @@ def same_lines(runs: Sequence[ExcitedRun]) -> ExcitedRun:
             or not np.array_equal(run.bins, first.bins)
         ):
             raise ConfigError(
-                "the runs have different rates, periods or lines",
-                remedy="estimate an impedance from each kind of run separately",
+                "the runs differ in sampling rate, period or lines; one estimate needs runs with the same ones",
+                remedy="group the runs by rate, period and lines, and estimate an impedance from each group",
             )
     return first

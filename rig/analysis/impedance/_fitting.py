@@ -1,10 +1,10 @@
-"""Mass, damping and stiffness that a measured impedance stands for, by weighted least squares, with intervals.
+"""Fit mass, damping and stiffness to a measured impedance by weighted least squares, with standard deviations.
 
     fit(impedance, ("inertia", "damping")).values  # a bare rig
-    fit(impedance, ("stiffness", "damping"), subtract=Device(0.52, 13.2))  # a wall, the rig taken away
+    fit(impedance, ("stiffness", "damping"), subtract=RigidRig(0.52, 13.2))  # a wall without the rig's own impedance
 
-The model m·jω + b + K/(jω) is linear in its numbers, so there is nothing to start from and nothing to diverge. Each
-line weighs by its variance; lines whose variance is unknown all weigh the same.
+The model m·jω + b + K/(jω) is linear in its parameters, so the fit needs no start values and cannot diverge. Each line
+is weighted by the inverse of its standard deviation; if no variance is known, all lines have the same weight.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Term = Literal["inertia", "damping", "stiffness"]
 
 @dataclass(frozen=True, slots=True)
 class RigidRig:
-    """Rigid rig: inertia (kg or kg·m²), viscous damping, and that of back-EMF behind a lag (N·s/m or N·m·s/rad; s)."""
+    """Rigid rig: inertia (kg or kg·m²), viscous damping, damping by back-EMF (N·s/m or N·m·s/rad) and its lag (s)."""
 
     inertia: float
     damping: float
@@ -34,23 +34,24 @@ class RigidRig:
     lag_s: float = 0.0
 
     def impedance(self, lines_hz: ArrayLike) -> Complexes:
-        """m·jω + b + b_e/(1 + jω·lag) at these frequencies (Hz)."""
+        """Return the impedance m·jω + b + b_e/(1 + jω·lag) at the frequencies `lines_hz` (Hz)."""
         s = 2j * np.pi * np.asarray(lines_hz, dtype=np.float64)
         return np.asarray(self.inertia * s + self.damping + self.back_emf / (1.0 + self.lag_s * s))
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """Numbers of the model and their standard deviations, by name; terms not asked for are absent.
+    """Fitted parameters and their standard deviations, by name; terms that were not fitted are absent.
 
     Attributes
     ----------
     values, deviations
-        SI. Deviations are from the lines' variances, widened by a misfit above 1 (Birge's ratio: what the model does
-        not explain is not known better than that); where variances are unknown, from the misfit alone.
+        Parameters and their standard deviations, in SI units. The deviations follow from the variances of the lines
+        and are multiplied by `misfit` if it is above 1 (Birge's ratio). If variances are unknown, they follow from
+        the misfit alone.
     misfit
-        Root mean square of the misfit per real number, in standard deviations of the lines: near 1 when the model
-        holds; larger when noise is not all that is wrong. NaN without variances.
+        Root mean square of the differences between model and lines, in standard deviations of the lines: near 1 if
+        the model is right, larger if the differences are more than noise. NaN without variances.
     """
 
     values: dict[Term, float]
@@ -59,7 +60,7 @@ class Fit:
 
     @classmethod
     def unknown(cls, *terms: Term) -> Fit:
-        """Return the fit of too few lines: all values NaN."""
+        """Return a fit whose values are all NaN, for a band with too few lines."""
         return cls(dict.fromkeys(terms, math.nan), dict.fromkeys(terms, math.nan), math.nan)
 
 
@@ -70,29 +71,29 @@ def fit(
     band: tuple[float, float] | None = None,
     subtract: Complexes | RigidRig | None = None,
 ) -> Fit:
-    """Return the weighted least squares of m·jω + b + K/(jω) on an impedance.
+    """Fit m·jω + b + K/(jω) to an impedance by weighted least squares.
 
     Parameters
     ----------
     impedance
         Measured impedance.
     terms
-        Which of inertia, damping and stiffness to look for.
+        Parameters to fit: any of ``"inertia"``, ``"damping"`` and ``"stiffness"``.
     band
-        Lines to use (Hz); all if left out.
+        Lowest and highest frequency of the lines to use (Hz); all lines if left out.
     subtract
-        Known part that is not fitted: a rigid device, or an impedance at all lines of `impedance`.
+        Known part that is subtracted before the fit: a rigid rig, or complex values at all lines of `impedance`.
 
     Raises
     ------
     ConfigError
-        No terms or unknown ones, a band without lines, fewer numbers than terms.
+        No terms are given, a term is unknown, the band has no lines, or there are more terms than measured numbers.
     """
     names = tuple(dict.fromkeys(terms))
     if not names or set(names) - {"inertia", "damping", "stiffness"}:
         raise ConfigError(
-            f"the terms to fit are {', '.join(names) or 'none'}",
-            remedy="choose among inertia, damping and stiffness",
+            f"the terms to fit are {', '.join(names) or '(empty)'}",
+            remedy="give one or more of: inertia, damping, stiffness",
         )
     part = impedance.within(band)
     z = part.z - _at(part, impedance, subtract)
@@ -100,7 +101,7 @@ def fit(
     sound = np.isfinite(z) & np.isfinite(weights)
     if 2 * int(sound.sum()) < len(names):
         raise ConfigError(
-            f"only {int(sound.sum())} lines are usable to fit {len(names)} numbers",
+            f"only {int(sound.sum())} lines are usable to fit {len(names)} numbers (two numbers need one line)",
             remedy="measure more lines, or widen the band",
         )
     s: Complexes = np.asarray(2j * np.pi * part.lines_hz[sound], dtype=np.complex128)
@@ -146,7 +147,7 @@ def _has_variance(variance: Floats) -> bool:
 
 
 def _weights(variance: Floats) -> Floats:
-    """Return one over the deviation of each real number; a line of variance zero weighs like the best of the others."""
+    """Return 1/(standard deviation) for each line; a line with variance 0 gets the largest weight of the others."""
     if not _has_variance(variance):
         return np.ones(len(variance))
     usable = np.isfinite(variance) & (variance > 0.0)

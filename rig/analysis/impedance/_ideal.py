@@ -1,13 +1,13 @@
-"""Impedance that a rig with a sampled wall must show: the ideal wall, the bare rig, and both together in closed form.
+"""Closed forms of the impedance of an ideal wall, of a rig without a wall, and of a rig with a sampled wall.
 
 For a rigid rig without lag, a wall at one rate and an estimator H(z) (velocity over position) it is
 
     Z = m·s + b + ZOH(s)·C/s / (1 + A·C),   C = K + B·H(e^{sT}),   ZOH = (1 − e^{−sT})/(s·T),   s = jω
 
-The excitation is continuous, the wall is not: it sees the position at its ticks, where all motions at ω + n·2π/T look
-alike, and its held effort moves the rig at all of them. What comes back by way of n ≠ 0 is the A: with P from effort
-to position and G its discretisation (hold, plant, sampler), A = G(e^{sT}) − ZOH·P = Σ_{n≠0} P·ZOH at ω + n·2π/T.
-Without it (``images=False``) remains what one expects, m·s + b + ZOH·(K/s + B·H/s).
+The excitation is continuous, the wall is sampled: it reads the position at its ticks, where motions at all frequencies
+ω + n·2π/T (images) look alike, and its held effort moves the rig at all of them. A is the sum of the images: with P
+from effort to position and G its discretisation (hold, plant, sampler), A = G(e^{sT}) − ZOH·P = Σ_{n≠0} P·ZOH at
+ω + n·2π/T. Without images (``images=False``) the impedance is m·s + b + ZOH·(K/s + B·H/s).
 
 For 0.52 kg at 1 kHz, fdm, fdm-butterworth and kalman, at every line up to 400 Hz, images change Z by at most 0.16 % and
 0.05° for stable walls up to 40 kN/m and 100 N·s/m, by 1.4 % up to 100 kN/m, and by 7 % for the stiffest that are just
@@ -22,8 +22,8 @@ the discretisation, D_m the delay, h_m the pattern in which a velocity is used o
 
 which is solved for w in one line; the position at ω between the samples is then P_y·F − Q_y·ZOH·D_0·u_0.
 
-Coulomb friction, quantum and saturation are left out. The closed form is there for unstable walls too, which no
-steady motion ever shows: ask `rig.analysis.theory` which are stable. Source: own derivation; sampled-data arithmetic is
+Coulomb friction, quantum and saturation are left out. The closed form also returns a value for an unstable wall, which
+has no steady motion: check stability with `rig.analysis.theory`. Source: own derivation; sampled-data arithmetic is
 textbook.
 """
 
@@ -45,7 +45,7 @@ Channel = Literal["external", "motor"]
 
 
 def ideal_wall(stiffness: float, damping: float, lines_hz: ArrayLike) -> Complexes:
-    """Return K/(jω) + B at these frequencies (Hz): the wall that is asked for."""
+    """Return the impedance K/(jω) + B of the requested wall at the frequencies `lines_hz` (Hz)."""
     return np.asarray(stiffness / _s(lines_hz) + damping)
 
 
@@ -56,7 +56,7 @@ def bare(
     scheme: SchemeLike | None = None,
     seen: Literal["handle", "sensed"] = "handle",
 ) -> Complexes:
-    """Return the impedance of the rig without a wall, friction left out: m·s + b for a rigid one.
+    """Return the impedance of the rig without a wall and without friction: m·s + b if it is rigid.
 
     Parameters are those of `rendered_impedance`.
     """
@@ -80,25 +80,25 @@ def rendered_impedance(
     Parameters
     ----------
     rig, scheme
-        See `rig.analysis.theory._loop.linear_loop`, which also says what is refused: estimators that are not linear.
+        See `rig.analysis.theory._loop.linear_loop`, which raises `NotLinearError` for an estimator that is not linear.
     stiffness, damping
-        K and B of a bilateral wall.
+        K (N·m/rad or N/m) and B (N·m·s/rad or N·s/m) of a bilateral wall.
     lines_hz
-        Frequencies (Hz), shape (n,); not half of the velocity rate nor multiples of that.
+        Frequencies (Hz), shape (n,), without half of the velocity rate and its multiples.
     seen
-        Where the position is taken: at the handle; on the side of the encoder (the same on a rigid rig; on two masses
-        that is no driving-point impedance, and its phase says nothing of passivity); or there, at the loop's ticks
-        alone, as a rig records it: that adds the images to what is seen.
+        Where the position is measured. ``"handle"``: at the handle. ``"sensed"``: on the encoder's side (on two masses
+        this is not a driving-point impedance, so its phase does not show passivity). ``"samples"``: on the encoder's
+        side at the loop's ticks only, as a rig records it; this adds the images.
     channel
-        Excitation by a continuous effort on the handle, or by the motor through the loop; F is then the commanded
-        excitation as held over a tick, before delay and lag.
+        ``"external"``: a continuous effort F on the handle excites. ``"motor"``: the motor excites, and F is the
+        commanded excitation, held over a tick, before delay and lag.
     images
-        False for the expression without A: see the text of `rig.analysis.impedance._ideal`.
+        False leaves the images out (A in the formula of `rig.analysis.impedance._ideal`).
 
     Returns
     -------
     ndarray of complex
-        F/(jω·X) in damping units, shape (n,).
+        F/(jω·X) (N·m·s/rad or N·s/m), shape (n,).
     """
     return walls(rig, lines_hz, scheme=scheme, seen=seen, channel=channel, images=images)(stiffness, damping)
 
@@ -112,7 +112,7 @@ def walls(
     channel: Channel = "external",
     images: bool = True,
 ) -> Callable[[float, float], Complexes]:
-    """Return a function of K and B that gives `rendered_impedance`; parts without the wall are computed once."""
+    """Return a function of (K, B) that returns `rendered_impedance`; parts that do not depend on K, B are cached."""
     loop = _loop(rig, scheme)
     plant = _Plant.of(loop)
     lines = np.atleast_1d(np.asarray(lines_hz, dtype=np.float64))
@@ -144,7 +144,7 @@ COMMAND, EXTERNAL = 0, 1  # inputs of `rig.core.model.StateSpace`
 
 @dataclass(frozen=True, eq=False)
 class _Plant:
-    """Continuous matrices, and which states are positions."""
+    """Continuous state-space matrices, and the indices of the sensed and of the handle's position in the state."""
 
     a: Matrix
     b: Matrix
@@ -161,13 +161,13 @@ class _Plant:
         return self.handle if seen == "handle" else self.sensed
 
     def response(self, lines_hz: ArrayLike, row: int, column: int) -> Complexes:
-        """Return the response from an input to a state at s = jω, shape (n,)."""
+        """Return the response from input `column` to state `row` at s = jω, shape (n,)."""
         return _transfer(_s(np.atleast_1d(lines_hz)), self.a, self.b[:, column], row)
 
 
 @dataclass(frozen=True, eq=False)
 class _Sampled:
-    """The sampled loop at ω + m·2π/T2: shapes (n, N) and (n,)."""
+    """Factors of the sampled loop at the frequencies ω + m·2π/T2: shape (n, N), or (n,) for m = 0 only."""
 
     forward: Complexes  # G_m·D_m, from command to sampled position
     pattern: Complexes  # h_m, from a velocity to how it is used in the N ticks of its period
@@ -197,7 +197,7 @@ def _sample_loop(loop: LinearLoop, plant: _Plant, lines: Floats, images: bool) -
 
 
 def _transfer(s: Complexes, a: Matrix, b: Floats, row: int) -> Complexes:
-    """Return the row of (s·1 − A)⁻¹·b for each s."""
+    """Return element `row` of (s·1 − A)⁻¹·b for each s, shape (n,)."""
     resolvent = s[:, None, None] * np.eye(len(b)) - a
     states = np.linalg.solve(resolvent, np.broadcast_to(b[:, None], (len(s), len(b), 1)))
     return np.asarray(states[:, row, 0])

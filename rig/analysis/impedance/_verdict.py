@@ -1,16 +1,16 @@
-"""Verdict on a wall by its measured impedance: whether it is passive, and its deviation from the ideal wall.
+"""Judge from a measured impedance whether a wall is passive, and compute its deviation from the ideal wall.
 
-*Passive* is a port whose impedance has no negative real part; equivalently, whose phase stays within ±90°, which is
-how the second paper tests it. Measured lines have noise, and a stiff wall comes within a degree of −90° at low
-frequencies ((b + B − K·T/2)·ω/K rad), so each line gets a tolerance from its own uncertainty: it fails when Re Ẑ <
-−t, t being `z_score` standard deviations. That is the same as a phase beyond ±(90° + asin(t/|Ẑ|)); with a z-score of 0
-the test is the paper's. The residual power beside the lines is a second test.
+A port is *passive* if the real part of its impedance is not negative; equivalently, if its phase stays within ±90°,
+which is the test of the second paper. Measured lines have noise, and a stiff wall comes within a degree of −90° at low
+frequencies ((b + B − K·T/2)·ω/K rad). So each line gets a tolerance t of `z_score` standard deviations: it fails if
+Re Ẑ < −t, which means a phase beyond ±(90° + asin(t/|Ẑ|)). With a z-score of 0 the test is that of the paper. The
+residual power between the lines is a second test.
 
-*Fidelity* is the second paper's: root mean square over the lines of |Ẑ| − |K/(jω) + B|. It is dominated by the rig's
-inertia (1.886·f N·s/m for 0.52 kg up to f Hz) and depends on band and lines, both of which belong beside it.
+*Fidelity* is defined as in the second paper: root mean square over the lines of |Ẑ| − |K/(jω) + B|. The rig's inertia
+dominates it (1.886·f N·s/m for 0.52 kg up to f Hz), and it depends on band and lines: report it with band and lines.
 
-Beside it stand *effective stiffness* −ω·Im Z and *effective damping* Re Z of what was added to the rig, in per cent of
-what was requested, as weighted means over the lines of a low band, and a relative error in the manner of Colonnese.
+*Effective stiffness* −ω·Im Z and *effective damping* Re Z of the wall without the rig are weighted means over the lines
+of a low band, in per cent of the requested values. *Distortion* is a relative error similar to Colonnese's.
 """
 
 from __future__ import annotations
@@ -38,24 +38,24 @@ COHERENCE = 0.5  # γ² of the motion below which a line says nothing
 
 @dataclass(frozen=True, slots=True)
 class Passivity:
-    """Outcome of the test of Re Z, and the line that came closest to failing, or failed most.
+    """Result of the test Re Z ≥ −tolerance, with the line that has the smallest (or most negative) margin.
 
     Attributes
     ----------
     passive
-        No line fails.
+        True if no line fails.
     tested, failed_hz
-        Number of lines in the band, and which of them fail (Hz).
+        Number of lines in the band, and the frequencies of those that fail (Hz).
     worst_hz
-        Line with the least Re Ẑ + tolerance.
+        Frequency of the line with the smallest Re Ẑ + tolerance (Hz).
     worst_real, worst_tolerance, worst_phase_deg
-        Re Ẑ (damping units), its tolerance, and the phase there.
+        Re Ẑ at `worst_hz`, its tolerance (both N·s/m or N·m·s/rad), and the phase of Ẑ (degrees).
     margin
-        Least Re Ẑ + tolerance over the lines (damping units); below zero when the test fails.
+        Smallest Re Ẑ + tolerance over the lines (N·s/m or N·m·s/rad); below zero if the test fails.
     phase_margin_deg
-        Least 90° + asin(tolerance/|Ẑ|) − |phase|: the same sign as `margin`.
+        Smallest 90° + asin(tolerance/|Ẑ|) − |phase| over the lines (degrees); it has the sign of `margin`.
     band_hz, z_score
-        As asked for.
+        Band (Hz) and z-score of the test; see `passive`.
     """
 
     passive: bool
@@ -73,7 +73,7 @@ class Passivity:
 
 @dataclass(frozen=True, slots=True)
 class PassivityJudgement:
-    """Judgement of a wall's passivity with its evidence; `reasons` is empty for a passive wall."""
+    """Judgement of a wall's passivity with its evidence; `reasons` is empty if the wall is judged passive."""
 
     passive: bool
     reasons: tuple[str, ...]
@@ -85,25 +85,25 @@ class PassivityJudgement:
 
 @dataclass(frozen=True, slots=True)
 class Fidelity:
-    """How far a rendered wall is from the one that was asked for.
+    """Deviation of a rendered wall from the requested wall.
 
     Attributes
     ----------
     rms
-        Root mean square over the lines of |Ẑ| − |K/(jω) + B| (damping units).
+        Root mean square over the lines of |Ẑ| − |K/(jω) + B| (N·s/m or N·m·s/rad).
     rms_deviation
-        Standard deviation of that, lines taken as independent.
+        Standard deviation of `rms` (same unit), if the lines are independent.
     noise_rms
-        Value that noise alone would give: compare with it before two walls are ranked.
+        The `rms` that noise alone would give (same unit): differences below it do not rank two walls.
     stiffness, damping
-        Effective, over `effective_band_hz`, the device taken away if it was given (it should be: an inertia left in
-        makes the stiffness too small). NaN with fewer than `EFFECTIVE_LINES` lines there.
+        Effective stiffness and damping over `effective_band_hz` (SI), without the device if it was given (without it,
+        the rig's inertia makes the stiffness too small). NaN with fewer than `EFFECTIVE_LINES` lines in that band.
     stiffness_deviation, damping_deviation
-        Their standard deviations, misfit included.
+        Standard deviations of `stiffness` and `damping`, misfit included.
     stiffness_percent, damping_percent
-        In per cent of what was asked for; NaN where that was zero.
+        Effective stiffness and damping in per cent of the requested values; NaN if the requested value is zero.
     effective_band_hz, effective_lines
-        The lines from where to where these are means over, and how many.
+        Lowest and highest frequency (Hz) and number of the lines over which stiffness and damping are fitted.
     distortion
         Mean over the lines of weight · |Ẑ − Z|/|Z|, Z = K/(jω) + B: the shape that the second paper gives for the
         average distortion error of Colonnese and Okamura. Their own text was not to be had, so weights and spacing of
@@ -131,17 +131,17 @@ class Fidelity:
 def passive(
     impedance: Impedance, band: tuple[float, float] | None = None, z_score: float = Z_SCORE
 ) -> Passivity:
-    """Test Re Z ≥ −tolerance at each line of a band.
+    """Test at each line of a band that Re Z ≥ −tolerance.
 
     Parameters
     ----------
     impedance
-        Measured or exact.
+        Measured or exact impedance.
     band
-        Lines that count (Hz, ends included); all if left out.
+        Lowest and highest frequency of the lines to test (Hz, ends included); all lines if left out.
     z_score
-        Tolerance in standard deviations of each real part (`Impedance.spread`). The tolerance is zero if this is 0 or
-        the variance is unknown. Of many lines exactly at the limit a share fails by chance: 2.3 % at 2.
+        Tolerance in standard deviations of each real part (`Impedance.spread`). The tolerance is zero if `z_score` is 0
+        or the variance is unknown. Of lines exactly at the limit 2.3 % fail by chance with a z-score of 2.
 
     Raises
     ------
@@ -182,7 +182,7 @@ def judge(
     residual_threshold: float = RESIDUAL,
     least_coherence: float = COHERENCE,
 ) -> PassivityJudgement:
-    """Judge passivity by all criteria that can refute it: real part, residual power, coherence.
+    """Judge whether a wall is passive: not if the real part, the residual power or the coherence is out of limits.
 
     A residual or coherence that cannot be computed from the record (NaN) is ignored.
     """
@@ -224,22 +224,22 @@ def fidelity(
     Parameters
     ----------
     impedance
-        Measured or exact, rig and wall together.
+        Measured or exact impedance of rig and wall together.
     stiffness, damping
         Requested stiffness and damping (N/m or N·m/rad, N·s/m or N·m·s/rad).
     band
-        Lines that count (Hz); all if left out.
+        Lowest and highest frequency of the lines to use (Hz); all lines if left out.
     device
-        The rig's own impedance, as a `RigidRig` or at all lines of `impedance`: taken away before K and B are
-        fitted. It stays in `rms` and `distortion`, as in the papers.
+        The rig's own impedance, as a `RigidRig` or as values at all lines of `impedance`: subtracted before K and B are
+        fitted. It is not subtracted for `rms` and `distortion`, as in the papers.
     effective_hz
-        Up to which line of the band effective stiffness and damping are averaged (Hz).
+        Highest frequency at which effective stiffness and damping are fitted (Hz).
     weight
         Weight of `distortion`, a function of frequency (Hz); 1 if left out.
 
     Notes
     -----
-    An ideal sampled wall does not read its own B: the hold takes K·T/2 off it.
+    For an ideal sampled wall the effective damping is B − K·T/2, not B: the hold subtracts K·T/2.
 
     Raises
     ------

@@ -1,10 +1,9 @@
 """Impedance by Welch's averaged spectra, with the settings of MATLAB's tfestimate: how the second paper measured it.
 
-Kept to compare with the paper and for records that are not periodic; `rig.analysis.impedance._estimate.periodic` is
-better for a multisine. The defaults of tfestimate are spelled out, since those of `scipy.signal.csd` differ in every
-point but the overlap (Hann, 256 samples, mean removed): Hamming, eight segments with half of each shared, so of length
-N/4.5, a transform of max(256, next power of two), nothing removed. Source: MathWorks, documentation of tfestimate and
-spectrum.welch.
+Use it to compare with the paper and for records that are not periodic; `rig.analysis.impedance._estimate.periodic` is
+better for a multisine. The defaults are those of tfestimate: Hamming window, eight segments that overlap by half (so of
+length N/4.5), a transform of max(256, next power of two), no detrending. Those of `scipy.signal.csd` differ (Hann, 256
+samples, mean removed). Source: MathWorks, documentation of tfestimate and spectrum.welch.
 
 The transform's grid is not that of the lines: with N = 16 000 samples at 4 kHz a segment has 0.9 s and lines 1 Hz
 apart leak into each other.
@@ -30,20 +29,21 @@ SMALLEST_TRANSFORM = 256  # of tfestimate
 
 @dataclass(frozen=True, slots=True)
 class WelchSettings:
-    """How spectra are averaged.
+    """Settings of the averaged spectra: window, segments, transform and estimator.
 
     Attributes
     ----------
     window
-        As `scipy.signal.get_window` calls it.
+        Name of the window for `scipy.signal.get_window`.
     segment_s
-        Length of a segment (s); None for an eighth part of each record with half of it shared, N/4.5.
+        Length of a segment (s); None for the length with which eight overlapping segments fill the record.
     overlap
         Share of a segment that the next one repeats, 0 to below 1.
     transform_samples
-        Length of the transform, zeros added; None for max(256, next power of two).
+        Length of the zero-padded transform; None for max(256, next power of two).
     estimator
-        ``"h1"``: S_VF/S_VV, velocity as input, which is tfestimate's and the paper's; ``"instrument"``: S_rF/S_rV.
+        ``"h1"``: S_VF/S_VV with velocity as input, as tfestimate and the paper; ``"instrument"``: S_rF/S_rV with the
+        excitation r as instrument.
     """
 
     window: str = "hamming"
@@ -53,13 +53,13 @@ class WelchSettings:
     estimator: Literal["h1", "instrument"] = "h1"
 
     def segment(self, samples: int, rate_hz: float) -> int:
-        """Return the samples in a segment of a record of so many."""
+        """Return the number of samples in a segment of a record with `samples` samples."""
         if self.segment_s is None:
             return max(1, int(samples / (SEGMENTS - (SEGMENTS - 1) * self.overlap)))
         return min(samples, max(1, round(self.segment_s * rate_hz)))
 
     def transform(self, segment: int) -> int:
-        """Return the length of a transform (samples): as given, else a power of two that holds the segment."""
+        """Return the length of a transform (samples): as set, or the power of two that holds a segment, min. 256."""
         return self.transform_samples or max(SMALLEST_TRANSFORM, 1 << (segment - 1).bit_length())
 
 
@@ -81,7 +81,7 @@ def estimate_welch(
     settings
         Window, segments and estimator; the defaults are tfestimate's.
     residual_band_hz
-        As in `rig.analysis.impedance._estimate.periodic`, by which the residual is computed.
+        Band in which the residual power is computed (Hz); from the lowest to the highest line if left out.
 
     Returns
     -------
@@ -94,7 +94,8 @@ def estimate_welch(
     Raises
     ------
     ConfigError
-        No runs, runs that do not belong together, settings that leave no segment or no frequency in the band.
+        No runs are given, the runs differ in rate, period, lines or length, the overlap is out of range, or no
+        frequency of the transform lies in the band.
     """
     first = same_lines(runs)
     if not 0.0 <= settings.overlap < 1.0:
@@ -105,7 +106,8 @@ def estimate_welch(
     grid = spectra[0].frequency
     if any(len(one.frequency) != len(grid) for one in spectra):
         raise ConfigError(
-            "the runs have different lengths", remedy="give transform_samples, or runs of one length"
+            "the runs have different lengths, so their transforms cannot be averaged",
+            remedy="give transform_samples, or runs of one length",
         )
     low, high = float(first.lines_hz[0]), float(first.lines_hz[-1])
     inside = (grid >= low * (1.0 - 1e-9)) & (grid <= high * (1.0 + 1e-9))
@@ -144,9 +146,9 @@ def estimate_welch(
 
 
 def align_signals(run: ExcitedRun) -> tuple[Floats, Floats, Floats]:
-    """Return the excitation, effort and velocity of a run as signals of time, all at the instants of its samples.
+    """Return the excitation, effort and velocity of a run over time, all at the instants of its samples.
 
-    Delays, hold and derivative act on the transform of the whole record, which is exact because it is periodic.
+    Delays, hold and derivative are applied to the transform of the whole record, which is exact for a periodic record.
     """
     samples = len(run.position)
     frequency: Floats = np.arange(samples // 2 + 1) * np.float64(run.rate_hz / samples)
@@ -166,7 +168,7 @@ def align_signals(run: ExcitedRun) -> tuple[Floats, Floats, Floats]:
 
 @dataclass(frozen=True)
 class _Spectra:
-    """Averaged spectra of one run (S_xy = mean of X*·Y), and how many independent segments they are worth."""
+    """Averaged spectra of one run (S_xy = mean of X*·Y), and the equivalent number of independent segments."""
 
     frequency: Floats
     ff: Floats
@@ -213,7 +215,7 @@ class _Spectra:
 
 
 def _independent(window: Floats, step: int, count: int) -> float:
-    """Return the equivalent independent segments: n/(1 + 2·Σ (1 − k/n)·ρ_k), ρ of the shifted window.
+    """Return the equivalent number of independent segments: n/(1 + 2·Σ (1 − k/n)·ρ_k), ρ_k of the shifted window.
 
     Source: Welch, IEEE Trans. Audio Electroacoust. 15 (1967), 70.
     """

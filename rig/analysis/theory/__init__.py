@@ -1,4 +1,4 @@
-"""State what exact linear theory predicts for dual-rate walls: no simulation, no trial, milliseconds.
+"""Predict stability and passivity of dual-rate walls by exact linear theory, in milliseconds and without simulation.
 
     from rig.analysis import theory
 
@@ -7,8 +7,8 @@
     theory.passivity_bound("koul-rigid", "dual:20k/2k").beta
 
 A rig is a preset's name, a TOML file, an experiment or a `rig.core.model.RigModel`; a scheme is a text or a
-`rig.config.schemes.Scheme`. What the theory leaves out (Coulomb friction, the encoder's quantum, saturation, release)
-stands in `rig.analysis.theory._loop`, with what that is worth.
+`rig.config.schemes.Scheme`. The docstring of `rig.analysis.theory._loop` lists what the theory leaves out (Coulomb
+friction, the encoder's quantum, saturation, release) and how much each changes the result.
 
 `rig theory`, the design, the checks of a run and the reproductions of papers call it. Nothing here simulates, decides
 whether a wall may be armed, or commands a device.

@@ -1,16 +1,16 @@
-"""The limit cycle of the encoder's quantum, by describing functions: amplitude and frequency, without a simulation.
+"""Predict amplitude and frequency of the limit cycle by the encoder's quantum, with describing functions.
 
-A wall held at rest by a constant push needs a mean reading of push/K, which is no whole number of counts: the count
-toggles, and what toggles is an effort of K·Δ and more. Suppose that the encoder's side moves as x0 + A·cos ωt. Then the
-first harmonic
+A constant push holds the handle at rest in the wall if the mean reading is push/K, which is usually not a whole number
+of counts: the count toggles, and the effort toggles with it by K·Δ or more. Suppose that the encoder's side moves as
+x0 + A·cos ωt. Then the first harmonic
 
     of the reading is  q = (2Δ/π)·Σ √(1 − ((e − x0)/A)²)   over the edges e that are crossed, in phase with x,
     of a friction is   4·f/π, against the velocity of its mass,
 
-and both meet the linear rest of the loop at ω: the law C = K + B·H(e^{jωT2})·h, h the mean over its period of a
-velocity that is held (and extrapolated), the delay, and the plant at its ticks, hold included. Balance is
+The rest of the loop is linear: the law C = K + B·H(e^{jωT2})·h, with h the mean over its period of a velocity that is
+held (and extrapolated), the delay, and the plant G at its ticks, hold included. The loop balances if
 
-    A = −G·C·q(A, x0) − friction,   its imaginary part 0,   mean reading = push/K,
+    A = −G·C·q(A, x0) − friction,   with imaginary part 0,   and   mean reading = push/K,
 
 three equations for A, ω and x0. Without friction ω is where the phase of G·C crosses −180°, whatever A, and
 A = |G·C|·q: at most (2/π)·|G·C| counts while one edge is crossed, so a wall that is linearly stable (|G·C| < 1) buzzes
@@ -54,14 +54,14 @@ class LimitCycle:
     Attributes
     ----------
     amplitude
-        Amplitude at the encoder, half of the peak-to-peak motion (count); 0 where nothing balances, ∞ where it grows
-        beyond any number of counts.
+        Amplitude at the encoder, half of the peak-to-peak motion (counts); 0 if there is no limit cycle, ∞ if it grows
+        beyond `LARGEST` counts.
     frequency_hz
-        Its frequency; NaN without one.
+        Frequency of the limit cycle (Hz); NaN without a limit cycle.
     may_rest
-        True if friction can hold the handle still instead.
+        True if friction can hold the handle at rest instead.
     alone
-        True if the loop, friction left out, balances at no other frequency: else another cycle may be there as well.
+        True if the loop without friction balances at one frequency at most; otherwise other limit cycles may exist.
     """
 
     amplitude: float
@@ -71,7 +71,7 @@ class LimitCycle:
 
     @property
     def found(self) -> bool:
-        """Return True if a limit cycle exists."""
+        """Return True if a limit cycle of finite amplitude exists."""
         return 0.0 < self.amplitude < math.inf
 
 
@@ -94,14 +94,14 @@ def limit_cycle(
     stiffness, damping
         K (N·m/rad or N/m) and B (N·m·s/rad or N·s/m).
     duty
-        Fraction of a count of push/K, 0 to 1.
+        Fractional part of the mean reading push/K in counts, 0 to 1.
     friction
-        True if Coulomb friction is included.
+        True to include Coulomb friction.
 
     Raises
     ------
     ConfigError, NotLinearError
-        As `rig.analysis.theory._loop.linear_loop`.
+        See `rig.analysis.theory._loop.linear_loop`.
     """
     loop = rig if isinstance(rig, LinearLoop) else linear_loop(rig, scheme, operator=operator)
     model = loop.subject.model
@@ -122,9 +122,9 @@ def limit_cycle(
 
 
 def reading(amplitude: float, duty: float) -> float:
-    """Return the first harmonic of the reading of such a motion, whose mean reading is an integer + duty (count).
+    """Return the first harmonic (counts) of the reading of x0 + A·cos ωt, whose mean reading is an integer + duty.
 
-    The bias of the motion follows from the mean; at an amplitude of 0 it is that of a single edge, (2/π)·sin(π·duty).
+    x0 follows from the mean reading. At an amplitude A of 0 return the value of a single edge, (2/π)·sin(π·duty).
     """
     if amplitude <= 0.0:
         return 2.0 / math.pi * math.sin(math.pi * duty)
@@ -146,7 +146,7 @@ def reading(amplitude: float, duty: float) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Open:
-    """The opened loop over frequency, in counts: what a reading of 1 and the frictions make of both sides' motion."""
+    """Responses of the opened loop over frequency: motion of both masses (counts) to a reading of 1 and to friction."""
 
     hz: Vector
     loop: Complex  # encoder's side, from the reading
@@ -178,7 +178,7 @@ class _Open:
         )
 
     def motion(self, read: float) -> Complex:
-        """Return the motion of the encoder's side at every frequency, if it is in phase with this reading (count)."""
+        """Return the complex motion of the encoder's side (counts) to a reading of amplitude `read`, per frequency."""
         x = read * self.loop - 1j * self.rubs[0] * self.rubbed[0]
         if not any(self.rubs[1:]):
             return np.asarray(x)
@@ -191,11 +191,11 @@ class _Open:
         return np.asarray(x + rub * self.rubbed[1])
 
     def crossings(self, duty: float) -> list[float]:
-        """Return the frequencies at which the motion is in phase with a reading across a single edge."""
+        """Return the frequencies (Hz) at which the motion is in phase with a reading that toggles at a single edge."""
         return [frequency for frequency, _ in self._in_phase(reading(0.0, duty))]
 
     def _in_phase(self, read: float) -> list[tuple[float, float]]:
-        """Return the frequency and amplitude wherever the motion is in phase with the reading."""
+        """Return the frequencies (Hz) at which the motion is in phase with the reading, each with the amplitude."""
         x = self.motion(read)
         place = np.flatnonzero((x.imag[1:] > 0.0) != (x.imag[:-1] > 0.0))
         share = x.imag[place] / (x.imag[place] - x.imag[place + 1])
@@ -204,7 +204,10 @@ class _Open:
         return [(float(f), float(a)) for f, a in zip(frequency, amplitude, strict=True) if a > 0.0]
 
     def balance(self, frequency: float, duty: float) -> tuple[float, float]:
-        """Follow one crossing until amplitude and reading belong to each other; returns amplitude and frequency."""
+        """Iterate from the crossing at `frequency` until the reading fits the amplitude; return amplitude, frequency.
+
+        Amplitude in counts, frequency in Hz; (0, 0) if no frequency balances.
+        """
         read, amplitude = reading(0.0, duty), 0.0
         for _ in range(ITERATIONS):
             there = self._in_phase(read)
@@ -220,7 +223,7 @@ class _Open:
 
 
 def _law(loop: LinearLoop, stiffness: float, damping: float, hz: Vector, z: Complex) -> Complex:
-    """Return K + B·H·h: effort over the reading, both at the ticks."""
+    """Return the law K + B·H·h, effort over reading at the ticks, for each frequency."""
     ticks = np.arange(loop.divider)
     used = np.ones((len(hz), loop.divider), complex)
     if loop.extrapolate:
@@ -230,6 +233,6 @@ def _law(loop: LinearLoop, stiffness: float, damping: float, hz: Vector, z: Comp
 
 
 def _states(at: Complex, a: Vector, b: Vector) -> Complex:
-    """Return all states over frequency: (at·1 − A)⁻¹·b."""
+    """Return (s·1 − A)⁻¹·b for each s (or z) in `at`, shape (n, states)."""
     resolvent = at[:, None, None] * np.eye(len(b)) - a
     return np.asarray(np.linalg.solve(resolvent, np.broadcast_to(b[:, None], (len(at), len(b), 1)))[..., 0])

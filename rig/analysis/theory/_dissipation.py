@@ -1,4 +1,4 @@
-"""The work that a wall gives back, exactly: for which K, B and damping a rigid rig with its wall is passive.
+"""Compute exactly for which K, B and damping of the rig a rigid rig with its sampled wall is passive.
 
 Rig and wall are passive iff no motion, whatever its course within a tick, gets work out of them. Motions that repeat in
 each velocity period but for a phase θ are N waves, w_m = e^{j(θ + 2πm)/N} per tick, each with all its aliases
@@ -51,37 +51,39 @@ SINGULAR = 1e-12  # a determinant this small is that of rounding
 
 @dataclass(frozen=True, slots=True)
 class Damping:
-    """Damping of a rig (N·m·s/rad or N·s/m): what acts on any motion, and back-EMF behind the electrical lag."""
+    """Damping of a rig (N·m·s/rad or N·s/m): viscous damping, and damping by back-EMF behind the electrical lag."""
 
     viscous: float
     back_emf: float = 0.0
 
     @property
     def slow(self) -> float:
-        """Return the damping of a slow motion (N·m·s/rad or N·s/m)."""
+        """Return the damping of a slow motion, viscous and back-EMF together (N·m·s/rad or N·s/m)."""
         return self.viscous + self.back_emf
 
     def passive(self, loop: LinearLoop) -> bool:
-        """Return True if a wall can be passive at all: back-EMF behind a lag takes no energy from fast motion."""
+        """Return True if some wall is passive: viscous damping is above 0, or back-EMF damps without a lag."""
         return self.viscous > 0.0 or (self.slow > 0.0 and loop.subject.model.amplifier.lag_s == 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Waves:
-    """Spring and damper as the waves of some phases θ meet them, in units of the rig's damping; over phase and wave.
+    """Effect of a spring and a damper on each wave w_m, over phase θ and wave m, in units of the rig's damping.
+
+    The symbols are those of the module's docstring. Shape (phases, N), except `theta`.
 
     Attributes
     ----------
     theta
-        Phase over a velocity period (rad).
+        Phase θ over a velocity period (rad), shape (phases,).
     read, given
-        Diagonal of the Gram matrix: |x|² and |y|² at most, of a motion from which the rig takes 1.
+        Diagonal of the Gram matrix: largest |x|² and |y|² of a motion in which the rig dissipates 1.
     along
-        Beside the diagonal: x·y of a spring of 1.
+        Off-diagonal element of the Gram matrix, x·y.
     aside
-        Part of y that no reading shows: read·given − |along|².
+        Part of y that is orthogonal to x: read·given − |along|².
     heard
-        h: effort of a damper of 1 over a position of 1.
+        Effort of a damper of 1 over a position of 1, H·ĝ/N.
     """
 
     theta: Vector
@@ -93,7 +95,7 @@ class Waves:
 
     @classmethod
     def of(cls, loop: LinearLoop, theta: Vector, rig: Damping, *, late: bool = True) -> Waves:
-        """Return the waves of these phases; not `late`: as if the effort acted at once."""
+        """Return the waves at the phases `theta` (rad); `late`=False leaves lag and delay of the effort out."""
         n = loop.divider
         lag_s, delay = (loop.subject.model.amplifier.lag_s, loop.delay_ticks) if late else (0.0, 0)
         lag = lag_s / loop.tick_s
@@ -118,18 +120,18 @@ class Waves:
         )
 
     def at(self, which: NDArray[np.intp]) -> Waves:
-        """Return the waves of some of the phases."""
+        """Return the waves of the phases with the indices `which`."""
         return Waves(*(getattr(self, each.name)[which] for each in fields(self)))
 
     def needed(self, sign: float) -> Vector:
-        """Return the share of the rig's damping that a damper of ±1 asks for, without a spring, at each phase."""
+        """Return the share of the rig's damping that a damper of ±1 needs at each phase, without a spring."""
         reading = self.read.sum(axis=1)
         heard = (np.abs(self.heard) ** 2 * self.given).sum(axis=1)
         both = sign * (self.heard * self.along).sum(axis=1)
         return np.asarray(0.5 * (np.sqrt(np.maximum(reading * heard - both.imag**2, 0.0)) - both.real))
 
     def passive(self, stiffness: Vector, damping: Vector) -> Flags:
-        """Return whether rig and wall are passive, at each phase; a K and a B for each, or one for all."""
+        """Return True at each phase at which rig and wall are passive; K and B are one per phase, or one for all."""
         k = 0.5 * stiffness[:, None]
         det = 1.0 + 2.0 * k * self.along.real - k**2 * self.aside
         failing = (det < 0.0).sum(axis=1)
@@ -145,9 +147,9 @@ class Waves:
 
 
 def needed_per_damping(loop: LinearLoop, rig: Damping, *, late: bool = True, negative: bool = False) -> float:
-    """Return the share of the rig's damping that each unit of B needs at K = 0; `late`=False: without the delay.
+    """Return the share of the rig's damping that each unit of B needs at K = 0, at the worst phase.
 
-    `negative` asks for a wall of negative damping.
+    `late`=False leaves lag and delay out; `negative`=True is for a wall of negative damping.
     """
     sign = -1.0 if negative else 1.0
     # Slow motion needs this much of any estimator: it reads the velocity exactly.
@@ -161,7 +163,7 @@ def needed_per_damping(loop: LinearLoop, rig: Damping, *, late: bool = True, neg
 
 
 def passive_stiffness(loop: LinearLoop, dampings: Sequence[float], rig: Damping) -> list[float]:
-    """Return the largest K with which a wall of each B is passive on a rigid rig; 0 where B alone is not passive."""
+    """Return for each B the largest K with which the wall is passive on a rigid rig; 0 if B alone is not passive."""
     if not rig.passive(loop):
         return [0.0] * len(dampings)
     b, phases = np.asarray(dampings, float), _phases()

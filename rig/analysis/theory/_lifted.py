@@ -1,15 +1,15 @@
-"""Exact stability of a dual-rate wall: the loop over one velocity period as one matrix, and its largest eigenvalue.
+"""Compute the exact stability of a dual-rate wall from the eigenvalues of the loop over one velocity period.
 
-The law samples position at T1 and velocity at T2 = N·T1, so the loop is periodic, not time-invariant; lifted to T2 it
-is. With z = [plant; estimator; velocity in use; its slope; commands on their way] one tick in the order of
-`rig.control.step` is
+The law samples position at T1 and velocity at T2 = N·T1, so the loop is periodic and not time-invariant; lifted to
+T2 it is time-invariant. With the state z = [plant; estimator; velocity in use; its slope; commands on their way] one
+tick in the order of `rig.control.step` consists of
 
-    V   in the first tick of a period: the estimator sees this position, a new velocity begins
-    E   in the others: the velocity is held, or extrapolated by its slope
+    V   in the first tick of a period: the estimator reads this position and gives a new velocity
+    E   in the other ticks: the velocity is held, or extrapolated by its slope
     P(K, B)   the law's effort −(K·θ + B·v) is commanded; the one that is due acts over T1
 
-and the period is Φ = (P·E)^(N−1)·P·V. The wall is stable, as far as linear theory can say, iff all eigenvalues of
-Φ lie inside the unit circle: see `rig.analysis.theory._loop` for what that leaves out.
+and the period is Φ = (P·E)^(N−1)·P·V. By linear theory the wall is stable iff all eigenvalues of Φ lie inside the unit
+circle: see `rig.analysis.theory._loop` for what that leaves out.
 
 Source: own derivation; the lifting is the standard one for periodic systems (Kranc 1957; Bittanti and Colaneri 2009).
 """
@@ -40,22 +40,22 @@ HOPELESS = np.finfo(np.float64).max ** 0.25  # stands for what overflowed within
 
 @dataclass(frozen=True)
 class Lifted:
-    """The loop of a rig under a scheme, lifted to the velocity period: everything but stiffness and damping.
+    """The loop of a rig under a scheme, lifted to the velocity period, for walls of any stiffness and damping.
 
     Attributes
     ----------
     tick
-        One tick without a wall, n × n.
+        Transition of the state over one tick without a wall, n × n.
     into
-        Change of the state by a command of 1 in that tick, length n.
+        Change of the state over one tick by a command of 1, length n.
     first, other
-        V and E: what happens to the velocity before the law, in the first and in the other ticks, n × n.
+        V and E: update of the velocity before the law, in the first and in the other ticks of a period, n × n.
     position, velocity
-        Rows that read what the law sees, length n.
+        Rows that select the position and the velocity that the law uses, length n.
     softest
-        The same where cogging is softest, if the motor cogs: a wall is judged at the place that is worse for it. A wall
-        that is softer than the cogging there lets the handle slide to the next detent, which is no oscillation: it is
-        judged without that place.
+        The lifted loop at the position with the softest cogging, if the motor cogs; a wall is judged at the worse of
+        the two positions. A wall that is softer than that cogging lets the handle slide to the next detent, which is
+        not an oscillation: it is not judged at that position.
     """
 
     loop: LinearLoop
@@ -101,31 +101,31 @@ class Lifted:
         return len(self.into)
 
     def ticks(self, stiffness: ArrayLike, damping: ArrayLike) -> tuple[Matrix, Matrix]:
-        """Return the first tick and any other one, for walls of any broadcast shape: shape (…, n, n)."""
+        """Return P·V and P·E, the first and any other tick, for walls of any broadcast shape: shape (…, n, n)."""
         k, b = np.broadcast_arrays(np.asarray(stiffness, float), np.asarray(damping, float))
         law = (k[..., None] - self.loop.compensated) * self.position + b[..., None] * self.velocity
         closed = self.tick - self.into[:, None] * law[..., None, :]
         return closed @ self.first, closed @ self.other
 
     def period(self, stiffness: ArrayLike, damping: ArrayLike) -> Matrix:
-        """Φ over one velocity period, shape (…, n, n)."""
+        """Return the transition Φ over one velocity period for each wall, shape (…, n, n)."""
         first, other = self.ticks(stiffness, damping)
         return (
             first if self.loop.divider == 1 else np.linalg.matrix_power(other, self.loop.divider - 1) @ first
         )
 
     def radius(self, stiffness: ArrayLike, damping: ArrayLike) -> Vector:
-        """Return spectral radius of Φ for each wall: the loop grows by this factor in each velocity period, at last."""
+        """Return the spectral radius of Φ for each wall: the growth of the motion per velocity period, after long."""
         return _at_the_worse_place(self, np.maximum, _radius, stiffness, damping)
 
     def stable(self, stiffness: ArrayLike, damping: ArrayLike) -> Flags:
-        """Return whether each wall's `radius` is below 1; where powers of Φ decide, at a fifth of the cost."""
+        """Return True for each wall whose `radius` is below 1; usually at a fifth of the cost of `radius`."""
         return _at_the_worse_place(self, np.logical_and, _decays, stiffness, damping)
 
     def frequency(self, stiffness: float, damping: float) -> float:
-        """Return the frequency (Hz) of the mode that decides, not aliased to the velocity rate.
+        """Return the frequency (Hz) of the mode with the largest eigenvalue, not aliased by the velocity rate.
 
-        What remains is the alias of the position rate, which is the plant's own.
+        Frequencies above half the position rate are still aliased.
         """
         if self.softest is not None and self.softest.radius(stiffness, damping) >= self.radius(
             stiffness, damping
@@ -156,7 +156,7 @@ def _at_the_worse_place(
     stiffness: ArrayLike,
     damping: ArrayLike,
 ) -> NDArray[Any]:
-    """Evaluate a function of each wall's period matrix; with cogging, also where it is softest, and take the worse."""
+    """Apply `measure` to Φ of each wall; with cogging also to Φ of the softest position, and return the worse value."""
     k, b = np.broadcast_arrays(np.asarray(stiffness, float), np.asarray(damping, float))
     block = max(1, BLOCK // lifted.size**2)
     blocks = (slice(i, i + block) for i in range(0, max(k.size, 1), block))
@@ -177,7 +177,10 @@ def _radius(phi: Matrix) -> Vector:
 
 
 def _decays(phi: Matrix) -> Flags:
-    """Return whether the spectral radius ρ is below 1, by ρ^m ≤ ‖Φ^m‖ and ρ^m ≥ |trace Φ^m|/n for powers m of 16."""
+    """Return True for each Φ whose spectral radius ρ is below 1.
+
+    Bounds by powers m of 16 decide first: ρ^m ≤ ‖Φ^m‖ and ρ^m ≥ |trace Φ^m|/n; eigenvalues decide the rest.
+    """
     # Powers cost a fifth of eigenvalues and round alike: both are wrong by some 1e-16 times the eigenvalue's condition.
     # A power decides only where ρ is farther from 1 than CLEAR^(1/m), which is 1e-5 at the last one.
     decays, left, power = np.zeros(len(phi), np.bool_), np.arange(len(phi)), phi
@@ -201,7 +204,7 @@ def spectral_radius(
     *,
     operator: str | Operator | None = None,
 ) -> Vector:
-    """Return spectral radius over one velocity period, for a rig under a scheme: below 1 the wall is linearly stable.
+    """Return the spectral radius over one velocity period of a rig under a scheme: below 1 the wall is stable.
 
     Parameters
     ----------
@@ -213,13 +216,13 @@ def spectral_radius(
     Returns
     -------
     ndarray
-        Values of the broadcast shape. A stiffness of zero leaves the handle free: 1, as it stays where it is.
+        Spectral radius, in the broadcast shape. It is 1 for a stiffness of zero: a free handle stays where it is.
     """
     return Lifted.of(linear_loop(rig, scheme, operator=operator)).radius(stiffness, damping)
 
 
 def _sampling(loop: LinearLoop, position: Vector, plant: int) -> Matrix:
-    """Return V: the estimator runs; the slope is the difference of its last two velocities, per tick."""
+    """Return V: the estimator updates the velocity; the slope is the difference of its last two velocities per tick."""
     e = loop.estimator
     held, slope = plant + e.order, plant + e.order + 1
     matrix = np.eye(len(position))
@@ -238,7 +241,7 @@ def _sampling(loop: LinearLoop, position: Vector, plant: int) -> Matrix:
 
 
 def _between(loop: LinearLoop, size: int, plant: int) -> Matrix:
-    """Return E: one more tick of extrapolation; without extrapolation the slope is zero for ever."""
+    """Return E: the velocity changes by its slope, which is zero without extrapolation."""
     matrix = np.eye(size)
     held = plant + loop.estimator.order
     matrix[held, held + 1] = 1.0

@@ -1,8 +1,8 @@
-"""Where a wall stops being stable: K_max over B with the islands beyond, B_max, and maps of the whole plane.
+"""Compute the stability limits of a wall: K_max over B, B_max, islands of stability, and maps over K and B.
 
-Stability is not monotone in K. A limit is the end of the *connected* range, from the lowest stiffness up, and islands
-beyond it are listed. A scan sees islands wider than its step (8 % of K); their ends are found by bisection. A limit at
-the end of the scan is flagged as a cap, never a result.
+Stability is not monotone in K. A limit is the end of the *connected* stable range that begins at the lowest stiffness;
+stable ranges above it (islands) are listed. A scan detects islands wider than its step (8 % of K); their ends are found
+by bisection. If the range reaches the end of the scan, the limit is marked as capped, because it is not a result.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ DAMPING_REACH, DAMPING_DECADES = 8.0, 5.0  # of the scan for B_max, in J/T2
 
 @dataclass(frozen=True, slots=True)
 class Island:
-    """A range of stable stiffnesses above the connected one; `capped` if it reaches the end of the scan."""
+    """Stable range of stiffness (N·m/rad or N/m) above the connected range; capped if the scan ends within it."""
 
     low: float
     high: float
@@ -46,13 +46,14 @@ class Limit:
     Attributes
     ----------
     damping, stiffness
-        B, and the end of the stable range that begins at the lowest stiffness scanned; 0 where that is unstable.
+        Damping B (N·m·s/rad or N·s/m), and end of the stable range that begins at the lowest stiffness of the scan
+        (N·m/rad or N/m); 0 if the lowest stiffness is unstable.
     frequency_hz
-        Frequency of the mode that becomes unstable there (Hz).
+        Frequency of the mode that becomes unstable at the limit (Hz); NaN if capped.
     capped
-        The scan ended before the range did: `stiffness` is no limit but where the scan stopped.
+        True if the stable range reaches the end of the scan: `stiffness` is that end and not a limit.
     islands
-        Stable ranges beyond.
+        Stable ranges of stiffness above the limit.
     """
 
     damping: float
@@ -63,24 +64,25 @@ class Limit:
 
     @property
     def highest(self) -> float:
-        """Return the largest stable stiffness at all, islands included."""
+        """Return the largest stable stiffness, islands included (N·m/rad or N/m)."""
         return self.islands[-1].high if self.islands else self.stiffness
 
 
 @dataclass(frozen=True, slots=True)
 class DampingLimit:
-    """Largest damping of a wall.
+    """Largest stable damping of a wall.
 
     Attributes
     ----------
     damping
-        End of the range of B, from zero up, in which the lowest stiffness is stable.
+        End of the range of B, from zero up, in which the lowest stiffness is stable (N·m·s/rad or N·s/m).
     frequency_hz
-        Frequency of the mode that becomes unstable there (Hz).
+        Frequency of the mode that becomes unstable at the limit (Hz); NaN if capped.
     capped
-        The scan ended before the range did.
+        True if the stable range reaches the end of the scan: `damping` is that end and not a limit.
     with_islands, island_stiffness
-        Largest damping at which any stiffness is stable, and such a stiffness; beyond `damping` only islands are.
+        Largest damping at which some stiffness is stable (N·m·s/rad or N·s/m), and such a stiffness (N·m/rad or N/m).
+        Above `damping` only islands of stiffness are stable.
     """
 
     damping: float
@@ -92,7 +94,7 @@ class DampingLimit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StabilityMap:
-    """Spectral radius over a grid: ``radius[i, j]`` at ``stiffnesses[i]`` and ``dampings[j]``."""
+    """Spectral radius over a grid of walls: ``radius[i, j]`` at ``stiffnesses[i]`` and ``dampings[j]``."""
 
     stiffnesses: Vector
     dampings: Vector
@@ -100,7 +102,7 @@ class StabilityMap:
 
     @property
     def stable(self) -> Flags:
-        """Return where the wall is linearly stable."""
+        """Return True for each wall of the grid that is linearly stable, in the shape of `radius`."""
         return np.asarray(self.radius < 1.0)
 
 
@@ -111,7 +113,10 @@ def k_max(
     *,
     operator: str | Operator | None = None,
 ) -> Limit:
-    """Return the largest stable stiffness at a damping; arguments as in `rig.analysis.theory._loop.resolve`."""
+    """Return the largest stable stiffness at a damping (N·m·s/rad or N·s/m).
+
+    For `rig`, `scheme` and `operator` see `resolve` and `linear_loop` in `rig.analysis.theory._loop`.
+    """
     return k_max_curve(rig, scheme, [damping], operator=operator)[0]
 
 
@@ -122,7 +127,7 @@ def k_max_curve(
     *,
     operator: str | Operator | None = None,
 ) -> tuple[Limit, ...]:
-    """Return the largest stable stiffness at each of many dampings, in one computation."""
+    """Return the largest stable stiffness at each damping (N·m·s/rad or N·s/m); other parameters as `k_max`."""
     lifted = as_lifted(rig, scheme, operator)
     b = _dampings(dampings)
     k = stiffnesses(lifted, float(b.max(initial=0.0)))
@@ -139,7 +144,7 @@ def k_max_curve(
 def b_max(
     rig: RigLike | Lifted, scheme: SchemeLike | None = None, *, operator: str | Operator | None = None
 ) -> DampingLimit:
-    """Return the largest damping at the lowest stiffness, and beyond it as far as islands of stiffness go."""
+    """Return the largest stable damping, without and with islands of stiffness; parameters as `k_max`."""
     lifted = as_lifted(rig, scheme, operator)
     loop = lifted.loop
     highest = DAMPING_REACH * loop.subject.inertia / loop.period_s + loop.subject.damping
@@ -170,7 +175,7 @@ def stability_map(
     *,
     operator: str | Operator | None = None,
 ) -> StabilityMap:
-    """Return the spectral radius at every pair of stiffness and damping."""
+    """Return the spectral radius at each pair of stiffness and damping (SI); other parameters as `k_max`."""
     k, b = np.asarray(stiffnesses, float).ravel(), np.asarray(dampings, float).ravel()
     return StabilityMap(k, b, as_lifted(rig, scheme, operator).radius(k[:, None], b))
 
@@ -178,14 +183,14 @@ def stability_map(
 def as_lifted(
     rig: RigLike | Lifted, scheme: SchemeLike | None, operator: str | Operator | None = None
 ) -> Lifted:
-    """Lift a rig under a scheme, unless that has been done."""
+    """Return the lifted loop of a rig under a scheme; a `Lifted` is returned as it is."""
     if isinstance(rig, Lifted):
         return rig
     return Lifted.of(linear_loop(rig, scheme, operator=operator))
 
 
 def stiffnesses(lifted: Lifted, damping: float) -> Vector:
-    """Return the stiffnesses of a scan for dampings up to this one, from the lowest up in equal ratios."""
+    """Return the stiffnesses of a scan (N·m/rad or N/m) for dampings up to `damping`, ascending in equal ratios."""
     loop = lifted.loop
     # Up to where the motor alone would oscillate at half the position rate, or to what damping could allow.
     motor = loop.subject.model.mechanics.motor_inertia * (math.pi / loop.tick_s) ** 2
@@ -202,12 +207,13 @@ def _lowest_stiffness(lifted: Lifted) -> float:
 def _dampings(given: Sequence[float] | Vector) -> Vector:
     b = np.asarray(given, float).ravel()
     if not np.isfinite(b).all():
-        raise ConfigError("a damping is not a finite number", remedy="give finite dampings")
+        wrong = float(b[~np.isfinite(b)][0])
+        raise ConfigError(f"a damping is {wrong}; it must be a finite number", remedy="give finite dampings")
     return b
 
 
 def _between(lifted: Lifted, low: Vector, high: Vector, damping: Vector, stable_below: Flags) -> Vector:
-    """Return where stability changes within each step, by bisection of all steps together."""
+    """Return the stiffness at which stability changes between each `low` and `high`, by bisection."""
     for _ in range(BISECTIONS):
         middle = np.sqrt(low * high)
         below = (lifted.radius(middle, damping) < 1.0) == stable_below
@@ -216,7 +222,7 @@ def _between(lifted: Lifted, low: Vector, high: Vector, damping: Vector, stable_
 
 
 def _limit(lifted: Lifted, damping: float, k: Vector, edges: list[float], stable_below: bool) -> Limit:
-    """Make of the places where stability changes the connected range and the islands."""
+    """Return the connected range and the islands, from the stiffnesses `edges` at which stability changes."""
     end = float(k[-1])
     if stable_below and not edges:
         return Limit(damping, end, math.nan, True)
@@ -232,7 +238,7 @@ def _limit(lifted: Lifted, damping: float, k: Vector, edges: list[float], stable
 
 
 def _last_island(lifted: Lifted, damping: float, highest: float) -> tuple[float, float]:
-    """Return the largest damping with a stable stiffness, and that stiffness: from a grid, then by bisection."""
+    """Return the largest damping up to `highest` with a stable stiffness, and that stiffness; by grid and bisection."""
     reach = min(highest, ISLAND_REACH * damping) if damping > 0.0 else highest
     scanned = stiffnesses(lifted, reach)
     k = np.geomspace(float(scanned[0]), float(scanned[-1]), ISLAND_STIFFNESSES)

@@ -1,13 +1,14 @@
-"""Any linear estimator as a discrete state space, found by watching it: probe, check that it is linear, realise.
+"""Find the discrete state space of a linear estimator from its responses: probe it, check its linearity, realise it.
 
-The compiled update itself is fed with counts, so that third parties' estimators need no formula. Settled at rest, it
-gets an impulse of many counts; its response h is the Markov parameters of a state space (A, B, C, D). It must respond
-alike to an impulse of another size, place and time, and to a random walk with leaps by its convolution with h. An
-estimator that adapts its window, has a noise band, rounds inside or reads edge times fails and is refused by name.
+The probe calls the compiled update with counts, so that an estimator of a third party needs no formula. After a rest
+comes an impulse of many counts; the response h gives the Markov parameters of a state space (A, B, C, D). The estimator
+is linear if impulses of another size, position and time have the same response, and the response to a random walk with
+leaps is its convolution with h. An estimator that adapts its window, has a noise band, rounds inside or reads edge
+times is rejected.
 
 The realisation is that of Ho and Kalman by a singular value decomposition (Juang and Pappa 1985, "ERA"). Rows and
 columns of the Hankel matrix are thinned towards the far end of h: a low pass at a hundredth of the rate rings for a
-thousand samples but has three states. The order is the least that gives h back.
+thousand samples but has three states. The order is the smallest that reproduces h.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ HANKEL = 96  # rows and columns at most
 
 
 class NotLinearError(ConfigError):
-    """The subject of linear theory is not linear; `reason` says why."""
+    """An estimator or a law is not linear, so linear theory does not apply; `reason` says why."""
 
     def __init__(self, message: str, *, reason: str, remedy: str = "") -> None:
         super().__init__(message, remedy=remedy)
@@ -50,7 +51,7 @@ class NotLinearError(ConfigError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Realisation:
-    """x ← A x + B p, v = C x + D p once each velocity period: p position, v velocity, both SI.
+    """State space of an estimator: x ← A x + B p, v = C x + D p once each velocity period; p position, v velocity (SI).
 
     ``a`` is order × order, ``b`` and ``c`` have length order. `error` is the largest difference between the impulse
     response of these matrices and the estimator's own, relative to its peak.
@@ -76,23 +77,23 @@ class Realisation:
         return np.asarray(states[..., 0] @ self.c + self.d)
 
     def impulse(self, samples: int) -> Vector:
-        """Return the response to a position of 1 at the first sample and 0 afterwards."""
+        """Return the velocities in response to a position of 1 at the first sample and 0 afterwards."""
         return _impulse(self.a, self.b, self.c, self.d, samples)
 
 
 def realise(
     name: str, settings: Mapping[str, float | str], period_s: float, resolution: float
 ) -> Realisation:
-    """State space of the named estimator with these settings, at a velocity period (s) and travel for one count.
+    """Return the state space of an estimator with its settings, at a velocity period (s).
 
-    The resolution matters to estimators whose settings have a unit of position, and to no other.
+    `resolution` is the travel for one count (rad or m); it matters only if a setting has a unit of position.
 
     Raises
     ------
     ConfigError
         Unknown estimator, or settings that cannot be realised.
     NotLinearError
-        An estimator that is not linear.
+        The estimator is not linear, or it uses the motor's effort.
     """
     estimator = estimators.get(name)
     if estimator.uses_effort:
@@ -118,7 +119,7 @@ def realise(
 def _find_realisation(
     estimator: Estimator, settings: tuple[tuple[str, float | str], ...], period_s: float, resolution: float
 ) -> Realisation | str:
-    """Return the realisation of an estimator, or the reason why it has no linear one."""
+    """Return the state space of an estimator, or the reason why the estimator is not linear."""
     probe = _Probe(estimator, dict(settings), period_s, resolution)
     rest, h = _settled_response(probe)
     return _nonlinearity(probe, rest, h) or _realise(estimator.name, h, period_s)
@@ -126,7 +127,7 @@ def _find_realisation(
 
 @dataclass(frozen=True, slots=True)
 class _Probe:
-    """An estimator in its settings, begun anew for each sequence of counts."""
+    """An estimator with its settings, restarted for each sequence of counts."""
 
     estimator: Estimator
     settings: Mapping[str, float | str]
@@ -134,21 +135,21 @@ class _Probe:
     resolution: float
 
     def motion(self, counts: NDArray[np.int64]) -> Vector:
-        """Return the velocities per unit of travel for one count: 1/s."""
+        """Return the velocities in response to `counts`, in counts per second."""
         prepared = self.estimator.prepare(self.settings, self.resolution, self.period_s)
         return run(prepared, *inputs(counts, self.period_s))[0] / self.resolution
 
     def impulse(self, *, rest: int, length: int, size: int = IMPULSE, place: int = 0) -> Vector:
-        """Return the response per count to an impulse of `size` counts after `rest` samples at `place`."""
+        """Return the response per count to an impulse of `size` counts, after `rest` samples at count `place`."""
         counts = np.full(rest + length, place, np.int64)
         counts[rest] += size
         return self.motion(counts)[rest:] / size
 
 
 def _settled_response(probe: _Probe) -> tuple[int, Vector]:
-    """Return the length of rest after which time no longer matters, and h until it has faded.
+    """Return the rest (samples) after which the response h no longer depends on time, and h until it has faded.
 
-    A recursive Kalman filter, say, is linear all along but only settles to one response.
+    A recursive Kalman filter, for example, is linear, but its response is constant only after it has settled.
     """
     length = FIRST_LENGTH
     while True:
@@ -165,7 +166,7 @@ def _settled_response(probe: _Probe) -> tuple[int, Vector]:
 
 
 def _nonlinearity(probe: _Probe, rest: int, h: Vector) -> str:
-    """Return why h is not the whole truth about the estimator; empty for a linear one."""
+    """Return the reason why the impulse response h does not describe the estimator; empty if it is linear."""
     if not np.isfinite(h).all() or not h.any():
         return "its response to an impulse is zero or not a number"
     length = len(h)
@@ -186,7 +187,7 @@ def _nonlinearity(probe: _Probe, rest: int, h: Vector) -> str:
 
 
 def _random_walk(samples: int) -> NDArray[np.int64]:
-    """Return a random walk with leaps: the same one always."""
+    """Return a random walk with leaps (counts), the same in each call."""
     random = np.random.default_rng(1)
     leaps = random.integers(-300, 301, samples) * (random.random(samples) < 0.1)
     return np.asarray(np.cumsum(random.integers(-2, 3, samples) + leaps))
@@ -207,7 +208,7 @@ def _impulse(a: Matrix, b: Vector, c: Vector, d: float, samples: int) -> Vector:
 
 
 def _places(length: int) -> NDArray[np.int64]:
-    """Return the rows of the Hankel matrix: every sample at first, then farther and farther apart."""
+    """Return the samples that form the rows of the Hankel matrix: every sample at first, then with growing steps."""
     far = np.geomspace(1.0, max(2.0, length), HANKEL).round().astype(np.int64)
     places: NDArray[np.int64] = np.unique(np.concatenate([np.arange(min(LARGEST_ORDER, length)), far]))
     return places[places < length]
@@ -236,7 +237,7 @@ def _realise(name: str, h: Vector, period_s: float) -> Realisation:
             break
     if best is None or best.error > ACCEPTED:
         raise ConfigError(
-            f"estimator {name}: its impulse response cannot be realised by a small state space",
-            remedy="choose a higher cut-off or a lower order; or simulate",
+            f"estimator {name}: no state space of up to {LARGEST_ORDER} states reproduces its impulse response",
+            remedy="choose a higher cut-off or a lower order of its filter; or simulate it",
         )
     return best

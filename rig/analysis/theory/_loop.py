@@ -1,13 +1,13 @@
-"""The linear loop of the theory: a plant, a held effort, an estimator and their rates, from a rig and a scheme.
+"""Build the linear loop of the theory from a rig and a scheme: plant, held effort, estimator and their rates.
 
-`resolve` takes a rig however it is given; `linear_loop` makes the matrices. Left out, because no matrix holds them:
-Coulomb friction, the encoder's quantum, saturation, and the release from the wall: the handle is pressed against a wall
-that may pull, τ = −(K·θ + B·v). Hits on koul-compliant, koul-rigid and chawda-linear (`rig zwidth -B 0`: 1, 5 and 20
-kHz, B = 0, a normal hand) are stable up to 1.1 to 2.5 times this K_max, and without friction up to 0.4 to 0.9 times.
-The quantum takes 30 to 50 % off the range of damping of a dual-rate wall and nearly all of a uniform 20 kHz one's.
+`resolve` accepts a rig in several forms; `linear_loop` builds the matrices. The theory leaves out what is not linear:
+Coulomb friction, the encoder's quantum, saturation, and the release (its wall may pull, τ = −(K·θ + B·v)).
+Hits on koul-compliant, koul-rigid and chawda-linear (`rig zwidth -B 0`: 1, 5 and 20 kHz, B = 0, a normal hand) are
+stable up to 1.1 to 2.5 times the K_max of theory, and without friction up to 0.4 to 0.9 times. The quantum reduces the
+range of stable damping by 30 to 50 % for a dual-rate wall and by nearly all for a uniform 20 kHz wall.
 
-Cogging enters by its slope, a stiffness of the motor's side, where it is stiffest and softest from the wall to the end
-of the window. Ripple is not included: it makes K and B 1 ± r times as large (`rig experiment plan` reports how much).
+Cogging enters as a stiffness of the motor's side (its slope), at the stiffest and the softest position between the wall
+and the end of the window. Ripple is not included: it multiplies K and B by 1 ± r (`rig experiment plan` reports r).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ SLOPES = 64  # places in a wave of the highest harmonic of cogging at which its 
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """A rig that theory is asked about: its physics, the hand on it, and the experiment it came from, if any."""
+    """Rig that theory examines: its model, the experiment that it comes from (or None), and the hand (or None)."""
 
     model: RigModel
     experiment: Experiment | None
@@ -45,18 +45,18 @@ class Subject:
 
     @property
     def damping(self) -> float:
-        """Return damping of a slow rigid motion (N·m·s/rad or N·s/m): motor, link, and back-EMF under voltage drive.
+        """Return the damping of a slow rigid motion (N·m·s/rad or N·s/m): motor, link, back-EMF under voltage drive.
 
-        The hand is left out: conditions of passivity ask for any hand, the lightest included.
+        The hand is left out, because a passive wall must be stable with any hand, the lightest included.
         """
         return self.model.damping
 
     @property
     def port_damping(self) -> float:
-        """Return damping that the motor side meets, whatever passive thing holds the link; its back-EMF behind the lag.
+        """Return the least damping of the motor's side with any passive hand on the link (N·m·s/rad or N·s/m).
 
-        On a rigid rig all of it. On two masses the link's damper sits behind the capstan, and the least that the two
-        show together, over all frequencies and all passive hands, is that of both in series: b_m + c·b_l/(c + b_l).
+        On a rigid rig this is `damping`. On two masses the link's damper b_l acts through the transmission's damper c,
+        and the least damping over all frequencies and passive hands is b_m + c·b_l/(c + b_l). Back-EMF is included.
         """
         mechanics = self.model.mechanics
         link, across = mechanics.link_damping, mechanics.transmission_damping
@@ -72,12 +72,11 @@ class Subject:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearLoop:
-    """Matrices that `rig.analysis.theory._lifted` multiplies: the plant over one tick, and the law's timing.
+    """Matrices of the plant over one tick, and the timing of the law.
 
-    ``phi``, ``gamma`` step the plant over T1 with a held command; ``sensed`` is the index of the position that the
-    encoder sees. `subject` and `controller` say where all this comes from. `cogging` is the stiffness that cogging
-    gives the motor (N·m/rad or N/m) at the place that this is about, `compensated` how much of that the law takes away;
-    `softest` is the loop at the other place, if there is one.
+    ``phi`` and ``gamma`` step the plant over T1 with a held command; ``sensed`` is the index of the position that the
+    encoder measures. `cogging` is the stiffness by cogging at the stiffest position (N·m/rad or N/m), `compensated` the
+    part of it that the law compensates. `softest` is the loop at the softest position; None without cogging.
     """
 
     subject: Subject
@@ -101,25 +100,25 @@ class LinearLoop:
 
     @property
     def late_s(self) -> float:
-        """Return the electrical lag and computation delay: how late an effort acts beside the hold (s)."""
+        """Return the delay of an effort beside the hold: electrical lag plus computation delay (s)."""
         return self.subject.model.amplifier.lag_s + self.delay_ticks * self.tick_s
 
 
 def resolve(rig: RigLike, operator: str | Operator | None = None) -> Subject:
-    """Take a rig as a preset's name, a TOML file, an experiment or a model.
+    """Return the subject of a rig that is given as a preset's name, a TOML file, an experiment or a model.
 
     Parameters
     ----------
     rig
-        Text without a suffix that names a preset is that preset, any other text a path.
+        A text without a suffix that names a preset selects it; any other text is a path.
     operator
-        The hand on the handle: None for the rig's own (none unless its trial is a human one), ``"none"``, the name
-        of a grip, or an `rig.core.model.Operator`. With a hand the end mass is left off, as in trials by hand.
+        Hand on the handle: None for the hand of the rig's model (no hand unless its trial is a human one), ``"none"``,
+        the name of a grip, or an `rig.core.model.Operator`. With a hand the end mass is 0, as in trials by hand.
 
     Raises
     ------
     ConfigError
-        No such preset, file or grip, or an experiment that is wrong.
+        The preset, file or grip does not exist, or the experiment is not valid.
     """
     if isinstance(rig, RigModel):
         experiment, model = None, rig
@@ -141,15 +140,15 @@ def linear_loop(
 ) -> LinearLoop:
     """Return the matrices of a rig under a scheme; None for the experiment's own scheme.
 
-    `estimator` is its realisation where that is known already, from another hand on the same rig under the same scheme:
-    finding it takes longer than everything else here.
+    `estimator` is the estimator's realisation, if it is known from another hand on the same rig and scheme: to find it
+    takes longer than all other computations here.
 
     Raises
     ------
     ConfigError
-        As `resolve`; a scheme that cannot be.
+        See `resolve`; or the scheme is missing or not valid.
     NotLinearError
-        An estimator that is not linear, or a velocity rate that adapts to speed.
+        The estimator is not linear, or the velocity rate depends on speed.
     """
     subject = rig if isinstance(rig, Subject) else resolve(rig, operator)
     controller = _controller(subject, Scheme.parse(scheme) if isinstance(scheme, str) else scheme)
@@ -183,9 +182,9 @@ def linear_loop(
 
 
 def cogging_stiffness(subject: Subject) -> tuple[float, float]:
-    """Return stiffness that cogging gives the motor (N·m/rad or N/m) where it is softest and stiffest; 0 counts, too.
+    """Return the smallest (at most 0) and largest (at least 0) stiffness by cogging at the motor (N·m/rad or N/m).
 
-    Asked is from the experiment's wall to the end of the window; of a model alone, a whole period.
+    The range is from the experiment's wall to the end of the window; for a model without experiment, a whole period.
     """
     cogging, x = subject.model.cogging, subject.experiment
     if cogging.period is None or not cogging.orders:
@@ -201,7 +200,7 @@ def cogging_stiffness(subject: Subject) -> tuple[float, float]:
 
 
 def _stiffer(continuous: StateSpace, stiffness: float) -> StateSpace:
-    """Return the rig with a spring at its motor."""
+    """Return the rig with a spring of `stiffness` (N·m/rad or N/m) at its motor."""
     if stiffness == 0.0:
         return continuous
     a, motor = continuous.a.copy(), continuous.sensed_position
@@ -229,13 +228,13 @@ def _controller(subject: Subject, scheme: Scheme | None) -> Controller:
         return (experiment if scheme is None else scheme.applied(experiment)).controller
     if scheme is None:
         raise ConfigError(
-            "a rig without an experiment has no scheme of its own, and none is given",
-            remedy="give a scheme, like dual:20k/2k",
+            "a rig without an experiment has no scheme, and the scheme is missing in this call",
+            remedy="give a scheme, such as dual:20k/2k",
         )
     if scheme.position_rate % scheme.velocity_rate:
         raise ConfigError(
             f"scheme {scheme.text}: {scheme.position_rate} Hz is not a multiple of {scheme.velocity_rate} Hz",
-            remedy="choose a position rate that is a multiple of the velocity rate",
+            remedy=f"choose a position rate that is a multiple of the velocity rate, {scheme.velocity_rate} Hz",
         )
     estimator = scheme.estimator or "fdm-butterworth"
     return Controller(
@@ -260,12 +259,15 @@ def _check_fixed_rates(controller: Controller) -> None:
 
 
 def _over_tick(continuous: StateSpace, tick_s: float) -> tuple[Matrix, Vector]:
-    """Zero-order hold of the command over a tick, exact."""
+    """Return the exact transition matrix and input vector over a tick (s), with the command held."""
     order = continuous.order
     whole = np.zeros((order + 1, order + 1))
     whole[:order, :order], whole[:order, order] = continuous.a, continuous.b[:, 0]
     if not math.isfinite(np.abs(whole).max()):
-        raise ConfigError("the rig's matrices are not finite", remedy="check inertias, lag and stiffness")
+        raise ConfigError(
+            "the rig's state-space matrices contain infinity or NaN",
+            remedy="check that inertias are above 0, and that lag and stiffness are finite",
+        )
     exact = expm(whole * tick_s)
     phi, gamma = exact[:order, :order], exact[:order, order]
     e = continuous.effort

@@ -1,4 +1,4 @@
-"""Conditions from the literature, and the multi-rate one: up to which stiffness a wall is passive, or should be stable.
+"""Compute up to which stiffness a wall is passive or stable, by a multi-rate condition and those of the literature.
 
 With b the viscous damping of the rig, T1 and T2 the periods, β a property of the estimator:
 
@@ -48,14 +48,14 @@ SLOW = 1e-3  # of Nyquist: where the delay of an estimator is read off
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """One condition at one damping.
+    """Largest stiffness by one condition, at one damping of the wall.
 
     Attributes
     ----------
     name, formula, source
-        Which one it is; the source says how far it was read.
+        Name, formula and source of the condition; the source says how much of it was read.
     stiffness
-        Up to which K it holds; 0 if for none.
+        Largest K that fulfils the condition (N·m/rad or N/m); 0 if no K does.
     meaning
         *exact*, *sufficient* and *necessary* are proven, for passivity of the linear loop; *approximate* is a rule.
     """
@@ -69,19 +69,18 @@ class Bound:
 
 @dataclass(frozen=True, slots=True)
 class PassivityBound:
-    """Multi-rate passivity of a rig under a scheme at a damping of the wall.
+    """Passivity of a rig under a scheme at one damping of the wall.
 
     Attributes
     ----------
     beta
-        Share of B that the rig's damping must make up for, without lag and delay: b ≥ K·T1/2 + β·B.
+        Damping of the rig that each unit of B needs, without lag and delay: β in b ≥ K·T1/2 + β·B.
     rig_damping
-        b of a passive wall in slow motion, back-EMF included: all damping of a rigid rig, of two masses what the motor
-        side meets.
+        Damping b of the rig in the conditions, back-EMF included (N·m·s/rad or N·s/m): `Subject.port_damping`.
     largest_damping
-        Largest B of a passive wall without stiffness, lag and delay counted (infinite where none is too large).
+        Largest B of a passive wall with K = 0, with lag and delay (N·m·s/rad or N·s/m); infinite if every B is passive.
     bounds
-        Every condition that applies at this damping, that for passivity first.
+        All conditions that apply at this damping; the first is the condition for passivity.
     """
 
     damping: float
@@ -92,12 +91,12 @@ class PassivityBound:
 
     @property
     def stiffness(self) -> float:
-        """Return largest K of a passive wall, lag and delay counted; exact on a rigid rig, on two masses sufficient."""
+        """Return the largest K of a passive wall, with lag and delay; exact on a rigid rig, else sufficient."""
         return self.bounds[0].stiffness
 
     @property
     def binding(self) -> Bound:
-        """Return the condition with the smallest stiffness, approximate rules aside; of equals the first."""
+        """Return the condition with the smallest stiffness, without approximate rules; the first of equal ones."""
         proven = (bound for bound in self.bounds if bound.meaning != "approximate")
         return min(proven, key=lambda bound: bound.stiffness)
 
@@ -109,9 +108,9 @@ def passivity_bound(
     *,
     operator: str | Operator | None = None,
 ) -> PassivityBound:
-    """Return the multi-rate passivity and the literature's conditions, at a damping of the wall (N·m·s/rad or N·s/m).
+    """Return all conditions for passivity or stability at a damping of the wall (N·m·s/rad or N·s/m).
 
-    Raises `rig.core.errors.ConfigError` as `rig.analysis.theory._loop.linear_loop` does.
+    For other parameters and errors see `rig.analysis.theory._loop.linear_loop`.
     """
     loop = as_lifted(rig, scheme, operator).loop
     share = beta(loop, negative=damping < 0.0)
@@ -125,7 +124,7 @@ def passivity_bound(
 
 
 def passive_curve(lifted: Lifted, dampings: Sequence[float]) -> list[float]:
-    """Return the largest K of a passive wall at each damping, as `PassivityBound.stiffness`."""
+    """Return for each damping the largest K of a passive wall (N·m/rad or N/m), as `PassivityBound.stiffness`."""
     return passive_stiffness(lifted.loop, dampings, _port(lifted.loop))
 
 
@@ -143,19 +142,19 @@ def _largest_damping(loop: LinearLoop) -> float:
 
 
 def beta(loop: LinearLoop, *, negative: bool = False) -> float:
-    """Return the damping of the rig that each unit of the wall's needs, because of this estimator and its hold.
+    """Return β: the damping of the rig that each unit of the wall's damping needs, due to the estimator and its hold.
 
     For velocities held over T2 this is Colgate and Schenkel's expression for H, the estimator, maximised over ω. In
     general the effort of a period is the vector g·H·θ with g_i = 1, or 1 + i·(1 − z⁻¹)/N when extrapolated, and the rig
     must make up for the largest eigenvalue of minus its Hermitian part, from increments of position to efforts.
 
-    Lag and delay are excluded; `negative` means a wall of negative damping.
+    Lag and delay are not included; `negative`=True is for a wall of negative damping.
     """
     return needed_per_damping(loop, Damping(1.0), late=False, negative=negative)
 
 
 def diolaiti(rig: RigLike | Lifted, scheme: SchemeLike | None, stiffness: float) -> Diolaiti:
-    """Return where an undamped wall of this stiffness lies in the plane of Diolaiti et al.; see `Diolaiti`."""
+    """Return normalised damping and friction of an undamped wall of this stiffness (N·m/rad or N/m)."""
     loop = as_lifted(rig, scheme).loop
     mechanics, quantum = loop.subject.model.mechanics, loop.subject.model.encoder.resolution
     coulomb = mechanics.motor_coulomb + mechanics.link_coulomb
@@ -167,7 +166,7 @@ def diolaiti(rig: RigLike | Lifted, scheme: SchemeLike | None, stiffness: float)
 class Diolaiti:
     """Normalised damping b/(K·T) and Coulomb friction f_c/(K·Δ) of an undamped wall; ½ is the threshold of both.
 
-    T/2 has lag and delay added to it. Source: Diolaiti, Niemeyer, Barbagli and Salisbury 2006; the regions from memory.
+    T/2 includes lag and delay. Source: Diolaiti, Niemeyer, Barbagli and Salisbury 2006; the regions are from memory.
     """
 
     damping: float
@@ -175,7 +174,7 @@ class Diolaiti:
 
     @property
     def region(self) -> str:
-        """Return the behaviour of the wall in words, by Diolaiti's regions."""
+        """Return the predicted behaviour of the wall as a phrase, such as ``no limit cycle``."""
         damped, rubbed = self.damping > 0.5, self.friction > 0.5
         if damped:
             return "no limit cycle" if rubbed else "bounded limit cycle of the quantiser"
@@ -254,7 +253,7 @@ def _rules(loop: LinearLoop, damping: float) -> list[Bound]:
 
 
 def _fast_damping(subject: Subject) -> float:
-    """Return the damping of a rigid motion at any speed; back-EMF behind a lag does not count."""
+    """Return the damping of a fast rigid motion (N·m·s/rad or N·s/m): without back-EMF that acts behind a lag."""
     amplifier = subject.model.amplifier
     return subject.damping - (amplifier.back_emf if amplifier.lag_s > 0.0 else 0.0)
 
@@ -264,12 +263,12 @@ def _rigid(subject: Subject) -> bool:
 
 
 def rigid_b_max(loop: LinearLoop) -> float:
-    """Return the rule for the largest damping of a rigid rig: b + (π/2)·J/τ, τ the delay of the velocity path.
+    """Return the approximate largest damping of a rigid rig, b + (π/2)·J/τ (N·m·s/rad or N·s/m).
 
-    The loop of a damper is an integrator 1/(J·s) behind a delay: that of the estimator at zero frequency, half the
-    hold, lag and computation. It takes them all for a pure delay without attenuation, so it is low: by 4 % where the
-    filter of a dual-rate wall dominates, by 20 % where the lag does, or a difference without a filter. b leaves out
-    back-EMF behind a lag.
+    The loop of a damper is an integrator 1/(J·s) behind the delay τ: that of the estimator at zero frequency, half the
+    hold, lag and computation. The rule treats τ as a pure delay without attenuation, so its value is too low: by 4 % if
+    the filter of a dual-rate wall dominates, by 20 % if the lag or a difference without filter does. b does not
+    include back-EMF behind a lag.
     """
     # The b of fast motion: with that of slow motion the rule would be too high by up to 1.8 times.
     hold = loop.tick_s if loop.extrapolate else loop.period_s
@@ -278,7 +277,7 @@ def rigid_b_max(loop: LinearLoop) -> float:
 
 
 def estimator_delay_s(loop: LinearLoop) -> float:
-    """Return the delay of the estimator for slow motions (s): of the difference and of its filter."""
+    """Return the delay of the estimator for slow motions (s): of its difference and of its filter together."""
     frequency = SLOW * 0.5 / loop.period_s
     value = complex(loop.estimator.response(frequency)[0]) / (2j * math.pi * frequency)
     return -math.atan2(value.imag, value.real) / (2.0 * math.pi * frequency)

@@ -1,4 +1,4 @@
-"""All that theory says of a rig under some schemes, as one typed result: what `rig theory walls` prints and draws."""
+"""Collect all results of the theory for a rig under some schemes; `rig theory walls` prints and draws them."""
 
 from __future__ import annotations
 
@@ -40,35 +40,35 @@ PASSIVE_POINTS = 25  # of the passive walls, which end at a damping
 
 @dataclass(frozen=True, slots=True)
 class AtDamping:
-    """Results at one damping: the exact limit of the linear loop, and the conditions for passivity."""
+    """Results at one damping of the wall: the exact limit of the linear loop, and the conditions for passivity."""
 
     limit: Limit
     passivity: PassivityBound
 
     @reported
     def binding(self) -> str:
-        """Name of the condition with the smallest stiffness, approximate rules aside."""
+        """Return the name of the condition with the smallest stiffness, without approximate rules."""
         return self.passivity.binding.name
 
 
 @dataclass(frozen=True, slots=True)
 class SchemeTheory:
-    """Theory of one scheme.
+    """Results of the theory for one scheme.
 
     Attributes
     ----------
     scheme, label
-        Its text, and what a legend calls it.
+        Text form of the scheme, and its name in a legend.
     delay_s
-        Computation delay of the rig, in its ticks.
+        Computation delay: whole ticks of this scheme (s).
     at_zero, at_wall
-        At B = 0 and at the experiment's damping.
+        Results at B = 0 and at the requested damping of the wall.
     damping_limit, rigid_rule
-        B_max, exact, and by the rule for a rigid rig.
+        Exact B_max, and B_max by the approximate rule for a rigid rig (N·m·s/rad or N·s/m).
     curve
-        K_max over B.
+        K_max at ascending dampings.
     passive
-        B and the largest K of a passive wall, lag and delay counted, to the end of the range.
+        Pairs of B and the largest K of a passive wall, with lag and delay, up to the largest passive B.
     """
 
     scheme: str
@@ -84,7 +84,7 @@ class SchemeTheory:
 
 @dataclass(frozen=True, slots=True)
 class NotLinear:
-    """A scheme that linear theory has nothing to say about, and why."""
+    """A scheme that linear theory does not cover, and the reason."""
 
     scheme: str
     label: str
@@ -93,7 +93,7 @@ class NotLinear:
 
 @dataclass(frozen=True, slots=True)
 class InHand:
-    """Limits of the same schemes at B = 0, in the hand of the experiment."""
+    """Limits of the schemes at B = 0 with the experiment's hand on the handle."""
 
     operator: str
     limits: tuple[Limit, ...]
@@ -101,24 +101,24 @@ class InHand:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Theory(Shown, Drawn):
-    """Theory of a rig.
+    """Results of the theory for a rig under several schemes.
 
     Attributes
     ----------
     operator, end_mass
-        The hand on it, or ``none``, and then the mass at the handle (kg).
+        Hand on the handle, or ``none``, and the mass at the handle (kg), which is 0 with a hand.
     structure
-        ``rigid`` or ``two-mass``: of the former the limit of passivity is exact.
+        ``rigid``, for which the limit of passivity is exact, or ``two-mass``, for which it is sufficient.
     drive
-        ``current`` or ``voltage``: the latter's back-EMF is part of the rig's damping, behind the lag.
+        ``current`` or ``voltage``; under voltage drive the rig's damping includes back-EMF, behind the lag.
     lag_s, set_point_delay_s, delay_ticks
-        Lag of the amplifier (s), delay of the set-point to it (s), and the far end's computation beside these (ticks).
+        Lag of the amplifier (s), delay of the set-point to it (s), and computation delay of the device (ticks).
     in_hand
-        For a rig that is meant for an automated trial and was asked about as it is.
+        Limits with the experiment's hand; None if the operator was given or the trial is a human one.
     not_linear
-        Schemes that were left out.
+        Schemes that are left out because they are not linear.
     cutoffs
-        How the cut-offs differ between schemes that state none; None where they do not.
+        Note on cut-offs that differ between schemes; None if they do not differ.
     """
 
     rig: str
@@ -138,7 +138,7 @@ class Theory(Shown, Drawn):
     cutoffs: str | None = None
 
     def brief(self) -> list[Item]:
-        """Return the largest stable stiffness without damping, and the largest damping, of each scheme."""
+        """Return a row for each scheme: largest stable stiffness at B = 0, and largest stable damping."""
         stiffness, damping = (unit_of(name, self.motion) for name in ("stiffness", "damping"))
         rows = [
             Row(
@@ -160,7 +160,7 @@ def theory_of(
     operator: str | Operator | None = None,
     damping: float | None = None,
 ) -> Theory:
-    """Return the limits, bounds and curves of a rig under schemes.
+    """Compute limits, passivity conditions and curves of a rig under several schemes.
 
     Parameters
     ----------
@@ -169,13 +169,14 @@ def theory_of(
     schemes
         Texts or `rig.config.schemes.Scheme`; `default_schemes` of the experiment if not given.
     damping
-        Damping of the wall, beside B = 0; the experiment's if not given, 0 without an experiment.
+        Damping of the wall (N·m·s/rad or N·s/m) for `SchemeTheory.at_wall`; the experiment's if not given, 0 without
+        an experiment.
 
     Raises
     ------
     ConfigError
-        As `rig.analysis.theory._loop.linear_loop`; schemes that are not linear are left out and listed in the result,
-        unless none is linear.
+        See `rig.analysis.theory._loop.linear_loop`. Schemes that are not linear are left out and listed in the result;
+        if all are, the first error is raised.
     """
     subject = resolve(rig, operator)
     experiment = subject.experiment
@@ -208,7 +209,7 @@ def theory_of(
 def _linear(
     subject: Subject, schemes: Sequence[Scheme]
 ) -> tuple[list[tuple[Scheme, LinearLoop]], tuple[NotLinear, ...]]:
-    """Return the loops of the linear schemes, and the errors of the others; raise the first if all are nonlinear."""
+    """Return the loops of the linear schemes, and the other schemes with reasons; raise if no scheme is linear."""
     loops: list[tuple[Scheme, LinearLoop]] = []
     refused: list[NotLinear] = []
     first: NotLinearError | None = None
@@ -237,7 +238,7 @@ def _label(scheme: Scheme, experiment: Experiment | None) -> str:
 
 
 def default_schemes(experiment: Experiment) -> tuple[Scheme, ...]:
-    """Return the experiment's scheme and, if it is dual-rate, the two uniform ones that it lies between."""
+    """Return the experiment's scheme and, if it is dual-rate, the uniform schemes at each of its two rates."""
     own = Scheme.of(experiment)
     if own.kind == "uniform":
         return (own,)
@@ -265,7 +266,7 @@ def _of_scheme(lifted: Lifted, scheme: Scheme, experiment: Experiment | None, da
 
 
 def _dampings(largest: DampingLimit, passive: float, damping: float) -> Floats:
-    """Return where the curve is computed: evenly, on both sides of the cliff, and where passivity is possible."""
+    """Return the dampings of the curve: evenly spaced, just below and above B_max, and up to the passive range."""
     reach = CURVE_REACH * max(largest.with_islands, damping)
     return np.unique(
         [
