@@ -16,9 +16,8 @@ if sys.platform == "linux":
     from rig.doctor._subject import Machine
     from rig.realtime.scheduling import name_of_group
 
-assert (
-    sys.platform == "linux"
-)  # only `rig.doctor.interface` imports this file, on Linux; mypy skips the rest elsewhere
+# `rig.doctor.interface` imports this file on Linux only; elsewhere mypy skips it from here on.
+assert sys.platform == "linux"
 
 PORTS = ("ttyACM*", "ttyUSB*", "ttyAMA*")
 GROUPS = ("dialout", "uucp")  # Debian and Fedora, Arch

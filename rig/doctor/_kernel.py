@@ -14,9 +14,8 @@ from rig.realtime.scheduling.facts import text_of
 if sys.platform == "linux":
     from rig.doctor._subject import Machine
 
-assert (
-    sys.platform == "linux"
-)  # only `rig.doctor.interface` imports this file, on Linux; mypy skips the rest elsewhere
+# `rig.doctor.interface` imports this file on Linux only; elsewhere mypy skips it from here on.
+assert sys.platform == "linux"
 
 PREEMPT_FILE = "/sys/kernel/debug/sched/preempt"
 CLOCK_FILE = "/sys/devices/system/clocksource/clocksource0/current_clocksource"

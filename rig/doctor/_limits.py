@@ -14,9 +14,8 @@ if sys.platform == "linux":
     from rig.doctor._subject import Machine
     from rig.realtime.scheduling import IDLE_DEVICE
 
-assert (
-    sys.platform == "linux"
-)  # only `rig.doctor.interface` imports this file, on Linux; mypy skips the rest elsewhere
+# `rig.doctor.interface` imports this file on Linux only; elsewhere mypy skips it from here on.
+assert sys.platform == "linux"
 
 
 @question(

@@ -16,9 +16,8 @@ from rig.realtime.scheduling.facts import ROOT
 if sys.platform == "linux":
     from rig.realtime.scheduling import tried
 
-assert (
-    sys.platform == "linux"
-)  # only `rig.doctor.interface` imports this file, on Linux; mypy skips the rest elsewhere
+# `rig.doctor.interface` imports this file on Linux only; elsewhere mypy skips it from here on.
+assert sys.platform == "linux"
 
 
 def openable(path: Path) -> bool:

@@ -20,9 +20,8 @@ from rig.realtime.system import monotonic_now, sleep_until
 if sys.platform == "linux":
     from rig.realtime.scheduling import ThreadState
 
-assert (
-    sys.platform == "linux"
-)  # only `rig.doctor.interface` imports this file, on Linux; mypy skips the rest elsewhere
+# `rig.doctor.interface` imports this file on Linux only; elsewhere mypy skips it from here on.
+assert sys.platform == "linux"
 
 RATE_HZ = 1000
 LATE_S = 0.0002  # a fifth of the period

@@ -1,10 +1,10 @@
-"""The firmware of a board for one rig: built, inspected, flashed and tested.
+"""Build, inspect, flash and test the firmware of a board for one rig.
 
-* `boards`: what a board is, read from the ``board.toml`` beside its port;
+* `boards`: description of a board, read from the ``board.toml`` beside its port;
 * `board_config`: the rig as a C constant, and the record that identifies an image (`record`);
-* `toolchain`, `elf`, `uf2`, `build`: from sources to files that can be flashed;
-* `flash`: onto a board whose boot ROM shows itself as a drive;
-* `info`: what an image or a connected device is, and whether this package can run it;
-* `port_check`: whether a port does its duties, tried on its board by a program in the core's place;
-* `selftest`: a device checks itself over its own link, without moving; `stream`: the samples that its law sends.
+* `toolchain`, `elf`, `uf2`, `build`: compile the sources to files that can be flashed;
+* `flash`: copy an image to a board whose boot ROM appears as a USB drive;
+* `info`: identify an image or a connected device, and check whether this package can run it;
+* `port_check`: test on a board whether its port fulfils its duties, with a test program in place of the core;
+* `selftest`: test a device over its link without moving it; `stream`: check the samples that its law sends.
 """

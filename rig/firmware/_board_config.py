@@ -1,7 +1,7 @@
-"""A rig as a C constant: its data for the firmware's core, and the wiring of the board.
+"""Generate the C files that describe a rig and the wiring of its board to the firmware's core.
 
-`board_config.h` has the board's settings as numbers for the preprocessor and declares two constants: `board_config`
-(struct board of the core) and `image_record` (`rig.firmware._record`), in which the first finds its dictionary.
+`board_config.h` has the board's settings as preprocessor macros and declares two constants: `board_config` (struct
+board of the core) and `image_record` (`rig.firmware._record`), which contains the device's dictionary.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _BYTES_A_LINE = 16
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardConfig:
-    """The generated files, and the record that is in them."""
+    """Contents of the generated header and source file, and the image record that they contain."""
 
     header: str
     source: str
@@ -32,16 +32,16 @@ class BoardConfig:
 def configure(
     board: Board, model: RigModel, settings: dict[str, SettingValue], *, package: str, sources: str
 ) -> BoardConfig:
-    """Write the constants of one rig on one board.
+    """Return the generated C files for one rig on one board.
 
     Parameters
     ----------
     board, model
-        What it runs on, and what hangs there.
+        The board, and the rig that is connected to it.
     settings
         All settings of the board (`rig.firmware._boards.settings_of`).
     package, sources
-        Version of this package, and fingerprint of the C sources.
+        Version of this package, and hash of the C sources (`rig.firmware._build.sources_hash`).
     """
     model = _with_current_sensor(model, settings)
     facts = ImageFacts(
@@ -67,7 +67,7 @@ def configure(
 
 
 def _with_current_sensor(model: RigModel, settings: dict[str, SettingValue]) -> RigModel:
-    """Return the rig with the current sensor that the board has: none, or one as coarse as converter and output."""
+    """Return the rig with the board's current sensor: none, or with the added noise of converter and output steps."""
     amplifier, monitor = model.amplifier, settings.get("current_monitor")
     if monitor == "none":
         amplifier = replace(amplifier, current_monitor=False)
@@ -183,5 +183,5 @@ def _byte_lines(content: bytes) -> list[str]:
 
 
 def _one_line(text: str) -> str:
-    """Return a text that cannot end a comment."""
+    """Return a text without line breaks and without the end of a C comment."""
     return "".join(character if character.isprintable() else " " for character in text).replace("*/", "* /")

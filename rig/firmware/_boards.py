@@ -1,7 +1,7 @@
-"""A board as the compiler and its wiring see it, read from the ``board.toml`` beside its port.
+"""Read the description of a board (compiler flags, memory, settings) from the ``board.toml`` of its port.
 
-A port is a directory, of `firmware_protocol/firmware/boards` or anywhere else: C files, a linker script and this file.
-A new board needs no line of Python.
+A port is a directory with C files, a linker script and ``board.toml``, in `firmware_protocol/firmware/boards` or
+anywhere else. A new board needs no Python code.
 """
 
 from __future__ import annotations
@@ -31,10 +31,11 @@ BOARD_FILE = "board.toml"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardSetting:
-    """A pin, a scale or a choice of a board, which the C sources see as ``BOARD_NAME``.
+    """A setting of a board (pin, scale or choice), which the C sources read as the macro ``BOARD_NAME``.
 
-    A whole default asks for a whole number, a default with a point for any number, a text for one of `choices`. With
-    `pins` it is the first of so many pins, which nothing else may use, if the settings of `where` have these values.
+    The type of the default is the type of the value: integer, float, or a text that is one of `choices`. A setting with
+    `pins` is the first of that many consecutive pins, which no other setting may use; this holds only if the settings
+    in `where` have the given values.
     """
 
     name: str
@@ -52,7 +53,7 @@ class BoardSetting:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MemoryRegion:
-    """A stretch of memory that an image may fill."""
+    """Memory region that an image may use: first address and size in bytes."""
 
     origin: Annotated[int, Ge(0)]
     bytes: Annotated[int, Gt(0)]
@@ -62,38 +63,39 @@ class MemoryRegion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardFile:
-    """What ``board.toml`` says.
+    """Contents of ``board.toml``.
 
     Attributes
     ----------
     description
-        In one line.
+        Description of the board in one line.
     processors
-        Name → flags for the compiler; the first is the board's own.
+        Name of a processor → compiler flags; the first entry is the board's default processor.
     compile, link
-        More flags for the compiler; for the linker.
+        Further flags for the compiler, and for the linker.
     linker_script
-        Beside the sources.
+        File name of the linker script in the port's directory.
     applications
-        Name of a program → the source files that only it has. ``device`` is the firmware.
+        Name of a program → the source files that only this program has. ``device`` is the firmware.
     rate_maximum
-        Most ticks a second (Hz).
+        Highest tick rate (Hz).
     law_maximum
-        Laws that it can run itself (parameter ``law``): 0 none, 1 integers, 2 float32 as well.
+        Highest value of the parameter ``law``: 0 no law on the board, 1 in integers, 2 also in float32.
     excitation_ticks
-        Room for one period of an excitation; 0: none.
+        Longest period of an excitation (ticks); 0 if the board cannot play an excitation.
     flash, ram
         Memory regions for program and data.
     uf2_family
-        Of its boot ROM; left out when it takes no UF2.
+        UF2 family of the boot ROM; left out if the boot ROM accepts no UF2.
     drive
         Board-ID of the boot ROM's drive, as in its INFO_UF2.TXT.
     sealed_behind
-        The image's last word is the CRC-32 of all that lies between so many bytes and it; left out: it has none.
+        Number of bytes at the start of the image that its checksum leaves out. The image's last word is the CRC-32 of
+        all bytes after these; left out: the image has no checksum.
     settings
-        By name; see `BoardSetting`.
+        Settings by name; see `BoardSetting`.
     reserved_pins
-        Pin → what the port uses it for, whatever the settings are.
+        Pin → purpose for which the port always uses it.
     """
 
     description: str
@@ -118,16 +120,16 @@ class BoardFile:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Board(BoardFile):
-    """One board, with one of its processors.
+    """A board with one of its processors.
 
     Attributes
     ----------
     name
-        As on the command line, or of its directory; one with several processors is ``directory-processor``.
+        Name on the command line: the directory's name, or ``directory-processor`` for one of several processors.
     directory
-        Of its port.
+        Directory of the port.
     processor
-        Flags for the compiler.
+        Compiler flags of the processor.
     """
 
     name: str
@@ -143,7 +145,7 @@ class Board(BoardFile):
         return [f"{self.name}: {self.description}, up to {self.rate_maximum / 1e3:g} kHz", *named]
 
     def sources(self, application: str) -> tuple[Path, ...]:
-        """Return C and assembler files of one of its programs: those of the port by name, then the program's own."""
+        """Return the C and assembler files of a program: the port's shared files by name, then the program's own."""
         special = {name for names in self.applications.values() for name in names}
         found = sorted(path for path in self.directory.iterdir() if path.suffix in (".c", ".S"))
         own = (Path(normpath(self.directory / name)) for name in self.applications[application])
@@ -151,7 +153,7 @@ class Board(BoardFile):
 
 
 def names() -> list[str]:
-    """Return every board of this package; of one with several processors the plain name, then each."""
+    """Return the names of all boards of this package; a board with several processors has a name for each, too."""
     found = []
     for path in sorted(BOARDS.glob("*/board.toml")):
         found.append(path.parent.name)
@@ -162,12 +164,12 @@ def names() -> list[str]:
 
 
 def load(name: str) -> Board:
-    """Return a board of `names`, or the one whose ``board.toml`` is in the directory of this name.
+    """Return the board with a name of `names`, or the board whose ``board.toml`` is in the directory `name`.
 
     Raises
     ------
     ConfigError
-        It is neither, or its file is not right: with every key that is not.
+        The name is unknown, or its ``board.toml`` is not valid; the message lists each wrong key.
     """
     own, processor = Path(name), ""
     if not (own / BOARD_FILE).is_file():
@@ -202,12 +204,12 @@ def _read(path: Path) -> BoardFile:
 
 
 def settings_of(board: Board, chosen: Mapping[str, Any]) -> dict[str, SettingValue]:
-    """Return all settings of a board, defaults where nothing was chosen.
+    """Return all settings of a board: the chosen values, and the defaults of the others.
 
     Raises
     ------
     ConfigError
-        A setting that the board does not have, or a value that it cannot have.
+        The board does not have the setting, a value is out of range, or two settings use the same pin.
     """
     for name in chosen:
         if name not in board.settings:
@@ -224,7 +226,7 @@ def settings_of(board: Board, chosen: Mapping[str, Any]) -> dict[str, SettingVal
 
 
 def _check_pins(board: Board, values: Mapping[str, SettingValue]) -> None:
-    """Refuse two uses of one pin."""
+    """Raise `ConfigError` if two settings use the same pin."""
     used = dict(board.reserved_pins)
     for name, setting in board.settings.items():
         if not setting.pins or any(values[other] != value for other, value in setting.where.items()):

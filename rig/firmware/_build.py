@@ -1,6 +1,6 @@
-"""Build the firmware of a board for one rig: sources and a generated constant in, files that can be flashed out.
+"""Build the firmware of a board for one rig from the sources and a generated constant.
 
-The same inputs give the same bytes: no time, no path and no name of a computer gets into them.
+Builds are reproducible: the files contain no time, no path and no name of a computer.
 """
 
 from __future__ import annotations
@@ -62,22 +62,22 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BuildRequest:
-    """What to build.
+    """Parameters of a build.
 
     Attributes
     ----------
     model
-        The rig: an image belongs to one.
+        The rig; an image is valid for one rig only.
     board
         Name of the board (`rig.firmware._boards.names`).
     output
         Directory for the files.
     settings
-        Pins and scales that are neither the rig's (`RigModel.board`) nor the board's defaults.
+        Pins and scales that replace those of the rig (`RigModel.board`) and the board's defaults.
     application
-        Which of the board's programs, or `PORT_CHECK`.
+        Program to build: a name of `Board.applications`, or `PORT_CHECK`.
     controller
-        Rates and estimator of the rig's experiment: with a law on the device, whether its tick fits is checked.
+        Rates and estimator of the rig's experiment; if the law runs on the device, its time per tick is checked.
     """
 
     model: RigModel
@@ -90,27 +90,27 @@ class BuildRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BuildResult:
-    """What was built.
+    """Result of a build.
 
     Attributes
     ----------
     elf, bin, uf2, facts
-        The files: for a debugger, as plain bytes, for the boot ROM's drive (None: the board takes none), and all of
-        this as JSON.
+        Files: for a debugger, as plain bytes, for the boot ROM's drive (None if the board accepts no UF2), and this
+        result as JSON.
     firmware
-        Version, as the device will report it.
+        Version text that the device will report.
     dictionary_hash
-        As in IDENTITY and ARM.
+        Hash of the device's dictionary, as in IDENTITY and ARM.
     quantum_a, set_point_step_a
-        Of the rig's commands; of the output, as the amplifier sees it (A); None: the board has no output of its own.
+        Resolution of the rig's commands, and of the board's output at the amplifier (A); None without such an output.
     flash_bytes, ram_bytes
-        What the program takes of the board's memory, its stack's reserve as the linker script has it.
+        Flash and RAM that the program uses, including the linker script's reserve for the stack.
     flash_room, ram_room
-        Total size of the board's memory (bytes).
+        Size of the board's flash and RAM (bytes).
     ticks
-        Which rates the processor has time for, with a law on the device in integers and in float32.
+        For a law on the device in integers and in float32: text with the highest rate that the processor can run.
     warnings
-        What will not run as the rig's experiment says, each with its remedy.
+        Requirements of the rig's experiment that this image does not fulfil, each with its remedy.
     """
 
     board: str
@@ -162,7 +162,7 @@ def _share(taken: int, room: int) -> str:
 
 
 def _warnings(request: BuildRequest, budget: TickBudget | None, step_a: float | None) -> tuple[str, ...]:
-    """Return warnings about what the rig's experiment needs and this image does not provide."""
+    """Return warnings if the law is too slow for the experiment's rate, or the output too coarse for its commands."""
     found, own, quantum = [], request.controller, request.model.amplifier.current_quantum_a
     if budget is not None and own is not None and own.loop == "device":
         most = budget.rate_maximum(own.estimator)
@@ -182,21 +182,21 @@ def _warnings(request: BuildRequest, budget: TickBudget | None, step_a: float | 
 
 
 def build(request: BuildRequest, on_progress: Progress = lambda _what, _share: None) -> BuildResult:
-    """Build an image.
+    """Build an image and write its files.
 
     Parameters
     ----------
     request
-        What to build.
+        Rig, board, program and output directory.
     on_progress
-        Called with what is being done and the share of the work that is done.
+        Called with the name of the current step and the completed share, 0 … 1.
 
     Raises
     ------
     ConfigError
-        No such board, a setting that it does not have, or scales that do not fit the rig.
+        The board is unknown, it does not have a setting or the program, or its scales do not fit the rig.
     ToolchainError
-        No compiler, or it refuses the sources, or the image is too large.
+        The compiler is missing or rejects the sources, or the image is too large.
     RecordingError
         The files cannot be written.
     """
@@ -223,14 +223,14 @@ def build(request: BuildRequest, on_progress: Progress = lambda _what, _share: N
 
 
 def shared_sources(application: str = DEVICE) -> tuple[Path, ...]:
-    """Return C files that every image of a program has, whatever the board."""
+    """Return the C files of a program that are the same for all boards."""
     if application == PORT_CHECK:
         return tuple(FIRMWARE / name for name in PORT_CHECK_SOURCES)
     return tuple(path for part in SHARED for path in sorted((FIRMWARE / part).glob("*.c")))
 
 
 def sources_hash(board: Board) -> str:
-    """Return the fingerprint of everything that is compiled for a board, but for the rig: 12 hexadecimal digits."""
+    """Return the hash (12 hexadecimal digits) of all sources for a board, without the generated files of the rig."""
     digest = hashlib.sha256()
     directories = [*(FIRMWARE / part for part in SHARED), board.directory]
     files = (path for directory in directories for path in directory.iterdir() if path.is_file())
@@ -240,7 +240,7 @@ def sources_hash(board: Board) -> str:
 
 
 def _path_in_tree(path: Path, board: Board) -> Path:
-    """Return where the compiler finds a source: its board may lie anywhere."""
+    """Return the path of a source below the scratch directory of the build, which links the port as ``board``."""
     if path.is_relative_to(board.directory):
         return Path("board") / path.relative_to(board.directory)
     return Path("firmware") / path.relative_to(FIRMWARE)
@@ -262,7 +262,7 @@ def _compile(
     scratch: Path,
     on_progress: Progress,
 ) -> bytes:
-    """Return the program. Everything is named relative to the scratch directory, so that no path gets into it."""
+    """Compile and link in the scratch directory; return the bytes of the ELF file, which contains no absolute path."""
     for name, directory in (("firmware", FIRMWARE), ("board", board.directory)):
         if os.name == "posix":
             (scratch / name).symlink_to(directory, target_is_directory=True)
@@ -365,7 +365,7 @@ def _write_error(directory: Path, error: OSError) -> RecordingError:
 
 
 def _sizes(board: Board, segments: tuple[Segment, ...]) -> tuple[int, int]:
-    """Return the bytes of flash and of RAM that a program takes; raises `ToolchainError` when it leaves them."""
+    """Return the bytes of flash and of RAM that a program uses; raise `ToolchainError` for data outside the flash."""
     flash, ram = board.flash, board.ram
     for segment in segments:
         begin = segment.load.address

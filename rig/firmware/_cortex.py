@@ -1,11 +1,11 @@
-"""Code built for a Cortex-M and run in an instruction-set simulator: answers, instructions, estimated cycles.
+"""Build code for a Cortex-M and run it in an instruction-set simulator, with instruction counts and estimated cycles.
 
-Nothing of a board is there but memory. Instructions are counted by basic blocks: exact, and quick enough. Cycles are
-an estimate from them, for code in memory without wait states. M0+ (Armv6-M, two stages; data: Cortex-M0+ Technical
+The simulator has memory but no peripherals. Instructions are counted exactly, by basic blocks. Cycles are estimated
+from the instructions, for code in memory without wait states. M0+ (Armv6-M, two stages; data: Cortex-M0+ Technical
 Reference Manual, table 3-1): a load or store 2, one of n words 1 + n, a branch taken 2, a call 3, a return from the
 stack 3 + n, everything else 1, a product too (RP2040's multiplier). M4F and M7: a load or store 2, a branch taken 3, a
-division of integers 8, of floats and a root 14, everything else 1; the M7 issues two instructions in many a cycle, so
-that its figure is an upper bound. Of the M33 instructions are counted, and no cycles: what each costs was not read.
+division of integers 8, of floats and a root 14, everything else 1; the M7 often issues two instructions per cycle, so
+its number is an upper bound. For the M33 only instructions are counted, because their cycles were not looked up.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ STRICT = (
 
 @dataclass(frozen=True)
 class CortexCore:
-    """A processor: what gcc calls it, what unicorn calls it, the clock of the board that has it (Hz)."""
+    """A processor core: compiler flags, name in the simulator unicorn, and clock of the board that has it (Hz)."""
 
     name: str
     flags: tuple[str, ...]
@@ -44,7 +44,7 @@ class CortexCore:
 
     @property
     def cycles_known(self) -> bool:
-        """Return True if the cycles that are estimated say something of this processor."""
+        """Return True if the cycles per instruction of this core are known, so that cycles can be estimated."""
         return self.name != "M33F"
 
 
@@ -69,7 +69,7 @@ CORES = {
 
 @dataclass(frozen=True)
 class Image:
-    """Bytes for the flash, where its functions and its variables are."""
+    """A linked program: its bytes in flash, and the addresses and sizes of its functions and variables."""
 
     core: CortexCore
     code: bytes
@@ -85,18 +85,18 @@ def build(
     Parameters
     ----------
     core
-        For which.
+        Core to compile for.
     directory
-        Where the files of the compiler go.
+        Directory for the files of the compiler.
     sources, entries
-        What is compiled, and the functions that must be kept because they are called from outside.
+        Source files, and the names of functions that the linker must keep because the simulator calls them.
     *more
-        Options of the compiler: include paths, another optimisation.
+        Further compiler options, such as include paths or another optimisation.
 
     Raises
     ------
     ToolchainError
-        There is no compiler, or it rejects the sources.
+        The compiler is missing or rejects the sources.
     """
     compiler = find_compiler()
     elf, raw = directory / "image.elf", directory / "image.bin"
@@ -122,7 +122,7 @@ def build(
 
 @dataclass
 class BasicBlock:
-    """A basic block: its end, instructions, cycles when not left by a jump, cycles more when a condition jumps."""
+    """A basic block: its end address, instructions, cycles without a taken jump, extra cycles of a taken jump."""
 
     end: int
     instructions: int
@@ -132,7 +132,7 @@ class BasicBlock:
 
 @dataclass
 class Simulator:
-    """One core with an image in its flash."""
+    """A simulated core with an image in its flash."""
 
     image: Image
     counts: bool = True  # what a call costs; without, it is quicker
@@ -174,7 +174,7 @@ class Simulator:
             self.profile[address] += cycles
 
     def call(self, name: str, *arguments: int, stack: bytes = b"") -> int:
-        """Call a function with up to four words, and more on the stack; its answer, with what it cost."""
+        """Call a function with up to four words as arguments, and `stack` for further ones; return its result."""
         uc, arm = self.uc, self.arm
         for register, value in zip(("R0", "R1", "R2", "R3"), arguments, strict=False):
             uc.reg_write(getattr(arm, f"UC_ARM_REG_{register}"), value & 0xFFFF_FFFF)
@@ -189,13 +189,13 @@ class Simulator:
 
     @property
     def stack(self) -> int:
-        """Return the bytes of stack that were ever used."""
+        """Return the largest number of stack bytes used so far."""
         painted = bytes(self.uc.mem_read(STACK_LEAST, STACK_TOP - STACK_LEAST))
         return len(painted) - (len(painted) - len(painted.lstrip(PAINT)))
 
 
 def _block(address: int, words: list[int], small: bool) -> BasicBlock:
-    """Return the cost of the instructions in a block; `small` for the M0+."""
+    """Return instructions and cycles of the basic block at `address`; `small` is True for the M0+."""
     taken = 1 if small else 2  # more for a branch that is taken
     instructions = cycles = at = jump = 0
     while at < len(words):
@@ -215,7 +215,7 @@ def _block(address: int, words: list[int], small: bool) -> BasicBlock:
 
 
 def _extra(word: int, taken: int) -> int:
-    """Return the cycles beyond one of a short instruction, a jump by condition left out."""
+    """Return the cycles above 1 of a 16-bit instruction; conditional jumps are not included."""
     if word >> 11 == 0b01001 or word >> 12 in (0b0101, 0b0110, 0b0111, 0b1000, 0b1001):
         return 1
     if word & 0xF600 == 0xB400:  # push and pop
@@ -242,7 +242,7 @@ _WIDE = (
 
 
 def _extra_wide(first: int, second: int, taken: int) -> int:
-    """Return the same of a long instruction."""
+    """Return the cycles above 1 of a 32-bit instruction; conditional jumps are not included."""
     if first & 0xFE40 == 0xE800:
         return second.bit_count()  # several words
     for mask, value, mask_2, value_2, cycles, jumps in _WIDE:

@@ -1,6 +1,6 @@
-"""As much of ELF as it takes to flash a program: which bytes go where, and how much memory it takes.
+"""Read the segments of an ELF file: which bytes belong to which address, and how much memory the program uses.
 
-32-bit little-endian files of a linker, by their program headers (System V ABI, chapters 4 and 5).
+Only 32-bit little-endian files with program headers are read (System V ABI, chapters 4 and 5).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _WORD = struct.Struct("<I")
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """Bytes of the file from `offset` on, at their load address, and where and how long they stand in memory."""
+    """A segment: bytes at the load address, their offset in the file, and address and size in memory at run time."""
 
     offset: int
     load: Piece
@@ -30,7 +30,7 @@ class Segment:
 
 
 def seal(content: bytes, behind: int) -> bytes:
-    """Return a program whose last loaded word is the CRC-32 of its image, from so many bytes on up to that word."""
+    """Return the program with its last loaded word set to the CRC-32 of the image from byte `behind` to that word."""
     segments = read_segments(content, "the new program")
     image = flat(tuple(segment.load for segment in segments if segment.load.data))
     last = max((segment for segment in segments if segment.load.data), key=lambda one: one.load.address)
@@ -39,7 +39,7 @@ def seal(content: bytes, behind: int) -> bytes:
 
 
 def read_segments(content: bytes, name: str) -> tuple[Segment, ...]:
-    """Return what the program in a file of that name consists of, by load address; `ConfigError` when it is damaged."""
+    """Return the segments of a program by load address; raise `ConfigError` for a damaged file (`name` is for text)."""
     try:
         header = _HEADER.unpack_from(content)
         at, size, count = header[5], header[9], header[10]
@@ -57,7 +57,7 @@ def read_segments(content: bytes, name: str) -> tuple[Segment, ...]:
 
 
 def flat(pieces: tuple[Piece, ...]) -> bytes:
-    """Return the bytes from the first address to the last; what lies between pieces is 0xFF, as erased flash is."""
+    """Return the bytes from the first to the last address; gaps between pieces are 0xFF, like erased flash."""
     if not pieces:
         return b""
     first = min(piece.address for piece in pieces)

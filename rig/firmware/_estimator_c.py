@@ -1,7 +1,7 @@
-"""A designed estimator as C99: the firmware's own code with these numbers, cut out of its sources.
+"""Export a designed estimator as C99 code: an excerpt of the firmware's sources with the designed numbers.
 
-The numbers are those of a law on the device (`rig.config.device_law`), so that what a controller board of this package
-runs and what is taken elsewhere is the same estimator.
+The numbers are those of a law on the device (`rig.config.device_law`), so the exported code and the firmware of this
+package compute the same estimator.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ FIXED = "fdm-butterworth-fixed"
 
 @dataclass(frozen=True, slots=True)
 class _Form:
-    """How an estimator is called: its source, types of its numbers and its memory, the functions, the call itself."""
+    """C code of an estimator: source file, struct of its numbers, struct of its memory, call, functions to export."""
 
     source: str
     numbers: str
@@ -71,18 +71,18 @@ _FORMS = {
 
 @dataclass(frozen=True, slots=True)
 class EstimatorC:
-    """An estimator as C.
+    """An estimator exported as C code.
 
     Attributes
     ----------
     prefix
-        Of all its names: ``kalman`` of ``kalman_begin``, ``kalman_velocity`` and the type ``kalman_estimator``.
+        Prefix of all exported names, such as ``kalman`` in ``kalman_begin``, ``kalman_velocity``, ``kalman_estimator``.
     returns
-        Type of the velocity.
+        C type of the velocity.
     scale
-        Velocity (rad/s or m/s) of 1.0 that it returns, or of one LSB.
+        Velocity (rad/s or m/s) of a returned 1.0, or of one LSB if the type is an integer.
     code
-        Includes, declarations and functions; what an includer may use stands at the end.
+        Includes, declarations and functions; the public functions are at the end.
     uses_effort
         True if the velocity's function takes the effort after the count.
     """
@@ -95,12 +95,12 @@ class EstimatorC:
 
 
 def estimator_c(prepared: Prepared) -> EstimatorC:
-    """Return an estimator as C.
+    """Export an estimator as C code.
 
     Raises
     ------
     ConfigError
-        One that the firmware does not have, or not with these settings, and why.
+        The firmware does not have the estimator, or not with these settings; the message says why.
     """
     name = prepared.estimator.name
     try:
@@ -124,14 +124,14 @@ def estimator_c(prepared: Prepared) -> EstimatorC:
 
 
 def _prefix_names(text: str, prefix: str) -> str:
-    """Return the names of the firmware that this file itself uses, as the excerpt has them."""
+    """Replace the firmware's names (``law_…``, ``NUMBERS``) in a text by the names of the excerpt."""
     return re.sub(r"\blaw_\w+", lambda found: renamed(found[0], prefix), text).replace(
         "NUMBERS", f"{prefix}_numbers"
     )
 
 
 def _numbers(form: _Form, values: dict[str, Value]) -> str:
-    """Return the object that holds what was designed."""
+    """Return the C definition of the constant struct with the designed numbers; empty if the estimator has none."""
     if not form.numbers:
         return ""
     if form.numbers == "law_low_pass":
@@ -143,7 +143,7 @@ def _numbers(form: _Form, values: dict[str, Value]) -> str:
 
 
 def _field(parameter: str) -> str:
-    """Return the member of a struct in law.h that a parameter becomes."""
+    """Return the name of the struct member in law.h that corresponds to a parameter."""
     kind, _, name = parameter.partition("_")
     return f"gain_{name}" if kind == "kalman" and name != "input" else name
 

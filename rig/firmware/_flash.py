@@ -1,8 +1,8 @@
-"""Put an image onto a board whose boot ROM shows itself as a drive.
+"""Copy an image to a board whose boot ROM appears as a USB drive.
 
-The board's BOOTSEL button, held while it is plugged in, makes the boot ROM show a small drive with a file INFO_UF2.TXT;
-so does a request to firmware of this project that runs there. A UF2 that is copied to the drive is written into the
-flash, and the board starts it and takes the drive away.
+If the board's BOOTSEL button is held while it is plugged in, the boot ROM appears as a small drive with a file
+INFO_UF2.TXT; firmware of this project does the same on request. The boot ROM writes a UF2 that is copied to the drive
+into the flash, starts it, and the drive disappears.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BootDrive:
-    """A boot ROM that shows itself as a drive."""
+    """A boot ROM that appears as a USB drive: its mount point and the board's identification."""
 
     path: Path
     board_id: str
@@ -47,7 +47,7 @@ class BootDrive:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlashResult:
-    """What was flashed where."""
+    """Image that was flashed, and the board that accepted it."""
 
     image: Path
     drive: Path
@@ -65,29 +65,29 @@ def flash(
     *,
     url: str | None = None,
 ) -> FlashResult:
-    """Copy an image to a board's drive, and wait until the board has taken it and started it.
+    """Copy an image to a board's boot drive, and wait until the board has started it.
 
     Parameters
     ----------
     image
-        A UF2 of `rig.firmware._build`.
+        UF2 file made by `rig.firmware._build`.
     drive
-        Where the boot ROM's drive is; None finds it.
+        Path of the boot ROM's drive; None to search for it.
     on_progress
-        Called with what is being done and the share of it that is done.
+        Called with the name of the current step and the completed share of it, 0 … 1.
     url
-        A device that shall show its drive first: it must not be armed.
+        URL of a device that is restarted into its boot loader first; it must not be armed.
 
     Raises
     ------
     ConfigError
-        The file is not an image, or for another processor or board.
+        The file is not an image, or it is for another processor or board.
     DeviceNotFoundError
-        No board shows its drive, or several do; or there is no device at the URL.
+        No boot drive or several boot drives are present; or there is no device at the URL.
     DeviceRefusedError
-        The device is armed, or has no boot loader.
+        The device is armed, or it has no boot loader.
     LinkLostError
-        The board did not take the image.
+        The board did not accept the image.
     """
     content, record = read_image(image)
     if url is not None:
@@ -112,7 +112,7 @@ def flash(
 
 
 def read_image(path: Path) -> tuple[bytes, Record]:
-    """Return a file and the record in it, whatever its format; raises `ConfigError`."""
+    """Return the bytes of an image file (.elf, .uf2 or .bin) and its record; raise `ConfigError` if it has none."""
     try:
         content = read_regular(path, TABLE_BYTES)
     except OSError as error:
@@ -125,7 +125,7 @@ def read_image(path: Path) -> tuple[bytes, Record]:
 
 
 def find_drives() -> list[BootDrive]:
-    """Return every drive of a boot ROM that is mounted here."""
+    """Return all mounted boot drives of boards."""
     found = []
     for path in _mount_points():
         drive = _drive(path)
@@ -135,7 +135,7 @@ def find_drives() -> list[BootDrive]:
 
 
 def drive_at(path: Path) -> BootDrive:
-    """Return the drive at a path; raises `DeviceNotFoundError` when no boot ROM shows itself there."""
+    """Return the boot drive at a path; raise `DeviceNotFoundError` if it is not the drive of a boot ROM."""
     drive = _drive(path)
     if drive is None:
         raise DeviceNotFoundError(
@@ -145,7 +145,7 @@ def drive_at(path: Path) -> BootDrive:
 
 
 def _mount_points() -> list[Path]:
-    """Return the places where systems mount such a drive."""
+    """Return the existing paths at which operating systems mount a USB drive."""
     if sys.platform == "win32":
         return [Path(f"{letter}:\\") for letter in string.ascii_uppercase]
     else:
@@ -183,7 +183,7 @@ def _only(drives: list[BootDrive]) -> BootDrive:
 
 
 def _find_unmounted() -> Path | None:
-    """Return a boot ROM's drive that the system sees and has not mounted."""
+    """Return the block device of a boot drive that is connected but not mounted; None if there is none."""
     labels = Path("/dev/disk/by-label")
     return next((labels / name for name in FAMILY_OF_DRIVE if (labels / name).exists()), None)
 
@@ -222,7 +222,7 @@ def _check_board(image: Path, record: Record, drive: BootDrive) -> None:
 
 
 def _copy(content: bytes, drive: BootDrive, name: str, on_progress: Progress) -> None:
-    """Write the file to the drive."""
+    """Write the image to the drive; raise `LinkLostError` if the drive disappears or is not writable."""
     # The board restarts once it has every byte, before the system has finished the write: that error is a success.
     at = 0
     try:
@@ -248,7 +248,7 @@ def _copy(content: bytes, drive: BootDrive, name: str, on_progress: Progress) ->
 
 
 def _is_there(drive: BootDrive) -> bool:
-    """Return True if the drive still shows its file."""
+    """Return True if the drive is still mounted (its INFO_UF2.TXT can be read)."""
     # A stale mount gives an error: the drive is gone.
     try:
         return (drive.path / INFO_FILE).exists()
@@ -257,7 +257,7 @@ def _is_there(drive: BootDrive) -> bool:
 
 
 def _wait_for_drive(drive: Path | None, on_progress: Progress) -> None:
-    """Wait until the system has mounted the drive, `APPEAR_S` at most; `flash` reports if it is missing then."""
+    """Wait up to `APPEAR_S` until the system has mounted the drive; `flash` then reports a missing drive."""
     deadline = time.monotonic() + APPEAR_S
     while not (find_drives() if drive is None else _drive(drive)) and time.monotonic() < deadline:
         on_progress("waiting for the board's drive", 1.0 - (deadline - time.monotonic()) / APPEAR_S)
@@ -265,7 +265,7 @@ def _wait_for_drive(drive: Path | None, on_progress: Progress) -> None:
 
 
 def _wait_until_gone(drive: BootDrive, on_progress: Progress) -> None:
-    """Wait for the board to restart, the only sign that it has taken the image."""
+    """Wait until the drive disappears: the board restarts, which is the only sign that it has accepted the image."""
     deadline = time.monotonic() + VANISH_S
     while _is_there(drive):
         left = deadline - time.monotonic()

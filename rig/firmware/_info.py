@@ -1,4 +1,4 @@
-"""What an image or a connected device is, and whether this package can run it."""
+"""Identify the firmware in an image or on a connected device, and check whether this package can run it."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ FLASH = "flash the firmware of this package"
 
 @dataclass(frozen=True, kw_only=True)
 class FirmwareInfo(FirmwareFacts):
-    """What is known of a firmware.
+    """Facts about a firmware, and its differences from this package.
 
     Attributes
     ----------
     source
-        The file or the device's URL.
+        Path of the image file, or URL of the device.
     facts
-        What its build knew; None of a connected device, which does not report them.
+        Facts of the build; None for a connected device, which does not report them.
     checks
-        What differs from this package; one that refuses keeps this package from running it.
+        Differences from this package; a check that refuses means that this package cannot run the firmware.
     """
 
     source: str
@@ -40,7 +40,7 @@ class FirmwareInfo(FirmwareFacts):
 
     @reported
     def compatible(self) -> bool:
-        """Return True if this package can run it."""
+        """Return True if this package can run the firmware."""
         return not refused(self.checks)
 
     def items(self) -> list[Item]:
@@ -50,14 +50,14 @@ class FirmwareInfo(FirmwareFacts):
 
 
 def info(source: str) -> FirmwareInfo:
-    """Read an image (a file) or ask a device (a URL).
+    """Return the facts about the firmware in an image (a file) or on a device (a URL).
 
     Raises
     ------
     ConfigError
-        The file is no image of this project, or a damaged one.
+        The file is damaged, or not an image of this project.
     DeviceNotFoundError, LinkLostError, IncompatibleDeviceError
-        As opening and asking a device does.
+        The device is not found, does not reply, or has another version of the protocol.
     """
     if "://" not in source:
         record = read_image(Path(source))[1]
@@ -67,13 +67,13 @@ def info(source: str) -> FirmwareInfo:
 
 
 def about(source: str, dictionary: Dictionary, hash_: int, facts: ImageFacts | None) -> FirmwareInfo:
-    """Compare a dictionary with this package."""
+    """Return the facts about a firmware with the given dictionary, compared with this package."""
     checks = tuple(compatibility(dictionary))
     return FirmwareInfo(**stated(dictionary, hash_), source=source, facts=facts, checks=checks)
 
 
 def compatibility(dictionary: Dictionary) -> Iterator[Check]:
-    """Yield why this package cannot run a firmware, and what else differs; nothing where all is equal."""
+    """Yield a check for each difference between a firmware and this package; a difference that prevents use refuses."""
     theirs, ours = f"{dictionary.major}.{dictionary.minor}", f"{MAJOR}.{MINOR}"
     versions = f"the firmware uses protocol {theirs}, this package {ours}"
     if dictionary.major != MAJOR:

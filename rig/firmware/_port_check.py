@@ -1,8 +1,8 @@
-"""The duties of a port, tried on its board, each by its name: what `firmware_protocol.duties` lists.
+"""Test on a board whether its port fulfils the duties that `firmware_protocol.duties` lists.
 
-On the board runs `firmware/port_check/port_check.c` in place of the core, with the port's own files unchanged. It calls
-the port's functions and sends what it sees; here that is judged. A duty that is broken has its own sentence; one that
-could not be seen says what is missing.
+The board runs `firmware/port_check/port_check.c` in place of the core, with the port's files unchanged. That program
+calls the port's functions and sends its observations, which this file judges. Each broken duty has its own message; a
+duty that could not be tested says what is missing.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ Verdict = Mapping[str, Any] | str | None  # broken: the numbers of its sentence;
 
 
 class PortProbe(IntEnum):
-    """What the program on the board can be asked: enum port_check_probe."""
+    """Requests to the test program on the board: enum port_check_probe in port_check.c."""
 
     BOARD = 0
     TIME = 1
@@ -79,14 +79,14 @@ class PortProbe(IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PortCheckRequest:
-    """What to try.
+    """Parameters of a port check.
 
     Attributes
     ----------
     current
-        0: nothing is switched on.
+        Current to switch on (quanta); 0 leaves the amplifier off.
     real_time
-        Whether the board keeps the time of the link's clock; an emulator may not, and gets more of it to answer.
+        True if the board's time follows the link's clock. False for an emulator, which gets more time to reply.
     """
 
     wired: Annotated[
@@ -114,7 +114,7 @@ class PortCheckRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PortCheck:
-    """What came of it: a check for each duty, in the order of the table."""
+    """Result of a port check: a check for each duty, in the order of `firmware_protocol.duties`."""
 
     url: str
     checks: tuple[Check, ...]
@@ -130,7 +130,7 @@ class PortCheck:
 
 
 def failure(found: PortCheck) -> DeviceRefusedError | None:
-    """Return the error of a port that breaks duties."""
+    """Return the error that lists all broken duties, or None if no duty is broken."""
     broken = check.refused(found.checks)
     if not broken:
         return None
@@ -140,12 +140,12 @@ def failure(found: PortCheck) -> DeviceRefusedError | None:
 
 
 class NoAnswerError(Exception):
-    """A probe has no answer."""
+    """The board did not reply to a probe in time."""
 
 
 @dataclass
 class BoardUnderTest:
-    """The program on the board, at the far end of a link that may be opened anew."""
+    """Connection to the test program on the board; the link is reopened if a reset of the board closes it."""
 
     open_link: Callable[[], Link]
     patience: float = 1.0  # of a wait for an answer
@@ -161,7 +161,10 @@ class BoardUnderTest:
     def ask(
         self, probe: PortProbe, *arguments: int, wait_s: float = ANSWER_S, quiet_s: float = ANSWER_S
     ) -> tuple[int, ...]:
-        """Return the numbers of a probe; raises `NoAnswerError` when none come in time, or no bytes for so long."""
+        """Send a probe and return the numbers of its reply.
+
+        Raise `NoAnswerError` if no reply comes within `wait_s` (s), or no byte within `quiet_s` (s).
+        """
         self._nonce = (self._nonce + 1) % 0x10000
         self.counted.clear()
         header = bytes([m.MAJOR, QUESTION]).ljust(HEADER_BYTES, b"\0")
@@ -199,7 +202,7 @@ class BoardUnderTest:
         return self.ask(PortProbe.BOARD)
 
     def answers(self, wait_s: float) -> bool:
-        """Return True if it answers in time."""
+        """Return True if the board replies within `wait_s` (s)."""
         try:
             self.ask(PortProbe.BOARD, wait_s=wait_s)
         except (NoAnswerError, LinkLostError):
@@ -207,7 +210,7 @@ class BoardUnderTest:
         return True
 
     def meet_again(self) -> tuple[int, ...]:
-        """Return the board's description after a reset, which may have closed its port."""
+        """Return the board's description of itself after a reset; reopen the link if the reset has closed it."""
         for _ in range(TRIES):
             try:
                 return self.meet()
@@ -220,7 +223,7 @@ class BoardUnderTest:
         raise NoAnswerError
 
     def pause(self, seconds: float) -> None:
-        """Wait for so many seconds while reading the link."""
+        """Read the link for `seconds` (s) and discard the bytes."""
         ends = self.link.clock.now_ns() + round(seconds * 1e9)
         while (left := ends - self.link.clock.now_ns()) > 0:
             self._splitter.feed(self.link.read(left * 1e-9))
@@ -228,7 +231,7 @@ class BoardUnderTest:
 
 @dataclass
 class PortTrial:
-    """A board, what to try on it, and what was found so far."""
+    """A running port check: the board, the request, and the verdicts so far."""
 
     board: BoardUnderTest
     request: PortCheckRequest
@@ -246,23 +249,23 @@ class PortTrial:
 
     @classmethod
     def begin(cls, board: BoardUnderTest, request: PortCheckRequest) -> PortTrial:
-        """Read the facts about a board and prepare its trial; raise `ConfigError` for a current above its limit."""
+        """Read the board's description and prepare the check; raise `ConfigError` for a current above the limit."""
         rate, maximum, law, senses, lag, noise, bootloader, _reports_reset, _place, limit = board.meet()
         if abs(request.current) > limit:
             raise ConfigError(
-                f"current = {request.current} quanta exceeds the rig's over-current limit",
-                remedy=f"give a value from -{limit} to {limit}",
+                f"current = {request.current} quanta exceeds the rig's over-current limit of {limit} quanta",
+                remedy=f"give a `current` from -{limit} to {limit} quanta",
             )
         return cls(board, request, rate, maximum, law, bool(senses), lag, noise, bool(bootloader))
 
     def distrust(self) -> None:
-        """Take back what was found by a time that is itself wrong."""
+        """Replace verdicts that depend on the board's time by "not judged" if that time is wrong."""
         if any(isinstance(self.verdicts[name], Mapping) for name in TIME):
             wrong = [name for name in BY_TIME if isinstance(self.verdicts[name], Mapping)]
             self.verdicts |= dict.fromkeys(wrong, "not judged: the board's time, which this needs, is wrong")
 
     def ask_signed(self, probe: PortProbe, *arguments: int) -> list[int]:
-        """Return the numbers of a probe, which may be negative."""
+        """Send a probe and return the numbers of its reply as signed 32-bit integers."""
         return [(one + 2**31) % 2**32 - 2**31 for one in self.board.ask(probe, *arguments)]
 
 
@@ -271,25 +274,26 @@ def check_port(
     request: PortCheckRequest,
     on_progress: Progress = lambda _what, _share: None,
 ) -> PortCheck:
-    """Try the duties of the port behind a link.
+    """Test all duties of the port of a connected board.
 
     Parameters
     ----------
     open_link
-        Opens it; more than once where a reset of the board takes its port along. It is closed here.
+        Function that opens the link; it is called again if a reset of the board closes the link. The link is closed at
+        the end.
     request
-        What to try.
+        Parameters of the check.
     on_progress
-        Called with what is tried and the share of all that is done.
+        Called with the name of the current test and the completed share, 0 … 1.
 
     Raises
     ------
     LinkLostError
-        No reply.
+        The board does not reply.
     DeviceRefusedError
-        The firmware itself runs there.
+        The board runs the firmware instead of the test program.
     ConfigError
-        A current that the rig's amplifier must not give.
+        The requested current is above the rig's over-current limit.
     """
     board = BoardUnderTest(open_link, 1.0 if request.real_time else EMULATED)
     try:
@@ -388,7 +392,7 @@ def _ticks(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
 
 
 def _measure_ticks(trial: PortTrial, rate: int, expected: int) -> tuple[float, bool, float]:
-    """Return ticks a second (by device time, made right), whether the rate was taken, distance from the grid (s)."""
+    """Return the tick rate (Hz, by corrected device time), True if `rate` was accepted, and the jitter (s)."""
     wanted = max(TICKS_LEAST, round(min(TICKS_S, TICKS_SHARE * trial.request.seconds) * expected))
     accepted, count, passed, *off = trial.ask_signed(PortProbe.TICKS, rate, wanted)
     least, most, newest = off
@@ -519,7 +523,7 @@ def _bites(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
 
 
 def _starve(board: BoardUnderTest, bite_us: int) -> tuple[int, bool]:
-    """Return how long it lived unfed (ms), and whether it was bitten."""
+    """Stop feeding a watchdog of `bite_us` (µs); return how long the board ran (ms), and True if it was reset."""
     try:
         (lived_ms,) = board.ask(PortProbe.BITE, bite_us, wait_s=8e-6 * bite_us + 0.2, quiet_s=QUIET_S)
     except (NoAnswerError, LinkLostError):

@@ -1,7 +1,7 @@
-"""The record that identifies an image, in an ELF, a UF2 or plain bytes alike.
+"""Write and find the record that identifies an image, in an ELF file, a UF2 file or plain bytes.
 
-Sixteen bytes of magic, then the lengths of a text and of the compressed dictionary, the CRC-32 of both, and both. The
-text is JSON; the dictionary is the one that the device sends to its host, so that a file gives the same facts.
+The record consists of sixteen magic bytes, the lengths of a JSON text and of the compressed dictionary, the CRC-32 of
+text and dictionary, the text, and the dictionary. The device sends the same dictionary to its host.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ HEAD_BYTES = len(MAGIC) + _LENGTHS.size
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageFacts:
-    """What is known of an image when it is built.
+    """Facts about an image that are known when it is built.
 
     Attributes
     ----------
     package
-        Version of the package that built it.
+        Version of the package that built the image.
     sources
-        Fingerprint of the C sources, 12 hexadecimal digits.
+        Hash of the C sources, 12 hexadecimal digits.
     board
-        What it runs on.
+        Name of the board.
     rig
-        The rig whose limits it knows: an image belongs to one rig.
+        Name of the rig; an image contains the limits of one rig.
     settings
         Pins and scales of the board.
     """
@@ -49,7 +49,7 @@ class ImageFacts:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """The description of an image that is in it."""
+    """The record of an image: facts of its build, and the compressed dictionary."""
 
     facts: ImageFacts
     packed: bytes
@@ -61,7 +61,7 @@ class Record:
 
     @property
     def dictionary(self) -> dictionaries.Dictionary:
-        """Return the dictionary that the device will send; raises `ConfigError` for one that cannot be read."""
+        """Return the dictionary that the device will send; raise `ConfigError` if it cannot be decompressed or read."""
         try:
             return dictionaries.decode(self.packed)
         except RemoteProtocolError as error:
@@ -71,7 +71,7 @@ class Record:
 
 
 def pack(record: Record) -> bytes:
-    """Return the bytes of a record; equal ones for equal facts."""
+    """Return the bytes of a record; equal facts give equal bytes."""
     text = json.dumps(
         asdict(record.facts), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
     ).encode()
@@ -80,12 +80,12 @@ def pack(record: Record) -> bytes:
 
 
 def find(image: bytes, name: str) -> Record:
-    """Find the record in an image of that name.
+    """Find the record in the bytes of an image; `name` is the file's name for messages.
 
     Raises
     ------
     ConfigError
-        The image contains no record, or a damaged one.
+        The image contains no record, or its record is damaged.
     """
     damaged = False
     at = image.find(MAGIC)
@@ -104,7 +104,7 @@ def find(image: bytes, name: str) -> Record:
 
 
 def _read(image: bytes, at: int) -> Record | None:
-    """Return the record at a place, or None when the bytes there are not a record or are damaged."""
+    """Return the record at offset `at`, or None if the bytes are not a valid record."""
     if len(image) < at + HEAD_BYTES:
         return None
     text_bytes, packed_bytes, crc = _LENGTHS.unpack_from(image, at + len(MAGIC))

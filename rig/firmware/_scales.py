@@ -1,6 +1,6 @@
-"""Whether a board's scales fit a rig and its amplifier: what would saturate, never trip or be too coarse is refused.
+"""Check that a board's scales fit a rig and its amplifier: reject saturation, useless limits and coarse steps.
 
-A device reports the commanded current. That equals the real current only while its output can deliver it.
+A device reports the commanded current. It equals the real current only while the board's output can deliver it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ PULSE_WIDTH = {"duty_minimum", "duty_maximum", "set_point", "pwm_frequency", "cl
 
 
 def monitor_step_a(settings: Mapping[str, SettingValue]) -> float:
-    """Return one step of the converter behind a current monitor (A)."""
+    """Return the current (A) of one step of the A/D converter that reads the current monitor."""
     return CONVERTER_V / CONVERTER_STEPS / float(settings["monitor_scale"])
 
 
@@ -35,7 +35,7 @@ def _has_pulse_width(settings: Mapping[str, SettingValue]) -> bool:
 
 
 def _share_of_a_step(settings: Mapping[str, SettingValue]) -> float | None:
-    """Return one step that leaves the board, as a share of full scale; None for a board that does not tell."""
+    """Return one step of the board's output as a share of full scale; None if the settings do not determine it."""
     if not settings.keys() >= SCALES:
         return None
     if not _has_pulse_width(settings):
@@ -52,7 +52,8 @@ def _share_of_a_step(settings: Mapping[str, SettingValue]) -> float | None:
 def set_point_step_a(model: RigModel, settings: Mapping[str, SettingValue]) -> float | None:
     """Return one step of the set-point (A): the coarser of the board's output step and the amplifier's resolution.
 
-    None for a board without such an output; a clock that is not stated in MHz is assumed to be fast enough.
+    Return None for a board without such an output. If the clock is not given in MHz, only the amplifier's resolution
+    counts.
     """
     if (sent := _share_of_a_step(settings)) is None:
         return None
@@ -62,19 +63,19 @@ def set_point_step_a(model: RigModel, settings: Mapping[str, SettingValue]) -> f
 
 
 def check_scales(board: Board, model: RigModel, settings: Mapping[str, SettingValue]) -> float | None:
-    """Refuse what could not give or not measure the rig's currents; returns `set_point_step_a`.
+    """Raise `ConfigError` if the board cannot output or measure the rig's currents; return `set_point_step_a`.
 
     Parameters
     ----------
     board, model
         The board, and the rig with its amplifier's profile.
     settings
-        All settings of the board. One without a set-point of its own has nothing to check.
+        All settings of the board. A board without an output for set-points is not checked.
 
     Raises
     ------
     ConfigError
-        The first thing that does not fit, with both numbers and what to change.
+        A setting does not fit the rig or its amplifier; the message has both numbers and the remedy.
     """
     if (step := set_point_step_a(model, settings)) is None:
         return None
@@ -116,7 +117,7 @@ def check_scales(board: Board, model: RigModel, settings: Mapping[str, SettingVa
 
 
 def _check_frequency(frequency: float, profile: AmplifierProfile, delay_s: float, refuse: _Refusal) -> None:
-    """A pulse width must have a rate that the amplifier takes, and a period that theory counts."""
+    """Raise `ConfigError` if the amplifier does not accept the PWM frequency (Hz), or its period exceeds `delay_s`."""
     least, most = profile.pwm_frequency or (0.0, inf)
     if not least <= frequency <= most:
         raise refuse(
@@ -133,7 +134,7 @@ def _check_frequency(frequency: float, profile: AmplifierProfile, delay_s: float
 
 
 def _check_monitor(over_a: float, settings: Mapping[str, SettingValue], refuse: _Refusal) -> None:
-    """A current that is a fault must be within what the monitor can show, in both directions."""
+    """Raise `ConfigError` if the current monitor cannot measure the over-current limit (A) in both directions."""
     zero, scale = float(settings["monitor_zero"]), float(settings["monitor_scale"])
     room_v = min(zero, CONVERTER_V * (1.0 - 1.0 / CONVERTER_STEPS) - zero)
     if over_a * scale > room_v:
@@ -146,7 +147,7 @@ def _check_monitor(over_a: float, settings: Mapping[str, SettingValue], refuse: 
 
 
 class _Refusal:
-    """Errors about one board with one rig."""
+    """Factory of `ConfigError` messages that name the board and the rig."""
 
     def __init__(self, board: Board, model: RigModel) -> None:
         self._of = f"board {board.name} for the rig {model.name}"

@@ -1,7 +1,7 @@
-"""A device tests itself and its link; nothing moves.
+"""Test a device and its link without moving the handle.
 
-Everything goes over the link that a loop would use. A check that fails does not keep the others from running; only when
-the first question has no answer there is nothing to test.
+The tests use the same link as a loop. All checks run, even if one fails; the test ends early only if the device does
+not reply to the first request.
 """
 
 from __future__ import annotations
@@ -48,14 +48,14 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SelfTestRequest:
-    """What to test.
+    """Parameters of a self test.
 
     Attributes
     ----------
     experiment
-        The rig to which the image should belong, and the law for `stream`; None: do not compare.
+        Experiment with the rig that the image should be for, and with the law for `stream`; None to skip both.
     rate
-        Tick rate to count at (Hz); None: the device's maximum.
+        Tick rate at which ticks are counted (Hz); None for the device's maximum.
     """
 
     experiment: Experiment | None = None
@@ -69,7 +69,7 @@ class SelfTestRequest:
 
     @property
     def model(self) -> RigModel | None:
-        """Return the rig to compare the device with, if one was given."""
+        """Return the rig to compare the device with, or None if no experiment was given."""
         return None if self.experiment is None else config.rig_model(self.experiment)
 
 
@@ -78,7 +78,7 @@ Step = Callable[[FramedDevice, SelfTestRequest], Check]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SelfTest:
-    """The result of a self test."""
+    """Result of a self test: identification of the device, and its checks."""
 
     url: str
     device: str
@@ -97,7 +97,7 @@ class SelfTest:
 
 
 def failure(found: SelfTest) -> DeviceRefusedError | None:
-    """Return the error of a test in which a check failed."""
+    """Return the error that names all failed checks, or None if no check failed."""
     failed = check.refused(found.checks)
     if not failed:
         return None
@@ -115,16 +115,16 @@ def selftest(
     Parameters
     ----------
     device
-        Open; it is left as it was found, except for a latched fault, which is reported and cleared.
+        Open device. Its parameters are restored at the end; a latched fault is reported and cleared.
     request
-        What to test.
+        Parameters of the test.
     on_progress
-        Called with the check that runs and the share of all that is done.
+        Called with the name of the current check and the completed share, 0 … 1.
 
     Raises
     ------
     LinkLostError, IncompatibleDeviceError
-        No device answers, or one that this package does not understand.
+        The device does not reply, or it has another version of the protocol.
     """
     dictionary = device.dictionary
     steps: dict[str, Step] = {
@@ -281,7 +281,7 @@ def _ticks(device: FramedDevice, request: SelfTestRequest) -> Check:
 
 @contextmanager
 def _at_rate(device: FramedDevice, rate: int) -> Iterator[None]:
-    """Tick at another rate for a while."""
+    """Set the device's tick rate (Hz) within the context, then restore it."""
     before = device.active_parameters()
     kept: dict[str, Value] = {"verified": before["verified"]}
     device.configure({**kept, "position_rate": rate})
@@ -327,7 +327,7 @@ def _encoder(device: FramedDevice, request: SelfTestRequest) -> Check:
 
 
 def _until_rest(device: FramedDevice, last: int) -> list[int]:
-    """Return the counts until the hand has stopped."""
+    """Return the encoder's counts until the handle is at rest; `last` is the first of them."""
     counts = [last]
     while len(counts) < MOVE_LOOKS:
         new = [state.count for state in device.states(REST_S)] or [counts[-1]]
@@ -338,7 +338,7 @@ def _until_rest(device: FramedDevice, last: int) -> list[int]:
 
 
 def _way(first: int, last: int, span: int, model: RigModel | None) -> str:
-    """Return the distance and direction of the handle, as far as the rig is known."""
+    """Return a sentence on the handle's motion in counts, and in rad or m if the rig is known."""
     text = f"from {first} to {last}, through {span} counts"
     if model is None or first == last:
         return text

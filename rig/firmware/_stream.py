@@ -1,4 +1,4 @@
-"""The samples that a law on the device sends: whether they are complete, and agree with its STATE frames."""
+"""Check that the samples sent by a law on the device are complete and agree with its STATE frames."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LOAD_LIMIT = 0.8
 
 @question("stream")
 def judge_stream(received: list[m.Message], ticks: float, rate: int, dictionary: Dictionary) -> Check:
-    """Judge what a supervised device has sent in so many ticks at a rate (Hz), while its current limit was zero."""
+    """Judge the messages that a supervised device sent in `ticks` ticks at `rate` (Hz) with a current limit of 0."""
     batches = [message for message in received if isinstance(message, m.Batch)]
     states = {message.sample_index: message for message in received if isinstance(message, m.State)}
     rows, gaps = _rows(batches)
@@ -42,7 +42,7 @@ def judge_stream(received: list[m.Message], ticks: float, rate: int, dictionary:
 
 
 def _rows(batches: list[m.Batch]) -> tuple[dict[int, tuple[int, int]], int]:
-    """Return count and current by sample index, and the number of gaps."""
+    """Return encoder count and current (quanta) by sample index, and the number of gaps between batches."""
     rows: dict[int, tuple[int, int]] = {}
     gaps = 0
     for number, batch in enumerate(batches):

@@ -1,4 +1,4 @@
-"""The cross compiler of the distribution: where it is, its version, and what to install when it is missing."""
+"""Find and run the cross compiler, and name the package to install if it is missing."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _SHOWN_LINES = 12  # of what the compiler complains about
 
 @dataclass(frozen=True, slots=True)
 class Compiler:
-    """A compiler that works, and what it calls itself."""
+    """A working cross compiler: its path and its version text."""
 
     path: str
     version: str
 
     def run(self, arguments: Sequence[str], directory: Path) -> None:
-        """Compile or link in a directory; raises `ToolchainError` with the first lines of its complaint."""
+        """Run the compiler in a directory; raise `ToolchainError` with the first lines of its error output."""
         done = _call([self.path, *arguments], directory)
         if done.returncode != 0:
             shown = "\n".join(done.stderr.strip().splitlines()[:_SHOWN_LINES])
@@ -45,7 +45,7 @@ class Compiler:
 
 
 def find_compiler() -> Compiler:
-    """Find the compiler; raises `ToolchainError` with the way to install it, or the C library that it lacks."""
+    """Return the installed compiler; raise `ToolchainError` if the compiler or its C library is missing."""
     named = os.environ.get(COMPILER_VARIABLE)
     path = find_program(named or COMPILER)
     if path is None:

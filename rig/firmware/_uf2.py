@@ -1,7 +1,7 @@
-"""UF2, the format in which a boot ROM that shows itself as a drive takes an image.
+"""Read and write UF2, the file format that a boot ROM with a USB drive accepts.
 
-Blocks of 512 bytes, each complete in itself: two magic numbers, flags, an address in the processor's memory, up to
-476 bytes for it, its number among all blocks, the family of the processor, and a third magic number. Source: the UF2
+A file consists of independent blocks of 512 bytes: two magic numbers, flags, an address in the processor's memory, up
+to 476 bytes of data, the block's number, the family of the processor, and a third magic number. Source: the UF2
 specification (github.com/microsoft/uf2). The RP2040's boot ROM wants 256 bytes a block, at addresses that are
 multiples of 256 (RP2040 data sheet, section 2.8.4.2, "UF2 format details").
 """
@@ -28,7 +28,7 @@ _HEAD = struct.Struct("<8I")
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Bytes and where they belong."""
+    """Bytes of a program and their address in the processor's memory."""
 
     address: int
     data: bytes
@@ -36,19 +36,19 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class Uf2:
-    """What a UF2 file holds: consecutive bytes joined, and the family that all blocks name (None: none does)."""
+    """Contents of a UF2 file: pieces of consecutive bytes, and the family of all blocks (None if not given)."""
 
     pieces: tuple[Piece, ...]
     family: int | None
 
 
 def is_uf2(content: bytes) -> bool:
-    """Return True if a file begins as a UF2 does."""
+    """Return True if the content begins with the magic numbers of UF2."""
     return content[:8] == struct.pack("<2I", MAGIC_FIRST, MAGIC_SECOND)
 
 
 def write_uf2(pieces: Iterable[Piece], family: int) -> bytes:
-    """Return the file that writes these pieces; they must not overlap, and are filled up to whole pages with zeroes."""
+    """Return the UF2 file of pieces that do not overlap; each is padded with zeros to whole pages."""
     pages: dict[int, bytearray] = {}
     for piece in pieces:
         for offset, byte in enumerate(piece.data):
@@ -72,12 +72,12 @@ def write_uf2(pieces: Iterable[Piece], family: int) -> bytes:
 
 
 def read_uf2(content: bytes, name: str) -> Uf2:
-    """Read a file of that name.
+    """Read the content of a UF2 file; `name` is the file's name for messages.
 
     Raises
     ------
     ConfigError
-        It is no UF2, or a damaged one: a block without its magic numbers, a block missing, two families.
+        The file is not a UF2, or it is damaged: a magic number or a block is missing, or it names two families.
     """
     if not content or len(content) % BLOCK_BYTES:
         raise _damage_error(
@@ -97,7 +97,7 @@ def read_uf2(content: bytes, name: str) -> Uf2:
 
 
 def _block(block: bytes, name: str) -> tuple[int, int, int | None, Piece | None]:
-    """Return the number, total, family and content of a block."""
+    """Return the number of a block, the total number of blocks, the family, and the data (None if not for flash)."""
     first, second, flags, address, size, number, total, family = _HEAD.unpack_from(block)
     (last,) = struct.unpack_from("<I", block, BLOCK_BYTES - 4)
     if (first, second, last) != (MAGIC_FIRST, MAGIC_SECOND, MAGIC_LAST):

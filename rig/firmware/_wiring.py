@@ -1,4 +1,4 @@
-"""The wiring of a board's reference rig: a netlist beside its ``board.toml``, drawn and listed with the pins as set."""
+"""Draw and list the wiring of a board's reference rig, from the netlist beside its ``board.toml``."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LINE = 36  # characters of a box
 
 @dataclass(frozen=True, slots=True)
 class Pin:
-    """A pin: as its part calls it, and the net that it is on."""
+    """A pin of a part: its name, and the net to which it is connected."""
 
     name: str
     net: str
@@ -31,7 +31,7 @@ class Pin:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WiringPart:
-    """A part: its name, what it is, where its numbers are from, and its pins on both sides of its box."""
+    """A part: its name, description, source of its pin numbers, and the pins on the two sides of its drawn box."""
 
     name: str
     what: str
@@ -43,12 +43,12 @@ class WiringPart:
 
 @dataclass(frozen=True, slots=True)
 class Wiring:
-    """All parts of a rig, in the order of the file."""
+    """All parts of a rig, in the order of the netlist."""
 
     parts: tuple[WiringPart, ...]
 
     def nets(self) -> dict[str, list[str]]:
-        """Return the pins of each net, as ``PART.pin``."""
+        """Return for each net its pins as ``PART.pin``."""
         found: dict[str, list[str]] = {}
         for part in self.parts:
             for pin in (*part.left, *part.right):
@@ -57,12 +57,12 @@ class Wiring:
 
 
 def wiring(board: Board, settings: Mapping[str, SettingValue]) -> Wiring:
-    """Read the wiring of a board, its pins as the settings have them.
+    """Read the wiring of a board, with the pin numbers of its settings.
 
     Raises
     ------
     ConfigError
-        The board has no netlist, or it names a pin that the settings do not have.
+        The board has no netlist, or the netlist names a setting that the board does not have.
     """
     path = board.directory / WIRING_FILE
     if not path.is_file():
@@ -90,7 +90,7 @@ def _part(row: Mapping[str, Any], board: Board, settings: Mapping[str, SettingVa
 
 
 def _pin(name: str, board: Board, settings: Mapping[str, SettingValue]) -> str:
-    """Return a pin's name: of a setting its number with what it is, of anything else as it is."""
+    """Return a pin's name; the name of a setting is replaced by its pin number and meaning."""
     setting, _, offset = (text.strip() for text in name.partition("+"))
     if setting not in board.settings:
         if setting.endswith("_pin"):
@@ -101,14 +101,14 @@ def _pin(name: str, board: Board, settings: Mapping[str, SettingValue]) -> str:
 
 
 def draw(found: Wiring, path: Path) -> Path:
-    """Draw the parts as boxes whose pins name their nets, as SVG; `RecordingError` when it cannot be written."""
+    """Write a drawing (SVG) with a box for each part; raise `RecordingError` if the file cannot be written."""
     with whole_file(path, overwrite=True) as file:
         file.write(svg(found).encode())
     return path
 
 
 def svg(found: Wiring) -> str:
-    """Return the drawing of the netlist as SVG."""
+    """Return the drawing of the parts and nets as SVG text."""
     shapes: list[str] = []
     bottom = 0
     for column, parts in groupby(sorted(found.parts, key=lambda part: part.column), lambda part: part.column):

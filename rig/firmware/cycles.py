@@ -1,6 +1,6 @@
-"""What one call of an estimator in C costs on a microcontroller: instructions, cycles, code and memory.
+"""Compute the cost of one call of an exported estimator on a microcontroller: instructions, cycles, code and memory.
 
-The export of an estimator states it. It must not be reported as a measurement: the processor is emulated.
+The export of an estimator reports it. It must not be called a measurement, because the processor is emulated.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ _ENTRIES = ("begin", "velocity")
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """Of one call, on one processor with code and data in memory without wait states (`rig.firmware._cortex`).
+    """Cost of one call of an estimator on one core, with memory without wait states (`rig.firmware._cortex`).
 
     Attributes
     ----------
     core
-        The processor.
+        Name of the core.
     instructions, most_instructions
-        Median and most, exact.
+        Median and largest number of instructions of a call (exact).
     cycles, most_cycles
-        The same, estimated; None where the cost of its instructions is not known.
+        Median and largest number of cycles of a call (estimated); None if the core's cycles are not known.
     code_bytes, memory_bytes
-        Of its functions, those of the compiler's library included; and of what it remembers.
+        Size of the code, including functions of the compiler's library, and of the estimator's memory (bytes).
     """
 
     core: str
@@ -60,9 +60,9 @@ def cost_of(
     elapsed: Ints,
     on_progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> tuple[Cost, ...]:
-    """Run an estimator over samples on each of `REPORTED`.
+    """Run an estimator over samples on each core in `REPORTED` and return its costs.
 
-    Raises `ToolchainError` where cross compiler or simulator is not installed.
+    Raise `ToolchainError` if the cross compiler or the simulator is not installed.
     """
     costs = []
     for number, name in enumerate(REPORTED):
@@ -96,7 +96,7 @@ def _cost(name: str, estimator: EstimatorC, counts: Ints, elapsed: Ints) -> Cost
 
 
 def _write_harness(estimator: EstimatorC) -> str:
-    """Return the functions that the simulator can call, and the memory that they share."""
+    """Return C code with the functions that the simulator calls, and the estimator's memory."""
     prefix = estimator.prefix
     effort = "0.5f, " if estimator.uses_effort else ""
     return f"""

@@ -1,7 +1,7 @@
-"""Interface of this room for `rig firmware`: boards, and images that are built, inspected, flashed and tested.
+"""Public names of this package for `rig firmware`: boards, and how to build, inspect, flash and test images.
 
-It defines nothing, and no file of the room imports it. What a law costs on a board is in `tick_budget` and `cycles`:
-plans and exports load no toolchain.
+It defines nothing, and no file of this package imports it. Plans and exports import `tick_budget` and `cycles` instead,
+so that they load no toolchain.
 """
 
 from rig.firmware import _boards as boards

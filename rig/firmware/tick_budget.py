@@ -1,7 +1,7 @@
-"""Whether a board's processor has the time for a law: cycles of a whole tick, by processor and estimator.
+"""Compute the highest rate at which a board's processor can run a law, from the cycles of a whole tick.
 
-A tick takes at most `SHARE` of its period, so that link and host have the rest. The cycles are those of
-`rig.firmware._cortex`: estimates for memory without wait states, not a measurement on a board.
+A tick may take at most `SHARE` of its period; link and host need the rest. The cycles are those of
+`rig.firmware._cortex`: estimates for memory without wait states, not measured on a board.
 
 Plans and designs call it. It must not load a toolchain.
 """
@@ -48,16 +48,16 @@ TICKS: Mapping[str, Mapping[str, int]] = {
 
 @dataclass(frozen=True, slots=True)
 class TickBudget:
-    """A board's processor and its clock.
+    """A board's processor with its clock, which determine the cost of a tick.
 
     Attributes
     ----------
     board
         Name of the board.
     core
-        Its processor.
+        Core of its processor.
     clock_hz
-        As the board is set.
+        Clock by the board's settings (Hz).
     """
 
     board: str
@@ -65,21 +65,21 @@ class TickBudget:
     clock_hz: float
 
     def call_cycles(self, estimator: str) -> int | None:
-        """Return the most cycles of one call of an estimator; None for one that no board runs."""
+        """Return the largest number of cycles of one call of an estimator; None if no board runs the estimator."""
         return CALLS[self.core.name].get(estimator)
 
     def rate_maximum(self, estimator: str) -> float:
-        """Return the highest rate (Hz) at which a tick with this estimator fits; 0 for one that no board runs."""
+        """Return the highest rate (Hz) at which a tick with an estimator fits; 0 if no board runs the estimator."""
         cycles = TICKS[self.core.name].get(estimator)
         return 0.0 if cycles is None else SHARE * self.clock_hz / cycles
 
     @property
     def has_float_unit(self) -> bool:
-        """Return True if float32 is computed in hardware."""
+        """Return True if the core computes float32 in hardware."""
         return "-mfloat-abi=hard" in self.core.flags
 
     def text(self, estimator: str) -> str:
-        """Say what a tick costs and which rate it allows."""
+        """Return a sentence with the cycles of a tick and the highest rate."""
         unit = "" if self.has_float_unit or estimator == INTEGERS else ", no floating-point unit"
         cycles = TICKS[self.core.name].get(estimator)
         if cycles is None:
@@ -91,7 +91,7 @@ class TickBudget:
 
 
 def tick_budget(board: Board, settings: Mapping[str, SettingValue] | None = None) -> TickBudget | None:
-    """Return the budget of a board with its `settings`, or its defaults; None where its cycles are not known."""
+    """Return the budget of a board with `settings`, or with its defaults; None if its core's cycles are not known."""
     known = [
         core for core in CORES.values() if core.name in TICKS and set(core.flags) <= set(board.processor)
     ]
@@ -103,7 +103,7 @@ def tick_budget(board: Board, settings: Mapping[str, SettingValue] | None = None
 
 
 def named_budget(name: str) -> TickBudget:
-    """Return the budget of a board by its name; `ConfigError` if the board is unknown or its cycles are not known."""
+    """Return the budget of a board by name; raise `ConfigError` if the board or the cycles of its core are unknown."""
     found = tick_budget(load(name))
     if found is None:
         raise ConfigError(
