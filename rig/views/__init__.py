@@ -1,1 +1,1 @@
-"""Pictures and pages of results; they may fail without harm."""
+"""Draw pictures and write pages of results; a failure here must not affect a run or its recording."""

@@ -1,7 +1,7 @@
-"""The site of documents, built by Sphinx from the sources in ``rig/docs`` and from the tables that run.
+"""Build the site of documents with Sphinx, from the sources in ``rig/docs`` and the tables of the installed package.
 
-Sphinx executes the gallery, so it runs in a process of its own, on a copy of the sources. `rig serve docs` and
-`rig.docs.made` call it. It must not import Sphinx into this process.
+Sphinx executes the scripts of the gallery, so it runs in a separate process on a copy of the sources. `rig serve docs`
+and `rig.docs.made` call it. It must not import Sphinx into this process.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _SHOWN_LINES = 20  # of what Sphinx complains about
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """A built site: its first page, how many pages it has, and how long it took."""
+    """A built site: path of its first page, number of pages, and duration of the build (s)."""
 
     index: Path
     pages: int
@@ -42,14 +42,14 @@ class Site:
 
 
 def build_site(output: Path, *, strict: bool = False) -> Site:
-    """Build the site.
+    """Build the site of documents into a directory.
 
     Parameters
     ----------
     output
-        Directory of the site: the pages lie in ``html``, and replace those of the same name.
+        Directory of the site. The pages are written to its subdirectory ``html`` and replace existing pages.
     strict
-        True if warnings and broken links are errors.
+        True to treat warnings and broken links as errors.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def build_site(output: Path, *, strict: bool = False) -> Site:
     RecordingError
         The directory cannot be written.
     RigError
-        Sphinx, or a script of the gallery, failed: with the end of its output.
+        Sphinx or a script of the gallery failed; the message has the end of its output.
     """
     missing = [name for name in NEEDED if find_spec(name) is None]
     if missing:

@@ -1,1 +1,1 @@
-"""Pictures of recordings and results, drawn without a display."""
+"""Draw pictures of recordings and results without a display."""

@@ -1,9 +1,9 @@
-"""Maps of Z-width with fidelity as figures 7 and 8 of Chawda et al.: passive walls, coloured by the fidelity error.
+"""Draw maps of passive walls, coloured by their fidelity error, like figures 7 and 8 of Chawda et al.
 
-One panel for each scheme, one colour scale for all. Plain cells are connected with the softest wall of their damping,
-hatched ones are islands, grey ones were not passive, dark grey ones threw the handle out. Over them the boundary
-search of the paper's Fig. 5, and what the linear theory says: dashed where a wall stops being stable, dotted where it
-stops being passive in the band.
+There is one panel for each scheme, and one colour scale for all. Plain cells are connected with the softest wall of
+their damping, hatched cells are islands, walls of grey cells were not passive, walls of dark grey cells threw the
+handle out. Lines show the boundary search of the paper's Fig. 5 and the limits by linear theory: dashed for stability, dotted
+for passivity in the band.
 """
 
 from __future__ import annotations
@@ -39,22 +39,22 @@ def draw_frequency_map(
     search: bool = True,
     realisation: int = -1,
 ) -> Path:
-    """Draw a map; returns the path.
+    """Draw a map into a file and return its path.
 
     Parameters
     ----------
     found
-        The map.
+        Map to draw.
     picture
-        File to write, see `rig.views.plots.style.save`.
+        File to write; its ending selects the format (`rig.views.plots.style.save`).
     theory
-        Curves by number of scheme, as `rig.experiments.mapping._ranges.linear_curves` gives them.
+        Limits by theory for each scheme's number, from `rig.experiments.mapping._ranges.linear_curves`.
     search
-        True if the path of the boundary search is drawn.
+        True to draw the path of the boundary search.
     realisation
-        Which one to show; −1 is all together.
+        Index of the realisation to show; −1 for the result of all realisations together.
 
-    Raises `rig.core.errors.RecordingError` when the file cannot be written.
+    Raise `rig.core.errors.RecordingError` if the file cannot be written.
     """
     figure = frequency_figure(found, theory=theory, search=search, realisation=realisation)
     return style.save(figure, Path(picture))
@@ -68,7 +68,7 @@ def frequency_figure(
     search: bool = True,
     realisation: int = -1,
 ) -> Any:
-    """Return the figure of a map, see `draw_frequency_map`."""
+    """Return the figure of a map; parameters as `draw_frequency_map`."""
     plan = found.plan
     count = len(plan.schemes)
     columns = min(count, COLUMNS if count <= COLUMNS**2 else COLUMNS + 1)
@@ -168,7 +168,7 @@ def _draw_search(axes: Any, dampings: Sequence[float], stiffnesses: Sequence[flo
 
 
 def _scale(values: Floats) -> tuple[float, float]:
-    """Return colours from the smallest error to the largest; the largest few per cent share one."""
+    """Return the ends of the colour scale; the largest few per cent of the errors have the same colour."""
     finite = values[np.isfinite(values)]
     if len(finite) == 0:
         return 0.0, 1.0
@@ -177,7 +177,7 @@ def _scale(values: Floats) -> tuple[float, float]:
 
 
 def _edges(values: Sequence[float]) -> Floats:
-    """Borders of the cells around rising values: half-way between them, the outer ones as wide as their neighbours."""
+    """Return the borders of cells around ascending values: half-way between them; outer cells are symmetric."""
     centres = np.asarray(values, dtype=np.float64)
     if len(centres) == 1:
         half = 0.5 * max(abs(float(centres[0])), 1e-9)

@@ -1,4 +1,4 @@
-"""The picture of one column of a recording over time."""
+"""Draw one column of a recording over time."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Pictures of schemes compared: penetration and velocity after the first impact.
+"""Draw a comparison of sampling schemes: penetration and velocity after the first impact.
 
-The room's table draws a comparison, papers draw single panels. It must not compute one.
+``rig/views/table.json`` registers the figure; papers draw single panels. This file must not compute a comparison.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ SHORTEST_S, LONGEST_S = 0.03, 0.3
 
 @style.own_style()
 def scheme_figure(comparison: SchemeComparison, *, offset: int = 0) -> Any:
-    """Draw penetration above and velocities below, over the time since the first contact, at one encoder offset."""
+    """Return the figure of penetration (above) and velocities (below) since first contact, at one encoder offset."""
     x, motion = comparison.experiment, comparison.experiment.rig.motion
     until_s = _shown_s(comparison.outcomes)
     figure = style.new_figure(width=9.0, height=3.5 + 1.8 * len(comparison.outcomes))
@@ -58,7 +58,7 @@ def draw_penetration(axes: Any, outcomes: Sequence[SchemeImpacts], offset: int) 
 
 
 def _shown_s(outcomes: Sequence[SchemeImpacts]) -> float:
-    """Return how much of the time axis the impact takes: until the slowest has settled, and a bit."""
+    """Return the length of the time axis (s): until the slowest scheme has settled, plus a margin."""
     settling = [impact.numbers.settling_s for outcome in outcomes for impact in outcome.impacts]
     slowest = max((LONGEST_S if s is None else s for s in settling), default=LONGEST_S)
     longest = max(float(impact.time_s[-1]) for outcome in outcomes for impact in outcome.impacts)

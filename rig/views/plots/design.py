@@ -1,4 +1,4 @@
-"""The picture of a design: what the schemes trade, and the recommended boundary beside the experiment's own."""
+"""Draw a design: trade-off between the schemes, and the recommended boundary beside the experiment's own."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ _SMALLEST, _LARGEST = 20.0, 180.0  # area of a marker (point²)
 def design_figure(found: Design) -> Any:
     """Return the figure of a design.
 
-    Left: peak of K and range of B of the schemes of the second round, the larger the marker the noisier at rest;
-    filled are those of the front. Right: limits of K over B of the last round, with the band between encoder offsets.
+    Left: largest K and range of B of the schemes in the second round. A larger marker means more noise at rest; filled
+    markers are schemes of the Pareto front. Right: limits of K over B of the last round, with the band between encoder
+    offsets.
     """
     motion = found.experiment.rig.motion
     stiffness, damping = unit_of("stiffness", motion), unit_of("damping", motion)

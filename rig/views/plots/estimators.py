@@ -1,4 +1,4 @@
-"""The picture of a comparison: error against rate where there are several, else estimates against the truth."""
+"""Draw a comparison of estimators: errors over the rate, or with a single rate the estimates over time."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ PANELS = 4  # more would be too small to read
 
 @style.own_style()
 def estimators_figure(comparison: EstimatorComparison) -> Any:
-    """Return the figure of a comparison (`matplotlib.figure.Figure`); `ConfigError` when there is nothing to draw.
+    """Return the figure of a comparison (`matplotlib.figure.Figure`); raise `ConfigError` if the comparison is empty.
 
-    A panel for each signal and resolution, the first `PANELS` of them. On the left the error that is left without
-    delay, on the right the delay, against the velocity rate; with a single rate the estimates over time instead.
+    There is a row of panels for each signal and resolution, at most `PANELS`. Left: error after removal of the delay;
+    right: the delay; both over the velocity rate. With a single rate the panels show the estimates over time instead.
     """
     panels: dict[tuple[str, float], list[Case]] = {}
     for case in comparison.cases:

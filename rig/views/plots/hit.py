@@ -1,6 +1,6 @@
-"""The picture of a hit: position against the wall, velocity, and effort, on one time axis that starts at contact.
+"""Draw a hit: position and wall, velocity, and effort, on one time axis that starts at contact.
 
-The room's table, `rig recording show`, the console and the process that draws beside `rig hit` call it. It must not
+``rig/views/table.json``, `rig recording show`, the console and the drawing process of `rig hit` call it. It must not
 write to a recording.
 """
 
@@ -31,19 +31,19 @@ SHORTEST_IMPACT_S, LONGEST_IMPACT_S = 0.05, 0.2
 
 
 def draw_hit(path: str | Path, picture: str | Path | None = None) -> Path:
-    """Draw a recording.
+    """Draw the recording of a hit into a file.
 
     Parameters
     ----------
     path
-        The recording.
+        Path of the recording.
     picture
-        File to write, see `rig.views.plots.style.save`; beside the recording unless given.
+        File to write; its ending selects the format. Default: a file beside the recording.
 
     Returns
     -------
     Path
-        The picture.
+        Path of the picture.
     """
     recording = open_recording(path, DRAWN)
     target = Path(picture) if picture else Path(path).with_suffix(".png")
@@ -51,7 +51,7 @@ def draw_hit(path: str | Path, picture: str | Path | None = None) -> Path:
 
 
 def main() -> None:
-    """Draw every recording whose path and picture come as JSON on a line; answer each with a line of JSON."""
+    """Read lines of JSON with the path of a recording and of its picture; draw each, and reply with a line of JSON."""
     program.begin()
     for line in sys.stdin:
         try:
@@ -63,9 +63,9 @@ def main() -> None:
 
 @style.own_style()
 def hit_figure(recording: Recording) -> Any:
-    """Return the figure of a recording (`matplotlib.figure.Figure`): impact at the left, whole push at the right.
+    """Return the figure of a recording (`matplotlib.figure.Figure`): impact on the left, whole push on the right.
 
-    For counts from a file, which have no wall, it shows their position over time.
+    For imported counts, which have no wall, the figure shows the position over time.
     """
     if counts_facts(recording) is not None:
         return column_figure(recording["position"])
@@ -89,10 +89,10 @@ def hit_figure(recording: Recording) -> Any:
 
 @style.own_style()
 def xy_figure(recording: Recording) -> Any:
-    """Return the figure of force over penetration, as a force gauge beside the handle would draw it.
+    """Return the figure of force over penetration, as a force gauge at the handle would measure it.
 
-    An ideal spring is the straight line K·x. What the loop encloses is the energy that the wall takes out of the handle
-    (run through clockwise) or gives to it (counter-clockwise): damping, delay, and the held velocity.
+    An ideal spring gives the straight line K·x. The area of a loop is the energy that the wall takes out of the handle
+    (clockwise) or gives to it (counter-clockwise), by damping, delay and the held velocity.
     """
     rows, wall, motion = recording.rows, recording.experiment["wall"], recording.header["motion"]
     inside = (rows["phase"] == Phase.TRIAL) & (rows["penetration"] > 0.0)
@@ -118,7 +118,10 @@ def xy_figure(recording: Recording) -> Any:
 
 
 def _trial(recording: Recording) -> tuple[NDArray[np.void], NDArray[np.float64]]:
-    """Rows from shortly before contact to the end of the push, and their time from it; all rows without contact."""
+    """Return the rows from shortly before contact to the end of the push, and their time since contact (s).
+
+    Without contact return all rows.
+    """
     rows, time_s = recording.rows, recording.time_s
     contact = _contact(recording)
     if not len(contact):
@@ -130,19 +133,19 @@ def _trial(recording: Recording) -> tuple[NDArray[np.void], NDArray[np.float64]]
 
 
 def _contact(recording: Recording) -> NDArray[np.int64]:
-    """Return rows of the trial proper in which the handle is in the wall."""
+    """Return the indices of the rows of the trial in which the handle is in the wall."""
     rows = recording.rows
     return np.flatnonzero((rows["phase"] == Phase.TRIAL) & (rows["penetration"] > 0.0))
 
 
 def _last_phase(recording: Recording) -> str:
-    """Name of the phase before the end of a run, in words."""
+    """Return the name of the phase in which the run ended."""
     phases = [Phase(phase) for phase in recording.rows["phase"] if phase != Phase.DONE]
     return phases[-1].name.lower() if phases else "nothing"
 
 
 def _impact_end(recording: Recording, time_s: NDArray[np.float64]) -> float:
-    """Return how long the impact lasts (s): a bit longer than it took to settle, if it settled."""
+    """Return the length of the panel of the impact (s): slightly longer than the settling time, if it settled."""
     verdict = (recording.trailer or {}).get("verdict") or {}
     settling_s = verdict.get("settling_s")
     wanted = LONGEST_IMPACT_S if settling_s is None else 1.5 * settling_s
@@ -153,7 +156,7 @@ def _impact_end(recording: Recording, time_s: NDArray[np.float64]) -> float:
 def _draw_column(
     panels: Any, recording: Recording, rows: NDArray[np.void], time_s: NDArray[np.float64], scale: float
 ) -> None:
-    """Position, velocity and effort of some rows; the same side of the transmission has the same colour everywhere."""
+    """Draw position, velocity and effort of the rows; each side of the transmission has one colour in all panels."""
     top, middle, bottom = panels
     wall, limit = recording.experiment["wall"], recording.experiment["rig"]["limits"]["effort"]
 

@@ -1,4 +1,4 @@
-"""An identification as one picture: pushes, friction over velocity, the excited rig's response, each with its fit."""
+"""Draw an identification: pushes, friction over velocity, response of the excited rig, each with its fit."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Measured impedances, like figures 4 and 6 of Chawda et al.: magnitude, phase, real part, and the ideal wall's.
+"""Draw magnitude, phase and real part of measured impedances and of the ideal wall, like Chawda et al., Figs. 4 and 6.
 
-`rig impedance` and papers draw several, the room's table draws one. It must not measure or fit anything.
+`rig impedance` and papers draw several results; ``rig/views/table.json`` draws one. This file must not measure or fit.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ HEADROOM = 1.3  # of the real part's axis, over what was measured
 
 
 def draw_impedance(results: Sequence[ImpedanceResult], picture: str | Path) -> Path:
-    """Draw results into a file; returns its path. Errors as `impedance_figure`, and where it cannot be written."""
+    """Draw results into a file and return its path; raise `RecordingError` if nothing was measured or written."""
     return style.save(impedance_figure(results), Path(picture))
 
 
 @style.own_style()
 def impedance_figure(results: Sequence[ImpedanceResult]) -> Any:
-    """Return the figure of results (`matplotlib.figure.Figure`), one colour each.
+    """Return the figure of results (`matplotlib.figure.Figure`), with one colour for each result.
 
-    Solid with a band of two standard deviations: measured. Thin and dark: closed form of rig and wall, without friction
-    and quantum. Dashed: the ideal wall K/(jω) + B.
+    Solid lines with a band of two standard deviations are measured. Thin dark lines are the closed form of rig and wall
+    without friction and quantum. Dashed lines are the ideal wall K/(jω) + B.
 
-    Raises `RecordingError` when nothing was measured.
+    Raise `RecordingError` if nothing was measured.
     """
     shown = [result for result in results if result.impedance is not None]
     if not shown:
@@ -100,7 +100,7 @@ def _plain(size: Any, phase: Any, real: Any, f: Any, z: Any, **look: Any) -> Non
 
 
 def _limits(phase: Any, real: Any, shown: Sequence[ImpedanceResult]) -> None:
-    """Mark ±90° and zero, between which a wall is passive, and let no stray line flatten the real part."""
+    """Mark the limits of passivity (phase ±90°, real part 0), and keep outliers out of the range of the real part."""
     for level in (-90.0, 90.0):
         phase.axhline(level, color=style.BAD, linewidth=0.8)
     real.axhline(0.0, color=style.BAD, linewidth=0.8)

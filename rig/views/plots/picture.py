@@ -1,6 +1,6 @@
-"""Figures of results that need more than the result, for the table of this room (``rig/views/table.json``).
+"""Figures that need more data than the result itself (a recording, theory); ``rig/views/table.json`` registers them.
 
-`rig.core.shown` calls them. They must not compute what a command would not print.
+`rig.core.shown` calls them. They must not compute results that the command does not print.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from rig.views.plots.zwidth import kmax_figure, zwidth_figure
 
 
 def hit_result_figure(result: HitResult) -> Any:
-    """Draw the recording of a hit."""
+    """Return the figure of the recording of a hit."""
     return hit_figure(result.recording)
 
 
 def impedance_result_figure(result: ImpedanceResult) -> Any:
-    """Draw one impedance in a figure of its own."""
+    """Return the figure of a single impedance."""
     return impedance_figure([result])
 
 
@@ -39,7 +39,7 @@ def zwidth_with_theory_figure(found: ZWidth) -> Any:
 
 
 def kmax_with_theory_figure(found: KMax) -> Any:
-    """Draw the limits at B = 0 over the rate with those of linear theory."""
+    """Return the figure of the largest stable K at B = 0 over the rate, with the limits by linear theory."""
     return kmax_figure(found, theory=kmax_theory(found))
 
 

@@ -1,4 +1,4 @@
-"""The picture of a replay: recorded and replayed velocity and effort on one time axis."""
+"""Draw a replay: recorded and replayed velocity and effort on one time axis."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""One look for all pictures: quiet axes, units in every label, colours that a colour-blind reader can tell apart.
+"""Common style of all pictures: light axes, units in each label, colours that colour-blind readers can distinguish.
 
-Every figure of the package and of its extras is made with it. It must not import pyplot, a window toolkit or a result.
+All figures of the package and of its extras use it. It must not import pyplot, a window toolkit or a result.
 """
 
 from __future__ import annotations
@@ -55,10 +55,10 @@ _AS_TEXT = {"svg.hashsalt": "haptic-rig", "svg.fonttype": "none", "pdf.fonttype"
 
 @contextmanager
 def own_style() -> Iterator[None]:
-    """Draw with matplotlib's own settings, whatever a matplotlibrc, a style or LaTeX of the user's says.
+    """Use matplotlib's default settings within the context; ignore the user's matplotlibrc, style and LaTeX.
 
-    Texts and ticks take their settings when they are made, so whatever calls `new_figure` runs inside; also a
-    decorator. Raises `RecordingError` when matplotlib does not load.
+    Texts and ticks read their settings when they are created, so each call of `new_figure` must be inside the context.
+    Also usable as a decorator. Raise `RecordingError` if matplotlib cannot be imported.
     """
     with _alone:
         try:
@@ -74,14 +74,14 @@ def own_style() -> Iterator[None]:
 
 
 def new_figure(width: float = 9.0, height: float = 7.0) -> Any:
-    """Make a figure that belongs to no window."""
+    """Return a new figure (size in inches) that belongs to no window."""
     figure = figures.Figure(figsize=(width, height), dpi=DPI, layout="constrained")
     agg.FigureCanvasAgg(figure)
     return figure
 
 
 def tidy(axes: Any, ylabel: str) -> None:
-    """Label the vertical axis of a panel, and lighten it."""
+    """Label the vertical axis of a panel, draw a light grid, and remove the box."""
     axes.set_ylabel(ylabel)
     lighten(axes)
 
@@ -93,7 +93,7 @@ def lighten(axes: Any) -> None:
 
 
 def at_least(axes: Any, which: str, span: float) -> None:
-    """Show no less than so much of an axis (x or y), about its middle: values that are alike differ by rounding."""
+    """Widen an axis (``"x"`` or ``"y"``) to at least `span` about its middle, so that rounding is not magnified."""
     low, high = getattr(axes, f"get_{which}lim")()
     more = 0.5 * (span - (high - low))
     if more > 0.0:
@@ -101,13 +101,13 @@ def at_least(axes: Any, which: str, span: float) -> None:
 
 
 def count_along(axes: Any) -> None:
-    """Let the horizontal axis count: ticks at whole numbers only, one neighbour at least to each side of a value."""
+    """Set the horizontal axis to whole numbers, with at least one on each side of a value."""
     at_least(axes, "x", 2.0)
     axes.xaxis.get_major_locator().set_params(integer=True, min_n_ticks=1)
 
 
 def visible(*values: NDArray[Any]) -> slice | NDArray[np.int64]:
-    """Return the places of the points that a picture shows of long lines: of each stretch the extremes of each line."""
+    """Return the indices of the points to draw of long lines: minimum and maximum of each line in each stretch."""
     size = len(values[0])
     rows = size // STRETCHES
     if rows <= 2 * len(values):
@@ -121,14 +121,14 @@ def visible(*values: NDArray[Any]) -> slice | NDArray[np.int64]:
 
 
 def say(axes: Any, text: str) -> None:
-    """Write into an empty panel why nothing is there."""
+    """Write a text, such as the reason why it is empty, into the middle of a panel, and remove its ticks."""
     look = {"ha": "center", "va": "center", "color": "#666666", "fontsize": 8, "bbox": {"color": "white"}}
     axes.text(0.5, 0.5, text, transform=axes.transAxes, **look)
     axes.set(xticks=[], yticks=[])
 
 
 def key_below(figure: Any, axes: Any) -> None:
-    """Put the legend of a panel below all of them, where it hides nothing, in as many columns as there is room for."""
+    """Put the legend of a panel below all panels, in as many columns as fit into the figure's width."""
     handles, labels = axes.get_legend_handles_labels()
     for columns in range(len(handles), 0, -1):
         key = figure.legend(
@@ -142,15 +142,15 @@ def key_below(figure: Any, axes: Any) -> None:
 
 
 def save(figure: Any, path: Path) -> Path:
-    """Write what the name ends in, one of `FORMATS`; the same picture gives the same bytes.
+    """Write a figure in the format of the path's ending, one of `FORMATS`; equal figures give equal bytes.
 
-    `RecordingError` when it cannot be written, or ends in something else: no recording is ever overwritten.
+    Raise `RecordingError` if the file cannot be written, or for another ending, so that no recording is overwritten.
     """
     ending = path.suffix.lower().removeprefix(".")
     if ending not in FORMATS:
         raise RecordingError(
             f"{path} does not end in a format of pictures",
-            remedy=f"give a name that ends in {', '.join('.' + known for known in FORMATS)}",
+            remedy=f"give a name that ends in one of: {', '.join('.' + known for known in FORMATS)}",
         )
     try:
         _write(figure, path, ending)
@@ -163,7 +163,7 @@ def save(figure: Any, path: Path) -> Path:
 
 
 def png(figure: Any) -> bytes:
-    """Return the picture that `save` writes, for a notebook."""
+    """Return the bytes of the PNG that `save` would write, for a notebook."""
     buffer = BytesIO()
     _write(figure, buffer, "png")
     return buffer.getvalue()

@@ -1,4 +1,4 @@
-"""The picture of the latency ledger: how often each stage took longer than x, the worst ticks, and when they came."""
+"""Draw the latency of each stage of a tick: distribution, worst ticks, and course over the run."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ US = 1e-3  # µs in a ns
 
 
 def label(name: str) -> str:
-    """Return the name of a stage."""
+    """Return the text that a legend shows for a stage."""
     return STAGES[name].label if name in STAGES else "late on the grid"
 
 
@@ -43,7 +43,7 @@ def timing_figure(timing: Timing) -> Any:
 
 
 def _draw_survival(axes: Any, ledger: Ledger) -> None:
-    """Share of the ticks in which a stage took longer than x, both on logarithms; what took no time has no place."""
+    """Draw the share of the ticks in which each stage took longer than x, on logarithmic axes, without times of 0."""
     drawn = False
     for name, colour in COLOURS.items():
         values, known = ledger.stage(name)
@@ -72,7 +72,7 @@ def _draw_survival(axes: Any, ledger: Ledger) -> None:
 
 
 def _draw_worst(axes: Any, summary: TimingSummary) -> None:
-    """One bar for each of the worst ticks, from its sample to its effort."""
+    """Draw a bar for each of the worst ticks, from its sample to its effort."""
     for place, bad in enumerate(summary.worst):
         begin = 0.0
         for name in IN_A_ROW:
@@ -94,7 +94,7 @@ def _draw_worst(axes: Any, summary: TimingSummary) -> None:
 
 
 def _draw_run(axes: Any, ledger: Ledger, summary: TimingSummary) -> None:
-    """Longest way from sample to command, or lateness, in each small stretch of the run."""
+    """Draw the longest time from sample to command, or the largest lateness, in each stretch of the run."""
     values, known = ledger.stage("answered")
     name = "answered"
     if not known.any():
@@ -125,7 +125,7 @@ def _draw_run(axes: Any, ledger: Ledger, summary: TimingSummary) -> None:
 def _longest(
     time_s: NDArray[np.float64], values: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Keep the longest of each stretch, so that a curve of a million ticks shows its peaks."""
+    """Return time (s) and largest value of each stretch, so that a curve of a million ticks shows its peaks."""
     each = -(-len(values) // POINTS)
     starts = np.arange(0, len(values), each)
     return time_s[starts], np.maximum.reduceat(values, starts)

@@ -1,7 +1,7 @@
-"""Reports: one HTML file that holds everything, to be read on a phone, printed, mailed and kept for years.
+"""Write reports as a single HTML file without external references, for phone, print, mail and archive.
 
-Commands and extras fill their own templates with `fill` and `fill_text`, and write numbers as the templates do. This
-package must not import a result: what a page says of it stands in the template of who reports it.
+Commands and extras fill their own templates with `fill` and `fill_text`; the filters of `_writing` format the numbers.
+This package must not import a result: the template of the command contains the text about the result.
 """
 
 from rig.views.report._template import data_uris, fill, fill_text, provenance_lines

@@ -1,7 +1,7 @@
-"""Filling templates: jinja2, one style sheet for all pages, nothing fetched from anywhere.
+"""Fill jinja2 templates, with one style sheet for all pages; a page fetches nothing from the network.
 
-A template has the words, the result that it is given has the numbers, and the filters of `rig.views.report._writing`
-write them: a text is edited without touching Python. A name that a template calls for and does not get is an error.
+A template contains the words, a result the numbers, and the filters of `rig.views.report._writing` format the numbers.
+So a text can be edited without a change of Python code. A name that a template uses but does not receive is an error.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ STYLE_SHEET = "page.css"
 
 
 def fill(template: str, **values: Any) -> str:
-    """Return a page; text that it is given is escaped.
+    """Return a template filled with values as an HTML page; texts in the values are escaped.
 
     Parameters
     ----------
     template
-        Name of a file of this folder, or a path below `rig` (``extras/papers/koul/page.html.j2``); it may extend others
-        and import their macros.
+        Name of a file in this folder, or a path below `rig` (``extras/papers/koul/page.html.j2``). It may extend other
+        templates and import their macros.
     values
-        Values that the template uses; `css` is added here.
+        Values that the template uses; this function adds `css`.
     """
     page: str = _environment(html=True).get_template(template).render(**values)
     return page
 
 
 def fill_text(template: str, **values: Any) -> str:
-    """Return plain text; as `fill`, but nothing is escaped."""
+    """Return a template filled with values as plain text, without escaping; parameters as `fill`."""
     text: str = _environment(html=False).get_template(template).render(**values)
     return text
 
@@ -58,19 +58,19 @@ def _environment(*, html: bool) -> Any:
 
 
 def _in_a_line(value: Any) -> Any:
-    """Return a text of the user's without line ends: in a plain text they part the lines of the template."""
+    """Return a user's text without line ends, which would break the lines of a plain-text template."""
     return value.replace("\n", " ") if isinstance(value, str) else value
 
 
 def data_uris(pngs: Mapping[str, bytes]) -> dict[str, str]:
-    """Return PNGs as addresses that hold them."""
+    """Return PNG images as ``data:`` URIs, by name."""
     return {
         name: "data:image/png;base64," + base64.b64encode(png).decode("ascii") for name, png in pngs.items()
     }
 
 
 def provenance_lines(provenance: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Name and value of each entry; what has parts as JSON."""
+    """Return name and value of each entry as text; mappings and lists as JSON."""
     return [
         (name, value if isinstance(value, str) else json.dumps(value, ensure_ascii=False))
         for name, value in provenance.items()

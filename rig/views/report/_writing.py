@@ -1,4 +1,4 @@
-"""How templates write numbers, counts and lists: filters of every template of this package."""
+"""Filters of all templates, which format numbers, counts and lists as text."""
 
 from __future__ import annotations
 
@@ -26,12 +26,18 @@ _WORDS = (
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """Format a number with so many significant digits; a dash if it is missing or not finite."""
+    """Return a number with up to `digits` significant digits, without trailing zeros, for use in a sentence.
+
+    Return – if the number is missing or not finite.
+    """
     return NOTHING if value is None or not math.isfinite(value) else _minus(f"{value:.{digits}g}")
 
 
 def three(value: float | None, digits: int = 3) -> str:
-    """Format a number with `digits` significant digits, zeros included from 1 to 10⁶; ∞ for infinity, – if missing."""
+    """Return a number with `digits` significant digits, trailing zeros included from 1 to 10⁶ (``2.50``), for tables.
+
+    Return ∞ for infinity and – for a missing number; `number` omits trailing zeros (``2.5``) and writes – for infinity.
+    """
     if value is None or not math.isfinite(value):
         return "∞" if value == math.inf else NOTHING
     if value != 0.0 and 1.0 <= abs(value) < 10.0**6:
@@ -40,42 +46,42 @@ def three(value: float | None, digits: int = 3) -> str:
 
 
 def limit(value: float, capped: object) -> str:
-    """Return a limit; ``≥`` when the search ended before the wall did."""
+    """Return a limit with three digits, with ``≥`` in front if it is capped (the search ended at a stable wall)."""
     return f"{'≥ ' if capped else ''}{three(value)}"
 
 
 def times(ratio: float | None) -> str:
-    """Return a ratio as text: ``× 1.25``."""
+    """Return a ratio as a factor: ``× 1.25``."""
     return f"× {three(ratio)}"
 
 
 def step(ratio: float) -> str:
-    """Return how far two values of a ratio are apart: ``1.5 %``."""
+    """Return the step between neighbouring values with this ratio, in percent: 1.015 → ``1.5 %``."""
     return f"{100 * (ratio - 1):.2g} %"
 
 
 def change(ratio: float) -> str:
-    """Return a ratio as a change: ``−12 %``."""
+    """Return a ratio of new to old value as a change in percent: 0.88 → ``−12 %``."""
     return _minus(f"{100 * (ratio - 1):+.0f} %") if math.isfinite(ratio) else "from nothing"
 
 
 def khz(rate_hz: float) -> str:
-    """Return a rate as text: ``20 kHz``."""
+    """Return a rate (Hz) in kilohertz: 20000 → ``20 kHz``."""
     return f"{rate_hz / 1e3:g} kHz"
 
 
 def cell(value: Any) -> Any:
-    """Return the text of a table's cell: a number with three digits, anything else unchanged."""
+    """Return the content of a table's cell: a float as `three` formats it, – for None, other values unchanged."""
     return three(value) if isinstance(value, float) or value is None else value
 
 
 def prefixed(names: Iterable[str], text: str) -> list[str]:
-    """Return names with a text before each."""
+    """Return the names, each with `text` in front."""
     return [text + name for name in names]
 
 
 def suffixed(names: Iterable[str], text: str) -> list[str]:
-    """Return names with a text after each."""
+    """Return the names, each with `text` behind."""
     return [name + text for name in names]
 
 
@@ -86,7 +92,7 @@ def each(items: Iterable[Any], between: str = "; ", *, caller: Callable[..., str
 
 
 def gathered(items: Mapping[str, tuple[Any, ...]], *, caller: Callable[..., str]) -> str:
-    """As `each`, of named items: ``a, b: text; c: other text``, each text once."""
+    """Return the text of a call block for named items, with names of equal text joined: ``a, b: text; c: other``."""
     names: dict[str, list[str]] = {}
     for name, item in items.items():
         names.setdefault(caller(*item).strip(), []).append(name)
@@ -94,12 +100,12 @@ def gathered(items: Mapping[str, tuple[Any, ...]], *, caller: Callable[..., str]
 
 
 def signed(value: float, digits: int = 4) -> str:
-    """Return a difference as text, always with its sign."""
+    """Return a difference with its sign, also if it is positive: ``+0.25``; – if it is not finite."""
     return _minus(f"{value:+.{digits}g}") if math.isfinite(value) else NOTHING
 
 
 def interval(low: float | None, high: float | None, decimals: int | None = None) -> str:
-    """Format an interval, perhaps open above; a dash if it is missing, or open on both sides."""
+    """Return an interval: ``1.2 … 3.4``, or ``1.2 … ∞`` if the upper end is infinite; – if an end is missing."""
     if low is None or high is None or math.isnan(low) or math.isnan(high) or math.isinf(low):
         return NOTHING
     how = ".4g" if decimals is None else f".{decimals}f"
@@ -109,30 +115,30 @@ def interval(low: float | None, high: float | None, decimals: int | None = None)
 
 
 def percent(share: float | None, decimals: int = 0) -> str:
-    """Return a share as text in percent."""
+    """Return a share in percent: 0.25 → ``25 %``; – if it is missing or not finite."""
     return NOTHING if share is None or not math.isfinite(share) else f"{100 * share:.{decimals}f} %"
 
 
 def p(value: float) -> str:
-    """Return a p value as text, with its bounds."""
+    """Return a p value with three decimals: ``0.012``, or ``< 0.001``; – if it is not finite."""
     if not math.isfinite(value):
         return NOTHING
     return "< 0.001" if value < 0.001 else f"{value:.3f}"
 
 
 def p_equals(value: float) -> str:
-    """Return the text that follows the letter p in a sentence."""
+    """Return the text that follows the letter p in a sentence: ``= 0.012`` or ``< 0.001``."""
     return p(value) if value < 0.001 else f"= {p(value)}"
 
 
 def clock(seconds: float) -> str:
-    """Return seconds as text: hours, minutes and seconds."""
+    """Return a time (s) as hours, minutes and seconds: 3723 → ``1:02:03``."""
     whole = round(seconds)
     return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"
 
 
 def duration(seconds: float) -> str:
-    """Return a stretch of time in the two units that suit it."""
+    """Return a time (s) in its two largest units: ``45 s``, ``3 min 20 s`` or ``1 h 5 min``."""
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s"
@@ -147,17 +153,17 @@ def counted(count: int, noun: str) -> str:
 
 
 def shortest(value: float, digits: int = 6) -> str:
-    """Format a setting in its shortest form."""
+    """Return a number with up to `digits` significant digits, without trailing zeros and with ``-`` as minus sign."""
     return f"{value:.{digits}g}"
 
 
 def numbers(values: Iterable[float]) -> list[str]:
-    """Return numbers as texts in their shortest form."""
+    """Return each number as `shortest` formats it."""
     return [shortest(value) for value in values]
 
 
 def counted_in_words(count: int, noun: str) -> str:
-    """As `counted`, small counts as words: ``three trials``."""
+    """Return a count, as a word up to twelve, and its noun: ``three trials``, ``13 trials``."""
     return (
         counted(count, noun).replace(str(count), _WORDS[count], 1)
         if count < len(_WORDS)
@@ -166,18 +172,18 @@ def counted_in_words(count: int, noun: str) -> str:
 
 
 def sentence_start(text: str) -> str:
-    """Return a text with a capital at its beginning."""
+    """Return a text with a capital first letter."""
     return f"{text[:1].upper()}{text[1:]}"
 
 
 def listed(words: Iterable[Any], last: str = "and") -> str:
-    """``a``, ``a and b``, ``a, b and c``."""
+    """Return words as a list in a sentence: ``a``, ``a and b`` or ``a, b and c``."""
     *first, end = [str(word) for word in words] or [""]
     return f"{', '.join(first)} {last} {end}" if first else end
 
 
 def sentence(text: str) -> str:
-    """Return a clause as a sentence: a capital, and one full stop."""
+    """Return a clause as a sentence: with a capital first letter and one full stop."""
     return f"{text[:1].upper()}{text[1:].rstrip('.')}." if text else ""
 
 
