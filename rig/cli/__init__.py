@@ -1,8 +1,8 @@
-"""Commands: arguments, presentation, nothing else.
+"""The commands of ``rig``: they parse arguments and print results.
 
-Errors of `rig.core.errors` become one clear line and their exit code, never a traceback; set ``RIG_DEBUG=1`` to see
-where an unexpected one comes from. `rig.__main__` calls it, and the builder of documents walks its commands. It must
-not compute a result or command a device itself: a command calls a function of another room and shows what it returns.
+An error of `rig.core.errors` is printed as one line with its exit code, without a traceback; set ``RIG_DEBUG=1`` to see
+the origin of an unexpected error. `rig.__main__` calls this package, and the builder of documents lists its commands.
+It must not compute a result or command a device: a command calls a function of another package and prints its result.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def rig() -> None:
 
 
 def main(obj: object = None) -> None:
-    """Run the command line of this process; SIGTERM ends it like Ctrl-C. `obj` is for its command."""
+    """Run the command line of this process and exit; SIGTERM ends it like Ctrl-C. The command receives `obj`."""
     # Matrices here are small: threads of a linear algebra library cost more than they give, and a loop its quiet.
     for library in ("OPENBLAS", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
@@ -54,7 +54,7 @@ def main(obj: object = None) -> None:
 
 
 def _flush(code: int) -> int:
-    """Write what is still buffered, and return the exit code: 74 where a good run could not write all of it."""
+    """Flush standard output and standard error; return `code`, or 74 if code is 0 and not all could be written."""
     for stream in (sys.stdout, sys.stderr):
         try:
             if stream is not None:
@@ -75,7 +75,7 @@ def _interrupt(number: int, frame: object) -> None:
 
 
 def run(arguments: list[str], obj: object = None) -> int:
-    """Run a command line and return its exit code; prints errors, raises nothing."""
+    """Run a command line, print its errors, and return its exit code; raise nothing."""
     try:
         return _run(arguments, obj)
     except OSError:  # standard error takes no more either
@@ -87,7 +87,7 @@ def _run(arguments: list[str], obj: object) -> int:  # noqa: PLR0911  (one exit 
         _refuse_empty(arguments)
         if not hasattr(sys.modules["rig"], "_NAMES") and arguments[:1] != ["stop"]:
             raise wrong_package("rig") or ConfigError(
-                "files of the package rig are missing", remedy="install it again"
+                "files of the package rig are missing", remedy="install haptic-rig again"
             )
         result = rig.main(args=arguments, prog_name="rig", standalone_mode=False, obj=obj)
         return result if isinstance(result, int) else 0
@@ -129,7 +129,7 @@ def _defect(error: Exception, arguments: list[str]) -> int:
 
 
 def _refuse_empty(arguments: list[str]) -> None:
-    """An empty word is a variable of a shell that is not set: no path, no URL and no name, whatever the command."""
+    """Raise `ConfigError` for an empty argument, which usually comes from a shell variable that is not set."""
     for before, word in pairwise(["rig", *arguments]):
         name, equals, value = word.partition("=")
         if not word or (name.startswith("--") and equals and not value):

@@ -1,4 +1,4 @@
-"""Notice of a command while machine code is being compiled for it."""
+"""Show a notice while machine code is compiled for the running command."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ EXPECTED = {"hit": 120}  # kernels that a command compiles first; tests/benchmar
 
 
 class CompilingNotice:
-    """Shows how many kernels are compiled so far, and the remaining time if it is known.
+    """Show the number of kernels compiled so far, and the remaining time if it is known.
 
-    `expected` is how many the command compiles with an empty cache; 0: unknown.
+    `expected` is the number of kernels that the command compiles with an empty cache; 0 if unknown.
     """
 
     def __init__(self, expected: int = 0) -> None:

@@ -1,4 +1,4 @@
-"""A design as one HTML page: what was asked and searched, the recommended section, front, margin, and every number."""
+"""Write a design as one HTML page: request, search, recommended section, Pareto front, margin, and all numbers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ TEMPLATE, PAGE = "design.html.j2", "design.html"
 
 
 def render(found: Design, command: str, picture: bytes | None) -> str:
-    """Return the page; `command` is what made it, `picture` a PNG."""
+    """Return the page as HTML; `command` is the command line of the design, `picture` the bytes of a PNG."""
     return fill(
         TEMPLATE,
         found=found,
@@ -24,7 +24,7 @@ def render(found: Design, command: str, picture: bytes | None) -> str:
 
 
 def write_design_report(found: Design, command: str, picture: bytes | None, directory: Path) -> Path:
-    """Write the page into a directory; `RecordingError` when the disk refuses."""
+    """Write the page into a directory and return its path; raise `RecordingError` if it cannot be written."""
     path = directory / PAGE
     with whole_file(path, overwrite=True) as file:
         file.write(render(found, command, picture).encode())

@@ -1,4 +1,4 @@
-"""How commands print hits: the experiment in a line, the verdict in a few, a bar while it runs."""
+"""Print hits: a line for the experiment, some lines for the verdict, and a progress bar while a hit runs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _BRINGS = {"operator.grip": "operator.", "controller.estimator": "controller.par
 
 
 def push_text(experiment: Experiment) -> str:
-    """Return who pushes, in a few words."""
+    """Return a phrase on what pushes the handle: a simulated hand, or the motor with its effort."""
     trial = experiment.trial
     if trial.kind == "human":
         return f"in a simulated hand ({experiment.operator.grip})"
@@ -31,7 +31,7 @@ def headline(experiment: Experiment) -> str:
 
 
 class ProgressBars:
-    """One bar for each hit, on a terminal only. `watch` is a `hits.hit.Watch`; `stop` clears the bar."""
+    """Progress bars of hits, on a terminal only. `watch` is a `hits.hit.Watch` that starts a bar; `stop` clears it."""
 
     def __init__(self, quiet: bool) -> None:
         self._quiet = quiet or not output.on_terminal()
@@ -44,13 +44,13 @@ class ProgressBars:
         self.stop()
 
     def stop(self) -> None:
-        """Take the bar away, so that what is printed next stands alone."""
+        """Remove the bar before other output is printed."""
         if self._bars is not None:
             self._bars.stop()
             self._bars = None
 
     def watch(self, repeat: int, experiment: Experiment) -> Callable[[int, int], None] | None:
-        """Show a bar for this repeat."""
+        """Show a bar for a repeat; return the function that updates it, or None without a terminal."""
         if self._quiet:
             return None
         phase = TextColumn("{task.fields[phase]:<8}")
@@ -68,9 +68,9 @@ class ProgressBars:
 
 
 def measuring_link(quiet: bool) -> Callable[[float], None] | None:
-    """Return a function that shows the progress of measuring the link; None without a terminal.
+    """Return a function that shows the share (0 … 1) of the measurement of the link; None without a terminal.
 
-    It clears its line at the end.
+    The function clears its line when the share is 1.
     """
     if quiet or not output.on_terminal():
         return None
@@ -83,9 +83,10 @@ def measuring_link(quiet: bool) -> Callable[[float], None] | None:
 
 
 def differences(asked: Experiment, effective: Experiment, meant: Collection[str]) -> list[str]:
-    """Keys whose value in effect is not the asked one, ``wall.stiffness = 60.0 instead of 300.0``, but for `meant`.
+    """Return a text for each key whose value in effect differs: ``wall.stiffness = 60.0 instead of 300.0``.
 
-    A grip that is meant brings the operator's numbers, an estimator its settings.
+    Keys in `meant` were changed on purpose and are left out; with a grip also all keys of the operator, with an
+    estimator also its settings.
     """
     brought = tuple(prefix for key, prefix in _BRINGS.items() if key in meant)
     before = {line.key: line.value for line in describe(asked)}

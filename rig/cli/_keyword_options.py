@@ -1,4 +1,4 @@
-"""Options of a command, made of the keywords of a request (`rig.core.keyword`)."""
+"""Create the options of a command from the keywords of a request dataclass (`rig.core.keyword`)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def keyword_options(request: type, *names: str) -> Callable[[F], F]:
-    """Add an option for each of these keywords of a request; for each that has a help text if none is named."""
+    """Add an option for each keyword in `names`; without names, for each keyword of the request with a help text."""
 
     def add(function: F) -> F:
         for one in reversed(_chosen(request, names)):
@@ -28,7 +28,7 @@ def keyword_options(request: type, *names: str) -> Callable[[F], F]:
 
 
 def gathered_options(request: type, name: str, *fields: str) -> Callable[[F], F]:
-    """Add such options of a dataclass; the command receives them as one argument of this name."""
+    """Add options for keywords of a dataclass; the command receives an instance of it as the argument `name`."""
     chosen = [one.name for one in _chosen(request, fields)]
 
     def add(function: F) -> F:

@@ -1,4 +1,4 @@
-"""Groups of commands that are named in tables and imported on use, so that ``--help`` is quick."""
+"""Groups of commands that are listed in tables and imported on use, so that ``--help`` is fast."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ COMMANDS = "Commands"  # title of a group that has no other
 
 
 class LazyGroup(click.Group):
-    """A group of the core's commands and of those that extras add to it; the core's need no extra's table.
+    """A group with the core's commands and those that extras add; core commands work without the extras' tables.
 
     Parameters
     ----------
     titles
         Title in ``--help`` → the commands under it.
     words
-        Words by which the command is called, without ``rig``.
+        Words that call the group on the command line, without ``rig``.
     """
 
     def __init__(self, *arguments: Any, titles: Mapping[str, Table], words: str = "", **more: Any) -> None:
@@ -35,7 +35,7 @@ class LazyGroup(click.Group):
 
     @cached_property
     def _listed(self) -> dict[str, list[str]]:
-        """Return title → names, those of extras before the command that they name, else at the end."""
+        """Return title → names of commands; an extra's command is before the command that its table names, or last."""
         listed = {title: list(table) for title, table in self._titles.items()}
         for row in extras.added("commands").values():
             above, _, name = row.name.rpartition(" ")
@@ -46,11 +46,11 @@ class LazyGroup(click.Group):
         return listed
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names, in the order of ``--help``."""
+        """Return the names of the commands in the order of ``--help``."""
         return [name for names in self._listed.values() for name in names]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import a command, or make the group of a table."""
+        """Import and return a command, or create the group of a table; None if the name is unknown."""
         words = f"{self._words} {cmd_name}".strip()
         entry = self._core.get(cmd_name)
         if isinstance(entry, tuple):
@@ -62,7 +62,7 @@ class LazyGroup(click.Group):
         return None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """List the commands without importing them, and at the top which extras are broken."""
+        """Write the list of commands without importing them, and above it the extras that cannot be loaded."""
         for title, names in self._listed.items():
             with formatter.section(title):
                 formatter.write_dl([(name, help_line(f"{self._words} {name}".strip())) for name in names])

@@ -1,4 +1,4 @@
-"""Contents of ``completion.json``: help lines, options and kinds of values, read without importing the commands."""
+"""Read ``completion.json`` (help lines, options and kinds of values) without importing the commands."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FILE = os.path.join(os.path.dirname(__file__), NAME)  # pathlib takes longer to 
 
 @cache
 def listing() -> dict[str, Any]:
-    """Return the core's commands by their words, and names of built-in parts, as they were when it was written."""
+    """Return the content of the core's ``completion.json``: commands by their words, and names of built-in parts."""
     with open(FILE, encoding="utf-8") as file:
         read: dict[str, Any] = json.load(file)
     return read
@@ -23,7 +23,7 @@ def listing() -> dict[str, Any]:
 
 @cache
 def commands() -> dict[str, Any]:
-    """Return the commands by their words, those of extras from the file beside each table, if it can be read."""
+    """Return all commands by their words; those of an extra are from the file beside its table, if it is readable."""
     found = dict(listing()["commands"])
     for table in extras.tables():
         if "commands" in table.rows:
@@ -36,5 +36,5 @@ def commands() -> dict[str, Any]:
 
 
 def help_line(words: str) -> str:
-    """Return the first sentence of a command's help, "" when its extra's file cannot be read."""
+    """Return the first sentence of a command's help; empty if the file of its extra cannot be read."""
     return str(commands().get(words, {}).get("help", ""))

@@ -1,4 +1,4 @@
-"""The next command of the way from the description of a rig to its map, which each command of it names at its end."""
+"""Name at the end of a command the next one on the way from the description of a rig to its map."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NEXT: Mapping[str, str] = {
 
 
 def name_next() -> None:
-    """Name the command after the one that runs, on standard error; not beside JSON, and not with ``-q``."""
+    """Print the next command to standard error, unless the running command prints JSON or has ``-q``."""
     context = click.get_current_context()
     given = context.params
     if given.get("as_json"):

@@ -1,4 +1,4 @@
-"""The progress of a rehearsal on standard error: one line on a terminal, written over; elsewhere one for each event."""
+"""Show the progress of a rehearsal on standard error: one updated line on a terminal, otherwise a line per event."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ _SURE = 2  # trials that are timed before the remaining time is shown
 
 
 class Rehearsed:
-    """Shows the progress of a rehearsal; `looks` is shown what a desk would show, `on_event` is called with each event.
+    """Progress of a rehearsal. The engine calls `looks` with each view of the desk and `on_event` with each event.
 
     Parameters
     ----------
     quiet
-        Show nothing.
+        True to show nothing.
     clock
-        Time (s).
+        Function that returns the time (s).
     """
 
     def __init__(self, *, quiet: bool, clock: Callable[[], float] = time.monotonic) -> None:
@@ -40,12 +40,12 @@ class Rehearsed:
             click.echo("\r\033[K", nl=False, err=True)
 
     def on_event(self, event: Event) -> None:
-        """Print the event as a line, without a terminal (where a progress line is shown) and without ``-q``."""
+        """Print the event as a line, unless ``-q`` is given or a terminal shows the progress line."""
         if not self._line and not self._quiet:
             click.echo(f"  {line_of_event(event)}", err=True)
 
     def looks(self, view: DeskView) -> None:
-        """Show the trial's number and the remaining time."""
+        """Show the trial's number and the remaining time on the progress line."""
         if self._quiet or view.state != "ready":
             return
         left = self._left_s(view)

@@ -1,7 +1,7 @@
-"""Where each command of the core is, by the titles of ``rig --help``: daily verbs alone, the rest in groups.
+"""Table of the core's commands and their modules, by the titles of ``rig --help``; less frequent ones are in groups.
 
-Commands of extras stand in their tables (`rig.core.extras`). `rig.cli.completion_table` writes what shells and
-``--help`` show of all of them.
+Commands of extras are in the extras' tables (`rig.core.extras`). `rig.cli.completion_table` writes the texts that
+shells and ``--help`` show of all commands.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Values of options and arguments that a shell completes by name; nothing heavy is imported for that."""
+"""Types of option values that a shell completes by name, without slow imports."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _RECORDING = (".parquet", ".rigcap")
 
 
 class Named(click.ParamType):  # type: ignore[type-arg]  # click before 8.4 cannot subscript it
-    """Text with completions for the shell; the command checks its value."""
+    """A text value with completions for the shell; the command checks the value itself."""
 
     def __init__(self, name: str, known: Callable[[str], Iterable[str]]) -> None:
         self.name = name
@@ -35,7 +35,7 @@ class Named(click.ParamType):  # type: ignore[type-arg]  # click before 8.4 cann
 
 
 class Files(click.Path):
-    """A path; a shell shows directories, and the files that end so."""
+    """A path value; the shell completes directories and files with the given endings."""
 
     def __init__(self, name: str, *endings: str) -> None:
         super().__init__(path_type=Path)
@@ -45,17 +45,17 @@ class Files(click.Path):
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
-        """Return the paths that begin like that."""
+        """Return the paths that begin with the incomplete word."""
         return [CompletionItem(each) for each in paths(incomplete, self._endings)]
 
 
 class FrequencyBand(click.ParamType):  # type: ignore[type-arg]  # as above
-    """Frequencies (Hz), written as LOW:HIGH."""
+    """A frequency band (Hz), written as LOW:HIGH."""
 
     name = "band"
 
     def convert(self, value: Any, param: Any, ctx: Any) -> tuple[float, float]:
-        """Return lowest and highest frequency (Hz) of LOW:HIGH."""
+        """Return the lowest and the highest frequency (Hz) of a text LOW:HIGH."""
         try:
             low, high = (float(part) for part in value.split(":"))
         except ValueError:
@@ -70,7 +70,7 @@ class FrequencyBand(click.ParamType):  # type: ignore[type-arg]  # as above
 
 
 def paths(incomplete: str, endings: tuple[str, ...]) -> Iterator[str]:
-    """Yield directories, and files that end so, whose name begins with what was typed."""
+    """Yield directories, and files with one of the endings, whose path begins with the incomplete word."""
     place, _, begun = incomplete.rpartition("/")
     before = f"{place}/" if "/" in incomplete else ""
     try:
@@ -93,7 +93,7 @@ def presets() -> list[str]:
 
 
 def estimators() -> list[str]:
-    """Return names of all estimators, plug-ins included."""
+    """Return the names of all estimators, plug-ins included."""
     known: list[str] = listing()["estimators"]
     return [*known, *(point.name for point in plugins.find_plugins("rig.estimators", known))]
 
@@ -104,7 +104,7 @@ def _rigs(incomplete: str) -> Iterator[str]:
 
 
 def _schemes(incomplete: str) -> Iterator[str]:
-    """Yield the kind first, then settings, one after each comma; rates are not completed."""
+    """Yield completions of a scheme: first its kind, then after each comma a setting; rates are not completed."""
     begun, comma, _ = incomplete.rpartition(",")
     if not comma:
         yield from ("none", "uniform:", "dual:")

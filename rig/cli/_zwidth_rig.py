@@ -1,4 +1,4 @@
-"""The person at a rig that is being mapped: asked before hits, and shown their results. All on standard error."""
+"""Dialogue with the person at a rig that is mapped: ask before hits and show results, on standard error."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ SHOWN_PAUSE_S = 2.0
 
 
 class Dialogue:
-    """Maps a device with a person beside it.
+    """Map the walls of a device with a person beside it.
 
     Parameters
     ----------
     plan
         Plan of the map.
     url, realtime
-        URL of the device, and True for real time.
+        URL of the device, and True to run in real time.
     confirm
-        One of `CONFIRM`; None asks before each hit on a real device, and never on a simulated one.
+        When to ask, one of `CONFIRM`; None to ask before each hit on a real device and never on a simulated one.
     """
 
     def __init__(self, plan: MapPlan, url: str, *, realtime: bool, confirm: str | None) -> None:
@@ -43,7 +43,7 @@ class Dialogue:
         self._confirm = confirm or ("no" if simulated else "each")
 
     def map(self, directory: Path, *, verified: bool) -> tuple[Path, ZWidth]:
-        """Map the device into a directory of its own below this one; returns that and the map."""
+        """Map the device; return the new directory of the map (below `directory`) and the map."""
         place = maps.directory_for(self._plan, directory, "zwidth", work_of(self._url, self._realtime))
         session = DeviceMap(
             where=OnDevice(
@@ -83,7 +83,7 @@ class Dialogue:
         return True
 
     def _hands_off(self, text: str) -> None:
-        """Before a torque pulse, which a hit with a person begins with where the rig was not tried, or is in doubt."""
+        """Ask for consent to the torque pulse that tests the rig before a hit; raise `StoppedError` without consent."""
         if self._confirm == "no":
             _print_message(f"  {text}")
         elif not _ask(f"  {text}   Enter: continue, q: end "):
@@ -105,22 +105,22 @@ class Dialogue:
 
 
 def load_device(url: str) -> None:
-    """Import what hits on a device need, which compiles."""
+    """Import the backend for hits on a device, which compiles its kernels."""
     load_backend(url)
 
 
 def refuse_without_device(verified: bool, confirm: str | None) -> None:
-    """Options about a device mean nothing without one."""
+    """Raise `ConfigError` for options of a device that are given without --url."""
     given = [name for name, value in (("--verified", verified), ("--confirm", confirm)) if value]
     if given:
         raise ConfigError(
-            f"{given[0]} needs a device, and none is given",
+            f"{given[0]} needs a device, but --url is missing",
             remedy=f"give the device with --url, or drop {given[0]}",
         )
 
 
 def _ask(text: str) -> bool:
-    """Wait for Enter or q; the end of the input ends, too."""
+    """Ask and return True for Enter, False for q or the end of the input."""
     while True:
         click.echo(text, nl=False, err=True)
         line = sys.stdin.readline()

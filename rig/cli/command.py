@@ -1,6 +1,6 @@
-"""How every command looks and behaves: its options in groups, and ``-q``.
+"""Common appearance of all commands: options in groups, and the option ``-q``.
 
-Every command of the core and of the extras is made with it. It must not know any single command.
+All commands of the core and of the extras are created with it. It must not depend on a single command.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class GroupedCommand(click.Command):
             )
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write one section for each group: what it works on, its own options, the device, what comes out."""
+        """Write one section for each group of options: the experiment, the command's own, the device, the result."""
         groups: dict[str, list[tuple[str, str]]] = {EXPERIMENT: [], OWN: []}
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx) if isinstance(parameter, click.Option) else None
@@ -80,7 +80,7 @@ class GroupedCommand(click.Command):
                     formatter.write_dl(records)
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run it; quiet, nothing but JSON reaches standard output."""
+        """Run the command; with ``-q`` only JSON is written to standard output."""
         if not ctx.meta.get(_QUIET) or ctx.params.get("as_json"):
             return super().invoke(ctx)
         with open(os.devnull, "w", encoding="utf-8") as nothing, redirect_stdout(nothing):
@@ -88,5 +88,5 @@ class GroupedCommand(click.Command):
 
 
 def command(name: str | None = None, *, quiet: bool = True) -> Callable[[Callable[..., Any]], GroupedCommand]:
-    """Make a function a command, as `click.command` does."""
+    """Return a decorator that creates a command from a function, like `click.command`."""
     return click.command(name, cls=GroupedCommand, quiet=quiet)

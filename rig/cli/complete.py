@@ -1,8 +1,8 @@
-"""Answers to a shell's requests for completion.
+"""Answer a shell's requests for completion.
 
-A shell must not wait, and most commands import numpy and a compiler: answers come from files named ``completion.json``
-(`rig.cli.completion_table` writes them). `rig.__main__` calls it before anything else is loaded. It must not import a
-command.
+A shell must not wait, and most commands import numpy and a compiler, so the answers come from files named
+``completion.json``, which `rig.cli.completion_table` writes. `rig.__main__` calls this file before all other imports.
+It must not import a command.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ complete -o nosort -F %(complete_func)s %(prog_name)s
 
 
 class Bash(BashComplete):
-    """Completion for bash, of a whole line."""
+    """Completion for bash that receives the whole command line."""
 
     source_template = _BASH
 
     def get_completion_args(self) -> tuple[list[str], str]:
-        """Return words before the last one, and what of that is typed."""
+        """Return the words before the last word, and the typed part of the last word."""
         line = os.environ["COMP_WORDS"]
         words = split_arg_string(line)[1:]
         return (words, "") if line.endswith(" ") else (words[:-1], words[-1] if words else "")
@@ -60,9 +60,10 @@ SHELLS: dict[str, type[ShellComplete]] = {"bash": Bash, "zsh": ZshComplete, "fis
 
 
 def answer(instruction: str) -> int:
-    """Answer a shell, as click does: ``bash_source`` asks for its script, and that for ``bash_complete``.
+    """Answer a request of the shell and return the exit code.
 
-    The words come by the script's variables. Returns the exit code.
+    Instructions are those of click: ``bash_source`` requests the completion script, and that script requests
+    ``bash_complete``. The words of the command line are in environment variables, which the script sets.
     """
     shell, _, what = instruction.partition("_")
     known = SHELLS.get(shell)
@@ -74,7 +75,7 @@ def answer(instruction: str) -> int:
 
 
 def tree(rows: Mapping[str, Any]) -> click.Group:
-    """Return empty commands with the options of their rows."""
+    """Return a tree of commands that have options but do nothing, from the rows of ``completion.json``."""
     groups = {"": click.Group("rig")}
     for name, row in rows.items():
         above, _, last = name.rpartition(" ")

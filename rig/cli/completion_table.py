@@ -1,8 +1,7 @@
-"""Makes ``completion.json`` of the core's commands and of each extra's: ``python -m rig.cli.completion_table``.
+"""Write ``completion.json`` for the core's commands and for those of each extra.
 
-A test finds them stale.
-
-The builder of documents reads its rows. No command may import it.
+Run ``python -m rig.cli.completion_table`` after a change of a command; a test fails if a file is stale. The builder of
+documents reads the rows. No command may import this file.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from rig.experiments.estimation.interface import SIGNALS
 
 
 def made() -> dict[Path, str]:
-    """Return the text of each file as it is to be, a line for each command."""
+    """Return path and up-to-date text of each ``completion.json``, with a line for each command."""
     added = extras.added("commands")
     rows = dict(command_rows())
     core = {name: row for name, row in rows.items() if name not in added}
@@ -39,7 +38,7 @@ def made() -> dict[Path, str]:
 
 
 def command_rows() -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield each command by its words, and what is listed of it, in the order of ``--help``."""
+    """Yield the words and the row (help line, options) of each command, in the order of ``--help``."""
     yield from _rows(cli.rig, "")
 
 
@@ -52,7 +51,7 @@ def _json(part: Any) -> str:
 
 
 def _rows(group: click.Group, above: str) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield each command by its words, a group before those in it; a group has no options."""
+    """Yield the words and the row of each command below a group; a group is before its commands, without options."""
     context = click.Context(group)
     for last in group.list_commands(context):
         one, name = group.get_command(context, last), f"{above} {last}".strip()
@@ -73,7 +72,7 @@ def _row(one: click.Command) -> dict[str, Any]:
 
 
 def _kind(parameter: click.Parameter) -> Any:
-    """Return the kind of a value: None for a flag, the choices, a name in `values.KINDS`, ``path`` or ``text``."""
+    """Return the kind of an option's value: None (flag), a list of choices, a key of `values.KINDS`, path or text."""
     if getattr(parameter, "is_flag", False):
         return None
     kind = parameter.type

@@ -226,7 +226,7 @@ def design_(
 
 
 def _ticks(request: DesignRequest, board: str) -> list[str]:
-    """Return the cost of the law's tick on the device, and that the experiment's own law does not fit."""
+    """Return notes on the cycles of a law on the device, and a note if the experiment's own law is too slow."""
     if not any(one.loop == "device" for one in request.places):
         return []
     budget, own = named_budget(board), request.experiment.controller
@@ -239,7 +239,7 @@ def _ticks(request: DesignRequest, board: str) -> list[str]:
 
 
 def _limits(asked: dict[str, Any]) -> list[str]:
-    """Return limits of felt, heard and moved as the keys of an experiment that they are."""
+    """Return the options --felt, --heard and --moved as changes KEY=VALUE of the experiment."""
     keys = {"felt": "verdict.felt_velocity", "heard": "verdict.heard_force", "moved": "verdict.moved"}
     return [f"{key}={asked[name]!r}" for name, key in keys.items() if asked[name] is not None]
 
@@ -266,7 +266,7 @@ def _wall(
 
 
 def _places(experiment: Experiment, url: str | None, asked: dict[str, Any]) -> tuple[LawPlace, ...]:
-    """Return where the law may run: as the options say, or the device."""
+    """Return the places at which the law may run (host, device), from the options or from the device at `url`."""
     loop, names = asked["loop"], ("most_rate", "round_trip", "link")
     if url is None:
         rate, round_trip_s, link = (asked[name] for name in names)
@@ -296,7 +296,7 @@ def _places(experiment: Experiment, url: str | None, asked: dict[str, Any]) -> t
 
 
 def _write(found: Design, place: Path, section: Path | None, ending: str) -> dict[str, str | None]:
-    """Write section, numbers, picture and page, and return their paths by name."""
+    """Write the section, the numbers, the picture and the page of a design; return their paths by name."""
     write_document(place / SUMMARY, found.as_mapping())
     for path in [place / SECTION, *([] if section is None else [section])]:
         with whole_file(path, overwrite=True) as file:
@@ -318,7 +318,7 @@ def _write(found: Design, place: Path, section: Path | None, ending: str) -> dic
 def _on_rig(
     found: Design, url: str, verified: bool, confirm: str | None, place: Path
 ) -> list[dict[str, Any]]:
-    """Map the recommended scheme and the experiment's own on the device, as `rig zwidth --url` does."""
+    """Map the recommended scheme and the experiment's own scheme on the device; return the maps as plain values."""
     maps = []
     standings = [found.recommended] if found.recommended is found.own else [found.recommended, found.own]
     for one in (standing.candidate for standing in standings):

@@ -80,9 +80,9 @@ def hit(request: hits.HitRequest, plot: str, expected: tuple[str, ...], as_json:
 
 
 class Artist:
-    """A process of its own that draws pictures: it imports its libraries while the trial runs.
+    """A separate process that draws pictures; it imports its libraries while the trial runs.
 
-    A picture that fails is reported and takes nothing with it, since the recording is on disk.
+    If a picture fails, this is only reported, because the recording is already on disk.
     """
 
     def __init__(self, ending: str) -> None:
@@ -108,7 +108,7 @@ class Artist:
             self._process.communicate()
 
     def draw(self, recording: Path) -> str | None:
-        """Draw a recording; return the picture's path, or None when none was wanted or could be drawn."""
+        """Draw a recording; return the picture's path, or None if no picture is requested or it cannot be drawn."""
         process = self._process
         if process is None or process.stdin is None or process.stdout is None:
             return None
@@ -134,7 +134,7 @@ def _print_result(result: Any, picture: str | None, changed: list[str]) -> None:
 
 
 def _print_gate(gate: Gate) -> None:
-    """Say what speaks against arming where it is armed all the same: a simulated rig, or --arm-anyway."""
+    """Print the reasons against arming if the wall is armed in spite of them: on a simulated rig, or --arm-anyway."""
     if gate.armable:
         return
     why = "--arm-anyway" if gate.forced and not gate.simulated else "a real rig would refuse to arm"
@@ -142,7 +142,7 @@ def _print_gate(gate: Gate) -> None:
 
 
 def _show_what_was_recorded(error: RigError, artist: Artist, *, quiet: bool) -> None:
-    """Show and draw a run that ended early, as far as it got."""
+    """Print and draw the recorded part of a run that ended early."""
     try:
         left = hits.left_by(error)
     except RigError as unreadable:

@@ -119,7 +119,7 @@ def _weigh(request: WeighRequest, as_json: bool) -> None:
 
 
 def _ask(text: str) -> None:
-    """Have a person do something, and wait for Enter."""
+    """Ask the person to do something, and wait for Enter."""
     click.echo(f"  {text}; then press Enter", err=True)
     if not sys.stdin.readline():
         raise ConfigError("standard input ended before Enter was pressed", remedy="run it in a terminal")

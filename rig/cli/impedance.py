@@ -134,7 +134,7 @@ def measure(
 
 
 def _walls(experiment: Experiment, stiffness: str | None, damping: str | None, bare: bool) -> list[Wall]:
-    """Return the walls that the options mean, the bare rig first."""
+    """Return stiffness and damping of the walls that the options select; the bare rig (0, 0) is the first."""
     own = experiment.wall
     if stiffness is None and damping is None:
         return [(0.0, 0.0)] if bare else [(0.0, 0.0), (own.stiffness, own.damping)]
@@ -151,7 +151,7 @@ def _walls(experiment: Experiment, stiffness: str | None, damping: str | None, b
 
 
 def _progress(quiet: bool) -> Any:
-    """Count the runs on a terminal."""
+    """Return a function that shows the number of finished runs; None without a terminal."""
     if quiet or not output.on_terminal():
         return None
 
@@ -224,7 +224,7 @@ def _pairs(result: ImpedanceResult) -> list[tuple[str, str]]:
 
 
 def _effective(fidelity: Fidelity, stiffness: str, damping: str) -> list[tuple[str, str]]:
-    """Return the effective stiffness and damping with the lines that they are means over."""
+    """Return label and text of effective stiffness and damping, with the number and band of their lines."""
     low, high = fidelity.effective_band_hz
     if fidelity.effective_lines < EFFECTIVE_LINES:
         text = (
@@ -243,7 +243,7 @@ def _effective(fidelity: Fidelity, stiffness: str, damping: str) -> list[tuple[s
 
 
 def _no_port(result: ImpedanceResult) -> list[tuple[str, str]]:
-    """On two masses the encoder is not where the world pushes."""
+    """Return a note that passivity was not tested, if encoder and handle are on different masses."""
     if result.experiment.rig.mechanics.structure == "rigid" or result.signal == "truth":
         return []
     return [

@@ -1,6 +1,6 @@
-"""Options that the commands for maps share: whose walls are hit; how a map is computed, and where it is written.
+"""Options that the commands for maps share: the rig and its walls, the computation, and the output.
 
-Commands that run a map use them as decorators. This file must not run one.
+Commands that run a map use them as decorators. This file must not run a map.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def chosen(
     url: str | None = None,
     device: bool = False,
 ) -> Experiment:
-    """Return the experiment to map: in simulation a built-in rig is held by a hand unless something else is given."""
+    """Return the experiment to map; a simulated built-in rig is held by a hand unless the options say otherwise."""
     experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))
     says = any(text.partition("=")[0].strip() == "trial.kind" for text in sets)
     if operator is None and file is None and effort is None and not device and not says:

@@ -20,7 +20,7 @@ from rig.experiments.new_rig import DataSheetQuestion, questions, questions_for
 
 
 def _answer_options(function: options.F) -> options.F:
-    """Add an option for each question."""
+    """Add an option for each question about the data sheets."""
     return reduce(
         lambda decorated, add: add(decorated),
         reversed([_option(*one) for one in questions().items()]),
@@ -70,13 +70,13 @@ def new(file: Path, overwrite: bool, as_json: bool, **given: str | None) -> None
 
 
 def _is_complete(given: dict[str, str | None]) -> bool:
-    """Return True if the options answer every question that must be answered."""
+    """Return True if the options answer all questions that need an answer."""
     asked = questions_for(given["mechanism"] or "")
     return bool(asked) and all(question.assumed or given[name] for name, question in asked.items())
 
 
 def _ask(answers: dict[str, Any]) -> None:
-    """Ask every question without an answer; a wrong answer is asked again."""
+    """Ask all questions that have no answer yet; repeat a question after an invalid answer."""
     click.echo(
         "From the data sheets of motor and encoder. Numbers in SI units, or with a unit: 38.5mNm/A, 110gcm2, 8cm."
     )
@@ -88,7 +88,7 @@ def _ask(answers: dict[str, Any]) -> None:
 
 
 def _prompt(name: str, question: DataSheetQuestion) -> Any:
-    """Return an answer; None for an empty one to a question that need not be answered."""
+    """Ask a question and return the answer; None if an optional question is left empty."""
 
     def read(text: str) -> Any:
         if not text.strip() and question.assumed:

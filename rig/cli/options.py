@@ -1,6 +1,6 @@
-"""Options that several commands share, each defined once: the same thing has the same name and values everywhere.
+"""Options that several commands share, each defined once, so that names and values are the same in all commands.
 
-Commands of the core and of extras use them as decorators. This file must not run anything: it only refuses values.
+Commands of the core and of extras use them as decorators. This file must not run anything; it only checks values.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ json_option = command.json_option
 
 
 def added(*options: Callable[[F], F]) -> Callable[[F], F]:
-    """Return one decorator for several, shown in this order."""
+    """Return one decorator that adds several options, shown in this order."""
 
     def add(function: F) -> F:
         for one in reversed(options):
@@ -53,7 +53,7 @@ file_argument = click.argument("file", required=False, type=values.EXPERIMENT_FI
 
 
 def rig_option(default: str = DEFAULT_PRESET, *, given: bool = False) -> Callable[[F], F]:
-    """Add --rig; with `given` the command gets the default, else None when the option is not given."""
+    """Add --rig. Without the option the command receives the default if `given` is True, otherwise None."""
     more: dict[str, Any] = {"default": default, "show_default": True} if given else {}
     help = "Built-in rig or TOML file." + ("" if given or not default else f" [{default}]")
     return option(
@@ -62,7 +62,7 @@ def rig_option(default: str = DEFAULT_PRESET, *, given: bool = False) -> Callabl
 
 
 class CommandSettings(HitSettings, total=False):
-    """Settings that commands change by options of their own, beside rates and operator."""
+    """Settings of the experiment that have their own options, besides rates and operator."""
 
     estimator: Annotated[str, Keyword(key="controller.estimator")]
     cutoff: Annotated[
@@ -81,7 +81,7 @@ wall_options = keyword_options(CommandSettings, "stiffness", "damping")
 
 
 def walls_options(stiffness: str, damping: str) -> Callable[[F], F]:
-    """Return the same of several walls: lists, which both mean alike; the texts say of what."""
+    """Add --stiffness and --damping as lists of values for several walls; the parameters are the help texts."""
     return added(
         option("-K", "--stiffness", group=EXPERIMENT, metavar="K,…|FROM:TO[:N]", help=stiffness),
         option("-B", "--damping", group=EXPERIMENT, metavar="B,…|FROM:TO:N", help=damping),
@@ -89,7 +89,7 @@ def walls_options(stiffness: str, damping: str) -> Callable[[F], F]:
 
 
 class Hertz(click.ParamType):  # type: ignore[type-arg]  # click before 8.4 cannot subscript it
-    """A rate, written as rates are everywhere: 2000 or 2k."""
+    """A rate in hertz, written as 2000 or 2k."""
 
     name = "rate"
 
@@ -97,7 +97,7 @@ class Hertz(click.ParamType):  # type: ignore[type-arg]  # click before 8.4 cann
         self._lowest, self._highest = lowest, highest
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        """Return the rate in Hz; fails outside of the allowed range."""
+        """Return the rate in Hz; fail if it is outside of the allowed range."""
         if isinstance(value, int):
             return value
         try:
@@ -130,7 +130,7 @@ cutoff_option = keyword_options(CommandSettings, "cutoff")
 
 
 def scheme_option(default: str, group: str = EXPERIMENT) -> Callable[[F], F]:
-    """Return sampling schemes to compare, by `default` if none is given, and the cut-off of those that state none."""
+    """Add --scheme, the schemes to compare (`default` describes the default), and their common cut-off option."""
     return added(
         option(
             "--scheme",
@@ -162,7 +162,7 @@ set_option = option(
 
 
 def seed_option(help: str, group: str = EXPERIMENT, **more: Any) -> Callable[[F], F]:
-    """Add --seed, of the command's random numbers."""
+    """Add --seed, the seed of the command's random numbers."""
     return option("--seed", group=group, type=click.IntRange(0), help=help, **more)
 
 
@@ -189,7 +189,7 @@ judge_option = option(
 
 
 def url_option(default: str) -> Callable[[F], F]:
-    """Return which device; the text says what is done without one."""
+    """Add --url, the device; the text `default` says what the command does without a device."""
     return option(
         "--url",
         group=DEVICE,
@@ -234,7 +234,7 @@ def confirm_option(choices: tuple[str, ...], default: str) -> Callable[[F], F]:
 
 
 def output_option(default: str | None, help: str, *names: str) -> Callable[[F], F]:
-    """Return the directory, or file, of what the command makes."""
+    """Add -o and --output, the directory or file of the command's result."""
     more: dict[str, Any] = {} if default is None else {"default": Path(default), "show_default": True}
     return option("-o", "--output", *names, group=RESULT, type=click.Path(path_type=Path), help=help, **more)
 
@@ -247,7 +247,7 @@ overwrite_option = option("--overwrite", group=RESULT, is_flag=True, help="Repla
 
 
 def expect_option(verdicts: tuple[str, ...]) -> Callable[[F], F]:
-    """For scripts: end with a code of its own unless the verdict is this one; several can be given."""
+    """Add --expect, for scripts: the command ends with exit code 17 unless the verdict is one of the given ones."""
     return option(
         "--expect",
         "expected",
@@ -294,7 +294,7 @@ def plot_options(help: str = "Draw a picture.", *, default: bool = True) -> Call
 
 @dataclass(slots=True)
 class PictureOption:
-    """Choice of a picture and its path; after drawing, the path drawn, or why a named file could not be drawn."""
+    """User's choice of a picture and its path; after `draw` also the drawn path or the failure."""
 
     wanted: bool
     path: Path | None
@@ -303,7 +303,7 @@ class PictureOption:
     failure: RigError | None = None
 
     def draw(self, stem: Path, draw: Callable[[Path], Path]) -> None:
-        """Draw it, if it is wanted, as the file that was named, else beside `stem`; a failure is reported."""
+        """Draw the picture if it is wanted, into the named file or beside `stem`; report a failure without raising."""
         if not self.wanted:
             return
         try:
@@ -320,9 +320,10 @@ class PictureOption:
 
 
 def picture_options(help: str, *, default: bool, place: str) -> Callable[[F], F]:
-    """Add the options of a command's only output, a picture; the command receives a `PictureOption` as `picture`.
+    """Add the options of a picture that is the command's only file; the command receives a `PictureOption`.
 
-    When a file that the user names cannot be drawn, the command prints its numbers and ends with the exit code of that.
+    If a file that the user names cannot be drawn, the command still prints its numbers and ends with the exit code of
+    the failure.
     """
 
     def add(function: F) -> F:
@@ -330,7 +331,8 @@ def picture_options(help: str, *, default: bool, place: str) -> Callable[[F], F]
         def called(*, plot: bool, path: Path | None, ending: str | None, **others: Any) -> Any:
             if path is not None and ending is not None and path.suffix.lower() != f".{ending}":
                 raise ConfigError(
-                    f"--output {path} and --format {ending} name different formats", remedy="drop one of them"
+                    f"--output {path} and --format {ending} name different formats",
+                    remedy="drop --format, or change the ending of --output",
                 )
             picture = PictureOption(plot or path is not None, path, ending)
             result = function(picture=picture, **others)
@@ -366,7 +368,7 @@ free_rig_options = added(file_argument, rig_option(), set_option)
 
 
 def request_options(request: type, which: Callable[[F], F]) -> Callable[[F], F]:
-    """Add the options of `which` experiment and of each keyword of a `RigRequest`, which the command receives."""
+    """Add the options in `which` and those of all keywords of a `RigRequest`; the command receives the request."""
 
     def add(function: F) -> F:
         @wraps(function)
@@ -391,7 +393,7 @@ def excited_experiment(
     cutoff: str | None,
     **named: Any,
 ) -> Experiment:
-    """Load a rig that is excited; `named` are `ExcitationSettings`, None where they are not given."""
+    """Return the experiment of a rig that is excited; `named` are `ExcitationSettings`, None if not given."""
     given = {name: value for name, value in named.items() if value is not None}
     if url is not None:
         given.setdefault("channel", "motor")
@@ -406,7 +408,7 @@ def excited_experiment(
 
 
 def chosen_experiment(file: Path | None, preset: str | None) -> Experiment:
-    """Load the file, else the named preset, else the default one."""
+    """Return the experiment of the file, of the named preset, or of the default preset."""
     if file is not None and preset is not None:
         raise ConfigError(
             "both a file and --rig are given", remedy='write preset = "…" into the file, or drop --rig'
@@ -417,14 +419,14 @@ def chosen_experiment(file: Path | None, preset: str | None) -> Experiment:
 
 
 def preset_of(url: str | None, file: Path | None) -> str | None:
-    """Return the preset that a ``sim://name`` names, when no file says what the experiment is."""
+    """Return the preset that a URL ``sim://name`` names, if no file describes the experiment; otherwise None."""
     if url is None or file is not None or not url.startswith("sim://"):
         return None
     return DeviceUrl.parse(url).place or None
 
 
 def changes(rate: str | None = None, sets: tuple[str, ...] = (), **named: Any) -> dict[str, Any]:
-    """Return what the user set by hand, by dotted key; `named` are `CommandSettings`."""
+    """Return the values that the options change, by dotted key; `named` are `CommandSettings`."""
     changed = changes_of({name: value for name, value in named.items() if value is not None}, CommandSettings)
     if rate is not None:
         changed["controller.position_rate"], changed["controller.velocity_rate"] = parse_rate(rate)
@@ -440,18 +442,18 @@ def changes(rate: str | None = None, sets: tuple[str, ...] = (), **named: Any) -
 
 
 def key_values(texts: tuple[str, ...]) -> dict[str, Any]:
-    """Return arguments KEY=VALUE by key, values as TOML has them."""
+    """Return arguments KEY=VALUE as a mapping; a value is parsed as TOML."""
     changed: dict[str, Any] = {}
     for text in texts:
         key, equals, value = text.partition("=")
         if not equals or not key.strip():
-            raise ConfigError(f"{text}: no value", remedy="write key=value, like wall.pull=allow")
+            raise ConfigError(f"{text}: the value is missing", remedy="write key=value, like wall.pull=allow")
         changed[key.strip()] = _value(value.strip())
     return changed
 
 
 def parse_rate(text: str) -> tuple[int, int]:
-    """Return rates of an option ``--rate``, in Hz, as schemes have them."""
+    """Return position rate and velocity rate (Hz) of an option ``--rate``, such as 20k/2k."""
     try:
         return parse_rates(text)
     except ConfigError as error:
@@ -459,7 +461,7 @@ def parse_rate(text: str) -> tuple[int, int]:
 
 
 def _value(text: str) -> Any:
-    """Read a TOML value; other text is a string, so that quotes may be left out."""
+    """Return a text parsed as a TOML value; other text is returned as a string, so quotes may be left out."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:

@@ -1,6 +1,6 @@
-"""How commands print: aligned lines for people, JSON for machines, signs of life on standard error.
+"""Print the output of commands: aligned lines for people, JSON for programs, progress on standard error.
 
-Commands of the core and of extras print through it alone. It must not compute a result.
+Commands of the core and of extras print only through this file. It must not compute a result.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _MARKS = {
 
 
 def print_json(result: Any) -> None:
-    """Print one JSON document as UTF-8, by `rig.core.present.plain`; its remedies are those of a terminal."""
+    """Print one JSON document as UTF-8, converted by `rig.core.present.plain`; remedies name options of the command."""
     text = json.dumps(_remedies_for_terminal(plain(result)), ensure_ascii=False, indent=2)
     takes_bytes = hasattr(sys.stdout, "buffer")  # not where a program redirected it into a string
     # \udcff of a file's name is JSON.
@@ -51,7 +51,7 @@ def _remedies_for_terminal(value: Any) -> Any:
 
 
 def for_terminal(text: str) -> str:
-    """Return a message as a terminal shows it: an argument, `arm_anyway`, is the option; the invisible is escaped."""
+    """Return a message for a terminal: names of arguments become options, control characters are escaped."""
     return "".join(
         one if one.isprintable() or one in "\n\t" else ascii(one)[1:-1] for one in _with_options(text)
     )
@@ -62,7 +62,7 @@ def _with_options(text: str) -> str:
 
 
 def show(items: Iterable[Item]) -> None:
-    """Print headings, rows, tables and checks; rows that follow each other are aligned."""
+    """Print headings, rows, tables and checks; consecutive rows are aligned."""
     for kind, some in groupby(items, type):
         if kind is Row:
             print_rows(cast("list[Row]", list(some)))
@@ -78,7 +78,7 @@ def show(items: Iterable[Item]) -> None:
 
 
 def print_rows(rows: Sequence[Row]) -> None:
-    """Label and text, one row a line, aligned; verdicts in their colour."""
+    """Print a line with label and text for each row, aligned; verdicts are coloured."""
     print_pairs([(row.label, _in_colour(row)) for row in rows])
 
 
@@ -89,14 +89,14 @@ def _in_colour(row: Row) -> str:
 
 
 def print_pairs(pairs: Sequence[tuple[str, str]]) -> None:
-    """Name and value, one pair a line, aligned."""
+    """Print a line with name and value for each pair, aligned."""
     width = max((len(name) for name, _ in pairs), default=0)
     for name, value in pairs:
         click.echo(f"  {name:<{width}}  {value}")
 
 
 def print_table(table: Table) -> None:
-    """Aligned columns: words left, numbers right; the caption stands above as a heading."""
+    """Print a table with its caption as heading; words are aligned left, numbers right."""
     lines = [list(table.head), *table.cells]
     widths = [max(len(line[i]) for line in lines) for i in range(len(table.head))]
     if table.caption:
@@ -110,7 +110,7 @@ def print_table(table: Table) -> None:
 
 
 def print_check(check: Check) -> None:
-    """Mark, name, text; why it matters and what to do unless it is ok."""
+    """Print mark, name and text of a check; if it is not ok, also why it matters and the remedy."""
     mark, colour = _MARKS[check.outcome]
     click.echo(f"  {click.style(mark, fg=colour)} {check.name}: {for_terminal(check.text)}")
     if check.outcome is not Outcome.OK:
@@ -120,17 +120,17 @@ def print_check(check: Check) -> None:
 
 
 def coloured(kind: str) -> str:
-    """Return a verdict in its colour."""
+    """Return a verdict with the terminal codes of its colour."""
     return click.style(kind, fg=_COLOURS.get(kind), bold=True)
 
 
 def drawn(result: Drawn, path: Path) -> str | None:
-    """Draw a result into a file and return its path; a failure is reported and costs nothing but the picture."""
+    """Draw a result into a file and return its path; report a failure and return None without raising."""
     return drawn_by(lambda: result.plot().save(path))
 
 
 def drawn_by(draw: Callable[[], Path]) -> str | None:
-    """Draw a picture that is not that of one result; as `drawn`."""
+    """Call `draw` and return the path of its picture; report a failure and return None without raising."""
     try:
         return str(draw())
     except Exception as error:  # a picture has many ways to fail, and its data are on disk
@@ -144,7 +144,7 @@ def no_picture(error: Exception, name: str = "") -> None:
 
 
 def note(text: str) -> None:
-    """A remark on standard error, such as what is being done or what comes next; ``-q`` leaves it out."""
+    """Print a remark, such as the next step, on standard error; ``-q`` suppresses it."""
     if not told_quiet():
         click.echo(text, err=True)
 
@@ -156,12 +156,12 @@ def on_terminal() -> bool:
 
 
 def error_facts(error: RigError) -> dict[str, Any]:
-    """Return an error for a machine, in the words of a command."""
+    """Return an error as plain values for JSON; its message names options of the command."""
     return {**error.as_mapping(), "error": _with_options(error.message)}
 
 
 class StatusLine:
-    """Progress of a step, on one line of standard error; without a terminal a line for each step."""
+    """Show progress on one line of standard error; without a terminal, print a line for each step."""
 
     def __init__(self, quiet: bool) -> None:
         self._quiet = quiet or told_quiet()
@@ -175,7 +175,7 @@ class StatusLine:
             click.echo("\r\033[K", nl=False, err=True)
 
     def on_progress(self, what: str, share: float) -> None:
-        """Show a step, and the share of it (or of all) that is done."""
+        """Show the name of a step and the completed share, 0 … 1."""
         if self._quiet:
             return
         if on_terminal():

@@ -1,6 +1,6 @@
-"""How far a sweep is, on standard error: a bar with rate and time left on a terminal, else a line every ten seconds.
+"""Show the progress of a sweep on standard error: a bar on a terminal, otherwise a line every ten seconds.
 
-Commands that run a sweep show it. It must not write to standard output, which is for results.
+Commands that run a sweep use it. It must not write to standard output, which is for results.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _MINUTE_S, _HOUR_S = 60, 3600
 
 
 class _Bar:
-    """Common part of both: a bar with text beside it, removed when its block ends, or lines without a terminal."""
+    """Base of `SweepBar` and `CountBar`: a bar with a text, removed at the end of its ``with`` block, or lines."""
 
     def __init__(self, what: str, *, plain: bool = False) -> None:
         self._what = what
@@ -62,16 +62,16 @@ class _Bar:
 
 
 class SweepBar(_Bar):
-    """Shows one sweep while its block lasts; `watch` is for `rig.experiments.sweep.run`.
+    """Show the progress of one sweep within a ``with`` block; pass `watch` to `rig.experiments.sweep.run`.
 
     Parameters
     ----------
     what
-        Name of the computation, in a word or two.
+        Short name of the computation.
     unit
-        Unit that `units_per_s` counts, like ``trials``.
+        Unit of the displayed rate, like ``trials``.
     plain
-        Lines even on a terminal, for commands that print JSON.
+        True to print lines even on a terminal, for commands that print JSON.
     """
 
     def __init__(self, what: str, *, unit: str = "tasks", plain: bool = False) -> None:
@@ -80,7 +80,7 @@ class SweepBar(_Bar):
         self._reported_damage = False
 
     def watch(self, progress: Progress) -> None:
-        """Show finished tasks and the remaining time."""
+        """Show the number of finished tasks and the remaining time."""
         if progress.damaged and not self._reported_damage:
             self._reported_damage = True
             click.echo(
@@ -89,7 +89,7 @@ class SweepBar(_Bar):
         self._show(progress.fraction, self.text(progress))
 
     def text(self, progress: Progress) -> str:
-        """``120 of 510 tasks, 1,240 trials/s, 1 min 20 s left``."""
+        """Return a text like ``120 of 510 tasks, 1,240 trials/s, 1 min 20 s left``."""
         parts = [f"{progress.done} of {progress.total} tasks"]
         if progress.units:
             parts.append(f"{_rate(progress.units_per_s)} {self._unit}/s")
@@ -116,8 +116,8 @@ def _time(seconds: float) -> str:
 
 
 class CountBar(_Bar):
-    """Shows how many of a known number are done while its block lasts; `watch` takes (done, total)."""
+    """Show the number of finished items within a ``with`` block; call `watch` with (done, total)."""
 
     def watch(self, done: int, total: int) -> None:
-        """Show how many of all are done."""
+        """Show the number of finished items and the total number."""
         self._show(done / total if total else 1.0, f"{done} of {total}")

@@ -43,7 +43,7 @@ def recover(paths: tuple[Path, ...], as_json: bool) -> None:
 
 @contextmanager
 def _bar(*, quiet: bool) -> Iterator[Callable[[int, int, Path], None] | None]:
-    """Show on a terminal which capture of how many is at work."""
+    """Yield a function that shows on a terminal the number of the capture in work and the total; None otherwise."""
     if quiet or not output.on_terminal():
         yield None
         return

@@ -207,7 +207,7 @@ def _print_orders(plan: StudyPlan) -> None:
 
 
 def _letters(place: int) -> str:
-    """Return a, B … Z, A1, B1 and on."""
+    """Return the letter of a condition by its place: A, B … Z, A1, B1 and so on."""
     return chr(ord("A") + place % 26) + (str(place // 26) if place >= 26 else "")
 
 

@@ -287,7 +287,7 @@ def show(directory: Path, with_log: bool, unblind: bool, as_json: bool) -> None:
 
 
 def _when(at_s: float) -> tuple[str, str]:
-    """Return the date and time of day here; in virtual time, which begins at 0, the time since then."""
+    """Return local date and time of day of a time (s); of virtual time, which begins at 0, the time since the start."""
     if at_s < _VIRTUAL_S:
         whole = int(at_s)
         return "in the simulation's time", f"{whole // 3600:02d}:{whole // 60 % 60:02d}:{whole % 60:02d}"
@@ -326,7 +326,7 @@ def amend(directory: Path, words: tuple[str, ...], trial: int | None, why: str, 
 def _agrees_to_other_protocol(
     protocol: Path, code: str, study: Path | None, person: Person | None, *, as_json: bool
 ) -> bool:
-    """Ask at a terminal about a protocol that is not that of the earlier sessions; elsewhere the session refuses it."""
+    """Return True if the protocol differs from the earlier sessions and the operator agrees at a terminal to use it."""
     if as_json or not _is_interactive():
         return False
     try:
@@ -342,7 +342,7 @@ def _is_interactive() -> bool:
 
 
 def _desk(person: Person | None, seen: Rehearsed, *, hand: str) -> DeskFor:
-    """Return the console, or the simulated person whose progress is shown."""
+    """Return the factory of the session's desk: the console, or a simulated person with a progress line."""
     return _console(hand) if person is None else rehearsal_desk(person, looks=seen.looks)
 
 
@@ -355,7 +355,7 @@ def _runner(
 
 
 def _console(hand: str) -> DeskFor:
-    """Return what makes the desk at the operator's terminal; refuses a process without a terminal."""
+    """Return the factory of the console at the operator's terminal; raise `ConfigError` without a terminal."""
 
     def desk(*about: Any) -> Desk:  # made when the session begins: an invalid code is reported first
         if sys.platform == "win32":

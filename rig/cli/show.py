@@ -71,7 +71,7 @@ def show(
 
 
 def _open(path: Path, *, every_column: bool) -> Recording:
-    """Open a recording with the columns that are judged and drawn, and a header that describes all of them."""
+    """Open a recording with the columns for verdict and picture (or all); the header describes all columns."""
     needed = None if every_column else {*JUDGED, *DRAWN}
     return replace(open_recording(path, needed), header=open_facts(path).header)
 
@@ -127,7 +127,7 @@ def _print(
 
 
 def _mark_pairs(happened: list[Mark]) -> list[tuple[str, str]]:
-    """Each mark with its seconds from the start of the trial, or from the first mark where there was no trial."""
+    """Return each mark with its time (s) since the start of the trial, or since the first mark without a trial."""
     pairs = []
     for mark in happened:
         start = next((one for one in happened if one.name == "trial"), happened[0])
@@ -140,7 +140,7 @@ def _mark_pairs(happened: list[Mark]) -> list[tuple[str, str]]:
 
 
 def _where(header: dict[str, Any]) -> str:
-    """Return where the law ran, and what a device has made of the wall."""
+    """Return a text on where the law ran (host or device), and on the wall as the device renders it."""
     extra = header["extra"]
     if "wall" not in extra:
         return "the host"
@@ -151,7 +151,7 @@ def _where(header: dict[str, Any]) -> str:
 
 
 def _agreement(found: dict[str, Any]) -> str:
-    """Return how the device's current followed the law that this computer ran on the same samples."""
+    """Return a text on the agreement between the device's current and the same law run on this computer."""
     return (
         f"{found['differing']} of {found['compared']} currents differ, by {found['greatest_quanta']} quanta at most"
         + (

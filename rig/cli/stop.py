@@ -42,7 +42,7 @@ def stop(asked: list[LoopMemory] | None, pid: int | None, only_list: bool, as_js
 
 
 def _show(loops: list[dict[str, Any]], nothing: str, as_json: bool) -> None:
-    """Print the loops; those that this user cannot see are never passed over in silence."""
+    """Print the loops, and a note if loops of other users may exist that this user cannot see."""
     hidden = running.hidden()
     if as_json:
         output.print_json({"loops": loops, "hidden": hidden})
@@ -58,7 +58,7 @@ def _show(loops: list[dict[str, Any]], nothing: str, as_json: bool) -> None:
 
 
 def _line(loop: dict[str, Any]) -> str:
-    """``process 4711: stopped after 12,345 ticks (trial), serial:///dev/ttyACM0, 3 s, recordings/….rigcap``."""
+    """Return a line like ``process 4711: stopped after 12,345 ticks (trial), serial:///dev/ttyACM0, 3 s, ….rigcap``."""
     did = {None: "runs,", True: "stopped after", False: "asked to stop after"}[loop.get("ended")]
     parts = [f"process {loop['pid']}: {did} {loop['ticks']:,} ticks ({loop['phase']})"]
     if loop["since"]:

@@ -151,7 +151,7 @@ def _limit(at: AtDamping, unit: str) -> str:
 
 
 def _bounds(at: AtDamping) -> list[tuple[str, str]]:
-    """Return one line for each number: conditions that ask for the same one share it."""
+    """Return label and text for each stiffness limit; conditions with an equal limit share a line."""
     binding = at.passivity.binding
     lines: dict[str, list[Bound]] = {}
     for bound in at.passivity.bounds:

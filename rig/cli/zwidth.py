@@ -181,7 +181,7 @@ def _notes(found: ZWidth) -> list[str]:
 
 
 def _holes(found: ZWidth) -> list[str]:
-    """Name the dampings at which no wall passed below others at which some did."""
+    """Return a note for each scheme on dampings at which no wall passed although some passed at a larger damping."""
     notes = []
     for number, scheme in enumerate(found.plan.schemes):
         holes = {name: found.width(number, name).holes for name in CRITERIA}

@@ -1,8 +1,7 @@
-"""Tools for a lab's own tests: laws and estimators checked, a pytest plug-in, scripted faults, golden recordings.
+"""Tools for a lab's own tests: checks of laws and estimators, a pytest plug-in, scripted faults, golden recordings.
 
-`rig.testing.plugin` is loaded in every run of pytest where this package is installed, so the names below are loaded on
-first use: importing both costs milliseconds. Tests get nearly everything as fixtures, whose types are here for those
-who annotate them::
+pytest loads `rig.testing.plugin` in every run where this package is installed, so the names below are imported on first
+use. Tests get most of them as fixtures; their types are exported for annotations::
 
     from rig.testing import FaultWords, Hits, assert_safe, assert_stable
 
@@ -13,8 +12,8 @@ who annotate them::
         rig_faults.link("unplug", tick=400)
         assert_safe(rig_hit("mine.toml"), within_ms=20.0)
 
-Labs import it in their own tests, and the pages of `rig.docs` show it. Nothing here may import its parts at once, and
-no other room may need it.
+Labs import it in their own tests, and the pages of `rig.docs` show it. This file must not import its parts eagerly, and
+no other package may depend on it.
 """
 
 from __future__ import annotations

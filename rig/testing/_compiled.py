@@ -1,4 +1,4 @@
-"""Requirements on any compiled function that runs in the loop: it allocates nothing and keeps to its memory."""
+"""Check that a compiled function of the loop allocates no memory and writes only to its own arrays."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ _MARK = 12345
 
 
 def guarded(memory: NDArray[Any]) -> tuple[NDArray[Any], Callable[[], bool]]:
-    """Return a copy of a memory between marks, and whether they are untouched: compiled code checks no index."""
+    """Return a copy of an array with guard values around it, and a function that returns True if they are unchanged.
+
+    Compiled code does not check indices, so a write outside of the array would go unnoticed otherwise.
+    """
     whole = np.full(len(memory) + 2 * GUARD, _MARK, dtype=memory.dtype)
     inside = whole[GUARD : GUARD + len(memory)]
     inside[:] = memory
@@ -25,9 +28,9 @@ def guarded(memory: NDArray[Any]) -> tuple[NDArray[Any], Callable[[], bool]]:
 
 
 def allocations(run: Callable[[], object]) -> int:
-    """Return how often compiled code asks the heap for memory during a run, once for each array that it is given.
+    """Return the number of heap allocations of compiled code during a run, including one for each array argument.
 
-    So the same count for more ticks says that a tick asks for none. 0 where nothing is compiled.
+    If the number is the same for more ticks, a tick allocates nothing. Return 0 if compilation is disabled.
     """
     if numba.config.DISABLE_JIT:
         return 0

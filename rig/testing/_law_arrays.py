@@ -1,4 +1,4 @@
-"""Any law on whole arrays, as `rig.control.estimators.arrays` for the estimators: what a wall would have answered."""
+"""Run a law over arrays of penetration and velocity; counterpart of `rig.control.estimators.arrays` for estimators."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FLOATS, _INTS = types.float64[::1], types.int64[::1]
 
 
 def run(prepared: PreparedLaw, penetration: Floats, velocity: Floats, elapsed: Ints) -> Floats:
-    """Reactions (N·m or N) of a prepared law, whose memory changes, tick by tick, through the plug type of the loop."""
+    """Return the reaction (N·m or N) of a prepared law in each tick, called as in the loop; its memory changes."""
     found = np.empty(len(penetration))
     run_all(prepared.law.function, penetration, velocity, elapsed, prepared.state, prepared.parameters, found)
     return found
@@ -34,6 +34,6 @@ def run_all(
     parameters: Floats,
     found: Floats,
 ) -> None:
-    """Call the law once for each tick; all arrays but memory and parameters have the same length."""
+    """Call the law once per tick and write the reaction of each tick to `found`; `state` is the law's memory."""
     for k in range(len(penetration)):
         found[k] = law(penetration[k], velocity[k], elapsed[k], state, parameters)

@@ -1,6 +1,6 @@
-"""Asserts about hits and recordings whose failures say where, when, how much and in which unit.
+"""Asserts about hits and recordings; their messages contain tick, time, value and unit.
 
-Each takes what a hit gives (`rig.testing.Hit`, `rig.experiments.hits.hit.HitResult`) or a recording.
+Each accepts the result of a hit (`rig.testing.Hit`, `rig.experiments.hits.hit.HitResult`) or a recording.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Subject = Any  # a Hit, a HitResult, a Recorded, or a Recording
 
 
 def assert_stable(subject: Subject) -> None:
-    """The hit was stable; else its verdict with every number and threshold behind it."""
+    """Assert that the hit was stable; the message contains its verdict with all numbers and thresholds."""
     __tracebackhide__ = True
     recording = recording_of(subject)
     experiment = _experiment_of(recording)
@@ -36,11 +36,11 @@ def assert_stable(subject: Subject) -> None:
 def assert_safe(subject: Subject, *, within_ms: float) -> None:
     """Assert that the effort is zero `within_ms` after any end of a run, and that a reason for the end is recorded.
 
-    In the recording no effort is active so long after the device latched a fault, or under a command so old. After a
-    hit that a test made, the device reaches zero within that time after the host's last frame, and disarms; on a real
-    rig its STATE shows it. `within_ms` is the whole time: a device has the lifetime of a command (five ticks, at least
-    3 ms, at most 20 ms) and the ramp behind it (10 ms at most, PROTOCOL.md). That is 13 ms at 20 kHz and 15 ms at
-    1 kHz, so 20 ms suit either; at most it is 30 ms.
+    In the recording the effort must be zero `within_ms` after the device latched a fault, and when the newest command
+    is older than `within_ms`. For the hit of a test, the device must also reach zero within that time after the host's
+    last frame, and disarm; on a real rig its STATE shows this. `within_ms` includes the lifetime of a command (five
+    ticks, at least 3 ms, at most 20 ms) and the following ramp (at most 10 ms, PROTOCOL.md): together 13 ms at 20 kHz
+    and 15 ms at 1 kHz, so 20 ms suit both, and at most 30 ms.
     """
     __tracebackhide__ = True
     if getattr(subject, "recorded", subject) is not None:
@@ -63,15 +63,15 @@ def assert_safe(subject: Subject, *, within_ms: float) -> None:
             f"not safe: the effort {after} after the host's last command; allowed are {within_ms:g} ms"
         )
     if rest.armed:
-        raise AssertionError("not safe: the device stayed armed without a host")
+        raise AssertionError("not safe: the device stayed armed without a host; it must disarm")
     if subject.error is not None and not subject.error.remedy:
         raise AssertionError(f"not safe: the error of the run has no remedy: {subject.error}")
 
 
 def assert_limit(subject: Subject, **most: float) -> None:
-    """Columns of the recording stay within bounds, either way: ``assert_limit(hit, velocity=2.0, effort_sent=0.1)``.
+    """Assert that the magnitude of columns stays within limits: ``assert_limit(hit, velocity=2.0, effort_sent=0.1)``.
 
-    Without a bound, those of the experiment: effort and speed of ``[rig.limits]``.
+    Without arguments the limits are those of the experiment: effort and speed of ``[rig.limits]``.
     """
     __tracebackhide__ = True
     recording = recording_of(subject)
@@ -84,11 +84,11 @@ def assert_limit(subject: Subject, **most: float) -> None:
 
 
 def assert_passive(subject: Subject) -> None:
-    """The wall gave the handle no energy: a passivity observer over the recording, after Hannaford and Ryu 2002.
+    """Assert that the wall gave the handle no energy, by a passivity observer after Hannaford and Ryu 2002.
 
-    The energy of a contact is the sum of the wall's active effort times the travel under it; what one contact took is
-    no credit for the next (`rig.control._watch`). Travels are known to half a count at either end, so by summation by
-    parts the sum is known to half a count times the total variation of the effort: more than that was surely given.
+    The energy of a contact is the sum of the wall's active effort times the travel during it; energy that one contact
+    dissipated does not count for the next (`rig.control._watch`). Each position is known to half a count, so the sum is
+    known to half a count times the total variation of the effort; only energy beyond that fails the assert.
     """
     __tracebackhide__ = True
     recording = recording_of(subject)
@@ -105,7 +105,7 @@ def assert_passive(subject: Subject) -> None:
 
 
 def _energy_given(rows: NDArray[np.void], x: Experiment, current_quantum_a: float) -> NDArray[np.float64]:
-    """Energy that the wall has surely given up to each row (J), from the active effort less the push behind it."""
+    """Return for each row the energy (J) that the wall has given to the handle for certain; negative if dissipated."""
     count, quantum = x.rig.encoder.resolution, current_quantum_a * x.rig.amplifier.effort_per_ampere
     push = rows["effort_wanted"] + x.wall.side * rows["effort_wall"]
     reaction, free = np.zeros(len(rows)), np.ones(len(rows), bool)
@@ -126,11 +126,13 @@ def _energy_given(rows: NDArray[np.void], x: Experiment, current_quantum_a: floa
 
 
 def recording_of(subject: Subject) -> Recording:
-    """Return the recording of what an assert is given."""
+    """Return the recording of a hit; a recording is returned as it is."""
     recorded = getattr(subject, "recorded", subject)
     recording = getattr(recorded, "recording", recorded)
     if not isinstance(recording, Recording):
-        raise TypeError(f"{subject!r} is neither a hit nor a recording")
+        raise TypeError(
+            f"{subject!r} is neither a hit nor a recording; give the result of rig_hit, or a Recording"
+        )
     return recording
 
 
@@ -155,7 +157,7 @@ def _check_rows(recording: Recording, within_ms: float) -> None:
 
 
 def _refuse(recording: Recording, since_ns: NDArray[np.int64], what: str, within_ms: float) -> None:
-    """Raise where an effort is active that should have ended so long after something."""
+    """Raise `AssertionError` if an effort is active more than `within_ms` after `what`; `since_ns` is by row."""
     wrong = (recording.rows["effort_applied"] != 0.0) & (since_ns > within_ms * 1e6)
     if wrong.any():
         row = int(wrong.argmax())
@@ -184,7 +186,7 @@ def _value(recording: Recording, name: str, row: int) -> str:
 
 
 def _at(recording: Recording, rows: NDArray[np.void], row: int) -> str:
-    """Return where a row lies: its tick, its time and its phase."""
+    """Return tick, time and phase of a row as text."""
     passed_ns = int(rows["device_time"][row] - recording.rows["device_time"][0])
     return f"in tick {rows['tick'][row]} ({duration(passed_ns)}, {phase_name(int(rows['phase'][row]))})"
 

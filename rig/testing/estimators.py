@@ -1,7 +1,7 @@
-"""Requirements on every velocity estimator: `check_estimator` names the first that is broken.
+"""Check the requirements on a velocity estimator; `check_estimator` raises for the first one that is violated.
 
-It raises AssertionError with a sentence and needs no test runner; known limits of an estimator are arguments, not
-skipped checks.
+It raises AssertionError with a sentence and needs no test runner. Known limits of an estimator are arguments; no check
+is skipped.
 """
 
 from __future__ import annotations
@@ -33,9 +33,10 @@ def velocities(
     elapsed: Sequence[int] | None = None,
     ages: Sequence[float] | None = None,
 ) -> Floats:
-    """Run an estimator over a sequence of counts.
+    """Return the velocities (rad/s or m/s) that an estimator computes from a sequence of counts.
 
-    `elapsed` holds the velocity periods before each count (1), `ages` the age of the last edge at each (`edge_ages`).
+    `elapsed` is the number of velocity periods before each count (default 1), `ages` the age of the last edge at each
+    count (s), by default from `edge_ages`.
     """
     update, memory = prepared.estimator.update, (prepared.state_f, prepared.state_i, prepared.parameters)
     steps = elapsed if elapsed is not None else [1] * len(counts)
@@ -51,10 +52,10 @@ def velocities(
 
 
 def edge_ages(counts: Sequence[int], elapsed: Sequence[int], period_s: float) -> list[float]:
-    """Return the age of the last edge at each sample (s), as a handle gives it that moves evenly from cell to cell.
+    """Return the age (s) of the last encoder edge at each sample, for a handle that moves evenly between samples.
 
-    From the middle of the cell of one sample to the middle of the next one's: the last of n edges lies half a
-    count before the sample. The handle has been at rest for a second before the first.
+    The handle moves from the middle of one count to the middle of the next, so the last of n edges lies half a count
+    before the sample. Before the first sample the handle has been at rest for a second.
     """
     ages = [1.0]
     for before, count, steps in zip(counts, counts[1:], elapsed[1:], strict=False):
@@ -71,16 +72,16 @@ def check_estimator(
     linear: bool = True,
     ramp_tolerance: float = 0.01,
 ) -> None:
-    """Run every check.
+    """Run all checks of this file on an estimator.
 
     Parameters
     ----------
     estimator, settings
-        It, or the name of one, and its settings.
+        The estimator or its name, and its settings.
     linear
-        True if its output scales with its input.
+        True if the velocity is proportional to the motion.
     ramp_tolerance
-        Relative error that it may leave, settled, on a ramp of whole counts.
+        Allowed relative error of the settled velocity at constant speed.
     """
     known = estimators.get(estimator) if isinstance(estimator, str) else estimator
 
@@ -104,7 +105,7 @@ def check_estimator(
 
 
 def check_layout(make: Make) -> None:
-    """The first two parameters are resolution and period; memory is zero, flat and of the plug's types."""
+    """Check that the first two parameters are resolution and period, and that the memory is zero and flat."""
     p = make(RESOLUTION_SI, PERIOD_S)
     assert p.parameters[RESOLUTION] == RESOLUTION_SI, "parameters[0] is not the resolution"
     assert p.parameters[PERIOD] == PERIOD_S, "parameters[1] is not the velocity period"
@@ -119,7 +120,7 @@ def check_layout(make: Make) -> None:
 
 
 def check_memory(make: Make) -> None:
-    """A run keeps to its memory, leaves its parameters alone and takes nothing from the heap."""
+    """Check that a run writes only to its memory, does not change its parameters and allocates nothing."""
     fresh = make(RESOLUTION_SI, PERIOD_S)
     (state_f, floats), (state_i, ints) = guarded(fresh.state_f), guarded(fresh.state_i)
     parameters, kept = guarded(fresh.parameters)
@@ -132,7 +133,7 @@ def check_memory(make: Make) -> None:
 
 
 def check_one_by_one(make: Make) -> None:
-    """Called by itself it gives what it gives inside a compiled loop."""
+    """Check that single calls return the same velocities as calls in a compiled loop."""
     samples = inputs(_lively_counts(), PERIOD_S)
     alone = velocities(make(RESOLUTION_SI, PERIOD_S), samples[0].tolist(), ages=samples[1].tolist())
     inside, _ = run(make(RESOLUTION_SI, PERIOD_S), *samples)
@@ -140,21 +141,21 @@ def check_one_by_one(make: Make) -> None:
 
 
 def check_rest(make: Make) -> None:
-    """A handle at rest reads zero from the first sample on, wherever it rests."""
+    """Check that the velocity of a handle at rest is zero from the first sample on, at any position."""
     for place in (0, 12345, -(2**31)):
         v = velocities(make(RESOLUTION_SI, PERIOD_S), [place] * 50)
         assert (np.abs(v) < 1e-9 * ONE_COUNT).all(), f"a handle at rest at count {place} reads {v}"
 
 
 def check_ramp(make: Make, tolerance: float) -> None:
-    """A steady motion of whole counts a period reads its true velocity once settled, both ways."""
+    """Check that the settled velocity at constant speed (whole counts per period) is right, in both directions."""
     for slope in (7, -7):
         v = velocities(make(RESOLUTION_SI, PERIOD_S), [slope * k for k in range(SETTLED)])
         assert np.isclose(v[-1], slope * ONE_COUNT, rtol=tolerance), f"a ramp of {slope} reads {v[-1]}"
 
 
 def check_ramp_over_gaps(make: Make, tolerance: float) -> None:
-    """Check that lost velocity periods do not disturb a steady motion: the update receives how many passed."""
+    """Check that the velocity at constant speed is right with lost velocity periods, whose number it receives."""
     elapsed = [1] * SETTLED + [2, 1, 5, 1, 17, 3, 1]
     counts = 7 * np.cumsum(elapsed)
     v = velocities(make(RESOLUTION_SI, PERIOD_S), counts.tolist(), elapsed)[SETTLED:]
@@ -162,14 +163,14 @@ def check_ramp_over_gaps(make: Make, tolerance: float) -> None:
 
 
 def check_sign_of_resolution(make: Make) -> None:
-    """An encoder mounted the other way round gives the opposite velocity."""
+    """Check that a negative resolution (encoder mounted in reverse) gives the opposite velocity."""
     counts = _lively_counts()
     one, other = (velocities(make(r, PERIOD_S), counts) for r in (RESOLUTION_SI, -RESOLUTION_SI))
     assert np.allclose(one, -other, rtol=1e-9, atol=1e-9 * ONE_COUNT), "not odd in the sign of the resolution"
 
 
 def check_shift(make: Make) -> None:
-    """Only differences of counts matter: where the encoder's zero lies does not."""
+    """Check that the velocity depends only on differences of counts, not on the encoder's zero."""
     counts = _lively_counts()
     one = velocities(make(RESOLUTION_SI, PERIOD_S), counts)
     other = velocities(make(RESOLUTION_SI, PERIOD_S), [c + 1_000_003 for c in counts])
@@ -177,7 +178,7 @@ def check_shift(make: Make) -> None:
 
 
 def check_counter_wrap(make: Make) -> None:
-    """The 32-bit counter of a device may wrap in the middle of a motion."""
+    """Check that an overflow of the device's 32-bit counter during a motion does not change the velocity."""
     counts = _lively_counts()
     wrapped = [(c + 2**31 - 200 + 2**31) % 2**32 - 2**31 for c in counts]
     assert min(wrapped) < 0 < max(wrapped)
@@ -187,7 +188,7 @@ def check_counter_wrap(make: Make) -> None:
 
 
 def check_finite(make: Make) -> None:
-    """Whatever counts and gaps arrive, the velocity is finite: NaN would end the run."""
+    """Check that the velocity is finite for any counts and gaps, because NaN would end the run."""
     random = np.random.default_rng(3)
     for _ in range(5):
         counts = random.integers(-(2**31), 2**31, 300)
@@ -198,7 +199,7 @@ def check_finite(make: Make) -> None:
 
 
 def check_restart(make: Make) -> None:
-    """Zeroing the memory is a restart: it then gives the bits of a fresh one."""
+    """Check that an estimator with zeroed memory gives bit for bit the velocities of a new one."""
     counts = _lively_counts()
     used = make(RESOLUTION_SI, PERIOD_S)
     fresh = velocities(used, counts)
@@ -208,7 +209,7 @@ def check_restart(make: Make) -> None:
 
 
 def check_memories_apart(make: Make) -> None:
-    """Two estimators run side by side as if alone: all memory is in the arrays."""
+    """Check that two interleaved estimators give the same velocities as separate ones: all memory is in the arrays."""
     counts = _lively_counts()
     alone = velocities(make(RESOLUTION_SI, PERIOD_S), counts)
     one, two = make(RESOLUTION_SI, PERIOD_S), make(RESOLUTION_SI, PERIOD_S)
@@ -221,7 +222,7 @@ def check_memories_apart(make: Make) -> None:
 
 
 def check_scale(make: Make) -> None:
-    """Three times the motion reads three times the velocity."""
+    """Check that three times the motion gives three times the velocity."""
     counts = _lively_counts()
     one = velocities(make(RESOLUTION_SI, PERIOD_S), counts)
     three = velocities(make(RESOLUTION_SI, PERIOD_S), [3 * c for c in counts])
@@ -229,7 +230,7 @@ def check_scale(make: Make) -> None:
 
 
 def _lively_counts() -> list[int]:
-    """Return a hit as an encoder sees it: approach, impact, ringing, with rounding."""
+    """Return the rounded encoder counts of a simulated hit: approach, impact, ringing."""
     t = np.arange(300) * PERIOD_S
     motion = np.where(t < 0.05, t * 1.2, 0.06 + 0.01 * np.exp(-(t - 0.05) / 0.02) * np.sin(600 * (t - 0.05)))
     return [int(c) for c in np.floor(motion / RESOLUTION_SI + 0.5)]

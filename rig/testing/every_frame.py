@@ -1,4 +1,4 @@
-"""A test that is run again and again, each time with one fault at another frame of its link, until it has no more."""
+"""Repeat a test with one fault at each frame of its link."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ MOST_FRAMES = 1000  # each way: the run is not a short one beyond
 def with_every_frame(
     test: Callable[..., object], hits: Hits, kinds: Sequence[str], to: str | None
 ) -> Callable[..., None]:
-    """Return the test as one that goes through all frames.
+    """Return a test that runs the given test with a fault at each frame in turn.
 
-    It runs once without a fault, and then with each kind of fault at each frame of its hits, except for pages of a
-    dictionary, which a process reads only once. Fixtures are made once. It fails as its first failing run did, with a
-    note that says which frame that was and how many failed.
+    It runs once without a fault, then once for each kind of fault and each frame of its hits, except for pages of a
+    dictionary, which a process reads only once. Fixtures are created once. The error is that of the first run that
+    failed, with a note on the frame and on the number of failed runs.
 
     Parameters
     ----------
     test
-        The function; it hits by `hits`, which plays the faults.
+        Test function, which must hit with the fixture `rig_hit`.
     hits
-        The test's `rig_hit`.
+        The test's fixture `rig_hit`, which injects the faults.
     kinds
-        As in `rig.testing.FaultWords.link`; all when empty.
+        Kinds of faults of `rig.testing.FaultWords.link`; empty for all kinds.
     to
-        ``host`` or ``device``; None for both.
+        Receiver of the frames: ``host`` or ``device``; None for both.
 
     Raises
     ------
     ConfigError
-        Another kind or direction.
+        The kind or the direction is unknown.
     """
     chosen = [kind_of(word) for word in kinds or KINDS]
     ways = [direction_of(word) for word in ([to] if to else DIRECTIONS)]
@@ -73,12 +73,12 @@ def with_every_frame(
 
 
 def _struck(hits: Hits) -> bool:
-    """Return True if the fault hit a frame in the latest run, or the run raised before this was known."""
+    """Return True if the fault was applied to a frame in the latest run, or if that run raised before its hit ended."""
     return hits.last is None or hits.last.struck > 0
 
 
 def _faults(kind: FaultKind, direction: Direction, hits: Hits) -> Iterator[FrameFault]:
-    """Yield a fault at each frame, as long as the run before had one there."""
+    """Yield a fault for frame 0, 1, … while the previous run had the frame; fail beyond `MOST_FRAMES`."""
     for frame in range(MOST_FRAMES):
         yield FrameFault(kind=kind, direction=direction, frame=frame, byte=frame, bit=frame % 8)
         if not _struck(hits):

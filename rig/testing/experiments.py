@@ -1,4 +1,4 @@
-"""The experiments of a test: by preset, file or object, with changes."""
+"""Create the experiments of a test from a preset, a file or an object, with changed values."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ SHORT: Mapping[str, Any] = {
 
 
 class Experiments:
-    """Makes the experiments of a test.
+    """Factory of the experiments of a test.
 
     Parameters
     ----------
     default
-        Source of a call without one: a preset, a file, or an experiment.
+        Preset, file or experiment that is used if a call names none.
     directory
-        Against which a relative path is read: that of the test's file.
+        Directory of the test's file, to which relative paths refer.
     """
 
     def __init__(self, default: Source, directory: Path) -> None:
@@ -38,7 +38,7 @@ class Experiments:
         self._directory = directory
 
     def __call__(self, source: Source = None, changes: Mapping[str, Any] | None = None) -> Experiment:
-        """Return an experiment.
+        """Return an experiment with changed values.
 
         Parameters
         ----------
@@ -50,15 +50,15 @@ class Experiments:
         Raises
         ------
         ConfigError
-            Error of `rig.load` for an invalid source.
+            The source or a change is not valid, as in `rig.load`.
         """
         experiment = self._load(self._default if source is None else source)
         return config.override(experiment, changes, "the test") if changes else experiment
 
     def short(self, source: Source = None, changes: Mapping[str, Any] | None = None) -> Experiment:
-        """Return the experiment as it runs in real time, made as short as a push can be: see ``rig_every_frame``.
+        """Return an experiment in real time with the shortest possible push, for ``rig_every_frame``.
 
-        Arguments and errors as for a call.
+        Parameters and errors are those of `__call__`.
         """
         experiment = self(source)
         at_its_start = {"rig.simulation.initial_position": experiment.trial.start}

@@ -1,4 +1,4 @@
-"""Faults on command, in words: what a test has happen to frames of the link, and to the device."""
+"""Script faults of the link's frames and of the simulated device for a test."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ DIRECTIONS: dict[str, Direction] = {"device": Direction.TO_DEVICE, "host": Direc
 
 
 class FaultWords:
-    """The script of faults of a test; every hit that the test makes from then on plays it from its beginning.
+    """Script of faults of a test; each later hit of the test injects these faults, counted from the hit's start.
 
     Attributes
     ----------
     script
-        Script so far; None while it is empty.
+        Faults so far; None if the script is empty.
     """
 
     def __init__(self) -> None:
@@ -39,26 +39,28 @@ class FaultWords:
         ticks: int = 1,
         both: bool = False,
     ) -> None:
-        """Have something happen to one frame.
+        """Add a fault of one frame to the script.
 
         Parameters
         ----------
         kind
-            ``drop``, ``corrupt`` (`bit` of `byte` flips), ``duplicate``, ``reorder`` (it comes after the next one),
-            ``truncate`` (to `byte` bytes), ``delay`` (by `ticks` ticks, with all behind it), ``silence`` (it and all
-            that follow are lost, with `both` in the other direction too), ``unplug``.
+            ``drop``, ``corrupt`` (`bit` of `byte` flips), ``duplicate``, ``reorder`` (swapped with the next frame),
+            ``truncate`` (to `byte` bytes), ``delay`` (this and all later frames, by `ticks` ticks), ``silence`` (this
+            and all later frames are lost, with `both` in the other direction too), ``unplug``.
         to
-            To whom the frame goes.
+            Receiver of the frame: ``host`` or ``device``.
         frame, tick
-            Which: number `frame` in its direction, from 0; or the first from `tick` on, counted by the device.
+            Number of the frame in its direction, from 0; or the first frame from tick `tick` of the device on.
 
         Raises
         ------
         ConfigError
-            Another kind or direction, or not exactly one of `frame` and `tick`.
+            The kind or the direction is unknown, or `frame` and `tick` are both given or both missing.
         """
         if (frame is None) == (tick is None):
-            raise ConfigError("exactly one of frame = and tick = must be given", remedy="like frame=60")
+            raise ConfigError(
+                "exactly one of frame = and tick = must be given", remedy="give one, like frame=60"
+            )
         struck = FrameFault(
             kind=kind_of(kind),
             direction=direction_of(to),
@@ -72,17 +74,17 @@ class FaultWords:
         self.add(frames=(struck,))
 
     def device(self, fault: str, *, tick: int) -> None:
-        """Have the device find a fault of its own at a tick: a name of PROTOCOL.md, like ``ENCODER``.
+        """Add a fault that the device detects at a tick; `fault` is a name in PROTOCOL.md, like ``ENCODER``.
 
-        ``EMERGENCY_STOP`` presses it. Raises `ConfigError` for another name.
+        ``EMERGENCY_STOP`` presses the emergency stop. Raise `ConfigError` for an unknown name.
         """
         names = [one.name for one in Fault if one is not Fault.NONE]
         if fault not in names:
-            raise ConfigError(f"unknown fault {fault!r}", remedy=f"one of {', '.join(names)}")
+            raise ConfigError(f"unknown fault {fault!r}", remedy=f"choose one of: {', '.join(names)}")
         self.add(device=(DeviceFault(tick, Fault[fault]),))
 
     def at(self, tick: int, act: Callable[[Any], None]) -> None:
-        """Call a function with the simulated device at a tick: whatever else the world may do to it."""
+        """Add a function that is called with the simulated device at a tick, for any other event."""
         self.add(device=(Happening(tick, act),))
 
     def add(
@@ -94,14 +96,14 @@ class FaultWords:
 
 
 def kind_of(word: str) -> FaultKind:
-    """Return the kind of fault by its word; raises `ConfigError` for an unknown one."""
+    """Return the kind of fault of a word such as ``drop``; raise `ConfigError` for an unknown word."""
     if word not in KINDS:
-        raise ConfigError(f"{word!r} is not a fault of frames", remedy=f"one of {', '.join(KINDS)}")
+        raise ConfigError(f"{word!r} is not a fault of frames", remedy=f"choose one of: {', '.join(KINDS)}")
     return FaultKind(word)
 
 
 def direction_of(to: str) -> Direction:
-    """Return a direction, by who receives; `ConfigError` for another."""
+    """Return the direction of frames to ``host`` or ``device``; raise `ConfigError` for another receiver."""
     if to not in DIRECTIONS:
-        raise ConfigError(f"to = {to!r} is not a direction of frames", remedy="to='host' or to='device'")
+        raise ConfigError(f"to = {to!r} is not a direction of frames", remedy="give to='host' or to='device'")
     return DIRECTIONS[to]

@@ -1,8 +1,8 @@
-"""Golden recordings: the recording of a hit that a person checked and found right, and what differs today.
+"""Compare hits with golden recordings, which a person has checked and accepted.
 
-In virtual time a run repeats itself to the last bit on one machine. Another processor, or another build of a library,
-may round otherwise: so integers (counts, currents, flags, ticks) must be equal, and a column of real numbers may differ
-by the rounding that its run can have gathered.
+In virtual time a run is reproducible to the last bit on one machine, but another processor or another build of a
+library may round differently. So integers (counts, currents, flags, ticks) must be equal, and real columns may differ
+by the rounding errors that can accumulate over the run.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ class Golden:
     Parameters
     ----------
     test, name
-        The test's file and its name: golden recordings are kept beside the file, by both.
+        The test's file and its name, which give the path of its golden recordings.
     update
-        True if the present recordings replace the golden ones.
+        True to replace the golden recordings by the present recordings.
     """
 
     def __init__(self, test: Path, name: str, *, update: bool) -> None:
@@ -46,16 +46,16 @@ class Golden:
     def __call__(
         self, subject: Subject, name: str = "", *, tolerance: Mapping[str, float] | None = None
     ) -> None:
-        """Compare with the golden recording, or replace it (``--rig-golden=update``).
+        """Compare a hit with its golden recording, or replace the golden recording (``--rig-golden=update``).
 
         Parameters
         ----------
         subject
             A hit or a sealed recording.
         name
-            Distinguishes several golden recordings of one test.
+            Name that distinguishes several golden recordings of one test.
         tolerance
-            Allowed difference of columns that may differ by more than rounding, in their units.
+            Allowed difference by column, in the column's unit, for columns that may differ by more than rounding.
         """
         __tracebackhide__ = True
         recording = recording_of(subject)
@@ -83,9 +83,9 @@ class Golden:
 
 
 def difference(golden: Recording, today: Recording, tolerance: Mapping[str, float]) -> str:
-    """Return the first row that differs, with every column that differs there; empty where none does.
+    """Return a text on the first row that differs, with all its different columns; empty if the recordings agree.
 
-    Raises `RecordingError` for a tolerance of a column that there is not.
+    Raise `RecordingError` for a tolerance of an unknown column.
     """
     names = [name for name in golden.names if name in today.names]
     unknown = [name for name in tolerance if name not in names]
@@ -129,7 +129,7 @@ def _apart(
 
 
 def _allow(golden: Recording, name: str, tolerance: float | None) -> float:
-    """Return how far a real column may be off: the given tolerance, else the rounding that all its ticks may add up."""
+    """Return the allowed difference of a column: the given tolerance, or the rounding error of all ticks together."""
     if tolerance is not None:
         return tolerance
     peak = float(np.nanmax(np.abs(golden.column(name)), initial=0.0))

@@ -1,7 +1,7 @@
-"""Hits of a test: on a fresh simulated rig each, with faults on command, or on the one rig that this run was given.
+"""Run the hits of a test, each on a new simulated rig with scripted faults, or all on the real rig of ``--rig-url``.
 
-On a rig the same test runs unchanged. Its device is opened once, which keeps its lock and its position zero from test
-to test; after each hit, and when the run ends, the host sends STOP.
+On a real rig the same tests run unchanged. Its device is opened once, so that the lock and position zero remain from
+test to test; the host sends STOP after each hit and at the end of the run.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ LOOK_S = 0.01  # an unarmed device sends a hundred STATE a second
 
 @dataclass(frozen=True, slots=True)
 class DeviceAfterwards:
-    """Observed state of the device after the host had ended.
+    """State of the device after the host's last frame.
 
     Attributes
     ----------
     zero_after_s
-        When its current was zero, since the host's last word (s); None: not while it was watched.
+        Time from the host's last frame until the current was zero (s); None if it was not zero within `WATCH_S`.
     armed
-        True if it would have accepted a command at the end.
+        True if the device was still armed at the end.
     """
 
     zero_after_s: float | None
@@ -53,22 +53,22 @@ class DeviceAfterwards:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hit:
-    """A hit of a test.
+    """Result of a hit of a test.
 
     Attributes
     ----------
     experiment
-        The one in effect; as it was asked for where nothing moved.
+        Experiment in effect during the hit; the requested experiment if nothing moved.
     recorded
         Recording and judgement of the hit; None if nothing moved.
     counters
-        Counters of the link.
+        Counters of the link, by name.
     error
-        Why it ended early, where it may: else the error is raised.
+        Error that ended the hit early, if an early end is allowed; otherwise it is raised.
     rest
         State of the device afterwards; None if it sent no STATE.
     struck
-        Faults of the script that have happened to frames.
+        Number of scripted faults that were applied to frames.
     """
 
     experiment: Experiment = field(repr=False)
@@ -95,7 +95,7 @@ class Hit:
 
     @property
     def path(self) -> Path:
-        """Return its file; see ``--rig-record`` for what becomes of it."""
+        """Return the path of the recording; ``--rig-record`` selects which recordings are kept."""
         return self._left.path
 
     @property
@@ -106,16 +106,16 @@ class Hit:
 
 
 class Rigs:
-    """Where the tests of a run hit: simulated rigs without number, or one rig.
+    """Rigs on which the tests of a run hit: a new simulated rig for each hit, or one real rig.
 
     Parameters
     ----------
     url
         Value of ``--rig-url``.
     verified
-        A person has confirmed that it may move.
+        True if a person has confirmed that the rig may move.
     ask
-        Asks that person to continue; returns False to end.
+        Function that asks that person to continue; it returns False to end the tests.
     """
 
     def __init__(self, url: str, *, verified: bool, ask: Callable[[str], bool]) -> None:
@@ -127,25 +127,25 @@ class Rigs:
 
     @property
     def simulated(self) -> bool:
-        """Return True if each hit has a simulated rig of its own."""
+        """Return True if each hit uses a new simulated rig."""
         return self.url.startswith("sim:")
 
     @property
     def rig(self) -> FramedDevice:
-        """Return the one rig, opened on first use. Errors as `rig.open_device`."""
+        """Return the device of the real rig, opened on first use; raise the errors of `rig.open_device`."""
         if self._rig is None:
             self._rig = devices.open_device(self.url)
         return self._rig
 
     def zero(self, experiment: Experiment) -> int | None:
-        """Count at position zero of the rig, where its handle stood when the first test hit; None in simulation."""
+        """Return the encoder's count at position zero of the real rig, set before the first hit; None in simulation."""
         if not self.simulated and self._zero is None:
             self._zero = position_zero(self.rig, experiment)
         return self._zero
 
     @contextmanager
     def device(self, experiment: Experiment, faults: Faults | None = None) -> Iterator[FramedDevice]:
-        """Yield a device for an experiment: a fresh simulated one, or the rig, which is sent STOP afterwards."""
+        """Yield a device for an experiment: a new simulated one, or the real one, to which STOP is sent at the end."""
         if self.simulated:
             url = devices.url_for(self.url, experiment.controller.loop)
             with FramedDevice(devices.open_watched(url, config.rig_model(experiment), faults)) as device:
@@ -157,12 +157,12 @@ class Rigs:
             self.stop()
 
     def hands_off(self, text: str) -> None:
-        """Have the person agree to a torque pulse, or end all tests."""
+        """Ask the person to agree to a torque pulse; end the run of all tests without consent."""
         if not self.ask(text):
             end_all(StoppedError("the operator did not agree to the torque pulse; the motor did not move"))
 
     def stop(self) -> None:
-        """Zero effort and disarmed, whatever the device was doing. Cannot raise."""
+        """Set the effort to zero and disarm the device in any state; raise nothing."""
         if self._rig is not None:
             self._rig.stop()
             with suppress(RigError):
@@ -177,23 +177,23 @@ class Rigs:
 
 
 class Hits:
-    """Makes the hits of a test.
+    """Run the hits of a test (the fixture ``rig_hit``).
 
     Parameters
     ----------
     rigs
-        Where.
+        Rigs to hit on.
     experiments
-        Sources of experiments in this test: a name, a path, or none.
+        Factory of the test's experiments.
     faults
-        The test's script.
+        The test's script of faults.
     directory
         Directory of the recordings.
 
     Attributes
     ----------
     last
-        The latest hit.
+        Result of the latest hit.
     """
 
     def __init__(self, rigs: Rigs, experiments: Experiments, faults: FaultWords, directory: Path) -> None:
@@ -212,26 +212,27 @@ class Hits:
         may_end: bool = False,
         device: FramedDevice | None = None,
     ) -> Hit:
-        """Hit once.
+        """Hit the wall once and return the result.
 
         Parameters
         ----------
         source
             Experiment to hit: see `Experiments`.
         changes
-            New values by dotted key. On a rig they win over what it is given for real time (``[realtime]``, and its own
-            rate), as on a command line.
+            New values by dotted key. On a real rig they override the settings for real time (``[realtime]``, and the
+            device's rate), as on a command line.
         law
-            A law to run instead of the named wall.
+            Law to run instead of the experiment's.
         may_end
-            The run may end early, by the guard for one: then it is the hit's `error`, as where faults are scripted.
+            True if the run may end early, for example by the guard: then the result has the `error`, as with scripted
+            faults.
         device
-            An open device to hit on (``rig_device``), without a script of faults.
+            Open device to hit on (fixture ``rig_device``); it must not be combined with scripted faults.
 
         Raises
         ------
         RigError
-            A run that is refused and, unless allowed, the cause of an early end.
+            The run is refused, or it ended early although `may_end` is False.
         """
         experiment = self._experiments(source)
         once: dict[str, Any] = {**(changes or {}), "trial.repeats": 1}
@@ -258,7 +259,7 @@ class Hits:
             if script is not None:
                 raise ConfigError(
                     "a script of faults is given, but the device is already open",
-                    remedy="let rig_hit open the device",
+                    remedy="drop `device`, so that rig_hit opens a simulated device with these faults",
                 )
             return _describe_end(request, request.device, may_end=may_end)
         with self._rigs.device(request.experiment, script) as device:
@@ -266,12 +267,12 @@ class Hits:
 
 
 def end_all(stopped: StoppedError) -> NoReturn:
-    """End the run of all tests after a person's stop, since the next test would move the rig again."""
+    """End the whole run of tests after a person's stop, because the next test would move the rig again."""
     pytest.exit(str(stopped), returncode=stopped.exit_code)
 
 
 def _describe_end(request: HitRequest, device: FramedDevice, *, may_end: bool) -> Hit:
-    """Run a hit and watch how its device comes to rest. A person's stop ends the whole run of tests."""
+    """Run a hit, observe the device afterwards, and return the result; a person's stop ends the run of tests."""
     recorded, counters, error = None, {}, None
     try:
         (result,) = hit(request, admit)
@@ -297,7 +298,7 @@ def _describe_end(request: HitRequest, device: FramedDevice, *, may_end: bool) -
 
 
 def _watch(link: WatchedLink) -> DeviceAfterwards:
-    """Let time pass until the current is zero, and after that long enough for the watchdog of an armed device."""
+    """Let virtual time pass until the current is zero, then until the watchdog of an armed device has acted."""
     steps = 0
     while link.current != 0 and steps * STEP_S < WATCH_S:
         link.elapse(STEP_S)

@@ -1,4 +1,4 @@
-"""Storage of the recordings of a test: kept if it failed, always, or never."""
+"""Keep or remove the recordings of a test: keep them if it failed, always, or never."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ LONGEST_NAME = 200  # file systems take 255 bytes
 
 
 class Kept:
-    """The recordings of one test, from the beginning where they stay if they are kept.
+    """Directory of the recordings of one test.
 
-    Recordings of a test that was killed are there, too.
+    Recordings are written to their final place, so those of a killed test remain there, too.
 
     Parameters
     ----------
     root, test
-        Directory of all tests, and the node id of this one. Recordings of an earlier run are replaced.
+        Directory of all tests, and the pytest node id of this test. Recordings of an earlier run are replaced.
     mode
-        ``failed``, ``all`` or ``none``.
+        Which recordings are kept: ``failed``, ``all`` or ``none``.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Kept:
         shutil.rmtree(self.place, ignore_errors=True)
 
     def ended(self, *, failed: bool) -> bool:
-        """Note how the test ended; return whether there are recordings of it that are kept."""
+        """Store whether the test failed; return True if it has recordings that will be kept."""
         self._wanted = self._mode == "all" or (self._mode == "failed" and failed)
         return self._wanted and self.place.is_dir()
 
@@ -47,6 +47,6 @@ class Kept:
 
 
 def tidy(root: Path) -> None:
-    """Remove the directory of all tests where none is kept."""
+    """Remove the directory of all tests if it contains no recordings."""
     with suppress(OSError):
         (root / DIRECTORY).rmdir()

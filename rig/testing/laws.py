@@ -1,7 +1,7 @@
-"""Requirements on every force law: `check_law` names the first that is broken.
+"""Check the requirements on a force law; `check_law` raises for the first one that is violated.
 
-It raises AssertionError with a sentence and needs no test runner; an argument declares what a law does on purpose,
-such as acting outside of the wall.
+It raises AssertionError with a sentence and needs no test runner. Arguments declare intended exceptions, such as a law
+that acts outside of the wall.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ _CYCLE = np.sin(np.pi * np.arange(TICKS + 1) / TICKS) ** 2  # into the wall and 
 def reactions(
     law: Law | str, penetration: ArrayLike, velocity: ArrayLike | float = 0.0, **wall: Any
 ) -> Floats:
-    """Return the reaction of a law, tick by tick, from a fresh memory (N·m or N).
+    """Return the reaction (N·m or N) of a law with new memory in each tick.
 
     Parameters
     ----------
     law
-        It, or the name of one.
+        The law or its name.
     penetration, velocity
-        In each tick (rad or m, and its rate).
+        Penetration (rad or m) and velocity (rad/s or m/s) in each tick.
     **wall
-        Settings of the wall, as ``stiffness=300.0``, and ``tick_s``.
+        Settings of the wall, such as ``stiffness=300.0``, and ``tick_s`` (s).
     """
     depth = np.ascontiguousarray(penetration, dtype=np.float64)
     return _run(_prepare(law, wall), depth, np.broadcast_to(velocity, depth.shape).astype(np.float64))
@@ -53,21 +53,20 @@ def reactions(
 def check_law(
     law: Law | str, *, everywhere: bool | None = None, pulls: bool = False, passive: bool = True, **wall: Any
 ) -> None:
-    """Run every check.
+    """Run all checks of this file on a law.
 
     Parameters
     ----------
     law
-        It, or the name of one.
+        The law or its name.
     everywhere
-        It acts outside of the wall too; None takes a decorated law's own word.
+        True if the law acts outside of the wall, too; None to use the declaration of a decorated law.
     pulls
-        It may pull a handle at rest into the wall.
+        True if the law may pull a handle at rest into the wall.
     passive
-        Pressed in slowly and let out again, it gives back no more energy than it took. Say False for a law that plays
-        something by itself.
+        True if the law must return no more energy than it received; False for a law that moves the handle on its own.
     **wall
-        Settings of the wall, as ``stiffness=300.0``, and ``tick_s``.
+        Settings of the wall, such as ``stiffness=300.0``, and ``tick_s`` (s).
     """
     acts_outside = isinstance(law, PlainLaw) and law.everywhere if everywhere is None else everywhere
     check_memory(law, wall)
@@ -83,7 +82,7 @@ def check_law(
 
 
 def check_memory(law: Law | str, wall: Mapping[str, Any]) -> None:
-    """Memory and parameters are flat and finite, memory begins at zero, and a run keeps to it and takes no other."""
+    """Check that memory and parameters are flat and finite, and that a run writes only to its memory."""
     fresh = _prepare(law, wall)
     for array in (fresh.parameters, fresh.state):
         assert array.dtype == "float64", "wrong type of array"
@@ -104,7 +103,7 @@ def check_memory(law: Law | str, wall: Mapping[str, Any]) -> None:
 
 
 def check_restart(law: Law | str, wall: Mapping[str, Any]) -> None:
-    """The same motion gives the same bits: from a zeroed memory, and beside another law of its kind."""
+    """Check that the same motion gives the same bits after zeroing the memory, and beside a second instance."""
     one, depth, speed = _prepare(law, wall), *_motion()
     fresh = _run(one, depth, speed)
     one.state[:] = 0.0
@@ -118,7 +117,7 @@ def check_restart(law: Law | str, wall: Mapping[str, Any]) -> None:
 
 
 def check_one_by_one(law: Law | str, wall: Mapping[str, Any]) -> None:
-    """Called by itself it answers as it does inside a compiled loop."""
+    """Check that single calls return the same reactions as calls in a compiled loop."""
     one, depth, speed = _prepare(law, wall), *_motion()
     alone = [
         one.law.function(float(d), float(v), 1, one.state, one.parameters)
@@ -128,7 +127,7 @@ def check_one_by_one(law: Law | str, wall: Mapping[str, Any]) -> None:
 
 
 def check_finite(law: Law | str, wall: Mapping[str, Any]) -> None:
-    """Whatever penetration and velocity arrive, after whatever gaps, the reaction is a finite number."""
+    """Check that the reaction is finite for any penetration, velocity and gap."""
     random = np.random.default_rng(3)
     values = np.array([sign * value for value in EXTREMES for sign in (-1.0, 1.0)])
     depth, speed = random.choice(values, TICKS), random.choice(values, TICKS)
@@ -140,7 +139,7 @@ def check_finite(law: Law | str, wall: Mapping[str, Any]) -> None:
 
 
 def check_outside(law: Law | str, wall: Mapping[str, Any]) -> None:
-    """In free space nothing acts, before a contact and after it."""
+    """Check that the reaction outside of the wall is zero, before and after a contact."""
     depth, speed = _motion()
     outside = np.concatenate([-depth, depth, -depth])
     found = _run(_prepare(law, wall), outside, np.concatenate([speed, speed, -speed]))
@@ -149,16 +148,17 @@ def check_outside(law: Law | str, wall: Mapping[str, Any]) -> None:
 
 
 def check_at_rest(law: Law | str, wall: Mapping[str, Any]) -> None:
-    """A handle at rest inside the wall is not pulled in."""
+    """Check that the law does not pull a handle at rest further into the wall."""
     depth = np.linspace(0.0, DEPTH, TICKS)
     found = _run(_prepare(law, wall), depth, np.zeros(TICKS))
     assert (found >= 0.0).all(), _where("pulls a handle at rest into the wall", found < 0.0, depth, found)
 
 
 def check_passive(law: Law | str, wall: Mapping[str, Any]) -> None:
-    """Pressed in and let out it gives back no more than it took, quickly or slowly.
+    """Check that the law returns no more energy than it received when the handle is pressed in and let out.
 
-    The work is that of the mean of two reactions over the way between them, which for a spring is exact to rounding.
+    Both slow and fast motions are tested. The work of a step is the mean of two reactions times the travel between
+    them, which is exact for a spring.
     """
     for slower in (1.0, 1000.0):
         tick_s = slower * TICK_S
@@ -183,7 +183,7 @@ def _run(prepared: PreparedLaw, depth: Floats, speed: Floats) -> Floats:
 
 
 def _motion() -> tuple[Floats, Floats]:
-    """Return a contact with ringing, deep and shallow, in and out."""
+    """Return penetration (rad or m) and velocity of a simulated contact with ringing, deep and shallow."""
     time = np.linspace(0.0, 1.0, TICKS)
     depth = DEPTH * (np.sin(3.0 * np.pi * time) + 0.2 * np.sin(40.0 * np.pi * time))
     return depth, SPEED * np.cos(40.0 * np.pi * time)

@@ -1,4 +1,4 @@
-"""Z-widths of a test: of the simulated rig without bytes, or of a rig, hit by hit with a person beside it."""
+"""Compute the Z-width map of a test, in fast simulation or by hits on a real rig with a person beside it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rig.testing.hits import Rigs, end_all
 
 
 class Maps:
-    """Maps the walls of a test; parameters as those of `rig.testing.Hits`."""
+    """Map the stable walls for a test (the fixture ``rig_zwidth``); parameters as `rig.testing.Hits`."""
 
     def __init__(self, rigs: Rigs, experiments: Experiments, directory: Path) -> None:
         self._rigs, self._experiments, self._directory = rigs, experiments, directory
@@ -33,25 +33,25 @@ class Maps:
         ratio: float = 1.06,
         repeats: int = 1,
     ) -> ZWidth:
-        """Map which walls are stable.
+        """Return a map of the walls that are stable.
 
         Parameters
         ----------
         source, changes
             The experiment, see `rig.testing.Experiments`.
         schemes
-            Like ``dual:20k/2k``; the experiment's own and the uniform ones of its rates if empty.
+            Schemes like ``dual:20k/2k``; if empty, the experiment's scheme and the uniform ones at its two rates.
         dampings
-            B of each column (N·m·s/rad or N·s/m).
+            Damping B of each column of the map (N·m·s/rad or N·s/m).
         lowest, highest, ratio
-            Stiffnesses of the ladder (N·m/rad or N/m); one over the one below it.
+            Lowest and highest stiffness (N·m/rad or N/m), and ratio of neighbouring stiffnesses.
         repeats
-            Series of each damping.
+            Number of ascending series at each damping.
 
         Raises
         ------
         RigError
-            As `rig.zwidth`. On a rig a person agrees to each hit in the terminal.
+            The errors of `rig.zwidth`. On a real rig a person must agree to each hit in the terminal.
         """
         plan = self._plan(
             self._experiments(source, changes), schemes, dampings, lowest, highest, ratio, repeats

@@ -1,12 +1,12 @@
-"""The pytest plug-in: fixtures, options and a marker for tests of rigs, all named ``rig_``.
+"""The pytest plug-in: fixtures, options and a marker for tests of rigs, whose names begin with ``rig``.
 
 pytest loads it in every run of an environment that has this package (entry point ``pytest11``), so this file imports
-pytest and nothing heavy: what a fixture is made of comes with its first use (`rig.testing`).
+pytest and nothing slow: a fixture imports its parts on first use (`rig.testing`).
 
-On a rig (``--rig-url serial:///dev/…``) the tests are the same. Only ``--rig-verified``, typed on the command line and
-in no file, lets it move; one process runs them; STOP is sent after each test and at the end, also after Ctrl-C or a
-time-out (pytest-timeout's ``signal`` method; its ``thread`` method kills the process, and the device's watchdog acts).
-A person's STOP (Ctrl-C in a hit, ``rig stop``) ends the whole run.
+On a real rig (``--rig-url serial:///dev/…``) the tests are the same. The rig moves only with ``--rig-verified`` on the
+command line (it is not accepted in a file), and a single process runs the tests. STOP is sent after each test and at
+the end, also after Ctrl-C or a time-out (with pytest-timeout's ``signal`` method; its ``thread`` method kills the
+process, and the device's watchdog acts). A person's STOP (Ctrl-C in a hit, ``rig stop``) ends the whole run.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ PROPERTY = "rig_recordings"  # in the properties of a report: where a test's rec
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Options, in a group of their own."""
+    """Add the options of this plug-in to pytest, in a separate group."""
     group = parser.getgroup("rig", "rigs: real ones, and simulated ones")
     group.addoption(
         "--rig-url",
@@ -63,7 +63,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the marker, and refuse a rig that must not move."""
+    """Register the marker, and refuse to run on a real rig without ``--rig-verified`` or in several processes."""
     config.addinivalue_line(
         "markers",
         f"{EVERY_FRAME}(*kinds, to=None): run the test once for each frame of its hits, with a fault there: drop, "
@@ -107,9 +107,9 @@ def _rig_rigs(request: pytest.FixtureRequest) -> Iterator[testing.Rigs]:
 
 @pytest.fixture
 def rig_experiment(request: pytest.FixtureRequest) -> testing.Experiments:
-    """Makes experiments: ``rig_experiment("mine.toml", {"wall.stiffness": 300.0})``.
+    """Return a function that creates experiments: ``rig_experiment("mine.toml", {"wall.stiffness": 300.0})``.
 
-    Parametrised indirectly it has the test's own: ``@pytest.mark.parametrize("rig_experiment", ["mine.toml",
+    Indirect parametrisation sets the default: ``@pytest.mark.parametrize("rig_experiment", ["mine.toml",
     "koul-rigid"], indirect=True)``. A path is relative to the test's file.
     """
     return testing.Experiments(getattr(request, "param", None), request.path.parent)
@@ -122,7 +122,7 @@ def _rig_fault_words() -> testing.FaultWords:
 
 @pytest.fixture
 def rig_faults(_rig_fault_words: testing.FaultWords, request: pytest.FixtureRequest) -> testing.FaultWords:
-    """Faults on command: ``rig_faults.link("drop", frame=60)``, ``rig_faults.device("ENCODER", tick=20)``."""
+    """Return the script of faults: ``rig_faults.link("drop", frame=60)``, ``rig_faults.device("ENCODER", tick=20)``."""
     _skip_on_a_rig(request.config, "rig_faults: faults on command")
     return _rig_fault_words
 
@@ -143,13 +143,13 @@ def rig_hit(
     _rig_fault_words: testing.FaultWords,
     _rig_kept: testing.Kept,
 ) -> testing.Hits:
-    """Hits a wall: ``rig_hit("mine.toml", {"wall.stiffness": 300.0})`` has `verdict`, `recording`, …."""
+    """Return a function that hits a wall: ``rig_hit("mine.toml", {"wall.stiffness": 300.0}).verdict``."""
     return testing.Hits(_rig_rigs, rig_experiment, _rig_fault_words, _rig_kept.place)
 
 
 @pytest.fixture
 def rig_device(_rig_rigs: testing.Rigs, rig_experiment: testing.Experiments) -> Iterator[FramedDevice]:
-    """An open device: the rig, or a simulated one of the test's experiment."""
+    """Yield an open device: the real rig, or a simulated rig of the test's experiment."""
     with _rig_rigs.device(rig_experiment()) as device:
         yield device
 
@@ -160,13 +160,13 @@ def rig_zwidth(
     rig_experiment: testing.Experiments,
     _rig_kept: testing.Kept,
 ) -> testing.Maps:
-    """Maps which walls are stable: ``rig_zwidth(schemes=["dual:20k/2k"], dampings=[0.0], highest=400.0)``."""
+    """Return a function that maps stable walls: ``rig_zwidth(schemes=["dual:20k/2k"], dampings=[0.0])``."""
     return testing.Maps(_rig_rigs, rig_experiment, _rig_kept.place)
 
 
 @pytest.fixture
 def rig_golden(request: pytest.FixtureRequest) -> testing.Golden:
-    """Compares a hit with its golden recording: ``rig_golden(hit)``."""
+    """Return a function that compares a hit with its golden recording: ``rig_golden(hit)``."""
     _skip_on_a_rig(request.config, "rig_golden: a rig does not repeat itself; golden recordings")
     return testing.Golden(
         request.path,
@@ -177,7 +177,7 @@ def rig_golden(request: pytest.FixtureRequest) -> testing.Golden:
 
 @pytest.fixture
 def rig_serial(rig_experiment: testing.Experiments) -> Iterator[testing.SerialRig]:
-    """A simulated rig of the test's experiment on a serial port, for a program that is tested: its `path`, `did()`."""
+    """Yield a simulated rig on a serial port (`path`) for a program under test; `did()` returns what it did."""
     with testing.serve_rig(rig_experiment()) as served:
         yield served
 
@@ -191,14 +191,14 @@ def _skip_on_a_rig(config: pytest.Config, what: str) -> None:
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Skip on a rig what needs faults on command."""
+    """Skip tests with scripted faults if the tests run on a real rig."""
     if item.get_closest_marker(EVERY_FRAME) is not None:
         _skip_on_a_rig(item.config, f"{EVERY_FRAME}: faults on command")
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> None:
-    """Make a test with the marker one that goes through all frames."""
+    """Repeat a test with the marker ``rig_every_frame`` with a fault at each frame."""
     marker = pyfuncitem.get_closest_marker(EVERY_FRAME)
     if marker is None:
         return
@@ -210,7 +210,7 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Keep a test's recordings when it is known how it ended, and say where."""
+    """Keep or remove a test's recordings after its end, and report the directory of kept recordings."""
     report = yield
     kept = item.stash.get(KEPT, None)
     if kept is not None and (report.when == "call" or report.failed) and kept.ended(failed=report.failed):
@@ -244,7 +244,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 
 def _asker(config: pytest.Config) -> Callable[[str], bool]:
-    """Ask at the terminal, while pytest keeps terminal and keyboard from tests."""
+    """Return a function that asks a question at the terminal, although pytest captures input and output."""
     capture = config.pluginmanager.getplugin("capturemanager")
 
     def ask(text: str) -> bool:

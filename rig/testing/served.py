@@ -1,4 +1,4 @@
-"""A simulated rig on a serial port, for the tests of programs in any language, and what it did."""
+"""Serve a simulated rig on a serial port to test programs in any language, and read back what they did."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class Did:
     Attributes
     ----------
     state
-        In which the program left it: ``CONFIGURED`` after a DISARM, ``FAULT`` after silence.
+        State in which the program left the device: ``CONFIGURED`` after a DISARM, ``FAULT`` after silence.
     current
-        Active now (quanta).
+        Active current (quanta).
     fault
-        The latched fault, or the last one, which the log keeps behind a DISARM; its code is 0 for none.
+        Latched fault, or the last logged fault after a DISARM; its code is 0 if there was no fault.
     statistics
-        Frames that it took, lost and threw away since it started.
+        Numbers of frames that the device accepted, lost and discarded since it started.
     """
 
     state: State
@@ -43,16 +43,16 @@ class Did:
 
 @dataclass(frozen=True, slots=True)
 class SerialRig:
-    """A simulated rig in real time, in a process of its own that ends with the test.
+    """A simulated rig in real time, in a separate process that ends with the test.
 
     Attributes
     ----------
     path
-        Path of its port, for a program that opens a serial port.
+        Path of the serial port, for the program under test.
     url
-        For ``rig``: ``serial://`` and the path.
+        URL of the port for ``rig`` commands: ``serial://`` and the path.
     experiment
-        Whose rig it is.
+        Experiment whose rig is simulated.
     """
 
     path: str
@@ -60,10 +60,10 @@ class SerialRig:
     experiment: Experiment
 
     def did(self) -> Did:
-        """Read from the device what the program did to it; the program must have closed the port.
+        """Return the state of the device after the program has closed the port.
 
-        On a busy computer a device that has just lost its host may not reply to the next one at once: retry for
-        `PATIENCE_S`. Raises `rig.RigError` if another program still has the port, or if there is no reply.
+        On a busy computer a device that has just lost its host may reply late to the next host, so retry for
+        `PATIENCE_S`. Raise `rig.RigError` if another program still uses the port, or if there is no reply.
         """
         deadline = time.monotonic() + PATIENCE_S
         while True:

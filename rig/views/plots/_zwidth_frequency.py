@@ -2,8 +2,8 @@
 
 There is one panel for each scheme, and one colour scale for all. Plain cells are connected with the softest wall of
 their damping, hatched cells are islands, walls of grey cells were not passive, walls of dark grey cells threw the
-handle out. Lines show the boundary search of the paper's Fig. 5 and the limits by linear theory: dashed for stability, dotted
-for passivity in the band.
+handle out. Lines show the boundary search of the paper's Fig. 5 and the limits by linear theory: dashed for stability,
+dotted for passivity in the band.
 """
 
 from __future__ import annotations

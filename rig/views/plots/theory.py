@@ -21,8 +21,8 @@ def theory_figure(theory: Theory) -> Any:
     """Return the figure of the theory's results for a rig.
 
     Solid lines are K_max of the linear loop; islands of stability above them are shaded. The right panel shows the
-    range of B in which a wall can be passive: below the dashed lines it is passive, with lag and delay; above them it is not
-    passive if the rig is rigid.
+    range of B in which a wall can be passive: below the dashed lines it is passive, with lag and delay; above them it
+    is not passive if the rig is rigid.
     """
     figure = style.new_figure(12.0, 6.0)
     whole, corner = figure.subplots(1, 2, width_ratios=(2, 1))

@@ -125,7 +125,7 @@ def test_the_marker_is_known_and_its_mistakes_are_reported(suite: pytest.Pyteste
     result.stdout.re_match_lines(
         [
             r".*hits through rig_hit, and this one does not request it",
-            r".*'melt' is not a fault of frames; one of drop, corrupt",
+            r".*'melt' is not a fault of frames; choose one of: drop, corrupt",
         ]
     )
 
@@ -247,7 +247,7 @@ def test_the_device_latches_the_scripted_fault(
 def test_unknown_words_are_refused(rig_faults: FaultWords, given: dict[str, object], what: str) -> None:
     with pytest.raises(ConfigError, match=what):
         rig_faults.link(**given)  # type: ignore[arg-type]
-    with pytest.raises(ConfigError, match=r"unknown fault 'RUST'; one of .*ENCODER"):
+    with pytest.raises(ConfigError, match=r"unknown fault 'RUST'; choose one of: .*ENCODER"):
         rig_faults.device("RUST", tick=1)
     assert rig_faults.script is None
 
