@@ -1,4 +1,4 @@
-"""``rig device check``."""
+"""The command ``rig device check``."""
 
 from __future__ import annotations
 

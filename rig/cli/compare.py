@@ -1,4 +1,4 @@
-"""``rig compare``."""
+"""The command ``rig compare``."""
 
 from __future__ import annotations
 

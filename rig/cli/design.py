@@ -1,4 +1,4 @@
-"""``rig design``."""
+"""The command ``rig design``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``rig device list``, ``show`` and ``parameters``."""
+"""The commands ``rig device list``, ``show`` and ``parameters``."""
 
 from __future__ import annotations
 

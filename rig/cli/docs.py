@@ -1,4 +1,4 @@
-"""``rig serve docs``."""
+"""The command ``rig serve docs``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``rig doctor``."""
+"""The command ``rig doctor``."""
 
 from __future__ import annotations
 

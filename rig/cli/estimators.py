@@ -1,4 +1,4 @@
-"""``rig estimators``: list them, compare them on motions, and tune their settings."""
+"""The commands ``rig estimators …``: list estimators, compare them on motions, tune their settings, export them as C."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``rig recording export``."""
+"""The command ``rig recording export``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``rig firmware``: build an image for a board and a rig, inspect it, flash it, and have a device test itself."""
+"""The commands ``rig firmware …``: build an image for a board and a rig, inspect it, flash it, and test a device."""
 
 from __future__ import annotations
 

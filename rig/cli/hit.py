@@ -1,4 +1,4 @@
-"""``rig hit``."""
+"""The command ``rig hit``."""
 
 from __future__ import annotations
 

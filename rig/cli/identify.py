@@ -1,4 +1,4 @@
-"""``rig identify``."""
+"""The command ``rig identify``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``rig impedance measure``."""
+"""The command ``rig impedance measure``."""
 
 from __future__ import annotations
 

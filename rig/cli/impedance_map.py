@@ -1,4 +1,4 @@
-"""``rig impedance map``."""
+"""The command ``rig impedance map``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``rig recording import``."""
+"""The command ``rig recording import``."""
 
 from __future__ import annotations
 

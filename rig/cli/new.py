@@ -1,4 +1,4 @@
-"""``rig experiment new``."""
+"""The command ``rig experiment new``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``rig experiment plan``."""
+"""The command ``rig experiment plan``."""
 
 from __future__ import annotations
 
@@ -67,5 +67,7 @@ def plan(
         output.show([f"checked, nothing moves: {hit_output.headline(experiment)}", *planned.items()])
     if not planned.ok:
         names = ", ".join(check.name for check in refused(planned.checks))
-        raise PlanError(f"refused: {names}", remedy="see the checks")
+        raise PlanError(
+            f"the experiment is refused: {names}", remedy="follow the remedy of each of these checks"
+        )
     name_next()

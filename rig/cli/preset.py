@@ -1,4 +1,4 @@
-"""``rig experiment preset`` and ``rig experiment schema``."""
+"""The commands ``rig experiment preset`` and ``rig experiment schema``."""
 
 from __future__ import annotations
 

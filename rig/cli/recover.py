@@ -1,4 +1,4 @@
-"""``rig recording recover``."""
+"""The command ``rig recording recover``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``rig device reference``."""
+"""The command ``rig device reference``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``rig recording replay``."""
+"""The command ``rig recording replay``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``rig serve rig``."""
+"""The command ``rig serve rig``."""
 
 from __future__ import annotations
 

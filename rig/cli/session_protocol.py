@@ -1,4 +1,4 @@
-"""``rig session new``, ``check`` and ``schema``."""
+"""The commands ``rig session new``, ``check`` and ``schema``."""
 
 from __future__ import annotations
 
@@ -120,7 +120,10 @@ def check(
         _print(plan, unblind=unblind)
     if not plan.ok:
         refused = [one.name for one in plan.checks if one.outcome == "refused"]
-        raise PlanError(f"refused: {', '.join(refused)}", remedy="see the checks")
+        raise PlanError(
+            f"the protocol is refused: {', '.join(refused)}",
+            remedy="follow the remedy of each of these checks",
+        )
 
 
 def _print(plan: StudyPlan, *, unblind: bool) -> None:

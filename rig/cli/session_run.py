@@ -1,4 +1,4 @@
-"""``rig session run``, ``resume``, ``show`` and ``amend``."""
+"""The commands ``rig session run``, ``resume``, ``show`` and ``amend``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``rig set``."""
+"""The command ``rig set``."""
 
 from __future__ import annotations
 
@@ -41,7 +41,10 @@ def set_(changes: tuple[str, ...], pid: int | None, patience_s: float, as_json: 
     if as_json:
         output.print_json(done)
     if done.ended and not done.active:
-        error = RunEndedError(f"parameter set {done.number} is not active: the loop ended before")
+        error = RunEndedError(
+            f"parameter set {done.number} is not active: the loop ended before it became active",
+            remedy="start the run again, then repeat rig set",
+        )
         error.reported = as_json
         raise error
     if as_json:

@@ -1,4 +1,4 @@
-"""``rig recording show``."""
+"""The command ``rig recording show``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``rig stop``."""
+"""The command ``rig stop``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``rig theory walls``."""
+"""The command ``rig theory walls``."""
 
 from __future__ import annotations
 

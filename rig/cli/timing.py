@@ -1,4 +1,4 @@
-"""``rig recording timing``."""
+"""The command ``rig recording timing``."""
 
 from __future__ import annotations
 

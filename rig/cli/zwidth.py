@@ -1,4 +1,4 @@
-"""``rig zwidth``."""
+"""The command ``rig zwidth``."""
 
 from __future__ import annotations
 

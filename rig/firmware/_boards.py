@@ -200,7 +200,10 @@ def _read(path: Path) -> BoardFile:
         return pydantic.TypeAdapter(BoardFile).validate_json(json.dumps(content))  # type: ignore[no-any-return]
     except pydantic.ValidationError as error:
         wrong = (f"{path}: {'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors())
-        raise ConfigError("\n".join(wrong), remedy="see the keys of a board in PORTING.md") from None
+        raise ConfigError(
+            "\n".join(wrong),
+            remedy=f"correct these keys in {BOARD_FILE}; PORTING.md lists all keys of a board",
+        ) from None
 
 
 def settings_of(board: Board, chosen: Mapping[str, Any]) -> dict[str, SettingValue]:

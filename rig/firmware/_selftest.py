@@ -258,7 +258,10 @@ def _ticks(device: FramedDevice, request: SelfTestRequest) -> Check:
     with _at_rate(device, rate):
         states = device.states(request.seconds)
     if len(states) < 3:
-        return refused(f"only {len(states)} samples arrived in {request.seconds:g} s", "update its firmware")
+        return refused(
+            f"only {len(states)} samples arrived in {request.seconds:g} s; at least 3 are needed",
+            "flash current firmware: rig firmware build, then rig firmware flash",
+        )
     unit_s = device.dictionary.time_unit_ns * 1e-9
     indices = [(state.sample_index - states[0].sample_index) % 2**32 for state in states]
     times = [(state.device_time - states[0].device_time) % 2**32 * unit_s for state in states]
@@ -298,7 +301,10 @@ def _inputs(device: FramedDevice, _request: SelfTestRequest) -> Check:
     looks = (device.states(INPUTS_S) for _ in range(INPUTS_LOOKS))
     states = next((found for found in looks if found), [])
     if not states:
-        return refused("no STATE frame arrived", "update its firmware")
+        return refused(
+            f"no STATE frame arrived within {INPUTS_LOOKS * INPUTS_S:g} s",
+            "flash current firmware: rig firmware build, then rig firmware flash",
+        )
     inputs = states[-1].inputs
     stop = "pressed" if inputs & Input.EMERGENCY_STOP else "not pressed"
     held = "held" if inputs & Input.HOLD_TO_RUN else "released"
@@ -320,7 +326,9 @@ def _encoder(device: FramedDevice, request: SelfTestRequest) -> Check:
         return refused(report.text, report.remedy)
     if most == least:
         remedy = "move the handle when asked; if you did, check the encoder's supply and both of its wires"
-        return refused(f"the encoder read {first} all the time", remedy)
+        return refused(
+            f"the encoder's count stayed at {first}; it must change by {MOVE_COUNTS} or more", remedy
+        )
     if most - least == 1:
         return refused("the count only toggles by one", "check both encoder wires: one channel is missing")
     return ok(_way(first, counts[-1], most - least, request.model))

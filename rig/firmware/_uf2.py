@@ -91,7 +91,8 @@ def read_uf2(content: bytes, name: str) -> Uf2:
     families = {family for *_, family, _ in blocks}
     if len(families) != 1:
         raise ConfigError(
-            f"{name} contains images for several processors", remedy="use an image for one processor"
+            f"{name} contains images for several processors",
+            remedy="give a UF2 file with an image for a single processor",
         )
     return Uf2(_join(piece for *_, piece in blocks if piece is not None), families.pop())
 

@@ -66,7 +66,9 @@ def wiring(board: Board, settings: Mapping[str, SettingValue]) -> Wiring:
     """
     path = board.directory / WIRING_FILE
     if not path.is_file():
-        raise ConfigError(f"board {board.name} has no {WIRING_FILE}", remedy="write one like the Pico's")
+        raise ConfigError(
+            f"board {board.name} has no {WIRING_FILE}", remedy="write a netlist like that of boards/rp2040"
+        )
     rows = tomllib.loads(path.read_text(encoding="utf-8"))["part"]
     return Wiring(
         tuple(_part(row, board, settings) for row in rows if _applies(row.get("where", {}), settings))
@@ -94,7 +96,10 @@ def _pin(name: str, board: Board, settings: Mapping[str, SettingValue]) -> str:
     setting, _, offset = (text.strip() for text in name.partition("+"))
     if setting not in board.settings:
         if setting.endswith("_pin"):
-            raise ConfigError(f"{WIRING_FILE} of board {board.name}: unknown setting {setting!r}")
+            raise ConfigError(
+                f"{WIRING_FILE} of board {board.name}: unknown setting {setting!r}",
+                remedy=f"use one of the board's settings: {', '.join(board.settings)}",
+            )
         return name
     number = int(settings[setting]) + int(offset or 0)
     return f"GPIO{number} {setting.removesuffix('_pin')}{offset and f' + {offset}'}"

@@ -78,7 +78,7 @@ class Golden:
         if differences:
             raise AssertionError(
                 f"{differences}\ngolden: {golden}\ntoday:  {recording.path}\n"
-                "where today's is right: pytest --rig-golden=update"
+                "if today's recording is right, run: pytest --rig-golden=update"
             )
 
 
@@ -92,7 +92,7 @@ def difference(golden: Recording, today: Recording, tolerance: Mapping[str, floa
     if unknown:
         raise RecordingError(
             f"a tolerance is given for the unknown column {unknown[0]!r}",
-            remedy=f"the columns are {', '.join(names)}",
+            remedy=f"choose one of the columns: {', '.join(names)}",
         )
     rows = min(len(golden), len(today))
     apart = {name: _apart(golden, today, name, rows, tolerance.get(name)) for name in names}

@@ -459,7 +459,7 @@ def _dynamics(
         inertia = Interval(inertia.value, math.hypot(inertia.ci95, missed))
     if not inertia.value > 0.0:
         raise IdentificationError(
-            f"the fit gives an inertia of {inertia.value:.3g}, which is not physical",
+            f"the fit gives an inertia of {inertia.value:.3g} kg·m² or kg; it must be above 0",
             remedy="check the signs of motor and encoder, and the delay of the link",
         )
     lag = interval(lambda p: float(p[LAG]))

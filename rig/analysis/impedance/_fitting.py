@@ -136,8 +136,8 @@ def _at(part: Impedance, whole: Impedance, subtract: Complexes | RigidRig | None
     values = np.asarray(subtract, dtype=np.complex128)
     if values.shape != whole.z.shape:
         raise ConfigError(
-            f"{values.size} values to subtract from {len(whole.z)} lines",
-            remedy="give one value for each line",
+            f"`subtract` has {values.size} values, but the impedance has {len(whole.z)} lines",
+            remedy="give one complex value for each line, or a RigidRig",
         )
     return values[np.searchsorted(whole.lines_hz, part.lines_hz)]
 

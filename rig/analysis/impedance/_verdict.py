@@ -105,11 +105,11 @@ class Fidelity:
     effective_band_hz, effective_lines
         Lowest and highest frequency (Hz) and number of the lines over which stiffness and damping are fitted.
     distortion
-        Mean over the lines of weight · |Ẑ − Z|/|Z|, Z = K/(jω) + B: the shape that the second paper gives for the
-        average distortion error of Colonnese and Okamura. Their own text was not to be had, so weights and spacing of
-        frequencies are not theirs and published values do not compare. NaN for no wall.
+        Mean over the lines of weight · |Ẑ − Z|/|Z|, Z = K/(jω) + B: the form in which the second paper gives the
+        average distortion error of Colonnese and Okamura. Their own text was not available, so weights and spacing of
+        frequencies differ from theirs and published values are not comparable. NaN if K = B = 0.
     lines, band_hz
-        How many lines, and from where to where: the numbers depend on both.
+        Number of lines, and lowest and highest frequency of the band (Hz): all results depend on both.
     """
 
     rms: float

@@ -100,7 +100,8 @@ def estimate_welch(
     first = same_lines(runs)
     if not 0.0 <= settings.overlap < 1.0:
         raise ConfigError(
-            f"an overlap of {settings.overlap:g} is out of range", remedy="give 0 or more and less than 1"
+            f"an overlap of {settings.overlap:g} is out of range: 0 or more and less than 1 is allowed",
+            remedy="give the share of a segment that the next segment repeats, such as 0.5",
         )
     spectra = [_Spectra.of(run, settings) for run in runs]
     grid = spectra[0].frequency

@@ -12,13 +12,13 @@ held (and extrapolated), the delay, and the plant G at its ticks, hold included.
 
     A = −G·C·q(A, x0) − friction,   with imaginary part 0,   and   mean reading = push/K,
 
-three equations for A, ω and x0. Without friction ω is where the phase of G·C crosses −180°, whatever A, and
-A = |G·C|·q: at most (2/π)·|G·C| counts while one edge is crossed, so a wall that is linearly stable (|G·C| < 1) buzzes
-by less than 0.64 counts. `duty` is the fraction of a count that the mean reading lies above a whole one: ½ buzzes most,
-0 not at all (until A is half a count).
+three equations for A, ω and x0. Without friction, ω is the frequency at which the phase of G·C is −180°, for any A,
+and A = |G·C|·q. While one edge is crossed, A is at most (2/π)·|G·C| counts, so a wall that is linearly stable
+(|G·C| < 1) buzzes by less than 0.64 counts. `duty` is the fractional part of the mean reading in counts: the limit
+cycle is largest at ½; at 0 it does not exist (until A is half a count).
 
-It assumes one sinusoid (the loop is a low pass: harmonics of the reading, its images in the velocity's sampling and
-toggling between two ticks are left out) and motion without rest.
+The theory assumes a sinusoidal motion without rest. The loop is a low pass, so harmonics of the reading, its images by
+the velocity's sampling and toggling between two ticks are left out.
 
 Source: own derivation; describing functions are textbook (Gelb and Vander Velde 1968, not opened).
 """

@@ -2,30 +2,30 @@
 
 With b the viscous damping of the rig, T1 and T2 the periods, β a property of the estimator:
 
-* *Multi-rate passivity*, b ≥ K·T1/2 + β·B. The wall is two samplers in parallel, a spring at T1 and a damper at T2;
-  lifted over T2 the spring asks for K·T1/2 of every motion alike, so what both ask for adds. Without lag and delay it
-  is exact on a rigid rig; on two masses sufficient, with b as the motor side meets it (`Subject.port_damping`). Own
-  derivation by lifting; for T1 = T2 it is Colgate and Schenkel's theorem.
-  *Passivity, lag and delay counted*: a late effort turns the damper's part with frequency, and the spring's worst
-  frequency is no longer the damper's. `rig.analysis.theory._dissipation` has the exact condition for a rigid rig; on
-  two masses it is sufficient. At B = 0, b ≥ K·(T1/2 + lag + delay) is necessary (slow motion) and within 1 % of exact
-  for lags above a tick. With β·B added it is an approximation that errs to either side, by up to several times.
-* *Colgate and Schenkel* (1994; read as quoted, Weir and Colgate's equation 8.2): a uniform wall H is passive iff
+* *Multi-rate passivity*, b ≥ K·T1/2 + β·B. The wall consists of two samplers in parallel, a spring at T1 and a damper
+  at T2. Lifted over T2 the spring needs K·T1/2 at every frequency, so the needs of spring and damper add. Without lag
+  and delay the condition is exact on a rigid rig; on two masses it is sufficient, with b the damping of the motor's side
+  (`Subject.port_damping`). Own derivation by lifting; for T1 = T2 it is Colgate and Schenkel's theorem.
+  *Passivity, lag and delay counted*: a late effort rotates the damper's part with frequency, so spring and damper have
+  different worst frequencies. `rig.analysis.theory._dissipation` has the exact condition for a rigid rig; on two masses
+  it is sufficient. At B = 0, b ≥ K·(T1/2 + lag + delay) is necessary (slow motion) and within 1 % of exact for lags
+  above a tick. With β·B added it is an approximation, too high or too low by up to several times.
+* *Colgate and Schenkel* (1994; as quoted in Weir and Colgate's equation 8.2): a uniform wall H is passive iff
   b > T/2 · Re{(1 − e^{−jωT})·H(e^{jωT})}/(1 − cos ωT) for all ω: b > K·T/2 + |B| for an unfiltered difference.
 * *Abbott and Okamura* (2005; abstract and lecture notes): with a quantum Δ and Coulomb friction f_c, without damping of
   the wall, K ≤ min(2b/T, 2f_c/Δ).
 * *Diolaiti et al.* (2006; normalisation read, thresholds from memory): b/(K·T) > ½ and f_c/(K·Δ) > ½ leave no limit
   cycle; a delay joins T/2. Without damping of the wall.
 * *Gil et al.* (from memory of the literature, checked against exact eigenvalues): K < (b + B)/(T/2 + delay), a linear
-  condition for stability that is good while the damping acts much faster than the mass moves: too high by 2 to 35 %
-  at B·τ/J = 0.01, τ the delay of the estimator, and by several times or more at 0.1. So it is given at B = 0 only,
-  where it is the rule for a rigid rig, K_max = b/(T1/2 + lag + delay).
+  condition for stability that is valid if the damping acts much faster than the mass moves: too high by 2 to 35 % at
+  B·τ/J = 0.01, τ the delay of the estimator, and by several times or more at 0.1. So it is reported at B = 0 only, as
+  the rule for a rigid rig, K_max = b/(T1/2 + lag + delay).
 
-Under voltage drive back-EMF is damping too: without a lag at any speed, behind a lag in slow motion only. The exact
-condition counts it as it is.
+Under voltage drive back-EMF is damping, too: without a lag at any speed, behind a lag in slow motion only. The exact
+condition includes it with its lag.
 
-All are about a bilateral wall and any passive hand. What they leave out is in `rig.analysis.theory._loop`; only Abbott
-and Okamura and Diolaiti include quantum and friction.
+All conditions are for a bilateral wall and any passive hand. The docstring of `rig.analysis.theory._loop` lists what
+they leave out; only Abbott and Okamura and Diolaiti include quantum and friction.
 """
 
 from __future__ import annotations

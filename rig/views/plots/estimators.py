@@ -30,7 +30,8 @@ def estimators_figure(comparison: EstimatorComparison) -> Any:
     chosen = list(panels.values())[:PANELS]
     if not chosen or not comparison.variants:
         raise ConfigError(
-            "no comparison to draw", remedy="give at least one signal or recording, and one estimator"
+            "the comparison is empty, so there is no picture to draw",
+            remedy="give at least one signal or recording, and one estimator",
         )
     figure = style.new_figure(width=10.0, height=1.5 + 3.0 * len(chosen))
     rows = figure.subplots(len(chosen), 2, squeeze=False)

@@ -181,7 +181,7 @@ def test_golden_recordings_are_missed_made_and_compared(suite: pytest.Pytester) 
         [
             "*differs from the golden recording from row * on (* ms, trial), in * columns; there:",
             "*effort_wall: * N·m, was * (by *, allowed *)",
-            "*where today's is right: pytest --rig-golden=update",
+            "*if today's recording is right, run: pytest --rig-golden=update",
         ]
     )
 
