@@ -18,7 +18,7 @@ from rig.experiments.hits.examine import ExaminationRequest, examine
 @click.option("--print-udev", is_flag=True, help="Print udev rules for rigs, and exit.")
 @options.json_option
 def doctor(request: ExaminationRequest, print_udev: bool, as_json: bool) -> None:
-    """Examine what this machine and a link can do, with the remedy for what they cannot; changes nothing.
+    """Examine this machine and a link to a device, and print a remedy for each problem; changes nothing.
 
     The machine: rights, limits, kernel, timers, ports. With --url the device, too: its identity, the round trip, the
     rate that a loop can have, the walls that are stable with that delay, and whether the wall of the experiment may be

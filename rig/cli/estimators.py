@@ -1,4 +1,4 @@
-"""The commands ``rig estimators …``: list estimators, compare them on motions, tune their settings, export them as C."""
+"""The commands ``rig estimators …``: list, compare on motions, tune, and export estimators as C."""
 
 from __future__ import annotations
 

@@ -128,7 +128,7 @@ def build(
 @command()
 @options.json_option
 def amplifiers(as_json: bool) -> None:
-    """List the amplifiers that are known: what a rig and a board must say of one, and what to set in it."""
+    """List the known amplifiers: keys of a rig and a board that each needs, and what to set in the amplifier."""
     found = [profiles.load(name) for name in profiles.names()]
     if as_json:
         output.print_json(found)
@@ -142,7 +142,7 @@ def amplifiers(as_json: bool) -> None:
 @options.output_option("wiring.svg", "File of the drawing (SVG).", "drawing")
 @options.json_option
 def wiring(board: str, sets: tuple[str, ...], drawing: Path, as_json: bool) -> None:
-    """Draw the reference rig around a board, with the pins as they are set, and list its wires."""
+    """Draw the wiring of a board's reference rig, with the pins of its settings, and list the wires."""
     known = boards.load(board)
     found = wired(known, boards.settings_of(known, options.key_values(sets)))
     path = draw(found, drawing)
@@ -157,7 +157,7 @@ def wiring(board: str, sets: tuple[str, ...], drawing: Path, as_json: bool) -> N
 @click.argument("source", metavar="FILE|URL", type=values.URL)
 @options.json_option
 def info(source: str, as_json: bool) -> None:
-    """Show what an image, or the device at a URL, is, and whether this package can run it.
+    """Identify an image, or the firmware of the device at a URL, and check whether this package can run it.
 
     Exits with 4 when it cannot.
     """
@@ -213,7 +213,7 @@ def flash(image: Path, drive: Path | None, url: str | None, as_json: bool) -> No
 @gathered_options(SelfTestRequest, "request")
 @options.json_option
 def selftest(url: str, preset: str | None, rate: int | None, request: SelfTestRequest, as_json: bool) -> None:
-    """Have the device at URL test itself and its link. Nothing moves: no command asks for a current.
+    """Test the device at URL and its link. Nothing moves: no command requests a current.
 
     Exits with 5 when a check fails.
     """
@@ -238,7 +238,7 @@ def selftest(url: str, preset: str | None, rate: int | None, request: SelfTestRe
 @gathered_options(PortCheckRequest, "request")
 @options.json_option
 def check_port(url: str, request: PortCheckRequest, as_json: bool) -> None:
-    """Try the port of the board at URL, duty by duty; rig firmware build --check-port makes the program for it.
+    """Test the port of the board at URL, duty by duty; rig firmware build --check-port builds the program for it.
 
     Without --current nothing is switched on. The board is reset by its watchdog twice. Exits with 5 when a duty is
     broken.

@@ -56,8 +56,7 @@ def import_counts(
     """Make a recording of FILE, a CSV of times and counts from another logger.
 
     `rig show`, `rig estimators compare` and `rig estimators tune` take it. Lost samples are found by the times and by
-    empty cells; an interval may
-    differ from whole periods by 10 % of one.
+    empty cells; an interval may differ from whole periods by 10 % of a period.
     """
     recording = read_counts(
         file,

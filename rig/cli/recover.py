@@ -21,9 +21,9 @@ from rig.experiments.trials.recover import Recovered
 @click.argument("paths", nargs=-1, required=True, type=values.RECORDING, metavar="PATH…")
 @options.json_option
 def recover(paths: tuple[Path, ...], as_json: bool) -> None:
-    """Seal what a crash left: captures (.rigcap) at PATH, or anywhere below it, without their sealed file.
+    """Seal the captures (.rigcap) that a crash left without their sealed file, at PATH or anywhere below it.
 
-    Says for each what the crash cost. What a running loop still writes is left alone; nothing is overwritten.
+    Prints for each what was lost. A capture that a running loop still writes is skipped; nothing is overwritten.
     """
     with _bar(quiet=as_json) as progress:
         results = recovering.recover(paths, progress=progress)

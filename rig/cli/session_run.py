@@ -249,7 +249,7 @@ def resume(
 )
 @options.json_option
 def show(directory: Path, with_log: bool, unblind: bool, as_json: bool) -> None:
-    """Say where the session in DIRECTORY stands; also while it runs."""
+    """Show the progress of the session in DIRECTORY; also while it runs."""
     damage = None
     try:
         state, events = session_state(directory)

@@ -55,7 +55,7 @@ def walls(
     plot: str,
     as_json: bool,
 ) -> None:
-    """Say which walls are stable on a rig by exact linear theory, and which bound binds; nothing is simulated.
+    """Compute which walls are stable on a rig by exact linear theory, and which condition limits K; no simulation.
 
     For each scheme: the largest stable stiffness at B = 0 and at the wall's damping, the largest damping, islands of
     stability beyond, and the conditions for passivity. Friction, quantum and saturation are left out: on the papers'

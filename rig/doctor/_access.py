@@ -26,7 +26,7 @@ RULES_PLACES = ("etc/udev/rules.d", "run/udev/rules.d", "usr/lib/udev/rules.d", 
 
 @question("serial ports", "the user must be allowed to open the rig's port")
 def serial_ports(machine: Machine) -> Check:
-    """Check whether this user may open the connected serial ports; if there are none, any port of the usual group."""
+    """Check whether this user may open the connected serial ports; without any, whether the user is in their group."""
     ports = sorted(path for pattern in PORTS for path in (machine.root / "dev").glob(pattern))
     closed = [path for path in ports if not machine.openable(path)]
     if not ports:

@@ -183,7 +183,7 @@ def _only(drives: list[BootDrive]) -> BootDrive:
 
 
 def _find_unmounted() -> Path | None:
-    """Return the block device of a boot drive that is connected but not mounted; None if there is none."""
+    """Return the block device of a boot drive that is connected but not mounted, or None."""
     labels = Path("/dev/disk/by-label")
     return next((labels / name for name in FAMILY_OF_DRIVE if (labels / name).exists()), None)
 

@@ -4,8 +4,8 @@ With b the viscous damping of the rig, T1 and T2 the periods, β a property of t
 
 * *Multi-rate passivity*, b ≥ K·T1/2 + β·B. The wall consists of two samplers in parallel, a spring at T1 and a damper
   at T2. Lifted over T2 the spring needs K·T1/2 at every frequency, so the needs of spring and damper add. Without lag
-  and delay the condition is exact on a rigid rig; on two masses it is sufficient, with b the damping of the motor's side
-  (`Subject.port_damping`). Own derivation by lifting; for T1 = T2 it is Colgate and Schenkel's theorem.
+  and delay the condition is exact on a rigid rig; on two masses it is sufficient, with b the damping of the motor's
+  side (`Subject.port_damping`). Own derivation by lifting; for T1 = T2 it is Colgate and Schenkel's theorem.
   *Passivity, lag and delay counted*: a late effort rotates the damper's part with frequency, so spring and damper have
   different worst frequencies. `rig.analysis.theory._dissipation` has the exact condition for a rigid rig; on two masses
   it is sufficient. At B = 0, b ≥ K·(T1/2 + lag + delay) is necessary (slow motion) and within 1 % of exact for lags
