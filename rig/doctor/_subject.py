@@ -27,7 +27,7 @@ def openable(path: Path) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Machine:
-    """A machine as this process sees it, and what an experiment requests of it (``experiment.host``)."""
+    """Machine that the checks examine: its file tree, the rights of this process, and the requested scheduling."""
 
     request: RealtimeRequest = field(default_factory=Host)
     root: Path = ROOT  # where /proc, /sys, /dev and /etc are

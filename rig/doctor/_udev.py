@@ -1,4 +1,4 @@
-"""The udev rules for rigs, as text; they are printed, never installed."""
+"""Write the udev rules for rigs as text, which commands print; nothing installs them."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
 def refused_among(
     experiment: Experiment, measurement: LinkMeasurement, stiffnesses: Iterable[float]
 ) -> tuple[float, ...]:
-    """Return those of the stiffnesses that `gate` refuses as unstable at the experiment's damping."""
+    """Return the stiffnesses that `gate` refuses at the experiment's damping: all if it refuses link or homing."""
     walls = tuple(stiffnesses)
     delay = loop_delay_ticks(experiment, measurement, experiment.controller.position_rate)
     if check.refused([*_link_checks(experiment, measurement), *homing_checks(experiment, delay)]):

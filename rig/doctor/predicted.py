@@ -70,7 +70,7 @@ def speed_reading(x: Experiment) -> Check:
     text = (
         f"one count is estimated as up to {reading:.3g} {unit} ({x.controller.estimator} at "
         f"{x.controller.velocity_rate} Hz, moving at homing.speed = {x.homing.speed:g} {unit}); allowed by "
-        f"rig.limits.speed: {limit:g}"
+        f"rig.limits.speed: {limit:g} {unit}"
     )
     higher = round_up(reading / COUNT_SPEED_SHARE)
     filtered = f"choose an estimator with more filtering, or set rig.limits.speed = {higher:g}"
@@ -126,8 +126,8 @@ def _homing_effort(x: Experiment) -> Check:
     least = ABOVE_FRICTION * held + x.rig.amplifier.effort_quantum
     unit = unit_of("effort", x.rig.motion)
     text = (
-        f"{effort:.3g} {unit} against {held:.3g} {unit} of friction, weight and cogging; "
-        f"required at least {least:.3g}"
+        f"homing.effort of {effort:.3g} {unit} against {held:.3g} {unit} of friction, weight and cogging; "
+        f"required at least {least:.3g} {unit}"
     )
     wanted = round_up(min(max(servos.stable_servo(x).effort, SPARE * least), limits.effort))
     if wanted < least:
@@ -164,7 +164,7 @@ def _homing_slew(x: Experiment) -> Check:
     unit = unit_of("effort", x.rig.motion)
     text = (
         f"{h.slew:.3g} {unit}/s for homing.effort {h.effort:.3g} {unit} at {natural:.3g} rad/s; "
-        f"required at least {least:.3g}"
+        f"required at least {least:.3g} {unit}/s"
     )
     return finding(
         "homing slew", h.slew >= least, text, {"homing.slew": round_up(least * servos.SLOWEST_RISE)}
@@ -177,7 +177,7 @@ def _homing_resolution(x: Experiment, ticks: int) -> Check:
     delta, stiffest = x.rig.encoder.resolution, servos.stiffest_for_counts(x, h.effort, servos.COUNT_SHARE)
     text = (
         f"one count changes the spring's effort by {h.stiffness * delta:.3g} {unit}; allowed at most "
-        f"{stiffest * delta:.3g} (from half of homing.effort and twice the friction)"
+        f"{stiffest * delta:.3g} {unit} (from half of homing.effort and twice the friction)"
     )
     return finding("homing resolution", h.stiffness <= stiffest, text, _gains(x, ticks))
 
@@ -246,7 +246,10 @@ def _approach_checks(x: Experiment) -> Iterator[Check]:
         return
     unit, held, push = unit_of("effort", x.rig.motion), holding_effort(x), abs(motor_push(x))
     least = ABOVE_FRICTION * held + x.rig.amplifier.effort_quantum
-    text = f"push of {push:.3g} {unit} against a holding effort of {held:.3g} {unit}; required at least {least:.3g}"
+    text = (
+        f"push of {push:.3g} {unit} against a holding effort of {held:.3g} {unit}; required at least {least:.3g} "
+        f"{unit}"
+    )
     wanted = x.wall.side * round_up(SPARE * least)
     if abs(wanted) > x.rig.limits.effort:
         yield finding("push", push >= least, text, remedy="use a stronger motor, or reduce the friction")

@@ -138,7 +138,7 @@ class Rigs:
         return self._rig
 
     def zero(self, experiment: Experiment) -> int | None:
-        """Return the encoder's count at position zero of the real rig, set before the first hit; None in simulation."""
+        """Return the count at position zero of the real rig: that before the first hit; None in simulation."""
         if not self.simulated and self._zero is None:
             self._zero = position_zero(self.rig, experiment)
         return self._zero
