@@ -1,6 +1,6 @@
-"""Measure one hit from its first contact on: how deep, how often, how long, in encoder counts.
+"""Measure penetration, bounces and settling time of one hit from its first contact on, in encoder counts.
 
-`compare` calls it. Counts because Koul et al. plot them (Fig. 7).
+`compare` calls it. The unit is the count because Koul et al. plot counts (Fig. 7).
 """
 
 from __future__ import annotations
@@ -21,26 +21,27 @@ REST_SHARE = 0.25  # of the trace, whose end is the rest position
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImpactNumbers:
-    """Numbers of one hit, or the mean of several.
+    """Numbers of one hit, or the mean of these numbers over several hits.
 
     Attributes
     ----------
     impact_velocity
-        True velocity of the sensed side at the first sample inside (rad/s or m/s), positive inwards.
+        True velocity of the encoder's side at the first sample inside the wall (rad/s or m/s), positive inwards.
     peak
         Deepest penetration (counts).
     second_peak
-        Deepest penetration after the handle has turned back from the peak and come again (counts); None if it did not.
+        Deepest penetration of the next oscillation after the peak (counts); None if the handle did not turn back and
+        then move inwards again.
     rest
-        Mean penetration over the end of the trace (counts).
+        Mean penetration over the last `REST_SHARE` of the trace (counts).
     bounces
-        How often the handle left the wall and came back.
+        Number of times that the handle left the wall and entered it again.
     decay
-        (second_peak − rest) / (peak − rest), a rest outside the wall taken as its surface: 0 without a second
-        oscillation, 1 and more for a wall that does not damp.
+        (second_peak − rest) / (peak − rest); a rest outside the wall counts as 0. The decay is 0 without a second peak,
+        and 1 or more if the wall does not damp.
     settling_s
-        Time after which the penetration stays within `SWING_SHARE` of the first oscillation around the rest, one count
-        at least (s); None if it never does.
+        Time after which |penetration − rest| stays within `SWING_SHARE`·(peak − rest), or within one count if that is
+        more (s); None if it never does.
     """
 
     impact_velocity: float
@@ -54,22 +55,22 @@ class ImpactNumbers:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Impact:
-    """Traces of one hit, one value a tick from the first sample inside on, each of shape (n,).
+    """Traces of one hit, each of shape (n,): one value for each tick from the first sample inside the wall on.
 
     Attributes
     ----------
     offset
-        Where position zero lies in its encoder cell (count).
+        Place of position zero within its encoder cell (count, 0 to below 1).
     time_s
-        From the first sample inside (s).
+        Time since the first sample inside the wall (s).
     counts
         Penetration as measured (counts); negative outside.
     penetration, penetration_true
-        The same in rad or m, and that of the handle.
+        Measured penetration, and true penetration of the handle (rad or m).
     velocity, velocity_true
-        Into the wall (rad/s or m/s): what the law saw, held or extrapolated, and that of the sensed side.
+        Velocity into the wall (rad/s or m/s): the estimate that the law used, and the truth at the encoder's side.
     complete
-        False when the guard ended the run.
+        False if the guard ended the run.
     """
 
     offset: float
@@ -84,7 +85,10 @@ class Impact:
 
 
 def measure(time_s: Floats, counts: Floats, impact_velocity: float) -> ImpactNumbers:
-    """Return numbers of a trace that begins at the first sample inside; `counts` is the penetration, shape (n,)."""
+    """Return the numbers of a hit.
+
+    `time_s` and `counts` (penetration) begin at the first sample inside the wall and have shape (n,).
+    """
     end = max(1, round(REST_SHARE * len(counts)))
     peak, rest = float(counts.max()), float(counts[-end:].mean())
     swing = max(LEAST_SWING, SWING_SHARE * (peak - rest))
@@ -104,7 +108,10 @@ def measure(time_s: Floats, counts: Floats, impact_velocity: float) -> ImpactNum
 
 
 def second_peak(counts: Floats, swing: float) -> float | None:
-    """Return the deepest value after the peak, once the handle has moved back by `swing` and then in by as much."""
+    """Return the depth of the next oscillation after the peak (counts); None without one.
+
+    It counts only if the handle moved back from the peak by `swing` (counts) and then inwards by `swing`.
+    """
     after = counts[int(np.argmax(counts)) :]
     returned = np.flatnonzero(after <= after[0] - swing)
     if not len(returned):
@@ -115,7 +122,10 @@ def second_peak(counts: Floats, swing: float) -> float | None:
 
 
 def mean(numbers: Iterable[ImpactNumbers]) -> ImpactNumbers:
-    """Mean of each number over several hits: the second peak over those that have one, the settling if all settled."""
+    """Return the mean of each number over several hits.
+
+    The second peak is averaged over the hits that have one; the settling time is None if a hit did not settle.
+    """
     rows = [asdict(each) for each in numbers]
     values: dict[str, Any] = {}
     for name in rows[0]:

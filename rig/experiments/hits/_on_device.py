@@ -1,7 +1,7 @@
-"""Run one recorded trial after another on a device, for measurements that take many.
+"""Run many recorded trials, one after another, on one device.
 
-Maps and impedances on a device call it. A trial is an ordinary hit (`rig.experiments.hits.hit`), with its checks and
-its recording.
+Measurements of maps and impedances call it. Each trial is an ordinary hit (`rig.experiments.hits.hit`) with its checks
+and its recording.
 """
 
 from __future__ import annotations
@@ -27,16 +27,17 @@ from rig.realtime.stop_requests import RunSeries
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OnDevice:
-    """Which device, and how.
+    """Device to measure, and settings of the measurement.
 
     Attributes
     ----------
     url, realtime, verified, arm_anyway, hands_off
-        As in `rig.experiments.hits.hit.HitRequest`; a real handle is at position zero when the measurement begins.
+        As in `rig.experiments.hits.hit.HitRequest`. The handle of a real rig without an index must be at position zero
+        when the measurement begins.
     recordings
         Directory of the recordings.
     device, reference_count
-        A real one that is open already, and its position zero; it stays open.
+        Real device that the caller has opened already, and its encoder count at position zero; the device stays open.
     """
 
     url: str
@@ -50,13 +51,13 @@ class OnDevice:
 
     @property
     def simulated(self) -> bool:
-        """Return True if the device is simulated, and so created again for each trial."""
+        """Return True if the device is simulated; each trial then creates a new one."""
         return self.url.startswith("sim:")
 
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """A trial that the guard or the device ended early: its error, and what it left."""
+    """Trial that the guard or the device ended early: its error, and its recording with the judgement."""
 
     error: GuardError | DeviceFaultError
     recorded: Recorded
@@ -64,7 +65,7 @@ class Ended:
 
 @dataclass(frozen=True, slots=True)
 class Trials:
-    """Trials on a device that stays open; without `device` (None) each opens a new one. One stop ends them all."""
+    """Trials on one device that stays open; with `device` None each trial opens a new one. One stop ends all trials."""
 
     where: OnDevice
     device: FramedDevice | None
@@ -77,9 +78,10 @@ class Trials:
         changes: Mapping[str, Any],
         law: Law | Callable[[float], Law] | None = None,
     ) -> Recorded | Ended:
-        """Run one trial; `changes` win over what the experiment has for real time. Errors as `hits.hit.hit`.
+        """Run one trial and return its recording; raise the errors of `rig.experiments.hits.hit.hit`.
 
-        One that the guard or the device ended with a recording is returned as `Ended`.
+        `changes` override the experiment's changes for real time. If the guard or the device ended the trial and a
+        recording exists, return it as `Ended` and raise nothing.
         """
         request = HitRequest(
             experiment=experiment,
@@ -108,7 +110,7 @@ class Trials:
 
 @contextmanager
 def kept_open(where: OnDevice, experiment: Experiment) -> Iterator[Trials]:
-    """Keep a real device open, with its position zero in an experiment, from trial to trial."""
+    """Yield the trials of a measurement; a real device stays open and keeps its position zero meanwhile."""
     with stop_requests.listening() as series:
         if where.simulated:
             yield Trials(where, None, None, series)
@@ -124,7 +126,7 @@ def kept_open(where: OnDevice, experiment: Experiment) -> Iterator[Trials]:
 
 @contextmanager
 def examined(where: OnDevice, experiment: Experiment) -> Iterator[tuple[FramedDevice, Trials]]:
-    """As `kept_open`, with the device of an experiment to look at before anything moves, a simulated one included."""
+    """Yield the open device, also a simulated one, and the trials on it; the caller can check it before it moves."""
     if where.device is not None:
         with stop_requests.listening() as series:
             yield where.device, Trials(where, where.device, where.reference_count, series)
@@ -144,7 +146,7 @@ def examined(where: OnDevice, experiment: Experiment) -> Iterator[tuple[FramedDe
 
 
 def _asked_for(experiment: Experiment) -> dict[str, Any]:
-    """Return rates and wall, which a measurement varies."""
+    """Return the experiment's rates, stiffness and damping as changes; defaults for real time do not replace them."""
     controller, wall = experiment.controller, experiment.wall
     return {
         "controller.position_rate": controller.position_rate,

@@ -1,8 +1,8 @@
-"""Checks that a wall may run at its rate, with its loop, on a device: the same for `rig doctor`, gate and `rig hit`.
+"""Check that a wall may run at its rate on a device: the same checks for `rig doctor`, the arming gate and `rig hit`.
 
-Every caller of `rig.experiments.hits.hit.hit` passes `admit`, behind which nothing but a trial stands between a wall
-and a motor: `rig hit`, the console, sessions and `rig.testing`. It must not run the trial itself, and must not move
-anything but for the torque pulse before a person.
+`admit` is the last check before a trial moves the motor; every caller of `rig.experiments.hits.hit.hit` passes it:
+`rig hit`, the console, sessions and `rig.testing`. It must not run the trial. It moves nothing, except by the torque
+pulse before a device is armed for a person.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from rig.recording.files import free_name
 
 
 def admit(request: HitRequest, device: FramedDevice, experiment: Experiment) -> Admitted:
-    """Prepare the run of an experiment in effect on an open device, or refuse it.
+    """Prepare the run of an experiment on an open device, or raise an error if the run is not permitted.
 
-    Before a person is armed, a real rig whose motion was not seen is sent a torque pulse; nothing else moves.
+    A real rig gets a torque pulse before its first trial with a person, to check its motion; nothing else moves.
 
     Raises
     ------
     PlanError
-        Something that must not run on this device or behind this link: nothing has moved.
+        The run is not permitted on this device or over this link; nothing has moved.
     ConfigError
-        A real rig whose polarity is not verified.
+        The polarity of a real rig's motor and encoder is not verified.
     RigError
-        A link that cannot be measured; or what ended the torque pulse, or what it showed: the effort is zero.
+        The link cannot be measured, or the torque pulse failed; the effort is zero.
     """
     run = vetted(request, device, experiment)
     gate = _gate(request, device, run.experiment)
@@ -51,14 +51,14 @@ def admit(request: HitRequest, device: FramedDevice, experiment: Experiment) -> 
 
 
 def vetted(request: HitRequest, device: FramedDevice, experiment: Experiment) -> PreparedRun:
-    """Return the run of an experiment in effect on an open device. The link is not measured, and nothing moves.
+    """Return the prepared and checked run of an experiment on an open device. No link is measured, nothing moves.
 
     Raises
     ------
     PlanError
-        Something that must not run, or a device that was built for another rig.
+        The run is not permitted, or the device was built for another rig.
     ConfigError
-        A real rig whose polarity is not verified.
+        The polarity of a real rig's motor and encoder is not verified.
     """
     config.check_plugins(experiment, experiment.rig.name)
     refuse([check_rig(config.rig_model(experiment), device.dictionary)])
@@ -78,10 +78,9 @@ def vetted(request: HitRequest, device: FramedDevice, experiment: Experiment) ->
 
 
 def admission_checks(run: PreparedRun, device: FramedDevice) -> list[Check]:
-    """Return what decides whether a run may start on an open device, before its link is measured.
+    """Return the checks of a run on an open device that need no measurement of the link.
 
-    The wall behind the measured link is judged by `rig.doctor.gate.gate`, which `rig doctor` and `rig hit` both
-    call with these checks done.
+    `rig doctor` and `rig hit` call `rig.doctor.gate.gate` afterwards, which judges the wall with the measured link.
     """
     x, dictionary = run.experiment, device.dictionary
     return [
@@ -94,7 +93,7 @@ def admission_checks(run: PreparedRun, device: FramedDevice) -> list[Check]:
 
 
 def _gate(request: HitRequest, device: FramedDevice, experiment: Experiment) -> Gate | None:
-    """Refuse what the link makes dangerous; None in virtual time, which has no delay."""
+    """Return the assessment of the measured link, or raise if it makes the wall dangerous; None in virtual time."""
     if device.link.clock.virtual:
         return None
     found = check_armable(device, experiment, anyway=request.arm_anyway, progress=request.measuring)
@@ -113,7 +112,10 @@ def _reference_count(request: HitRequest, device: FramedDevice, experiment: Expe
 
 
 def _check_it_moves(request: HitRequest, device: FramedDevice, run: PreparedRun) -> None:
-    """Require a real rig to have moved as described, with its handle free, before it is armed for a person."""
+    """Send a torque pulse to a real rig before it is armed for a person; raise if it does not move as described.
+
+    The pulse is not repeated on a device whose motion has been confirmed.
+    """
     experiment = run.experiment
     if experiment.trial.kind != "human" or device.dictionary.simulated or device.moved_as_described:
         return

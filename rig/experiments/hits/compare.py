@@ -1,4 +1,4 @@
-"""Compare the same wall under several sampling schemes: what each does to one and the same hit.
+"""Simulate the same hit on the same wall under several sampling schemes, and compare the results.
 
 `rig compare`, `rig.experiments.lab`, papers and pictures call it. It opens no device and writes no recording. Source:
 Koul et al., Fig. 7 and section III ("depth of penetration … after the first impact").
@@ -35,16 +35,16 @@ USUAL_VELOCITY_RATE = 2000  # Hz, of the dual-rate scheme when the experiment's 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Start:
-    """How the handle gets going: where it is at the first sample, how fast, and what pushes it all along.
+    """Initial state of the handle at the first sample, and the constant efforts on it during the whole trial.
 
     Attributes
     ----------
     position, velocity
         State of the whole rig at the first sample (rad or m, rad/s or m/s).
     motor_effort
-        Constant effort through the motor, as an automated trial has it (N·m or N).
+        Constant effort of the motor, like the push of an automated trial (N·m or N).
     external_effort
-        Constant effort of the world on the link (N·m or N).
+        Constant effort from outside on the link (N·m or N).
     """
 
     position: float
@@ -54,33 +54,33 @@ class Start:
 
     @classmethod
     def of(cls, experiment: Experiment) -> Start:
-        """Return the experiment's own: at rest at its start, pushed by its constant effort."""
+        """Return the start of an experiment's trial: at rest at `trial.start`, the motor pushes with `trial.effort`."""
         return cls(position=experiment.trial.start, motor_effort=experiment.trial.effort)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entry:
-    """A scheme that takes part: its name in tables, and the wall's damping under it; None: the experiment's."""
+    """Scheme to compare: its name in tables, and the wall's damping with it (None: the damping of the experiment)."""
 
     name: str
     scheme: Scheme
     damping: float | None = None
 
     def applied(self, experiment: Experiment) -> Experiment:
-        """Return the experiment under this scheme and damping; `ConfigError` as `Scheme.applied`."""
+        """Return the experiment with this scheme and damping; raise `ConfigError` if the scheme is invalid."""
         changed = self.scheme.applied(experiment)
         if self.damping is None:
             return changed
         return replace(changed, wall=replace(changed.wall, damping=self.damping))
 
     def label(self, experiment: Experiment) -> str:
-        """Name for a legend: rates, estimator, cut-off; without damping none of these matters."""
+        """Return the name for a legend: rates, estimator and cut-off, or "no damping" if the damping is 0."""
         return "no damping" if self.damping == 0.0 else self.scheme.label(experiment)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SchemeImpacts:
-    """Result of one entry: a hit for each encoder offset, and the mean of their numbers."""
+    """Result of one compared scheme: a hit for each encoder offset, and the mean of the hits' numbers."""
 
     entry: Entry = field(repr=False)
     experiment: Experiment = field(repr=False)  # as it was run
@@ -110,12 +110,12 @@ class SchemeImpacts:
 
     @property
     def peaks(self) -> tuple[float, float]:
-        """Return the least and largest peak over the offsets (counts)."""
+        """Return the smallest and the largest peak penetration over the offsets (counts)."""
         peaks = [impact.numbers.peak for impact in self.impacts]
         return min(peaks), max(peaks)
 
     def cells(self) -> tuple[str, ...]:
-        """Return the row of the table of a comparison."""
+        """Return the scheme's row for the table of a comparison."""
         n, (least, most) = self.numbers, self.peaks
         return (
             self.label + ("" if self.complete else ", ended by the guard"),
@@ -132,7 +132,7 @@ class SchemeImpacts:
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class SchemeComparison(Shown, Drawn):
-    """Every entry on one rig, wall and start."""
+    """Results of all compared schemes on one rig, with one wall and one start."""
 
     experiment: Experiment = field(repr=False)
     start: Start
@@ -140,27 +140,30 @@ class SchemeComparison(Shown, Drawn):
 
     @reported
     def rig(self) -> str:
-        """Return the name of the rig that was compared on."""
+        """Return the name of the simulated rig."""
         return self.experiment.rig.name
 
     @reported
     def motion(self) -> Motion:
-        """Return its kind of motion, which decides the units."""
+        """Return the rig's kind of motion, rotary or linear, which determines the units."""
         return self.experiment.rig.motion
 
     @reported
     def wall(self) -> Wall:
-        """Return the wall, whose damping an entry may replace."""
+        """Return the wall; an entry may replace its damping."""
         return self.experiment.wall
 
     @reported
     def cutoffs(self) -> str | None:
-        """Return how the cut-offs differ between damped schemes that state none; None where they do not."""
+        """Return a sentence if schemes that state no cut-off get different ones; None if all are equal.
+
+        Schemes with zero damping are ignored.
+        """
         damped = [outcome.entry.scheme for outcome in self.outcomes if outcome.damping > 0.0]
         return describe_cutoffs(damped, self.experiment)
 
     def brief(self) -> list[Item]:
-        """Return the wall, and of each scheme the peak, its spread over the offsets, and the rest."""
+        """Return the wall, and for each scheme the mean peak and rest (counts)."""
         return [
             self._headline(),
             *(
@@ -170,7 +173,7 @@ class SchemeComparison(Shown, Drawn):
         ]
 
     def detailed(self) -> list[Item]:
-        """Return every number of each scheme, and how the cut-offs differ."""
+        """Return a table with every number of each scheme, and a sentence if the cut-offs differ."""
         velocity = unit_of("velocity", self.motion)
         head = ("counts", f"impact ({velocity})", "peak", "of offsets", "second", "rest", "bounces", "decay")
         table = Table((*head, "settling (s)"), [one.cells() for one in self.outcomes])
@@ -186,7 +189,7 @@ class SchemeComparison(Shown, Drawn):
         )
 
     def __getitem__(self, name: str) -> SchemeImpacts:
-        """Return the outcome of the entry of that name; raises `KeyError` if no entry has it."""
+        """Return the result of the scheme with this name; raise `KeyError` if there is no such scheme."""
         for outcome in self.outcomes:
             if outcome.entry.name == name:
                 return outcome
@@ -194,10 +197,10 @@ class SchemeComparison(Shown, Drawn):
 
 
 def default_entries(experiment: Experiment) -> tuple[Entry, Entry, Entry]:
-    """Return no damping, uniform, and dual-rate, at the experiment's position rate, with its estimator.
+    """Return three schemes at the experiment's position rate: without damping, uniform, and dual-rate.
 
-    The dual-rate velocity rate is the experiment's own, or else the fastest one up to `USUAL_VELOCITY_RATE` that
-    divides the position rate.
+    The dual-rate scheme has the experiment's velocity rate. If that equals the position rate, it has the fastest
+    divisor of the position rate up to `USUAL_VELOCITY_RATE` and up to half of the position rate.
     """
     own = Scheme.of(experiment)
     fast, slow = own.position_rate, own.velocity_rate
@@ -212,14 +215,17 @@ def default_entries(experiment: Experiment) -> tuple[Entry, Entry, Entry]:
 
 
 def entries_of(experiment: Experiment, schemes: Sequence[str | Scheme]) -> tuple[Entry, ...]:
-    """Return an entry for each scheme, ``"none"`` for no damping; `default_entries` if `schemes` is empty."""
+    """Return an entry for each scheme, or `default_entries` if `schemes` is empty; ``"none"`` means no damping.
+
+    Raise `ConfigError` if a scheme is named twice.
+    """
     usual = default_entries(experiment)
     if not schemes:
         return usual
     names = [one if isinstance(one, str) else one.text for one in schemes]
     for name in names:
         if names.count(name) > 1:
-            raise ConfigError(f"scheme {name} is named twice", remedy="name each scheme once")
+            raise ConfigError(f"scheme {name} is named twice", remedy="name each scheme only once")
     return tuple(
         usual[0]
         if one == NO_DAMPING
@@ -229,7 +235,7 @@ def entries_of(experiment: Experiment, schemes: Sequence[str | Scheme]) -> tuple
 
 
 def refuse_unused(changes: Mapping[str, Any]) -> None:
-    """Raise `ConfigError` for a change that no comparison can use."""
+    """Raise `ConfigError` if a change sets a key that a comparison does not use (`UNUSED`)."""
     for key in UNUSED:
         if key in changes:
             raise ConfigError(
@@ -250,30 +256,30 @@ def compare(
     Parameters
     ----------
     experiment
-        Rig, wall, estimator, length of the trial.
+        Rig, wall, estimator, and length of the trial.
     entries
         Schemes to compare; `default_entries` if None.
     start
-        The experiment's own if None.
+        Initial state and efforts; None: those of the experiment's trial.
     offsets
-        Where position zero lies in its encoder cell (count, 0 to below 1), one trial each.
+        Places of position zero within its encoder cell (count, 0 to below 1); one trial is simulated for each.
 
     Raises
     ------
     ConfigError
-        An invalid scheme, a hand on the rig, no offset, or a handle that never reaches the wall.
+        A scheme is invalid, the trial has a hand, no offset is given, or the handle never reaches the wall.
     DeviceNotFoundError
         The simulation is not installed.
     """
     chosen = default_entries(experiment) if entries is None else tuple(entries)
     if not chosen or not offsets or not all(0.0 <= offset < 1.0 for offset in offsets):
         raise ConfigError(
-            "no scheme or no encoder offset is given",
-            remedy="give at least one scheme, and encoder offsets from 0 to below 1 count",
+            f"{len(chosen)} schemes and the encoder offsets {list(offsets)} are given: at least one of each is needed",
+            remedy="give at least one scheme, and at least one encoder offset from 0 to below 1 count",
         )
     if experiment.trial.kind != "constant-effort":
         raise ConfigError(
-            f"trial.kind = {experiment.trial.kind}: schemes are compared in automated trials, without a hand",
+            f"trial.kind = {experiment.trial.kind}, but schemes are compared without a hand or an excitation",
             remedy="set trial.kind = constant-effort",
         )
     given = start or Start.of(experiment)
@@ -294,7 +300,7 @@ def compare(
 
 
 def hit(experiment: Experiment, start: Start, offset: float) -> Impact:
-    """Simulate one trial and cut it at its first contact; errors as `compare`."""
+    """Simulate one trial and return its part from the first contact on; raise the errors of `compare`."""
     law, plant, trace = simulate(experiment, start, offset)
     side, wall = experiment.wall.side, experiment.wall.position
     rows = _rows(law, plant, trace)
@@ -302,7 +308,8 @@ def hit(experiment: Experiment, start: Start, offset: float) -> Impact:
     if not len(inside):
         raise ConfigError(
             f"the handle never reached the wall within {len(rows) / experiment.controller.position_rate:.3g} s",
-            remedy="start closer, push harder than the friction, or give the trial more time",
+            remedy="start closer to the wall (trial.start), raise trial.effort above the friction, or raise "
+            "trial.duration_s",
         )
     first = int(inside[0])
     after, states = rows[first:], trace.states[first:]
@@ -323,13 +330,13 @@ def hit(experiment: Experiment, start: Start, offset: float) -> Impact:
 
 
 def simulate(experiment: Experiment, start: Start, offset: float) -> tuple[ControllerState, Any, Any]:
-    """Run one trial without bytes, the law in its trial from the first tick on.
+    """Simulate one trial without the byte link and without homing.
 
     Returns
     -------
     tuple
-        A fresh controller like the one that ran, the plant (`sim_backend.mechanics.plant.DiscretePlant`), and what
-        happened in each tick (`sim_backend.bare.trial.Trace`).
+        A new controller with the same settings as the one that ran, the plant
+        (`sim_backend.mechanics.plant.DiscretePlant`), and the trace of all ticks (`sim_backend.bare.trial.Trace`).
     """
     rig = replace(experiment.rig, encoder=replace(experiment.rig.encoder, offset=offset))
     placed = replace(experiment, rig=rig)
@@ -350,7 +357,7 @@ def simulate(experiment: Experiment, start: Start, offset: float) -> tuple[Contr
 
 
 def _controller(experiment: Experiment, start: Start) -> ControllerState:
-    """Return a controller that is past its homing."""
+    """Return a controller in the phase TRIAL, so that it does no homing."""
     made = controller.for_experiment(experiment, current_quantum_a=experiment.rig.amplifier.current_quantum_a)
     made.control["constant_effort"] = start.motor_effort
     # No homing, whose servo uses the estimate: with the same position rate the motion before the first contact is then
@@ -360,7 +367,7 @@ def _controller(experiment: Experiment, start: Start) -> ControllerState:
 
 
 def _one_tick_before(experiment: Experiment, start: Start, tick_s: float) -> tuple[float, float]:
-    """Return the position and velocity from which the rig, as one body, coasts to the start within one tick."""
+    """Return position and velocity of the rig, as one rigid body, one tick before it reaches the start."""
     if start.velocity == 0.0:
         return start.position, 0.0
     m = experiment.rig.mechanics
@@ -376,7 +383,7 @@ def _one_tick_before(experiment: Experiment, start: Start, tick_s: float) -> tup
 
 
 def _rows(law: ControllerState, plant: Any, trace: Any) -> NDArray[np.void]:
-    """Rows of `rig.core.sample.ROW` as the law filled them: `step` again over the counts, which gives the same bits."""
+    """Return the rows (`rig.core.sample.ROW`) of a trial, computed by the same law from the recorded counts."""
     rows = np.zeros(len(trace.counts), ROW)
     rows["elapsed_ticks"] = 1
     rows["count"] = trace.counts

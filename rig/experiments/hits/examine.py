@@ -1,7 +1,7 @@
-"""Everything that `rig doctor` examines: machine, ports, and the link to a device, as one function.
+"""Examine the machine, its ports, and the link to a device, for `rig doctor`.
 
-`rig doctor` and the console's page of devices call it. It must not move the handle, and an error of the device becomes
-part of the answer.
+`rig doctor` and the console's page of devices call it. It must not move the handle. An error of the device is stored
+in the result.
 """
 
 from __future__ import annotations
@@ -58,15 +58,15 @@ class Examination:
     checks
         Checks of the machine, its ports, and the requested scheduling.
     ports
-        That are connected.
+        Ports found on this computer.
     admission
-        Checks of `rig hit` for the experiment on this device before it measures the link.
+        Checks that `rig hit` makes for the experiment on this device before it measures the link.
     device, link, walls, gate
-        Results for the examined device; None or empty without one, or where the examination ended before.
+        Results for the examined device; None or empty without a device, or if the examination ended before that part.
     experiment
-        As it would run there.
+        Experiment as it would run on the device.
     error
-        Why the device could not be examined to the end.
+        Error that ended the examination of the device early; None if it was complete.
     """
 
     checks: tuple[Check, ...]
@@ -81,19 +81,22 @@ class Examination:
 
     @reported
     def armable(self) -> bool | None:
-        """Return True if `rig hit` would arm the wall (a simulated link forbids nothing); None: not measured."""
+        """Return True if `rig hit` would arm the wall; None if the link was not measured.
+
+        The link of a simulated device never forbids arming.
+        """
         if refused(self.admission):
             return False
         return None if self.gate is None else self.gate.armable or self.gate.simulated
 
     @property
     def remedy(self) -> str:
-        """Return the remedies of all refused checks and of the gate, joined; empty without any."""
+        """Return the remedies of all refused checks and of the arming gate, joined by semicolons; "" without any."""
         remedies = [one.remedy for one in refused(self.admission)]
         return "; ".join(dict.fromkeys(filter(None, [*remedies, self.gate.remedy if self.gate else ""])))
 
     def items(self) -> list[Item]:
-        """Return the checks of machine, link and wall, for people."""
+        """Return the checks of machine, link and wall as lines to print."""
         found: list[Item] = ["machine", *self.checks]
         if self.ports:
             found += ["ports", *(Row(port.url, port.description) for port in self.ports)]
@@ -123,7 +126,8 @@ class ExaminationRequest:
     Attributes
     ----------
     experiment
-        Validated experiment, before `changes`: its wall is the one to arm, its rig and estimator make the table.
+        Validated experiment, before `changes`. Arming is checked for its wall; the table of supported walls is computed
+        for its rig and estimator.
     changes
         Keys that the user set by hand.
     """
@@ -145,19 +149,19 @@ class ExaminationRequest:
 
 
 def examine(question: ExaminationRequest, on_progress: Progress = lambda what, share: None) -> Examination:
-    """Examine the machine and its ports, and, with a device, measure its link and compute the walls that it supports.
+    """Examine the machine and its ports; with a device also measure its link and compute the walls that it supports.
 
     Parameters
     ----------
     question
         Request of the examination.
     on_progress
-        Called with what is being done and the share of it that is done, 0 … 1.
+        Called with the name of the present step and the share of it that is done, 0 … 1.
 
     Raises
     ------
     ConfigError
-        Changes that are not allowed. All other errors, a missing device included, are in the result.
+        The changes are invalid. All other errors, a missing device included, are in the result.
     """
     host = config.override(question.experiment, question.changes).host
     on_progress("examining the machine", 0.0)
@@ -174,7 +178,7 @@ def examine(question: ExaminationRequest, on_progress: Progress = lambda what, s
 
 @contextmanager
 def _open_device(question: ExaminationRequest) -> Iterator[FramedDevice]:
-    """Open the device; a simulated one in real time becomes a process of its own."""
+    """Open the device of a request; a simulated device in real time runs as a separate process."""
     loop = question.changes.get("controller.loop", question.experiment.controller.loop)
     url = devices.url_for(question.url or "sim://", loop)
     simulated = url.startswith("sim:")

@@ -1,9 +1,9 @@
-"""The main job: an automated wall hit with a constant effort, on a rig or on its simulation, recorded and judged.
+"""Run hits: a constant effort or a person drives the handle into the wall; each hit is recorded and judged.
 
-Whether a device may be armed is decided before, by what the caller must pass: `rig.experiments.hits.admission.admit`.
+The caller passes the function that decides if a device may be armed: `rig.experiments.hits.admission.admit`.
 
-`rig hit`, `rig.experiments.lab`, maps on a device, sessions, the console and `rig.testing` call it. It must not import
-`admission`, which imports it, nor start a run that the caller did not admit.
+`rig hit`, `rig.experiments.lab`, maps on a device, sessions, the console and `rig.testing` call this module. It must
+not import `admission`, which imports it, nor start a run that `admit` did not permit.
 """
 
 from __future__ import annotations
@@ -46,24 +46,25 @@ class HitRequest(RigRequest):
     Attributes
     ----------
     name
-        Name of the recording, without its suffix, if the caller has names of its own; else rig, time and repeat.
+        Name of the recording without suffix; None: the rig's name, the time, and the number of the repeat.
     law
-        A law of the caller's own instead of the named one, or what makes one for the device's current quantum (A).
+        Law to run instead of the one that the experiment names, or a function that returns it for the device's current
+        quantum (A).
     device
         Open device to use instead of `url`; it stays open.
     reference_count
-        Count at position zero of a real rig. None: see `rig.experiments.trials.preparation.position_zero`.
+        Encoder count at position zero of a real rig. None: `rig.experiments.trials.preparation.position_zero` finds it.
     arm_anyway
-        See `rig.doctor.gate`; the override is reported and recorded.
+        Arm although the measured link makes the wall dangerous (`rig.doctor.gate`). This is reported and recorded.
     measuring
-        Called while the link is measured before arming, with the share that is done.
+        Called while the link is measured before arming, with the share of the measurement that is done (0 to 1).
     judged_link
         Called before arming with the assessment of the measured link.
     hands_off
-        Called before a torque pulse with the instruction to the operator: a real rig is pushed before it is armed for a
-        person.
+        Called with an instruction to the operator (hands off the handle) before the torque pulse that a real rig gets
+        before it is armed for a person.
     blinded
-        A person must not know the wall: a program that displays the running loop must not show anything of it.
+        True if the person must not know the wall: programs that display the running loop must then hide the wall.
     """
 
     realtime: Annotated[
@@ -104,7 +105,7 @@ class Recorded:
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class HitResult(Shown, Drawn):
-    """One hit: its verdict, its recording, and the file of that."""
+    """Result of one hit: its verdict, its recording, and the recording's file."""
 
     recorded: Recorded
     counters: dict[str, int]
@@ -131,28 +132,28 @@ class HitResult(Shown, Drawn):
 
     @property
     def verdict(self) -> Verdict:
-        """Return the verdict by the recorded signals."""
+        """Return the verdict computed from the recorded signals."""
         return self.recorded.judgement.verdict
 
     @property
     def verdict_true(self) -> Verdict | None:
-        """Return the verdict by the true signals of the simulation; None on a real rig."""
+        """Return the verdict computed from the true signals of the simulation; None on a real rig."""
         return self.recorded.judgement.verdict_true
 
     def brief(self) -> list[Item]:
-        """Return the wall, verdict with its reasons, and the three ripples that it goes by."""
+        """Return the wall, the verdict with its reasons, and the three ripples on which the verdict is based."""
         rows = self.recorded.judgement.rows(self.experiment)
         summary = [row for row in rows if row.label in {"verdict", ""}]
         numbers = [row for row in rows if row.label.startswith(("peak", "felt", "heard", "moved"))]
         return [self.experiment.headline(), *summary[:3], *numbers, Row("recording", str(self.path))]
 
     def detailed(self) -> list[Item]:
-        """Return everything that the verdict goes by."""
+        """Return the verdict with every number on which it is based."""
         rows = self.recorded.judgement.rows(self.experiment)
         return [self.experiment.headline(), *rows, Row("recording", str(self.path))]
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the values of a hit for JSON: the wall and the scheme; the recording has the whole experiment."""
+        """Return wall, sampling rates, estimator and verdict for JSON; the recording has the whole experiment."""
         return {
             "recording": self.path,
             "rig": self.experiment.rig.name,
@@ -186,11 +187,11 @@ class Admitted:
     Attributes
     ----------
     run
-        Prepared for the device.
+        Run prepared for the device.
     gate
-        Assessment of arming on its link; None in virtual time, which has no delay.
+        Assessment of the device's link before arming; None in virtual time, where a link has no delay.
     warnings
-        Limits for people that do not hold, each with its remedy.
+        One sentence for each exceeded limit that protects people, with its remedy.
     """
 
     run: PreparedRun
@@ -203,10 +204,10 @@ Watch = Callable[[int, Experiment], Callable[[int, int], None] | None]
 
 
 def in_effect(experiment: Experiment, device: FramedDevice, changes: Mapping[str, Any]) -> Experiment:
-    """Return the experiment as it runs on this device: in real time its gentler variant at the device's own rate.
+    """Return the experiment as it runs on this device.
 
-    `changes` are the keys that the user set by hand; they win over everything else. Where the law runs on the device
-    itself, rates and wall are the experiment's.
+    In real time the changes of `rig.config.realtime_changes` apply. If the host runs the law and the user set no rate,
+    both sampling rates become the device's default rate. `changes`, the keys that the user set, override all of this.
     """
     if device.link.clock.virtual:
         return config.override(experiment, changes)
@@ -219,25 +220,25 @@ def in_effect(experiment: Experiment, device: FramedDevice, changes: Mapping[str
 
 
 def hit(request: HitRequest, admit: Admit, watch: Watch | None = None) -> Iterator[HitResult]:
-    """Run the hits of a request, one after another, and yield each result as it comes.
+    """Run the hits of a request, one after another, and yield each result as soon as its hit has ended.
 
     Parameters
     ----------
     request
-        Request: rig, device and options.
+        Rig, device and options.
     admit
-        Given the request, the open device and the experiment in effect there, prepares the run, or raises what forbids
-        it: `rig.experiments.hits.admission.admit`.
+        Called with the request, the open device and the experiment in effect; returns the prepared run, or raises an
+        error if the run is not permitted. Pass `rig.experiments.hits.admission.admit`.
     watch
-        Called before each repeat with its number and the experiment in effect; may return a function that
-        is called with (ticks, phase) while the trial runs.
+        Called before each repeat with its number (from 0) and the experiment in effect. It may return a function that
+        is then called with (ticks, phase) while the trial runs.
 
     Raises
     ------
     PlanError
-        Something that must not run: nothing has moved.
+        The run is not permitted; nothing has moved.
     RigError
-        Whatever ended a trial early (see `rig.experiments.trials._trial.run_trial`); the effort is zero.
+        A trial ended early (errors of `rig.experiments.trials._trial.run_trial`); the effort is zero.
     """
     with stop_requests.listening() as series, _open_device(request) as (device, effective):
         with series:
@@ -269,7 +270,7 @@ def hit(request: HitRequest, admit: Admit, watch: Watch | None = None) -> Iterat
 
 
 def left_by(error: Exception) -> Recorded | None:
-    """Return the recording of a hit that ended with this error; None if nothing moved."""
+    """Return recording and judgement of the hit that ended with this error; None if no run began."""
     end = end_of(error)
     return None if end is None else _make_recorded(end)
 
@@ -295,9 +296,9 @@ def _one(device: FramedDevice, trial: TrialRequest, admitted: Admitted) -> HitRe
 
 @contextmanager
 def _open_device(request: HitRequest) -> Iterator[tuple[FramedDevice, Experiment]]:
-    """Open the device of a request; with it the experiment in effect there.
+    """Open the device of a request; yield the device and the experiment in effect on it.
 
-    A simulated one in real time becomes a process of its own.
+    A simulated device in real time runs as a separate process.
     """
     experiment = request.experiment
     if request.device is not None:
@@ -326,7 +327,7 @@ def _open_device(request: HitRequest) -> Iterator[tuple[FramedDevice, Experiment
 
 
 def _rig_behind(url: str, request: HitRequest) -> RigModel | None:
-    """Return the rig that a bridge must know; a board knows its own."""
+    """Return the rig's model for a device that needs it (a bridge to a drive); None for a board, which stores it."""
     if not devices.is_made_for_a_rig(url):
         return None
     return config.rig_model(config.with_realtime(request.experiment, request.changes))

@@ -1,7 +1,7 @@
-"""Hit one simulated rig under one scheme again and again without bytes: what maps are made of.
+"""Simulate hits on one rig with one sampling scheme, without the byte link.
 
 Maps, papers and the simulated hand of a session's plan call it. It opens no device and records nothing. The trajectory
-of a hit is that of the loop over the byte link, to the last bit.
+of a hit equals that of the loop over the byte link, to the last bit.
 """
 
 from __future__ import annotations
@@ -19,29 +19,28 @@ HOMING_ALLOWANCE_S = 0.5  # beyond settling: the handle starts within the tolera
 
 
 class HitSimulator:
-    """A simulated rig, ready to be hit at any wall.
+    """Simulated rig that can be hit at walls of any stiffness and damping.
 
     Parameters
     ----------
     experiment
-        Rig, controller, trial and thresholds; of its wall everything but K and B. Its seed decides where within
-        homing's tolerance the handle starts, and the tremor of a hand.
+        Rig, controller, trial, thresholds and wall; the wall's stiffness and damping are not used. The seed determines
+        the start of the handle within homing's tolerance, and the tremor of a hand.
     law
-        Stands in for the law that the experiment names.
+        Law to run instead of the one that the experiment names.
 
     Attributes
     ----------
     limits
         Thresholds of the verdict, in the units of the rig.
     start
-        Where the handle rests before each hit (rad or m).
+        Position at which the handle rests before each hit (rad or m).
     """
 
     def __init__(self, experiment: Experiment, *, law: Law | None = None) -> None:
         trial, homing = experiment.trial, experiment.homing
         tick_s = 1.0 / experiment.controller.position_rate
         longest_s = homing.settle_s + HOMING_ALLOWANCE_S + trial.baseline_s + trial.duration_s + 2 * tick_s
-        # The push is all that is judged: the ramp down after it costs time and shows nothing.
         # The push is all that is judged: the ramp down after it costs time and shows nothing.
         experiment = replace(experiment, trial=replace(trial, release_s=tick_s))
         self._wall = experiment.wall
@@ -56,13 +55,13 @@ class HitSimulator:
         self.start = start_of(experiment)
 
     def hit(self, stiffness: float, damping: float) -> SimulatedHit:
-        """Simulate one hit of a wall of this stiffness and damping."""
+        """Simulate one hit of a wall with this stiffness (N·m/rad or N/m) and damping (N·m·s/rad or N·s/m)."""
         wall = asdict(replace(self._wall, stiffness=stiffness, damping=damping))
         return self._rig.hit(self._template.fresh(wall), self.start)
 
 
 def start_of(experiment: Experiment) -> float:
-    """Return where a hit begins (rad or m): somewhere within homing's tolerance, by the seed."""
+    """Return the position at which a hit begins (rad or m): random within homing's tolerance, from the seed."""
     spread = experiment.homing.tolerance_counts * experiment.rig.encoder.resolution / 2.0
     return experiment.trial.start + spread * float(
         np.random.default_rng(experiment.trial.seed).uniform(-1.0, 1.0)

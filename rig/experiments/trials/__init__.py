@@ -1,1 +1,1 @@
-"""One trial before and after it runs: its plan, its endings, what is judged and what it leaves."""
+"""One trial: its plan and checks, its run on a device, why it ended, its verdict, its recording and its replay."""

@@ -1,6 +1,6 @@
-"""Check that a device accepts the limits of an experiment: its ranges may be narrower than those of the protocol.
+"""Check that a device accepts the limits of an experiment.
 
-A drive behind a bridge has limits of its own, and so may a board: a speed, a current, a window.
+A board, or a drive behind a bridge, may have narrower limits of speed, current and window than the protocol.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from rig.core.sample import unit_of
 
 
 class _Limit(NamedTuple):
-    """Where a parameter comes from: key and quantity of the experiment, and what one of its quanta is there (SI)."""
+    """Limit that becomes a device's parameter: key and quantity in the experiment, size of the quantum (SI)."""
 
     key: str
     quantity: str
@@ -46,7 +46,7 @@ def check_limits(run: PreparedRun, dictionary: Dictionary) -> Check:
     Returns
     -------
     Check
-        Refused, with every limit that the device does not take, and what it takes; or ok.
+        Refused with each limit that the device does not accept and its allowed range, or OK.
     """
     wrong, keys = [], []
     for name, limit in _LIMITS.items():

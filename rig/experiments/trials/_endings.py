@@ -1,4 +1,4 @@
-"""Why a run ended, as the error that a user reads: what happened, and what to do next."""
+"""Errors for the reasons that end a run: what happened, and what to do next."""
 
 from __future__ import annotations
 
@@ -154,18 +154,18 @@ IN_DOUBT = frozenset(
 
 
 def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np.void]) -> RigError | None:
-    """Return the error of an ending, None when the run finished.
+    """Return the error for the end of a run; None if the run finished as planned.
 
     Parameters
     ----------
     end
-        How the loop ended.
+        Reason and counters of the loop's end.
     url
         URL of the device.
     fault
         The device's fault report, if it was requested and received.
     rows
-        The last rows of the ring, which the error carries.
+        Last rows of the ring; a `LinkLostError` stores them.
     """
     if end.reason == EndReason.FINISHED:
         return None
@@ -199,6 +199,6 @@ def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np
 
 
 def _slower(rows: NDArray[np.void]) -> str:
-    """The rate at which the latest of the last ticks would have been late by a period; empty where none is known."""
+    """Return advice to lower the rate until the last ticks would be less than a period late; "" if none was late."""
     late_ns = int(rows["lateness"].max()) if len(rows) else 0
     return f"choose a rate of {int(1e9 // late_ns)} Hz or less, " if late_ns > 0 else ""

@@ -1,6 +1,7 @@
-"""Plan and checks of an excited run: peaks by the linear closed form, before anything moves.
+"""Plan and check an excited run: linear theory predicts the peaks of effort, position and speed before anything moves.
 
-Friction is left out, which errs on the hard side; so is whatever only instability brings, of which linear theory warns.
+The predicted peaks are too large, because friction is neglected. Growing oscillations of an unstable wall are not
+predicted, but the check of stability warns of them.
 """
 
 from __future__ import annotations
@@ -22,17 +23,17 @@ RENDERED = "peak motor effort"  # of `rig.control.excitation.Multisine.check`
 
 
 def excitation_plan(experiment: Experiment) -> Plan:
-    """List and check a measurement of an impedance; `rig.experiments.trials.plan.make_plan` calls it for that kind."""
+    """Return steps and checks of a measured impedance; called by `rig.experiments.trials.plan.plan_of`."""
     x = config.excited(experiment)
     checks = (*excitation_checks(x), *_heat_checks(x))
     return Plan(x.rig.name, x.excitation.realisations, _steps(x), checks)
 
 
 def excitation_checks(experiment: Experiment) -> list[Check]:
-    """Check that an excitation stays within the limits of effort, window and speed, by the linear closed form.
+    """Check that an excitation stays within the limits of effort, window and speed, as predicted by linear theory.
 
-    Friction is left out, which makes the prediction hard; so are the wall's estimator where it is not linear (a raw
-    difference stands in) and all that only instability brings.
+    The prediction neglects friction and instability, and replaces an estimator that is not linear by a finite
+    difference.
     """
     x, motion, limits = experiment, experiment.rig.motion, experiment.rig.limits
     wall, centre = x.wall, x.wall.position
@@ -80,7 +81,7 @@ def excitation_checks(experiment: Experiment) -> list[Check]:
 
 
 def _rendered_check(found: Peak, motion: Motion) -> Check:
-    """Warn above the limit: the guard clips the rendered effort, which spoils a measurement but is safe."""
+    """Warn if the rendered effort exceeds its limit: the guard clips it, which is safe but spoils the measurement."""
     return limited(
         found.name,
         found.holds,
@@ -91,7 +92,7 @@ def _rendered_check(found: Peak, motion: Motion) -> Check:
 
 
 def _linear_loop(x: Experiment) -> LinearLoop:
-    """Return the loop as linear theory sees it; a raw difference in place of an estimator that is not linear."""
+    """Return the loop for linear theory; a finite difference replaces an estimator that is not linear."""
     fixed = replace(x.controller, slow_velocity_rate=None)
     try:
         return linear_loop(replace(x, controller=fixed))
@@ -144,7 +145,7 @@ def _steps(x: Experiment) -> tuple[Step, ...]:
 
 
 def _heat_checks(x: Experiment) -> list[Check]:
-    """Return the heat of the motor that excites; one that only renders the wall carries less."""
+    """Check the heat of the motor if it excites the rig; empty with a second actuator."""
     if x.excitation.channel != "motor":
         return []
     seconds = x.excitation.realisations * config.excitation_s(x)[0]

@@ -1,6 +1,6 @@
-"""The motions of an identification: what moves, how far and how hard; and the plan that says so beforehand.
+"""Compute the motions of an identification, and the plan that lists them: pushes, strokes, sweeps and excitation.
 
-Everything follows from the described rig and its limits; no device is touched here.
+All numbers follow from the described rig and its limits; no device is opened here.
 """
 
 from __future__ import annotations
@@ -84,7 +84,10 @@ HARD = 5.0  # rms effort of the excitation over Coulomb friction from which fric
 
 @dataclass(frozen=True, slots=True)
 class IdentificationMotion:
-    """One kind of trial: the experiment that it runs, the law that moves (None: its own), and in which phases."""
+    """Trial of an identification: its experiment, the law that moves the handle, and the phases of the motion.
+
+    `law` is None if the experiment's own law runs.
+    """
 
     experiment: Experiment
     law: Law | None
@@ -94,9 +97,9 @@ class IdentificationMotion:
 def identification_plan(
     x: Experiment, *, realisations: int, period_s: float, seed: int, cogging: int | None = None
 ) -> Plan:
-    """List and check what will be done, from the described rig; no device is touched.
+    """Return steps and checks of an identification, computed from the described rig; no device is opened.
 
-    With `cogging` it is looked for up to that harmonic.
+    `period_s` is the period of the excitation (s). `cogging`, the highest harmonic of cogging to identify, adds sweeps.
     """
     limits = x.rig.limits
     effort, position, speed = (_unit(x, quantity) for quantity in ("effort", "position", "velocity"))
@@ -131,7 +134,7 @@ def identification_plan(
             "excitation over friction",
             Outcome.OK if multisine.rms >= HARD * coulomb else Outcome.WARNING,
             f"{multisine.rms:.3g} {effort} rms, Coulomb friction {coulomb:.3g}",
-            "the inertia will be some per cent too large: allow more effort, speed or travel",
+            "the estimated inertia will be some per cent too large: raise rig.limits (effort, speed, positions)",
         ),
     )  # fmt: skip
     if cogging is not None:
@@ -150,7 +153,7 @@ def identification_plan(
 
 
 def loaded_plan(plan: Plan, x: Experiment, most_order: int, weight: float) -> Plan:
-    """Add the same sweeps with a weight (N·m or N) to a plan; `x` is the rig with the mass on it."""
+    """Add sweeps for cogging with a hung mass to a plan; `weight` is its load (N·m or N), `x` the rig with the mass."""
     limits, position, effort = x.rig.limits, _unit(x, "position"), _unit(x, "effort")
     sweeps = cogging_sweeps(x, most_order, loaded=True)[1]
     room = (0.5 - SWEEP_SHARE) * (limits.position_maximum - limits.position_minimum)
@@ -167,7 +170,10 @@ def loaded_plan(plan: Plan, x: Experiment, most_order: int, weight: float) -> Pl
 
 
 def _follows(x: Experiment, limit: float) -> Check:
-    """Check that the servo of the strokes overcomes the friction: the slower the loop, the softer the servo."""
+    """Check that friction keeps the handle within `limit` (rad or m) of the servo's set point.
+
+    A slower loop permits only a softer servo, which friction holds back more.
+    """
     stiffness = servo_of(x, slow_rate(x))[0]
     held, unit = coulomb_of(x) / stiffness, _unit(x, "position")
     stiffer = math.sqrt(3.0 * held / limit)  # with room: stiffness goes as the square of the rate
@@ -182,7 +188,7 @@ def _follows(x: Experiment, limit: float) -> Check:
 
 
 def _counts(x: Experiment, travel: float) -> Check:
-    """Check that a third of a stroke has enough counts to measure a speed."""
+    """Check that a stroke of ± `travel` (rad or m) has enough counts to measure a speed in a third of it."""
     counts, wider = 2.0 * travel / x.rig.encoder.resolution, LEAST_STROKE_COUNTS * x.rig.encoder.resolution
     return limited(
         "counts of a stroke",
@@ -194,7 +200,7 @@ def _counts(x: Experiment, travel: float) -> Check:
 
 
 def _moves(x: Experiment, rms: float) -> Check:
-    """Check that the excitation moves the handle by enough counts, friction aside."""
+    """Check that the excitation moves the handle by enough counts; `rms` is its motion without friction (rad or m)."""
     counts = rms / x.rig.encoder.resolution
     return limited(
         "counts of the excitation",
@@ -206,7 +212,7 @@ def _moves(x: Experiment, rms: float) -> Check:
 
 
 def _repeatable(x: Experiment) -> Check:
-    """Check that position zero is that of an index, so that it is the same after the next start."""
+    """Check that position zero comes from an index, so that it is the same after each start of the device."""
     if x.rig.reference.index:
         return Check("position zero", Outcome.OK, "comes from the encoder's index")
     return Check(
@@ -219,7 +225,7 @@ def _repeatable(x: Experiment) -> Check:
 
 
 def _whole_period(x: Experiment, measured: float) -> Check:
-    """Check that the sweeps cover a whole period, which is needed to separate its harmonics."""
+    """Check that the sweeps measure (`measured`, rad or m) a whole period of cogging, to separate its harmonics."""
     period, unit = cogging_period(x), _unit(x, "position")
     return limited(
         "period of cogging",
@@ -230,7 +236,11 @@ def _whole_period(x: Experiment, measured: float) -> Check:
 
 
 def cogging_period(x: Experiment) -> float:
-    """Way after which cogging repeats (rad or m): as described, else a turn of a rotary encoder's disc, and motor."""
+    """Return the travel after which cogging repeats (rad or m).
+
+    This is `rig.cogging.period`, or without that key one turn of motor and rotary encoder. Raise `ConfigError` for a
+    linear rig without that key.
+    """
     if x.rig.cogging.period is not None:
         return x.rig.cogging.period
     if x.rig.motion == "linear":
@@ -244,7 +254,7 @@ def cogging_period(x: Experiment) -> float:
 
 
 def pushes_motion(x: Experiment, at: float, pushes: int = PUSHES) -> IdentificationMotion:
-    """Return small pushes about where the handle is; window, speed and energy shrink to what they need."""
+    """Return small pushes from the handle's position `at` (rad or m), with a small window and speed limit."""
     limits, way, rate = x.rig.limits, push_way(x), slow_rate(x)
     speed = min(limits.speed, PUSH_SPEED * way)
     changes = {
@@ -271,10 +281,11 @@ def pushes_motion(x: Experiment, at: float, pushes: int = PUSHES) -> Identificat
 
 
 def single_push(x: Experiment, at: float, way: Literal[-1, 1]) -> Experiment:
-    """Return one push as a trial of the law that every board has; to be run inside the limits of `pushes_motion`.
+    """Return one push as a trial of the law that every board has, within the limits of `pushes_motion`.
 
-    There is no wall. The slew limit lets the effort grow as slowly as in the other pushes, and the window is the way of
-    a push, on both sides: whatever the signs are, the guard cuts in the very tick in which the handle has gone so far.
+    The wall has no stiffness. The slew limit lets the effort grow slowly. The window extends from `at` by the travel
+    of a push to both sides: the guard ends the push in the tick in which the handle has moved so far, for any signs of
+    motor and encoder.
     """
     around, length, most = pushes_motion(x, at).experiment, push_way(x), most_push(x)
     growth = push_growth(x)
@@ -295,7 +306,7 @@ def single_push(x: Experiment, at: float, way: Literal[-1, 1]) -> Experiment:
 
 
 def strokes_motion(x: Experiment) -> IdentificationMotion:
-    """Return strokes at constant speeds by the homing servo, with as much effort as the motor gives for hours."""
+    """Return strokes at constant speeds, driven by the homing servo with at most the motor's nominal effort."""
     path, _ = strokes_of(x)
     limit = min(x.rig.limits.effort, x.rig.limits.nominal_effort)
     rate = slow_rate(x)
@@ -305,10 +316,10 @@ def strokes_motion(x: Experiment) -> IdentificationMotion:
 
 
 def way_motion(x: Experiment, at: float, to: float, margin: float) -> IdentificationMotion:
-    """A slow way between two positions by the homing servo, at homing's speed and with no more effort than homing has.
+    """Return a slow motion from `at` to `to` (rad or m) by the homing servo, with homing's speed and effort.
 
-    The window is that way with a margin at both ends, whatever the description says. Where the board runs the law, the
-    way is the homing of a trial that then does nothing.
+    The window is the travel plus `margin` (rad or m) at both ends, in place of the described window. If the board runs
+    the law, the motion is the homing of a trial that then does nothing.
     """
     rate, way_s = slow_rate(x), abs(to - at) / x.homing.speed
     on_board = x.controller.loop == "device"
@@ -341,7 +352,7 @@ def way_motion(x: Experiment, at: float, to: float, margin: float) -> Identifica
 
 
 def weighing_motion(x: Experiment) -> IdentificationMotion:
-    """Slow strokes under a steady load, which the servo carries with as much effort as the motor gives for hours."""
+    """Return slow strokes under a steady load, which the servo carries with at most the motor's nominal effort."""
     rate, limit = slow_rate(x), min(x.rig.limits.effort, x.rig.limits.nominal_effort)
     stiffness, damping = servo_of(x, rate)
     path, _ = weighing_strokes(x)
@@ -350,7 +361,7 @@ def weighing_motion(x: Experiment) -> IdentificationMotion:
 
 
 def _bearing(x: Experiment, rate: int, limit: float) -> dict[str, Any]:
-    """Return the homing that bears a load: so far below its set point the servo holds it."""
+    """Return changes of homing for a rig under a load: more effort, and a tolerance for the sag under this load."""
     hangs = limit / servo_of(x, rate)[0] / x.rig.encoder.resolution
     return {
         **_homing(x, rate),
@@ -360,7 +371,10 @@ def _bearing(x: Experiment, rate: int, limit: float) -> dict[str, Any]:
 
 
 def weighing_strokes(x: Experiment) -> tuple[list[tuple[float, float]], list[Stroke]]:
-    """Path of slow strokes about the middle of the window, at homing's speed and at half of it, and each of them."""
+    """Return the path of slow strokes (time in s, position in rad or m), and a list of the strokes.
+
+    They go about the middle of the window, at homing's speed and at half of it.
+    """
     travel = TRAVEL_SHARE * (x.rig.limits.position_maximum - x.rig.limits.position_minimum)
     start, time_s = _middle(x) - travel, HANG_S
     path, strokes = [(0.0, start), (time_s, start)], []
@@ -373,7 +387,10 @@ def weighing_strokes(x: Experiment) -> tuple[list[tuple[float, float]], list[Str
 
 
 def cogging_motion(x: Experiment, most_order: int, *, loaded: bool = False) -> IdentificationMotion:
-    """Slow sweeps both ways by the homing servo, with as much effort as the motor gives for hours; also with a mass."""
+    """Return slow sweeps in both directions for cogging, by the homing servo with at most the motor's nominal effort.
+
+    `most_order` is the highest harmonic. With `loaded` a mass hangs on the rig.
+    """
     path, _ = cogging_sweeps(x, most_order, loaded=loaded)
     rate, limit = slow_rate(x), min(x.rig.limits.effort, x.rig.limits.nominal_effort)
     stiffness, damping = servo_of(x, rate)
@@ -385,9 +402,10 @@ def cogging_motion(x: Experiment, most_order: int, *, loaded: bool = False) -> I
 def cogging_sweeps(
     x: Experiment, most_order: int, *, loaded: bool = False
 ) -> tuple[list[tuple[float, float]], list[Stroke]]:
-    """Return the path of pairs of sweeps over most of the window, each pair at a speed of its own, and each of them.
+    """Return the path of the sweeps for cogging (time in s, position in rad or m), and a list of the sweeps.
 
-    A load is let go first.
+    Each pair, forth and back over most of the window, has another speed. With `loaded` the path begins with a rest, in
+    which the operator lets go of the mass.
     """
     stiffness, damping = servo_of(x, slow_rate(x))
     wave = cogging_period(x) / most_order / (2.0 * math.pi)
@@ -407,7 +425,7 @@ def cogging_sweeps(
 
 
 def excitation_motion(x: Experiment, multisine: Multisine, inertia: float) -> IdentificationMotion:
-    """Return one realisation of a multisine about the middle of the window, kept there by a soft spring."""
+    """Return one realisation of a multisine about the middle of the window, where a soft spring keeps the handle."""
     rate = x.controller.position_rate
     periods = settle_periods(multisine.period_s) + PERIODS
     law = bilateral.excited_law(multisine.period(rate), round(multisine.period_s * rate))
@@ -416,10 +434,10 @@ def excitation_motion(x: Experiment, multisine: Multisine, inertia: float) -> Id
 
 
 def servo_of(x: Experiment, rate: int) -> tuple[float, float]:
-    """Return the stiffness and damping of a well damped servo that the delay of loop and velocity filter leaves stable.
+    """Return stiffness and damping of a well damped servo that is stable with the delay of loop and velocity filter.
 
-    The homing servo of a description may count on an end mass that is not there now; no more damping is used than it
-    has, because a mode may be what limits it.
+    The described homing servo is not used, because it may need an end mass that is not mounted now. The damping does
+    not exceed that of homing, because a resonance may limit it.
     """
     ticks = SERVO_TICKS + x.rig.amplifier.set_point_ticks(1.0 / rate)
     delay_s = ticks / rate + FILTER_DELAY / _cutoff_hz(x, rate)
@@ -428,13 +446,16 @@ def servo_of(x: Experiment, rate: int) -> tuple[float, float]:
 
 
 def _cutoff_hz(x: Experiment, rate: int) -> float:
-    """Cut-off of the velocity filter: lower where single counts of a coarse encoder would end a motion by its speed."""
+    """Return the cut-off of the velocity filter (Hz).
+
+    It is lower with a coarse encoder, of which a single count would otherwise exceed the speed limit.
+    """
     quiet = COUNT_SHARE * x.rig.limits.speed / (COUNT_PEAK * x.rig.encoder.resolution)
     return min(CUTOFF_SHARE * _divisor(rate, SLOW_RATE), quiet)
 
 
 def _homing(x: Experiment, rate: int) -> dict[str, Any]:
-    """Return the homing by that servo, as close to the start as friction and cogging let it come."""
+    """Return changes of homing: the servo of `servo_of`, and a tolerance for friction and cogging."""
     stiffness, damping = servo_of(x, rate)
     held = 2.0 * (coulomb_of(x) + x.rig.cogging.crest) / stiffness / x.rig.encoder.resolution
     return {
@@ -446,7 +467,7 @@ def _homing(x: Experiment, rate: int) -> dict[str, Any]:
 
 
 def strokes_of(x: Experiment) -> tuple[list[tuple[float, float]], list[Stroke]]:
-    """Return the path of the strokes (time, position) and each of them."""
+    """Return the path of the strokes (time in s, position in rad or m), and a list of the strokes."""
     limits = x.rig.limits
     travel = TRAVEL_SHARE * (limits.position_maximum - limits.position_minimum)
     slowing = max(1.0, 2.0 * travel / STROKES_S[0] / (STROKE_SPEED * limits.speed))
@@ -464,10 +485,10 @@ def strokes_of(x: Experiment) -> tuple[list[tuple[float, float]], list[Stroke]]:
 
 
 def _settles(x: Experiment, length_s: float, travel: float) -> bool:
-    """Return True if the servo has the speed of a stroke in its last third.
+    """Return True if the servo reaches the constant speed of a stroke before the last third of it.
 
-    After a turn friction holds the handle until the servo's spring has turned, too. Then what is missing of the speed
-    decays by the slower pole of servo, mass and viscous damping.
+    After a reversal friction holds the handle until the servo's spring is reversed, too. Then the error of the speed
+    decays with the slower pole of servo, mass and viscous damping.
     """
     stiffness, damping = servo_of(x, slow_rate(x))
     damping, mass = damping + config.rig_model(x).damping, inertia_of(x)
@@ -478,7 +499,11 @@ def _settles(x: Experiment, length_s: float, travel: float) -> bool:
 
 
 def excitation(x: Experiment, seed: int, period_s: float, inertia: float, realisation: int = 0) -> Multisine:
-    """Return a multisine as large as effort, heat, window and speed allow, with margins, for a rig of this inertia."""
+    """Return the largest multisine that the limits of effort, heat, position and speed allow, with margins.
+
+    `period_s` is its period (s), `inertia` that of the whole rig (kg·m² or kg). Raise `ConfigError` if the rate is too
+    low.
+    """
     top = min(HIGHEST_HZ, HIGHEST_SHARE * x.controller.position_rate)
     if top < 2.0 * LOWEST_HZ:
         raise ConfigError(
@@ -509,34 +534,37 @@ def centring(inertia: float) -> float:
 
 
 def inertia_of(x: Experiment) -> float:
-    """Return the described inertia of everything that moves (kg·m² or kg)."""
+    """Return the described inertia of motor, link and load together (kg·m² or kg)."""
     return x.rig.mechanics.motor_inertia + x.rig.mechanics.loaded_link_inertia
 
 
 def coulomb_of(x: Experiment) -> float:
-    """Return the described Coulomb friction of everything that moves (N·m or N)."""
+    """Return the described Coulomb friction of motor and link together (N·m or N)."""
     return x.rig.mechanics.motor_coulomb + x.rig.mechanics.link_coulomb
 
 
 def push_growth(x: Experiment) -> float:
-    """How fast a push grows (N·m/s or N/s): beyond the described friction, and slow enough to be stopped in time."""
+    """Return the rate at which the effort of a push grows (N·m/s or N/s).
+
+    The effort exceeds the described friction within `PUSH_S`, and grows slowly enough to be stopped in time.
+    """
     gentle = 6.0 * inertia_of(x) * push_way(x) / PUSH_RISE_S**3 * PUSH_S
     bound = PUSH_SHARE * min(x.rig.limits.nominal_effort, x.rig.limits.effort)
     return min(bound, max(gentle, PUSH_COULOMB * coulomb_of(x))) / PUSH_S
 
 
 def most_push(x: Experiment) -> float:
-    """Return the effort at which a push ends (N·m or N): after `PUSH_S`, or where an undetected motion would be fast.
+    """Return the highest effort of a push (N·m or N), reached after `PUSH_S` or earlier.
 
-    Under an effort g·t a free handle of inertia m and Coulomb friction F has the speed (g·t − F)²/(2·g·m), which a dead
-    encoder would not show.
+    It is lower if a free handle with a dead encoder would come near the speed limit: under an effort g·t a handle of
+    inertia m and Coulomb friction F has the speed (g·t − F)²/(2·g·m).
     """
     growth, speed = push_growth(x), UNSEEN_SPEED * x.rig.limits.speed
     return min(growth * PUSH_S, coulomb_of(x) + math.sqrt(2.0 * growth * inertia_of(x) * speed))
 
 
 def pushes_checks(x: Experiment) -> list[Check]:
-    """Return what limits the pushes of `rig device check`: friction that hides them, and the ends of the window."""
+    """Check the pushes of `rig device check`: their effort against friction, and their travel against the window."""
     way, limits = push_way(x), x.rig.limits
     half, middle = 0.5 * (limits.position_maximum - limits.position_minimum), _middle(x)
     position, needed = _unit(x, "position"), round_up(SPARE * PUSHES_ROOM * way)
@@ -552,7 +580,10 @@ def pushes_checks(x: Experiment) -> list[Check]:
 
 
 def observable_check(x: Experiment) -> Check:
-    """Return whether a push is beyond what holds the handle; a warning, because it may rub less than described."""
+    """Warn if a push may not overcome friction, weight and cogging.
+
+    It is only a warning, because the true friction may be lower than described.
+    """
     held, most, effort = holding_effort(x), most_push(x), _unit(x, "effort")
     return finding(
         "pushes of rig device check",
@@ -566,7 +597,7 @@ def observable_check(x: Experiment) -> Check:
 
 
 def _observable_limits(x: Experiment) -> dict[str, float]:
-    """Return limits with which `most_push` is enough; empty where the amplifier has not so much effort."""
+    """Return changes of `rig.limits` with which `most_push` overcomes friction; empty if the amplifier is too weak."""
     limits, wanted = x.rig.limits, SPARE * OBSERVABLE * holding_effort(x)
     if (most := round_up(wanted / PUSH_SHARE)) > x.rig.amplifier.effort_limit:
         return {}
@@ -582,19 +613,19 @@ def _observable_limits(x: Experiment) -> dict[str, float]:
 
 
 def push_way(x: Experiment) -> float:
-    """How far the handle moves in a push (rad or m): counts, or with a coarse encoder what the window has room for."""
+    """Return the travel of a push (rad or m): some counts, or less with a coarse encoder in a small window."""
     count, limits = x.rig.encoder.resolution, x.rig.limits
     half = 0.5 * (limits.position_maximum - limits.position_minimum)
     return max(LEAST_PUSH_COUNTS * count, min(PUSH_COUNTS * count, half / COARSE_ROOM))
 
 
 def pushes_s(pushes: int = PUSHES) -> float:
-    """Return the total duration of some pushes (s)."""
+    """Return the total duration of this number of pushes (s)."""
     return pushes * (PUSH_S + REST_S) + REST_S
 
 
 def slow_rate(x: Experiment) -> int:
-    """Rate of pushes and strokes (Hz)."""
+    """Return the rate of pushes and strokes (Hz)."""
     return _divisor(x.controller.position_rate, SLOW_RATE)
 
 
@@ -641,7 +672,7 @@ _NO_WALL: dict[str, Any] = {
 
 
 def still(x: Experiment) -> Experiment:
-    """Return the same rig with its handle free."""
+    """Return the experiment of a trial that leaves the handle free: no wall, and negligible effort."""
     return _set_motion(x, _middle(x), 1.0, slow_rate(x), {})
 
 
@@ -650,7 +681,10 @@ def _middle(x: Experiment) -> float:
 
 
 def _free_impedance(x: Experiment, inertia: float) -> Callable[[Floats], Any]:
-    """Return Z of a rigid rig on its centring spring: the described damping and back-EMF, and this inertia."""
+    """Return a function of frequencies (Hz): the impedance of a rigid rig on its centring spring (N·m·s/rad or N·s/m).
+
+    Damping and back-EMF are those described; `inertia` is given (kg·m² or kg).
+    """
     mechanics, amplifier = x.rig.mechanics, x.rig.amplifier
     damping, stiffness = mechanics.motor_damping + mechanics.link_damping, centring(inertia)
 
@@ -662,7 +696,7 @@ def _free_impedance(x: Experiment, inertia: float) -> Callable[[Floats], Any]:
 
 
 def settle_periods(period_s: float) -> int:
-    """Return periods that are played before those that are kept."""
+    """Return the number of excitation periods that are played before the analysed ones, so that transients decay."""
     return max(LEAST_SETTLE, math.ceil(EXCITATION_SETTLE_S / period_s - 1e-9))
 
 

@@ -1,9 +1,8 @@
-"""Estimate the encoder's scale after the first contact, from the balance of the motor's effort and the measured motion.
+"""Estimate the encoder's scale before and after the first contact, from the motor's effort and the measured motion.
 
 `judgement` calls it. A rigid mass with the described friction must gain the momentum that the effort gives it, inside a
-wall and outside; where the scale after the contact differs from that before, the encoder's scale changed in the trial.
-It decides nothing for a hand at the handle, whose effort is not measured, and a constant drift of the count is not
-seen.
+wall and outside. If the scale differs before and after the contact, the encoder's scale changed during the trial. The
+method does not work with a hand at the handle, whose effort is not measured, and cannot detect a constant drift.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ FRICTION_SPEED_COUNTS = 2.0  # in a window: a slower handle's friction has no kn
 
 @dataclass(frozen=True, slots=True)
 class MotionScale:
-    """Measured over predicted motion in some windows: an estimate, and what half a count a sample can make of it."""
+    """Ratio of measured to predicted motion, and the error (`doubt`) that half a count in every sample can cause."""
 
     value: float
     doubt: float
@@ -37,9 +36,9 @@ class MotionBalance:
     Attributes
     ----------
     before, after
-        With the described friction; None without any motion.
+        Scales with the described friction; None without motion.
     least, most
-        Their ratio over `FRICTIONS`; None where one of the scales does not decide.
+        Smallest and largest ratio after/before over `FRICTIONS`; None if a scale is too uncertain.
     """
 
     before: MotionScale | None
@@ -49,12 +48,12 @@ class MotionBalance:
 
     @property
     def ratio(self) -> float | None:
-        """Scale after the contact over that before; None where one of both does not decide."""
+        """Ratio of the scales after and before the contact; None if a scale is too uncertain."""
         return _ratio(self.before, self.after)
 
     @property
     def changed(self) -> bool:
-        """Return True if the encoder's scale changed in the trial; False if this is undecided."""
+        """Return True if the encoder's scale changed in the trial; False if not, or if the scales are too uncertain."""
         if self.least is None or self.most is None:
             return False
         return self.least > FACTOR or self.most < 1.0 / FACTOR
@@ -78,18 +77,18 @@ def motion_balance(
     coulomb: float,
     damping: float,
 ) -> MotionBalance:
-    """Compare measured with predicted motion before and after a row.
+    """Compare measured with predicted motion before and after the first contact.
 
     Parameters
     ----------
     position, effort
-        Signals of every tick of the trial proper, none lost (rad or m; N·m or N, as the motor gave it).
+        Measured position (rad or m) and applied effort (N·m or N) of every tick of the phase TRIAL, none lost.
     contact
         Row of the first contact.
     tick_s, resolution
         Period (s) and one count (rad or m).
     inertia, coulomb, damping
-        Described values of motor and link together.
+        Described values of motor and link together (kg·m² or kg, N·m or N, N·m·s/rad or N·s/m).
     """
     # In each window the position is x0 + v0·t + s·g(t), with g the second integral of what effort less friction would
     # do to the described inertia; s is the encoder's scale times described over true inertia.
@@ -130,7 +129,7 @@ def _windows(
     coulomb: float,
     damping: float,
 ) -> tuple[Floats, Floats]:
-    """Return the predicted and measured bends of half-overlapping windows, straight lines taken off; a row each."""
+    """Return predicted and measured motion in half-overlapping windows, one row each, less its straight line."""
     view = np.lib.stride_tricks.sliding_window_view
     if len(position) < length:
         return np.zeros((0, length)), np.zeros((0, length))
@@ -147,7 +146,7 @@ def _windows(
 
 
 def _bent(rows: Floats) -> Floats:
-    """Return the residual of each row from its straight line."""
+    """Return the residual of each row from its fitted straight line."""
     t = np.linspace(-1.0, 1.0, rows.shape[1])
     rows = rows - rows.mean(axis=1, keepdims=True)
     return rows - np.outer(rows @ t / (t @ t), t)

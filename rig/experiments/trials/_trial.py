@@ -1,7 +1,7 @@
-"""One trial on an open device: configure, arm, run the loop, come to rest, and leave a recording whatever happens.
+"""Run one trial on an open device: configure, arm, run the loop, bring the handle to rest, and close the recording.
 
-The order at the end is fixed: zero effort first, then the recorder, then the reason. Nothing on that way
-depends on what went wrong before it.
+The order at the end is fixed: zero effort first, then the recording is closed, then the reason is reported. None of
+these steps depends on what failed before.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class TrialRequest:
-    """Request of a trial on an open device: the run, the path of its recording, and functions that may interfere."""
+    """Request of a trial on an open device: the prepared run, the path of its recording, progress and judge."""
 
     run: PreparedRun
     recording: Path
@@ -87,22 +87,22 @@ class TrialRequest:
 
 @dataclass(frozen=True, slots=True)
 class TrialEnd:
-    """How a trial ended.
+    """End of a trial: its reason, and its recording.
 
     Attributes
     ----------
     experiment
-        That ran.
+        Experiment that ran.
     recording
-        Its file.
+        Path of the recording.
     reason, counters
-        Why the loop ended, and what it counted on the link.
+        Reason for the end of the loop, and the loop's counters of the link by name.
     messages
-        Refusals of requested scheduling.
+        Requested scheduling that the system refused, and messages of the loop.
     sealed
-        The recording as it was read back from its sealed file; None where it was not sealed.
+        The recording as it was read back from its sealed file; None if it was not sealed.
     judgement
-        Result of the request's `judge`.
+        Result of the request's `judge`; None if the recording was not judged.
     """
 
     experiment: Experiment
@@ -115,7 +115,7 @@ class TrialEnd:
 
 
 def end_of(error: BaseException) -> TrialEnd | None:
-    """Return how the run of this error ended; None if no run began."""
+    """Return the end of the trial that raised this error; None if no trial began."""
     end: TrialEnd | None = getattr(error, "end", None)
     return end
 
@@ -126,12 +126,12 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
     Raises
     ------
     DeviceRefusedError
-        The device does not take the configuration or does not arm; nothing moved and nothing was recorded.
+        The device does not accept the configuration or does not arm; nothing moved and nothing was recorded.
     LinkLostError, DeviceFaultError, GuardError, LawError, StoppedError
-        The run ended early. The effort is zero, the recording is closed, its path stands in the error's `recording`,
-        and how it ended in its `end` (`TrialEnd`).
+        The run ended early. The effort is zero and the recording is closed. The error has two attributes: `recording`,
+        the path, and `end`, a `TrialEnd`.
     Exception
-        Error raised by the caller's progress; it ends the run in the same way, and carries `recording` and `end`, too.
+        The caller's `progress` raised it. The run ends in the same way, and the error has the same two attributes.
     """
     run = request.run
     controller, parameters = run.controller.copy(), run.parameters
@@ -190,7 +190,7 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
 
 
 class _Watch:
-    """The caller's progress; when it raises, the loop stops as by its stop word, and all is recorded."""
+    """Call the caller's progress function; if it raises, stop the loop and store the error in `stopped`."""
 
     def __init__(self, loop: LoopThread, progress: Progress | None) -> None:
         self._loop, self._progress = loop, progress
@@ -207,7 +207,7 @@ class _Watch:
 
 
 def _ring(device: FramedDevice, request: TrialRequest) -> Ring:
-    """Return the block that the loop, the recorder and, in real time, other processes of this user share."""
+    """Return the ring of rows that loop and recorder share, in real time also other processes of this user."""
     run, gate = request.run, request.extra.get("gate")
     info = {
         "url": device.link.url.text,
@@ -233,7 +233,7 @@ def _arm(
     realtime: Realtime,
     signals: Signals,
 ) -> LoopThread:
-    """Arm the device, and make the loop that goes with where the law runs."""
+    """Arm the device, and return the loop's thread, not yet started."""
     run, virtual = request.run, device.link.clock.virtual
     experiment, model = run.experiment, rig_model(run.experiment)
     period_s = 1.0 / experiment.controller.position_rate
@@ -274,14 +274,14 @@ def _compares_currents(device: FramedDevice, law: LawOnDevice | None) -> bool:
 
 
 def _switch_rule(experiment: Experiment, *, leaves: bool) -> int:
-    """Return when a pressed limit switch ends the run: `limit_switch` of `rig.loop.layout.SETTINGS`."""
+    """Return the rule by which a pressed limit switch ends the run (`limit_switch` of `rig.loop.layout.SETTINGS`)."""
     if experiment.rig.reference.limit_switch == "none":
         return 0
     return 1 + math.ceil(BOUNCE_S * experiment.controller.position_rate) if leaves else 1
 
 
 def _loop_of(run: PreparedRun, link: Link) -> Callable[..., LoopThread]:
-    """Return the thread of the loop, for a law here or on the device, with all that it runs compiled."""
+    """Compile the loop, and return its thread class: one runs the law on the host, one supervises it on the device."""
     if run.on_device is None:
         LoopThread.prepare(link, run.controller)
         return LoopThread
@@ -290,7 +290,7 @@ def _loop_of(run: PreparedRun, link: Link) -> Callable[..., LoopThread]:
 
 
 def _supervise(settings: LoopSettings, law: LawOnDevice, parameters: Mapping[str, Value]) -> LoopSettings:
-    """Return the settings of a loop that supervises a law on the device, and computes the same rows."""
+    """Return the settings of a loop that supervises the law on the device and computes the same rows on the host."""
     return replace(
         settings,
         lifetime_us=int(parameters["supervise_lifetime_us"]),
@@ -301,7 +301,7 @@ def _supervise(settings: LoopSettings, law: LawOnDevice, parameters: Mapping[str
 
 
 def _bring_to_rest(device: FramedDevice, loop: LoopThread) -> None:
-    """Zero effort before anything else is looked at. Cannot raise."""
+    """Stop the loop and the device, so that the effort is zero. Never raises."""
     loop.finish()
     streams = loop.handover()
     if streams is not None:
@@ -312,7 +312,10 @@ def _bring_to_rest(device: FramedDevice, loop: LoopThread) -> None:
 def _seal(
     request: TrialRequest, truth: NDArray[np.void] | None, error: Exception | None
 ) -> tuple[Recording | None, Judgement | None]:
-    """Seal the capture, with what the caller's judge says of it. A failure here never hides the `error` of the run."""
+    """Seal the capture with the judgement of the request's `judge`; return the sealed recording and the judgement.
+
+    If sealing fails after a run that ended with `error`, add a note to `error`; after any other run raise.
+    """
     if not request.sealed:
         return None, None
     judgements: list[Judgement] = []
@@ -343,9 +346,9 @@ def _conclude(
     exchanges: list[NDArray[np.void]],
     stopped: Exception | None,
 ) -> tuple[LoopEnd, Exception | None]:
-    """Hear the device's side, disarm it, close the recording; return the ending, and the error that it means, if any.
+    """Read the device's fault report, disarm the device and close the recording; return the loop's end and its error.
 
-    `stopped` is why the caller's progress ended the run, if it did.
+    The error is None after a run without problems. `stopped` is the exception of the caller's progress, or None.
     """
     rows = loop.ring.last_rows(BLACK_BOX_ROWS)
     exchanges.append(as_exchanges(loop.exchanges()))
@@ -374,7 +377,7 @@ def _conclude(
 
 
 def _too_old_since(rows: NDArray[np.void]) -> bool:
-    """Return True if commands after the active one of the last row arrived too old to be activated."""
+    """Return True if the last commands arrived at the device after their lifetime, so that it did not activate them."""
     since = rows[rows["command_active"] == rows["command_active"][-1:]]
     return bool((since["limits"] & int(LimitFlag.COMMAND_TOO_OLD)).any())
 
@@ -417,7 +420,7 @@ def _header(
 
 
 def _where_the_law_runs(law: LawOnDevice | None, echo: Echo) -> dict[str, Any]:
-    """Return where the law runs, for the header, with the wall as the device computes it."""
+    """Return the header's entries on where the law runs: host or device, and the wall as the device computes it."""
     if law is None:
         return {"loop": "host"}
     return {"loop": "device", "arithmetic": law.arithmetic, "wall": law.rendered(echo.values)}

@@ -1,4 +1,4 @@
-"""Cut a recording so that the cut replays to the last bit, as the whole does."""
+"""Cut a part from a recording; a replay of the cut equals the recorded rows to the last bit."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from rig.recording.reader import open_recording
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CutResult:
-    """A cut that was saved.
+    """Result of a cut: the saved file.
 
     Attributes
     ----------
     path
-        Its file.
+        Path of the cut's file.
     rows
-        That it has.
+        Number of rows in the cut.
     first_s, last_s
-        Times of its first and its last row, since the first row of the recording that it was cut from (s).
+        Times of the first and the last row of the cut, since the first row of the whole recording (s).
     no_replay
-        Why it cannot be replayed; empty where it can.
+        Reason why the cut cannot be replayed; empty if it can.
     """
 
     path: Path
@@ -44,24 +44,25 @@ def cut_recording(
     output: str | Path | None = None,
     zero_ns: int | None = None,
 ) -> CutResult:
-    """Save what a recording has between two times as a recording of its own.
+    """Save the rows of a recording between two times as a new recording.
 
     Parameters
     ----------
     recording
         A capture that is not being written any more, or a sealed recording.
     first_s, last_s
-        From and up to when, since its first row (s).
+        Beginning and end of the cut, since the first row of the recording (s).
     output
-        Directory of the cut, unless that of the recording.
+        Directory of the cut; None: the directory of the recording.
     zero_ns
-        Device time that the seconds count from instead of the first row (ns): who looked on saw another one first.
+        Device time from which `first_s` and `last_s` count, instead of the first row (ns). A display that started
+        during the run passes the time of the first row that it received.
 
     Raises
     ------
     RecordingError
-        The file is no recording, there are no two rows between these times, ticks are lost between them, or the disk
-        refuses.
+        The file is not a recording, fewer than two rows are between these times, ticks are missing between them, or
+        the file cannot be written.
     """
     whole = open_recording(recording)
     if zero_ns is not None and len(whole):

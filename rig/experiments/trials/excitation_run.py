@@ -1,8 +1,8 @@
-"""Make the records that an impedance is estimated from: a rig excited about its wall, whole periods.
+"""Make the records from which an impedance is estimated: whole periods of a rig that is excited about its wall.
 
-Three ways give the same record (`rig.analysis.impedance._signals.ExcitedRun`): a second actuator or the rig's own motor
-without bytes (`ExcitedRig`), and the own motor in a recording (`record_of`). Identification, measured impedances, their
-maps and papers call it. It opens no device, and it must not fit an impedance (`rig.analysis.impedance`).
+A record (`rig.analysis.impedance._signals.ExcitedRun`) comes from a simulation without bytes (`ExcitedRig`: excited by
+a second actuator or the rig's motor), or from a recording (`record_of`: by the rig's motor). Identification, measured
+impedances, their maps and papers call it. It opens no device, and must not fit an impedance (`rig.analysis.impedance`).
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ Signal = Literal["count", "truth"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RealisationRun:
-    """One realisation: its record, or why it ended early.
+    """Run of one realisation of the excitation: its record, or the reason for an early end.
 
     Attributes
     ----------
     record
-        Whole periods; None when the guard ended the run before its end.
+        Record of whole periods; None if the guard ended the run early.
     ended
-        Why, in a few words; empty for a whole run.
+        Reason for the early end in a few words; empty for a complete run.
     ended_s
-        When, from the beginning of the run (s).
+        Time of the early end since the beginning of the run (s).
     saturated
-        Share of ticks in which the guard clipped the effort.
+        Share of ticks in which the guard clipped the effort (0 to 1).
     """
 
     record: ExcitedRun | None
@@ -60,7 +60,7 @@ class RealisationRun:
 
 
 def multisine_of(experiment: Experiment, realisation: int = 0) -> Multisine:
-    """Excitation of one realisation, as ``[excitation]`` says it; where a device makes it, with the device's phases."""
+    """Return the excitation of one realisation by ``[excitation]``; with the device's phases if it generates it."""
     if _made_by_the_device(experiment):
         quantum = experiment.rig.amplifier.effort_quantum
         return device_table(experiment, realisation).multisine(experiment.controller.position_rate, quantum)
@@ -80,16 +80,17 @@ def _own_multisine(experiment: Experiment, realisation: int) -> Multisine:
 
 
 def ramp_s(experiment: Experiment) -> float:
-    """Return how long the excitation rises (s)."""
+    """Return the time in which the amplitude of the excitation rises at the beginning (s)."""
     return SETTLING_SHARE * config.excitation_s(experiment)[1]
 
 
 def device_table(
     experiment: Experiment, realisation: int = 0, current_quantum_a: float | None = None
 ) -> ExcitationTable:
-    """One realisation as a device makes it: its lines and its size are those of ``[excitation]``, its phases its own.
+    """Return the table by which a device generates one realisation: lines and size by ``[excitation]``, phases its own.
 
-    Raises `ConfigError` for an excitation that a device cannot make.
+    `current_quantum_a` is that of the device (A); None: that of the experiment. Raise `ConfigError` for an excitation
+    that a device cannot generate.
     """
     given, amplifier = experiment.excitation, experiment.rig.amplifier
     quantum = amplifier.current_quantum_a if current_quantum_a is None else current_quantum_a
@@ -130,9 +131,10 @@ def _device_table(
 
 
 def excited_law(experiment: Experiment, realisation: int = 0, current_quantum_a: float | None = None) -> Law:
-    """Return the bilateral wall, and the excitation of one realisation by the rig's own motor.
+    """Return the law of a bilateral wall to which the excitation of one realisation is added, by the rig's motor.
 
-    Where a device makes the excitation, its table is that of the device, to the bit, in the quantum that it declares.
+    If the device generates the excitation, the law has the device's table, equal to the last bit; `current_quantum_a`
+    is the quantum that the device declares (A).
     """
     if _made_by_the_device(experiment):
         quantum = (
@@ -148,22 +150,22 @@ def excited_law(experiment: Experiment, realisation: int = 0, current_quantum_a:
 
 
 class ExcitedRig:
-    """A simulated rig under one scheme, excited at any wall without bytes. One for each thread.
+    """Simulated rig with one sampling scheme, excited at any wall without the byte link. Use one object per thread.
 
     Parameters
     ----------
     experiment
-        Rig, controller and excitation; of its wall everything but K and B.
+        Rig, controller, excitation and wall; the wall's stiffness and damping are not used.
     signal
-        Which position is measured: encoder counts, or the simulation's truth at the handle. On two masses only the
-        latter is where the second actuator pushes: a port, whose phase says whether it is passive.
+        Measured position: encoder counts, or the true position of the handle. The second actuator pushes at the handle;
+        with two masses only the true position is that of this port, whose phase shows if it is passive.
     acquisition_hz
-        Rate at which positions are kept, at least.
+        Lowest rate at which positions are stored (Hz).
 
     Attributes
     ----------
     experiment
-        As an excited run.
+        The experiment, changed to an excited run.
     """
 
     def __init__(
@@ -189,12 +191,12 @@ class ExcitedRig:
         self._excitations: dict[int, _Excitation] = {}
 
     def excite(self, stiffness: float, damping: float, realisation: int = 0) -> RealisationRun:
-        """Excite one wall with one realisation of the excitation.
+        """Excite the rig at a wall of this stiffness and damping (N·m/rad or N/m, N·m·s/rad or N·s/m).
 
         Raises
         ------
         LawError
-            Estimator or law give something that is not finite.
+            Estimator or law return a value that is not finite.
         """
         x, prepared = self.experiment, self._excitation(realisation)
         wall = asdict(replace(x.wall, stiffness=stiffness, damping=damping))
@@ -242,7 +244,7 @@ class ExcitedRig:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Excitation:
-    """One realisation, ready to be played."""
+    """One realisation of the excitation, as signals to be played."""
 
     multisine: Multisine
     external: Floats  # of the second actuator, a value for each inner step
@@ -259,12 +261,12 @@ class _Excitation:
 
 
 def record_of(recording: Recording, x: Experiment) -> ExcitedRun:
-    """Record of a realisation from the recording of a trial of this experiment with the law ``excited``.
+    """Return the record of a realisation, from the recording of a trial of experiment `x` with the law ``excited``.
 
     Raises
     ------
     RecordingError
-        Another kind of trial, one that ended early, or lost samples in what is to be analysed.
+        The recording is of another kind of trial, ended early, or lost samples during the excitation.
     """
     saved = recording.header["initial_state"]["law"]
     if x.trial.kind != "excitation" or saved["name"] != "excited":
@@ -310,15 +312,15 @@ def record_of(recording: Recording, x: Experiment) -> ExcitedRun:
 
 
 def bound_share(recording: Recording) -> float:
-    """Share of a recorded trial's ticks in which the guard clipped the effort."""
+    """Return the share of a trial's ticks in which the guard clipped the effort or its slew rate (0 to 1)."""
     flags = recording.rows["flags"][recording.rows["phase"] == Phase.TRIAL]
     return float(np.mean((flags & _BOUND) != 0)) if len(flags) else 0.0
 
 
 def late_ticks(sent: NDArray[np.int64], applied: NDArray[np.int64]) -> int:
-    """Return ticks between a command and its current, beyond the one in which a sample shows it: the likeliest number.
+    """Return the most likely delay of commands (ticks), from sent and applied currents of each tick.
 
-    A command that answers sample k is active at sample k + 1 when nothing is late.
+    The delay is 0 if the command that answers sample k is active at sample k + 1.
     """
     count = min(LONGEST_DELAY, len(sent) - 2)
     same = [np.mean(sent[: len(sent) - 1 - d] == applied[1 + d :]) for d in range(max(1, count))]
@@ -326,9 +328,10 @@ def late_ticks(sent: NDArray[np.int64], applied: NDArray[np.int64]) -> int:
 
 
 def seen_at_ticks(model: RigModel, tick_s: float, frequency_hz: Floats) -> Complexes:
-    """Return the share of the rig's motion that samples show under a held effort: 1 at low frequencies.
+    """Return the ratio of sampled to true motion of the rig at each frequency (complex), while the effort is held.
 
-    The sum of all aliases of the answer over the answer itself. A wall changes the effort, and so both alike.
+    The ratio is 1 at low frequencies. It is the sum of all aliases of the response, divided by the response itself. A
+    wall changes both in the same way.
     """
     space = state_space(model.mechanics, model.amplifier)
     a, b, n = space.a, space.b[:, :1], space.order
@@ -345,7 +348,7 @@ def _answer(a: Floats, b: Floats, at: NDArray[Any], place: int) -> Complexes:
 
 
 def _between(position: Floats, model: RigModel, tick_s: float, highest_hz: float) -> Floats:
-    """Return whole periods of positions at the ticks, with the true motion's size up to the highest line."""
+    """Return the sampled positions, corrected by `seen_at_ticks` up to `highest_hz` (Hz); they span whole periods."""
     spectrum = np.fft.rfft(position)
     frequency = np.asarray(np.fft.rfftfreq(len(position), tick_s), dtype=np.float64)
     inside = (frequency > 0.0) & (frequency <= highest_hz * (1.0 + 1e-9))
@@ -354,7 +357,7 @@ def _between(position: Floats, model: RigModel, tick_s: float, highest_hz: float
 
 
 def _apply_lag(effort: Floats, model: RigModel, rate_hz: float) -> Floats:
-    """Return whole periods of an effort behind the amplifier's electrical lag."""
+    """Return the effort after the amplifier's electrical lag; the signal must span whole periods."""
     lag_s = model.amplifier.lag_s
     if lag_s == 0.0:
         return np.asarray(effort)

@@ -1,4 +1,4 @@
-"""From a recording to its verdicts: the recorded one, and in simulation the true one.
+"""Judge a recording: the verdict by its recorded signals, and for a simulation also by its true signals.
 
 Hits, replays, maps, estimator comparisons, sessions, `rig recording show` and `rig.testing` call it. It must not change
 a recording or its recorded verdict, and opens no device.
@@ -40,7 +40,7 @@ THROWN_OUT = {Fault.POSITION_WINDOW.name, Fault.OVER_SPEED.name, Fault.RUNAWAY.n
 
 
 def experiment_of(recording: Recording) -> Experiment:
-    """Return the experiment in effect; `RecordingError` when this version cannot read it."""
+    """Return the experiment in effect during a recording; raise `RecordingError` if this version cannot read it."""
     refuse_counts(recording)
     try:
         return experiment_from_mapping(recording.experiment, "the recording's header")
@@ -55,12 +55,12 @@ class Verdicts:
     Attributes
     ----------
     verdict, verdict_true
-        From what was recorded, and from the truth where there is one. A push that did not last is invalid, unless the
-        wall threw the handle out: then it is unstable.
+        Verdict by the recorded signals, and by the true signals of a simulation (None on a real rig). It is invalid for
+        a trial that ended early, or unstable if the wall threw the handle out.
     began
-        Position at the beginning of the trial proper (rad or m); None where it never began.
+        Position at the beginning of the phase TRIAL (rad or m); None if this phase was not reached.
     motion
-        The encoder's scale before and after the contact; None where effort or friction are not known (`_motion`).
+        Encoder's scale before and after the contact; None if effort or friction are unknown (`_motion`).
     """
 
     verdict: Verdict
@@ -69,13 +69,13 @@ class Verdicts:
     motion: MotionBalance | None
 
     def rows(self, experiment: Experiment) -> list[Row]:
-        """Return the verdict and what it goes by, for people; the truth beside it where there is one."""
+        """Return the verdict and its numbers as rows to print; in a simulation with the true values beside them."""
         verdict, true, motion = self.verdict, self.verdict_true, experiment.rig.motion
         thresholds, count = verdict_thresholds(experiment), experiment.rig.encoder.resolution
         position, velocity, effort = (unit_of(name, motion) for name in ("position", "velocity", "effort"))
 
         def beside(text: str, name: str, threshold: float = 0.0) -> str:
-            """Return the text, and the true value of that name."""
+            """Return the text, followed by the true value of the verdict's attribute `name` if it is known."""
             value = None if true is None else getattr(true, name)
             shown = "" if value is None else f"true {written(_nothing(value, threshold))}"
             return ", ".join(part for part in (text, shown) if part)
@@ -120,7 +120,7 @@ class Verdicts:
         ]
 
     def _start(self, experiment: Experiment, unit: str) -> list[Row]:
-        """Return where the trial began, if that is more than a count from where it was to begin."""
+        """Return a row with the trial's first position if it is more than one count away from `trial.start`."""
         away = 0.0 if self.began is None else abs(self.began - experiment.trial.start)
         if away <= experiment.rig.encoder.resolution:
             return []
@@ -136,7 +136,7 @@ class Verdicts:
         ]
 
     def _felt(self, unit: str, true: str, threshold: float) -> Row:
-        """Return the row of the velocity ripple; not measurable if one toggling count exceeds the threshold."""
+        """Return the row of the velocity ripple; it is not measurable if one toggling count exceeds the threshold."""
         felt, floor, label = self.verdict.felt, self.verdict.felt_floor, "felt (velocity ripple, rms)"
         notes = [f"limit {threshold:.3g}", f"encoder floor {floor:.2g}", true]
         if floor == 0.0 and not felt:
@@ -146,14 +146,14 @@ class Verdicts:
 
 
 def _observed(windows: int) -> str:
-    """Return what is known of the motor's current: a dead motor shows only where a current was commanded."""
+    """Return a text on the check of the motor's current in `windows` windows of 10 ms."""
     if windows == 0:
         return "not checked: not measured, or too small compared with the sensor's noise"
     return f"followed the command, in {windows} windows of 10 ms"
 
 
 def _scale_text(motion: MotionBalance | None) -> str:
-    """Return the scale of the encoder by effort and motion in words, or that it is unknown."""
+    """Return a text on the encoder's scale after the contact, or on why it was not checked."""
     if motion is None:
         return "not checked: the effort that moves the handle is unknown"
     if motion.ratio is None:
@@ -162,20 +162,20 @@ def _scale_text(motion: MotionBalance | None) -> str:
 
 
 def _nothing(value: Any, threshold: float) -> Any:
-    """Return 0 for a value that is negligible against its threshold, instead of a filter's rounding error."""
+    """Return 0 for a value that is negligible against its threshold, which is a filter's rounding error."""
     return 0.0 if isinstance(value, float) and abs(value) < 1e-6 * threshold else value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judgement(Verdicts):
-    """Verdicts with what they were made from.
+    """Verdicts, and the measurements from which they follow.
 
     Attributes
     ----------
     measured, measured_true
-        The numbers that these go by, and what each criterion says.
+        Numbers and criteria of the recorded and of the true verdict.
     early
-        Verdict by an early end (`ended_early`), or by an encoder whose scale changed.
+        Verdict that follows from an early end (`ended_early`) or from a changed scale of the encoder; else None.
     """
 
     measured: Measured = field(repr=False)
@@ -186,7 +186,7 @@ class Judgement(Verdicts):
 def verdicts_of(recording: Recording, experiment: Experiment) -> Verdicts:
     """Return the verdicts that were stored when a recording was sealed; judge it now if they are missing.
 
-    They are missing in a recording whose writer died, in a cut, and in one that another version wrote in its format.
+    They are missing in an unsealed capture, in a cut, and in a recording that another version wrote in another format.
     """
     try:
         stored: Verdicts = pydantic.TypeAdapter(Verdicts).validate_python(recording.trailer)
@@ -196,7 +196,7 @@ def verdicts_of(recording: Recording, experiment: Experiment) -> Verdicts:
 
 
 def judge(recording: Recording, experiment: Experiment) -> Judgement:
-    """Measure and judge a recording; `experiment` is the one in effect; `experiment_of` reads it from the recording."""
+    """Measure and judge a recording; `experiment` is the experiment in effect (`experiment_of` returns it)."""
     limits, wall, early = verdict_thresholds(experiment), experiment.wall, ended_early(recording)
     tick_s, thrown_out = 1.0 / experiment.controller.position_rate, early is not None
     elsewhere = recording.header["extra"].get("arithmetic") not in (None, *BOARD_ARITHMETICS)
@@ -236,10 +236,10 @@ def judge(recording: Recording, experiment: Experiment) -> Judgement:
 
 
 def _motion(recording: Recording, experiment: Experiment, *, elsewhere: bool) -> MotionBalance | None:
-    """Compare the motion of an automated trial with its effort; None where the effort or the rig is not known so well.
+    """Compare the motion of an automated trial with its effort; None if effort or rig are not known well enough.
 
-    That is so with a person or an excitation at the handle, a wall that neither host nor board renders, cogging, lost
-    samples, and a motor that follows its commands only after a part of a window.
+    The result is None with a person or an excitation at the handle, with a wall that a drive renders (`elsewhere`),
+    with cogging, with lost samples, without a contact, and if the motor lags too far behind its commands.
     """
     rig, rows = experiment.rig, recording.rows
     late_s = rig.amplifier.lag_s + rig.amplifier.set_point_delay_s
@@ -273,9 +273,9 @@ def _motion(recording: Recording, experiment: Experiment, *, elsewhere: bool) ->
 
 
 def unexpected(verdicts: Sequence[Verdict], expected: Collection[str]) -> UnexpectedVerdictError | None:
-    """The error for verdicts that are not among the expected ones (``stable``, ``limit-cycle`` …), None if all are.
+    """Return the error for the first verdict that is not among the expected kinds (``stable``, ``limit-cycle`` …).
 
-    Without expectations everything is expected.
+    Return None if all verdicts are expected, or if `expected` is empty.
     """
     words = [str(one.kind).replace(" ", "-") for one in verdicts]
     wrong = [(number, word) for number, word in enumerate(words) if expected and word not in expected]
@@ -286,7 +286,7 @@ def unexpected(verdicts: Sequence[Verdict], expected: Collection[str]) -> Unexpe
     because = "".join(f": {reason}" for reason in verdicts[number].reasons[:1])
     return UnexpectedVerdictError(
         f"{which} is {word}, expected {' or '.join(expected)}{because}",
-        remedy="see the recording, or change what `expect` allows",
+        remedy="look at the recording, or add this verdict to `expect`",
     )
 
 
@@ -307,7 +307,7 @@ FALSE_START = (Kind.INVALID, f"{Opening.FALSE_START}the handle moved before the 
 
 
 def thrown_out(recording: Recording) -> str:
-    """Return how the wall threw the handle out and ended the run, in words; empty for other ends."""
+    """Return a sentence on how the wall threw the handle out and ended the run; empty if it did not."""
     trailer = recording.trailer or {}
     if (trailer.get("fault") or {}).get("name") in THROWN_OUT:
         return THREW_OUT["out_of_window"]
@@ -315,14 +315,14 @@ def thrown_out(recording: Recording) -> str:
 
 
 def out_of_time(recording: Recording) -> bool:
-    """Return True if the run ended by a fault from a lack of processor or link time: a repeat may end as usual."""
+    """Return True if a lack of processor or link time ended the run; a repeat of the trial may succeed."""
     return ((recording.trailer or {}).get("fault") or {}).get("name") in OUT_OF_TIME
 
 
 def ended_early(recording: Recording) -> tuple[Kind, str] | None:
-    """Return the verdict by an early end: None after the push, else invalid, or unstable if thrown out.
+    """Return kind and reason of the verdict if the run ended before the end of the push, else None.
 
-    A cut has no verdict of its own.
+    The kind is unstable if the wall threw the handle out, and invalid after any other early end, and for a cut.
     """
     if (facts := cut_facts(recording)) is not None:
         return Kind.INVALID, f"a part of a trial: its verdict is that of {facts['recording']}"

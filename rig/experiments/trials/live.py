@@ -1,10 +1,11 @@
-"""The wall of a running loop, changed while a hand feels it.
+"""Change the wall of a running loop.
 
-The change passes the same checks as an experiment before it starts, the arming gate's included, and reaches the loop
-through its mailbox as one set, which it takes over while the handle is outside the wall, so that no effort jumps.
+A change must pass the same checks as an experiment before its start, the arming gate included. It reaches the loop
+through its mailbox as one parameter set. The loop uses the set as soon as the handle is outside the wall, so that the
+effort does not jump.
 
-`rig set` and the console call it. It must not write a parameter into the loop's memory but through the mailbox, nor
-post one that a check refused.
+`rig set` and the console call it. It must write parameters into the loop's memory only through the mailbox, and must
+not post a set that a check refused.
 """
 
 from __future__ import annotations
@@ -47,9 +48,9 @@ class LiveChange:
     changes
         Requested changes, by dotted key.
     wall
-        The whole section ``[wall]`` with it.
+        The whole section ``[wall]`` after the change.
     active
-        True if the loop used the set when it was last read.
+        True if the loop used the set, or a newer one, before `change_wall` returned.
     ended
         True if the loop had ended by then.
     """
@@ -76,23 +77,23 @@ def change_wall(
     changes
         New values by key, ``{"wall.stiffness": 400.0}`` or ``{"stiffness": 400.0}``.
     pid
-        Process of the loop, when several run.
+        Process of the loop; needed if several loops run.
     patience_s
-        How long to watch for the loop to take it over.
+        Longest time to wait until the loop uses the new wall (s).
     posted
-        Called with the number of the set as soon as it is on its way.
+        Called with the number of the parameter set as soon as it is posted.
 
     Raises
     ------
     ConfigError
-        No loop runs, a key that may not change, or a value out of its range.
+        No loop runs, a key may not change while a loop runs, or a value is out of its range.
     PlanError
-        A wall that a plan would refuse, or the gate before arming (`rig.doctor.gate`), or a law on the device; or
-        a bilateral wall.
+        The plan's checks, the arming gate (`rig.doctor.gate`) or the law on the device refuse the wall, or it is
+        bilateral.
     RunEndedError
-        The loop ended before.
+        The loop has ended.
     RigError
-        Another version started the loop, or it says too little about itself.
+        Another version started the loop, the loop does not report its experiment, or other programs change the wall.
     """
     meant = {_key(name): value for name, value in changes.items()}
     if not meant:
@@ -108,14 +109,14 @@ def change_wall(
 
 
 def parameter_set(experiment: Experiment, *, current_quantum_a: float, reference_count: int) -> list[float]:
-    """Return numbers of a set for the loop: the wall's position, then the parameters of its law.
+    """Return a parameter set for the loop: the wall's position (rad or m), then the parameters of its law.
 
     Raises
     ------
     ConfigError
-        The law cannot be designed so.
+        The law cannot be computed with these values.
     PlanError
-        A plan of this experiment would be refused.
+        A check of this experiment's plan refuses it.
     """
     run = controller.prepare_controller(
         experiment, current_quantum_a=current_quantum_a, reference_count=reference_count
@@ -129,7 +130,7 @@ def _key(name: str) -> str:
     section, _, leaf = name.strip().rpartition(".")
     if section not in ("", SECTION) or leaf not in CHANGEABLE:
         raise ConfigError(
-            f"{name} cannot change while a loop runs", remedy=f"parameters that may change: {_allowed()}"
+            f"{name} cannot change while a loop runs", remedy=f"change one of these keys: {_allowed()}"
         )
     return f"{SECTION}.{leaf}"
 
@@ -139,7 +140,10 @@ def _allowed() -> str:
 
 
 def _post(ring: Ring, changes: Mapping[str, Any]) -> tuple[int, Experiment]:
-    """Compute the set from what the loop runs now, and post it; retry if another program changed the loop meanwhile."""
+    """Compute the parameter set from the running experiment and post it; return its number and the new experiment.
+
+    Retry if another program changed the wall meanwhile.
+    """
     for _ in range(TRIES):
         info, word = ring.info_and_word()
         if "experiment" not in info or "current_quantum_a" not in info:
@@ -175,7 +179,7 @@ def _post(ring: Ring, changes: Mapping[str, Any]) -> tuple[int, Experiment]:
 
 
 def _check_sides(experiment: Experiment) -> None:
-    """Refuse a wall whose spring acts on both sides: no place is free of it, and each change would be a jump."""
+    """Raise `PlanError` for a wall with a spring on both sides: the handle is always inside, so effort jumps."""
     if experiment.wall.law in BILATERAL:
         raise PlanError(
             f"the spring of a {experiment.wall.law} wall acts on both sides, so it cannot change "
@@ -187,13 +191,13 @@ def _check_sides(experiment: Experiment) -> None:
 def _info_with(
     info: Mapping[str, Any], experiment: Experiment, changes: Mapping[str, Any], number: int
 ) -> dict[str, Any]:
-    """Return the info of the run from now on: what it runs, and which changes came, the newest last."""
+    """Return the run's new info: the changed experiment, and the list of all changes with the newest last."""
     sets = [*info.get("parameter_sets", ()), {"number": number, "changes": dict(changes)}]
     return {**info, "experiment": config.as_mapping(experiment), "parameter_sets": sets[-REMEMBERED:]}
 
 
 def _watch(ring: Ring, number: int, patience_s: float) -> bool:
-    """Return True if the loop uses this parameter set, or a newer one, before patience or the loop ends."""
+    """Return True if the loop uses this parameter set, or a newer one, before it ends or `patience_s` has passed."""
     deadline = time.monotonic() + patience_s
     while True:
         ended = ring.get(LOOP_DONE) != 0  # before the number: what is not there now will never come

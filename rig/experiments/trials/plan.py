@@ -1,7 +1,6 @@
-"""List what an experiment will do, and check whether it is permitted, before a person touches the handle.
+"""List the steps of an experiment, and check if it is permitted, before a person touches the handle.
 
-No device is touched here. The predictions are those of one rigid mass without damping, which errs on the hard
-side: a real hit is slower and softer.
+The predictions are those of one rigid mass without damping, the worst case: a real hit is slower and softer.
 
 `rig experiment plan`, the commands that run something, designs, admission and sessions call it. It must not open a
 device or change the experiment that it checks.
@@ -65,7 +64,7 @@ STANDS_FOR_DEVICE = (
 
 
 def stands_for_device(experiment: Experiment) -> str:
-    """Return how a simulation under the host's law represents the law on a device or a drive."""
+    """Return a note for results simulated with the host's law on how well they represent a device's or drive's law."""
     rates = experiment.controller
     return wall_elsewhere(rates.arithmetic).stands_for if rates.wall_is_elsewhere else STANDS_FOR_DEVICE
 
@@ -77,12 +76,15 @@ LAW_NAMES = frozenset(parameter.name for parameter in LAW_PARAMETERS)
 
 
 def make_plan(experiment: Experiment) -> Plan:
-    """List and check an experiment; errors as `rig.config.controller.prepare_controller`."""
+    """Return steps and checks of an experiment; raise the errors of `rig.config.controller.prepare_controller`."""
     return plan_of(controller.prepare_controller(experiment))
 
 
 def is_linked(url: str | None, *, realtime: bool, round_trip_s: float | None) -> bool:
-    """Return True if a plan includes the delay of a link: it is given, or the run is in real time."""
+    """Return True if a plan must include the delay of a link.
+
+    It must in real time, with a given round trip, and on a device that is not simulated.
+    """
     return realtime or round_trip_s is not None or (url is not None and not url.startswith("sim:"))
 
 
@@ -93,9 +95,10 @@ def plan_of(
     round_trip_s: float | None = None,
     board: str = BOARD,
 ) -> Plan:
-    """List and check a prepared run; one that is `linked` also as `delay_checks` do, which say what they raise.
+    """Return steps and checks of a prepared run; a run that is `linked` is also checked by `delay_checks`.
 
-    The tick of a law on the device is counted for the processor of `board`; `ConfigError` for an unknown one.
+    `board` names the processor for which the time of a tick is estimated if the law runs on the device. Raise
+    `ConfigError` for an unknown board, and `PlanError` for a round trip that is not above 0.
     """
     experiment = run.experiment
     delay = delay_checks(experiment, round_trip_s) if linked else []
@@ -128,7 +131,10 @@ def plan_of(
 
 
 def _elsewhere_checks(x: Experiment, dictionary: Dictionary | None = None) -> list[Check]:
-    """Ask the extra of a wall that the board does not render: for a plan, or whether a device renders such a wall."""
+    """Return the checks of a wall that a drive renders in place of the board; empty for other walls.
+
+    With `dictionary` they check that this device can render the wall, else that the experiment can be planned with it.
+    """
     if not x.controller.wall_is_elsewhere:
         return []
     wall = wall_elsewhere(x.controller.arithmetic)
@@ -136,9 +142,9 @@ def _elsewhere_checks(x: Experiment, dictionary: Dictionary | None = None) -> li
 
 
 def _tick_checks(x: Experiment, board: str) -> list[Check]:
-    """Check that a board has the time for its law, by the same count as an image and a design.
+    """Warn if the board's processor is too slow for the law at the requested rate; empty if the host runs the law.
 
-    A warning: the cycles are estimates, and the device reports a tick that it missed.
+    It is only a warning: the processor cycles are estimates, and the device reports a missed tick.
     """
     if x.controller.loop != "device" or x.controller.wall_is_elsewhere:
         return []
@@ -159,13 +165,13 @@ def _tick_checks(x: Experiment, board: str) -> list[Check]:
 
 
 def _cutoff_checks(x: Experiment) -> list[Check]:
-    """Return the cut-offs that comparisons of this experiment's rates give its filter."""
+    """Return a note if a comparison of uniform and dual rate would use different filter cut-offs; else empty."""
     found = describe_cutoffs(default_schemes(x), x)
     return [] if found is None else [Check(CUTOFFS, Outcome.OK, found)]
 
 
 def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: float | None) -> list[Check]:
-    """Check that a device and its link support the loop at the requested rate."""
+    """Check that the device supports the requested rate, and that the link's capacity is enough for every sample."""
     rate = experiment.controller.position_rate
     checks = [
         limited(
@@ -192,17 +198,17 @@ def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: flo
 
 
 def delay_checks(x: Experiment, round_trip_s: float | None = None) -> list[Check]:
-    """How late commands act behind a link, and what the wall is then: as the arming gate finds it, only warned of.
+    """Return the delay of commands over a link, and the arming gate's checks of the wall with it, as warnings only.
 
     Parameters
     ----------
     x
-        As it would run. What it describes as the delay (`rig.simulation.computation_delay_ticks`) is taken where
-        nothing else is stated, and one tick where it describes none.
+        Experiment as it would run.
     round_trip_s
-        Measured round trip of the link, and of the drive behind a bridge (s).
+        Measured round trip of the link, and of the drive behind a bridge (s). None: the delay is
+        `rig.simulation.computation_delay_ticks`, or the smallest possible if that is 0.
 
-    Raises `PlanError` for one that is not above zero.
+    Raises `PlanError` for a round trip that is not above 0.
     """
     check_positive({"round_trip": round_trip_s})
     tick_s = 1.0 / x.controller.position_rate
@@ -221,7 +227,7 @@ def delay_checks(x: Experiment, round_trip_s: float | None = None) -> list[Check
 
 
 def _link_ticks(x: Experiment, round_trip_s: float | None) -> tuple[int, str]:
-    """Return how many ticks late a link makes commands, and where that is from."""
+    """Return the link's delay of commands (ticks), and a text that names the source of this number."""
     rate, described = x.controller.position_rate, x.rig.simulation.computation_delay_ticks
     if x.controller.loop == "device":
         return 0, "the device runs the law"
@@ -237,7 +243,10 @@ def _link_ticks(x: Experiment, round_trip_s: float | None) -> tuple[int, str]:
 
 
 def _batch_check(x: Experiment, usable: float) -> Check:
-    """Check that the link can carry every tick of a law on the device."""
+    """Check that the link's capacity is enough for the samples of every tick if the law runs on the device.
+
+    `usable` is that capacity (bytes/s).
+    """
     needed = device_law.bytes_per_second(x)
     remedy = "choose a lower `rate`, or a faster link"
     if x.controller.measured_current:
@@ -254,12 +263,12 @@ def _batch_check(x: Experiment, usable: float) -> Check:
 
 
 def device_checks(run: PreparedRun, dictionary: Dictionary) -> list[Check]:
-    """Check that a device accepts the limits of a run, and has the law if it is to run one.
+    """Check that a device accepts the limits of a run, and supports its law if the device must run it.
 
     Parameters
     ----------
     run
-        As it is about to run.
+        Prepared run.
     dictionary
         Description that the device sends of itself.
     """
@@ -302,7 +311,10 @@ def device_checks(run: PreparedRun, dictionary: Dictionary) -> list[Check]:
 
 @dataclass(frozen=True, slots=True)
 class PredictedImpact:
-    """Hit of a rigid, undamped mass: velocity at the wall, deepest penetration, effort of the spring there."""
+    """Predicted hit of a rigid, undamped mass.
+
+    Velocity at the wall (rad/s or m/s), deepest penetration (rad or m), and the wall's effort there (N·m or N).
+    """
 
     velocity: float
     peak_penetration: float
@@ -310,9 +322,10 @@ class PredictedImpact:
 
 
 def predict_impact(experiment: Experiment) -> PredictedImpact:
-    """Return the energy balance: the push works along the approach, against Coulomb friction; the spring takes it all.
+    """Predict the hit from the balance of energy: the wall's spring absorbs the work of the push minus friction.
 
-    A person's hand is assumed to follow its intention without lag, and to be so soft that its mass does not count.
+    Only Coulomb friction is considered. A person's hand is assumed to follow the intended motion without lag, and to be
+    so soft that its mass can be neglected.
     """
     mechanics, wall, push = rig_model(experiment).mechanics, experiment.wall, push_at_rest(experiment)
     inertia = mechanics.motor_inertia + mechanics.loaded_link_inertia
@@ -331,7 +344,7 @@ def predict_impact(experiment: Experiment) -> PredictedImpact:
 
 
 def _way_of_the_hand(x: Experiment, distance: float) -> float:
-    """How far a hand would go from the start if nothing were in the way, by its spring and its press (rad or m)."""
+    """Return how far a hand would move the handle from the start if there were no wall (rad or m)."""
     operator = x.operator
     stretch = math.inf
     if operator.hand_stiffness > 0.0:
@@ -340,7 +353,10 @@ def _way_of_the_hand(x: Experiment, distance: float) -> float:
 
 
 def _reach_velocity(x: Experiment, distance: float) -> float:
-    """Return the velocity of a raised cosine over the way of the hand where it passes the wall."""
+    """Return the hand's velocity at the wall (rad/s or m/s), at `distance` from the start (rad or m).
+
+    The hand moves like a raised cosine over the whole way that it would move without a wall.
+    """
     way = _way_of_the_hand(x, distance)
     if math.isinf(way):
         return math.inf
@@ -391,7 +407,7 @@ def _baseline_step(x: Experiment) -> tuple[Step, ...]:
 
 
 def _watch_checks(x: Experiment) -> list[Check]:
-    """Return the limits that end a trial for energy or oscillation of the motor (`rig.control._watch`)."""
+    """Check the push against the limit of energy, and list the limit of oscillations (both: `rig.control._watch`)."""
     energy, oscillations = controller.energy_limit(x), controller.oscillation_limit(x)
     checks = []
     if energy > 0.0 and x.wall.stiffness > 0.0:
@@ -420,7 +436,10 @@ def _watch_checks(x: Experiment) -> list[Check]:
 
 
 def human_limit_checks(x: Experiment, *, real: bool = False) -> list[Check]:
-    """Check the limits of a person's trial; what exceeds those for people is refused on a `real` rig."""
+    """Check the limits that protect a person; exceeded ones are refused on a `real` rig, else a warning.
+
+    The result is empty for a trial without a person.
+    """
     if x.trial.kind != "human":
         return []
     limits, unit = x.rig.limits, unit_of("effort", x.rig.motion)
@@ -451,7 +470,7 @@ def human_limit_checks(x: Experiment, *, real: bool = False) -> list[Check]:
 
 
 def _saturating(x: Experiment) -> str:
-    """Return the note on a hit whose spring exceeds the limit at its deepest point."""
+    """Return the remedy for a hit in which the wall's effort exceeds the limit at the deepest point."""
     if (
         x.trial.kind == "human"
         and push_at_rest(x) * (1.0 + x.operator.press_modulation) < x.rig.limits.effort
@@ -472,7 +491,7 @@ def _wall_checks(x: Experiment) -> list[Check]:
                 "stiffness",
                 Outcome.REFUSED,
                 "0: no wall would stop the handle",
-                "choose wall.stiffness above 0",
+                "set wall.stiffness above 0",
             )
         ]
     hit = predict_impact(x)
@@ -525,9 +544,10 @@ def _wall_checks(x: Experiment) -> list[Check]:
 
 
 def _slower_changes(x: Experiment, velocity: float) -> dict[str, float]:
-    """The push of a motor that brings the handle to the wall below the speed limit, and a wall in which it rests.
+    """Return changes with which the handle reaches the wall below the speed limit: `trial.effort`, and K.
 
-    The loop reads a count more than the speed; `quieter_changes` leave that below a share of the limit.
+    The estimated speed may exceed the true speed by one count per sample; this is subtracted from the limit. Empty for
+    a person's trial, and if the `velocity` at the wall (rad/s or m/s) is already low enough.
     """
     way = abs(x.wall.position - x.trial.start)
     count = min(highest_reading(x), COUNT_SPEED_SHARE * x.rig.limits.speed)
@@ -542,7 +562,7 @@ def _slower_changes(x: Experiment, velocity: float) -> dict[str, float]:
 
 
 def _stiffer_changes(x: Experiment, hit: PredictedImpact) -> dict[str, float]:
-    """Return the stiffness that stops the handle within the window."""
+    """Return the change of `wall.stiffness` that stops the handle within the window; empty for a person's trial."""
     limits = x.rig.limits
     end = limits.position_maximum if x.wall.side > 0 else limits.position_minimum
     room = LESS * abs(end - x.wall.position)
@@ -553,7 +573,7 @@ def _stiffer_changes(x: Experiment, hit: PredictedImpact) -> dict[str, float]:
 
 
 def _let_go_check(x: Experiment) -> Check:
-    """Return where a pressing hand ends when the wall goes away in the release."""
+    """Check that a pressing hand stays within the window when the wall is released at the end of the push."""
     limits = x.rig.limits
     start = x.trial.start
     end = start + x.wall.side * _way_of_the_hand(x, abs(x.wall.position - start))

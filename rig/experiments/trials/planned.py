@@ -1,6 +1,6 @@
-"""Plan of a run: steps, checks with their outcome, and the run that it describes.
+"""Plan of a run: its steps, its checks with their outcomes, and the prepared run.
 
-Plans of hits, motions and excitations consist of it, and commands show them. It must not touch a device.
+Hits, motions and excitations have such plans, and commands print them. It must not open a device.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ ARITHMETIC_WORDS = {
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One thing that will happen, and how long it may take (s)."""
+    """One step of a run: its name, a description, and its longest duration (s)."""
 
     name: str
     text: str
@@ -34,9 +34,9 @@ class Step:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Plan(Shown):
-    """The steps of one trial, how often it runs, and the checks.
+    """Steps and checks of a trial, and the number of its repeats.
 
-    `run` is what is executed; None where several different runs follow each other, as in an identification.
+    `run` is the prepared run; None if the plan consists of several different runs, as in an identification.
     """
 
     rig: str
@@ -47,37 +47,37 @@ class Plan(Shown):
 
     @reported
     def duration_s(self) -> float:
-        """Return the longest time that everything may take (s)."""
+        """Return the longest duration of all steps and repeats together (s)."""
         return self.repeats * sum(step.duration_s for step in self.steps)
 
     @reported
     def ok(self) -> bool:
-        """Return True if no check of the plan refuses."""
+        """Return True if no check of the plan has the outcome "refused"."""
         return not refused(self.checks)
 
     def brief(self) -> list[Item]:
-        """Return the steps, and what is refused."""
+        """Return the steps, and the refused checks."""
         refusals = [Row("refused", f"{check.name}: {check.text}") for check in refused(self.checks)]
         steps = [Row(step.name, step.text) for step in self.steps]
         return [f"plan of {self.rig}", *(refusals or [Row("refused", "nothing")]), *steps]
 
     def detailed(self) -> list[Item]:
-        """Return everything that `rig experiment plan` prints."""
+        """Return all lines that `rig experiment plan` prints."""
         return [f"plan of {self.rig}", *self.items()]
 
     def items(self) -> list[Item]:
-        """Return the steps, how long they take at most, and the checks, for people."""
+        """Return the steps, their longest duration, and the checks, as lines to print."""
         longest = Row("", f"{self.repeats} × at most {written(self.duration_s / self.repeats)} s")
         return [*(Row(step.name, step.text) for step in self.steps), longest, *self.checks]
 
 
 def limited(name: str, holds: bool, text: str, remedy: str, otherwise: Outcome = Outcome.REFUSED) -> Check:
-    """Check of a value against a limit; `otherwise` is the outcome when it does not hold."""
+    """Return the check of a limit: OK if it `holds`, else with the outcome `otherwise`."""
     return Check(name, Outcome.OK if holds else otherwise, text, remedy)
 
 
 def check_positive(named: Mapping[str, float | None]) -> None:
-    """Raise `PlanError` for an argument that is given and is not a finite number above zero."""
+    """Raise `PlanError` if one of these values (by name of the argument) is not a finite number above 0; skip None."""
     for name, value in named.items():
         if value is not None and not 0.0 < value < math.inf:
             raise PlanError(
@@ -87,7 +87,7 @@ def check_positive(named: Mapping[str, float | None]) -> None:
 
 
 def heat_check(x: Experiment, effort: float, seconds: float, remedy: str) -> Check:
-    """Return the heat of the motor after a constant effort for so long, from cold."""
+    """Check the heat of a cold motor after a constant `effort` (N·m or N) for some `seconds`."""
     limits = x.rig.limits
     load = effort / limits.nominal_effort
     budget = load**2 * -math.expm1(-seconds / limits.thermal_time_constant_s)
@@ -96,7 +96,7 @@ def heat_check(x: Experiment, effort: float, seconds: float, remedy: str) -> Che
 
 
 def where_it_runs(x: Experiment) -> str:
-    """Return where the law runs, in words: with the device's arithmetic and what it sends of every tick."""
+    """Return a text on where the law runs; on a device with its arithmetic and its data rate."""
     if x.controller.loop == "host":
         return "the law on this computer"
     arithmetic = ARITHMETIC_WORDS[device_law.arithmetic_of(x.controller)]

@@ -1,7 +1,7 @@
-"""What an open device needs before a trial: its position zero, and the prepared run.
+"""Prepare a run on an open device, and find the encoder count at its position zero.
 
-Hits, motions, searches for a reference and sessions call it with a device that they have opened. It must not move the
-handle or change a setting of the device; it only reads from it.
+Hits, motions, searches for a reference and sessions call it with a device that they have opened. It only reads from
+the device: it must not move the handle or change a setting.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ def prepared_on(
     reference_count: int = 0,
     law: Law | None = None,
 ) -> PreparedRun:
-    """Prepare a run; see `rig.config.controller.prepare_controller`.
+    """Prepare a run with `rig.config.controller.prepare_controller`.
 
-    A reference count that is the device's own (`rig.experiments.motion.reference`) is marked as referenced. Raises
-    `PlanError` for a law that this computer would have to run in real time, and cannot.
+    A reference count that the device found by its index (`rig.experiments.motion.reference`) is marked as referenced.
+    Raise `PlanError` if this computer would have to run the law in real time, but its system cannot.
     """
     if experiment.controller.loop == "host" and not device.link.clock.virtual:
         if law is None:
@@ -45,15 +45,16 @@ def prepared_on(
 
 
 def position_zero(device: FramedDevice, x: Experiment) -> int:
-    """Count at position zero of an open device.
+    """Return the encoder count at position zero of an open device.
 
-    A rig without an index has its handle at zero now, or is simulated, where count zero is it. One with an index has
-    found its reference (`rig.experiments.motion.reference`) and keeps it until it restarts or loses counts.
+    Without an index this is the present count, because the handle must be at position zero now; a simulated rig has
+    count 0 there. With an index it is the reference count that `rig.experiments.motion.reference` found; the device
+    keeps it until it restarts or loses counts.
 
     Raises
     ------
     DeviceRefusedError
-        The experiment counts on an index that the device has not looked for since it started.
+        The experiment uses an index, and the device has not found it since it started.
     """
     simulated = device.dictionary.simulated
     if not x.rig.reference.index:

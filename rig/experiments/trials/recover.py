@@ -1,7 +1,7 @@
-"""After a crash: find the captures that were not sealed, report what was lost, and seal them.
+"""After a crash, find the captures that were not sealed, seal them, and report lost rows.
 
-A capture whose writer holds a lock on it, or that a running loop names, is left alone. `rig recording recover` calls
-it. It must not remove a capture itself: sealing does, after its comparison (`rig.recording.seal`).
+A capture that another process has locked, or to which a running loop writes, is not changed. `rig recording recover`
+calls this module. It must not remove a capture: `rig.recording.seal` does so after it has compared the sealed file.
 """
 
 from __future__ import annotations
@@ -37,29 +37,29 @@ class CaptureState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Recovered:
-    """One capture, and what the crash cost.
+    """Result of the recovery of one capture, and the rows that were lost in the crash.
 
     Attributes
     ----------
     capture
-        Where it was.
+        Path of the capture.
     outcome
-        Its state after recovery.
+        State of the capture after recovery.
     recording
-        The sealed file, if it was sealed.
+        Path of the sealed file; None if the capture was not sealed.
     rows
-        Rows that are there.
+        Number of rows that were read.
     rows_lost
-        Rows that damage in the middle of the file cost.
+        Number of rows that are lost because the middle of the file is damaged.
     duration_s
-        Length of what is there (s).
+        Duration of the rows that were read (s).
     lost_at_most_s
-        Time of the run that may be missing at its end and in the middle (s); None if unknown, for a simulation in
-        virtual time, which can be run again.
+        Longest time of the run that may be missing at its end and in the middle (s). None if unknown: in virtual time,
+        where the simulation can be run again.
     complete
-        True if the writer reached its end; then nothing is missing there.
+        True if the file was written to its end, so that no row is missing there.
     reason
-        Why it was not sealed, and what to do.
+        Reason why the capture was not sealed, with a remedy; empty if it was sealed.
     """
 
     capture: Path
@@ -74,12 +74,14 @@ class Recovered:
 
 
 def unsealed(paths: Iterable[str | Path]) -> list[Path]:
-    """Captures at these places: a file as named, a directory with all below it that have no sealed file beside them.
+    """Return the captures at these paths.
+
+    A file is returned as it is; in a directory and below it, all captures without a sealed file beside them.
 
     Raises
     ------
     ConfigError
-        A place that does not exist.
+        A path does not exist.
     """
     found: dict[Path, None] = {}
     for path in map(Path, paths):
@@ -90,18 +92,19 @@ def unsealed(paths: Iterable[str | Path]) -> list[Path]:
             found[path] = None
         else:
             raise ConfigError(
-                f"{path} does not exist", remedy="name a capture or a directory with recordings"
+                f"{path} does not exist",
+                remedy="give the path of a capture or of a directory with recordings",
             )
     return list(found)
 
 
 def recover(paths: Iterable[str | Path], *, progress: Progress | None = None) -> list[Recovered]:
-    """Seal the captures at these places, one after the other; what cannot be sealed stays as it is.
+    """Seal the captures at these paths, one after the other; a capture that cannot be sealed is not changed.
 
     Raises
     ------
     ConfigError
-        A place that does not exist.
+        A path does not exist.
     """
     captures = unsealed(paths)
     results = []
@@ -139,14 +142,14 @@ def _recover(capture: Path) -> Recovered:
 
 
 def _remove_drafts(sealed: Path) -> None:
-    """Remove what a sealing left that was killed half-way (`rig.recording.files.whole_file`)."""
+    """Remove the draft files (`rig.recording.files.whole_file`) of a sealing that was killed before its end."""
     for path in sealed.parent.iterdir():
         if path.name.startswith(f".{sealed.name}.") and path.name.endswith(".draft"):
             path.unlink(missing_ok=True)
 
 
 def _with_cost(capture: Path, sealed: Path, recording: Recording) -> Recovered:
-    """Return the saved and the lost part; `sealed` is the capture itself where Parquet cannot be written."""
+    """Return the result of a recovery; `sealed` equals `capture` if Parquet cannot be written, so it was not sealed."""
     tick_s = _tick_s(recording)
     missing = sum(loss.rows or 0 for loss in recording.lost)
     at_risk_s: float | None = missing * tick_s
@@ -168,14 +171,14 @@ def _with_cost(capture: Path, sealed: Path, recording: Recording) -> Recovered:
 
 
 def _tick_s(recording: Recording) -> float:
-    """Return the period of the loop (s); 0 when the header does not tell."""
+    """Return the period of the loop (s); 0 if the header does not contain it."""
     rate = ((recording.experiment.get("controller") or {}).get("position_rate")) or 0
     return 1.0 / rate if rate > 0 else 0.0
 
 
 @contextmanager
 def _alone(capture: Path) -> Iterator[bool]:
-    """Hold a writer's lock; yields False if another process holds it. Raises `OSError` if the capture is missing."""
+    """Lock the capture and yield True, or False if another process holds the lock. Raise `OSError` if it is missing."""
     descriptor = os.open(capture, os.O_RDONLY)
     try:
         ours = True
@@ -187,7 +190,7 @@ def _alone(capture: Path) -> Iterator[bool]:
 
 
 def _user_of(capture: Path) -> str | None:
-    """Return the loop whose recording this is, in words; also one that has ended and is about to seal it."""
+    """Return a sentence that names the process whose loop writes or is about to seal this capture; None without one."""
     for loop in running.running(done=True):
         named = loop.info.get("recording")
         if not isinstance(named, str):
@@ -199,7 +202,7 @@ def _user_of(capture: Path) -> str | None:
 
 
 def failed(results: Iterable[Recovered]) -> RecordingError | None:
-    """Return the error that stands for all captures that could not be sealed, if there are any."""
+    """Return one error for all captures that could not be sealed; None if all were sealed or in use."""
     broken = [result for result in results if result.outcome == CaptureState.FAILED]
     if not broken:
         return None

@@ -1,8 +1,7 @@
-"""The same inputs through the same law again, or through another: what would it have commanded.
+"""Replay a recording: run the same law, or another one, with the recorded inputs, and compare its commands.
 
-Replay is open loop: the handle moved as it moved, whatever the other law would have done to it. With the
-recorded settings it is bit-exact, also over gaps, because the rows and the header hold every input of
-`rig.control.step`.
+A replay is open loop: the recorded motion does not change if another law commands another effort. With the recorded
+settings a replay is bit-exact, also over gaps, because rows and header contain every input of `rig.control.step`.
 
 `rig recording replay`, `rig.experiments.lab`, cuts, the console and pictures call it. It opens no device and must not
 change the recording.
@@ -47,10 +46,10 @@ COMPUTED = (
 
 @dataclass(frozen=True, slots=True, repr=False)
 class ReplayResult(Shown, Drawn):
-    """Replayed rows beside the recorded ones (equal length, `rig.core.sample.ROW`), and how far they are apart.
+    """Replayed and recorded rows (equal length, `rig.core.sample.ROW`), and their differences.
 
-    `exact` says that every computed column is equal to the last bit; the differences are rms over the rows,
-    in the units of the rig. `of` is the recording.
+    `exact` is True if every computed column is equal to the last bit. The differences of velocity (rad/s or m/s) and
+    effort (N·m or N) are rms over the rows. `of` is the recording.
     """
 
     of: Recording = field(repr=False)
@@ -86,18 +85,18 @@ def replay(
     Parameters
     ----------
     recording
-        Complete or not: its rows from the first on.
+        Recording with its first row; it may be incomplete at the end.
     changes
-        Keys of the experiment to change, dotted, like ``{"controller.estimator": "fdm"}``; none: the same
-        law again. A change of the wall replaces also what was changed during the run.
+        Changes of the experiment by dotted key, like ``{"controller.estimator": "fdm"}``. Without changes the same law
+        runs again. A change of the wall also replaces the changes that were made during the run.
     law
-        A law of the caller's own instead of the named one.
+        Law to run instead of the one that the recording names.
 
     Raises
     ------
     RecordingError
-        The recording lacks its beginning, or ticks in the middle; or it is a cut, and another law or estimator is asked
-        for.
+        The recording lacks its beginning or ticks in the middle; or it is a cut from the middle of a trial, and a
+        change or law is given.
     ConfigError
         The changes are invalid, or the law of the recording is not installed here.
     LawError
@@ -122,9 +121,9 @@ def replay(
 
 
 def state_before(recording: Recording, row: int) -> dict[str, Any]:
-    """Return the controller as it stood before a row, found by replaying the ones before; `ControllerState.as_mapping`.
+    """Return the controller's state before a row (`ControllerState.as_mapping`), by a replay of all rows before it.
 
-    Raises `RecordingError` for a recording that has no replay up to there, `ConfigError` and `LawError` as `replay`.
+    Raise `RecordingError` if these rows cannot be replayed; `ConfigError` and `LawError` as in `replay`.
     """
     recorded, bundle = _rows(recording)[:row], _controller(recording, None, None)
     _run(bundle, recorded, recorded.copy(), _sets(recording, None, None))
@@ -147,12 +146,14 @@ def _rows(recording: Recording) -> NDArray[np.void]:
     began = int((cut_facts(recording) or {"first_tick": 0})["first_tick"])
     if len(recording.rows) and recording.rows["tick"][0] != began:
         raise RecordingError(
-            f"the recording begins at tick {recording.rows['tick'][0]}",
-            remedy="its first block is lost, so it cannot be replayed",
+            f"the recording begins at tick {recording.rows['tick'][0]} instead of {began}: its first block is lost, so "
+            "it cannot be replayed",
+            remedy="replay another recording of this trial, or record the trial again",
         )
     if not np.array_equal(recording.rows["tick"], began + np.arange(len(recording.rows))):
         raise RecordingError(
-            "ticks are missing in the middle of the recording", remedy="it cannot be replayed exactly"
+            "ticks are missing in the middle of the recording, so it cannot be replayed exactly",
+            remedy="replay another recording of this trial, or record the trial again",
         )
     rows = np.zeros(len(recording.rows), dtype=ROW)
     for column in COLUMNS:
@@ -161,7 +162,7 @@ def _rows(recording: Recording) -> NDArray[np.void]:
 
 
 def _sets(recording: Recording, changes: Mapping[str, Any] | None, law: Law | None) -> NDArray[np.float64]:
-    """Return parameter sets that became active during the run, unless another wall is asked for."""
+    """Return the parameter sets that became active during the run; none if the replay has another wall or law."""
     sets = recording.trailer.get("parameter_sets") or [] if recording.trailer else []
     if law is not None or any(key.startswith("wall.") for key in changes or ()):
         sets = []
@@ -195,7 +196,7 @@ def _controller(recording: Recording, changes: Mapping[str, Any] | None, law: La
 
 
 def _as_the_loop_ended(recorded: NDArray[np.void], replayed: NDArray[np.void]) -> None:
-    """The loop sends zero in the tick that ends it, though the effort was on its way down or the device failed."""
+    """Set effort and current of the last replayed row to zero if the loop sent zero there (end or device fault)."""
     last = recorded[-1]
     faulty = last["fault"] != 0 or last["device_state"] == State.FAULT
     if faulty or replayed["phase"][-1] == DONE:

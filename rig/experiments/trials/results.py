@@ -1,10 +1,9 @@
-"""Results of many trials on disk: a Parquet table with a row for each trial, and a summary.
+"""Write results of many trials to disk: a Parquet table with a row for each trial, and a summary in JSON.
 
-The table has a unit for each column and the plan in its metadata. Rows are streamed, so that it may be longer than the
-memory is wide.
+The table's metadata contain the unit of each column and the plan.
 
 Maps, designs, measured impedances, studies and papers write their results with it. It must not hold all rows in memory,
-nor know what a column means.
+because a table may be larger than the memory, nor depend on the meaning of a column.
 """
 
 from __future__ import annotations
@@ -23,13 +22,13 @@ KEY = b"rig.plan"
 
 
 def make_directory(directory: Path) -> None:
-    """Make a directory and those above it; `RecordingError` when the disk refuses."""
+    """Make a directory and its parents; raise `RecordingError` if the system does not allow it."""
     with plain_errors("make", directory):
         directory.mkdir(parents=True, exist_ok=True)
 
 
 def write_document(path: Path, document: Mapping[str, Any]) -> None:
-    """Write JSON for people and machines; overwrites. `RecordingError` when the disk refuses."""
+    """Write a JSON file, and overwrite an existing one; raise `RecordingError` if it cannot be written."""
     with whole_file(path, overwrite=True) as file:
         file.write(json.dumps(document, ensure_ascii=False, indent=1).encode())
 
@@ -37,23 +36,23 @@ def write_document(path: Path, document: Mapping[str, Any]) -> None:
 def write_table(
     path: Path, rows: Iterable[Mapping[str, Any]], units: Mapping[str, str], plan: Mapping[str, Any]
 ) -> int:
-    """Write rows of numbers, texts, truths and None; returns how many.
+    """Write rows of numbers, strings, booleans and None to a Parquet table; return the number of rows.
 
     Parameters
     ----------
     path
-        Path of the file; overwritten.
+        Path of the file; an existing file is overwritten.
     rows
-        All with the keys of the first.
+        Rows as mappings from column to value, all with the keys of the first row.
     units
-        Unit of each column; the others have none.
+        Unit of each column; columns that are not listed have no unit.
     plan
-        Plan from which the table came, as JSON values.
+        Plan of the trials, as JSON values.
 
     Raises
     ------
     RecordingError
-        The disk refuses.
+        The file cannot be written.
     """
     left = iter(rows)
     first = list(islice(left, BATCH))
@@ -81,7 +80,7 @@ def _batches(first: list[Any], left: Iterator[Any]) -> Iterator[list[Any]]:
 
 
 def _type(name: str, rows: list[Any]) -> Any:
-    """Return the type of the first value that is not None; a column of nothing but None is taken as truths."""
+    """Return the Arrow type of a column: that of its first value that is not None, boolean if all values are None."""
     value = next((row[name] for row in rows if row[name] is not None), False)
     for kind, arrow in ((bool, pyarrow.bool_()), (int, pyarrow.int64()), (float, pyarrow.float64())):
         if isinstance(value, kind):

@@ -1,8 +1,8 @@
-"""The keys of an experiment that people set by a name of their own, where a whole key would be too much to write.
+"""Short names for keys of an experiment, like ``stiffness`` for ``wall.stiffness``.
 
-Any other key is reached by ``changes``, which has whole keys. Commands, the functions of `rig.experiments.lab` and
-`rig.experiments.measure`, and requests take their settings from it. It must not state a type, a range or a unit of its
-own.
+All other keys are set with ``changes``, by their full dotted keys. Commands, requests, and the functions of
+`rig.experiments.lab` and `rig.experiments.measure` take their settings from this module. It must not repeat a key's
+type, range or unit, which `rig.config` defines.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Settings(TypedDict, total=False):
 
 
 class WallSettings(Settings, total=False):
-    """And one wall."""
+    """Settings of the push and of the sampling, and the stiffness and damping of a wall."""
 
     stiffness: Annotated[
         float, _key("wall.stiffness", "Wall stiffness (N·m/rad or N/m).", "-K", "--stiffness")
@@ -68,7 +68,7 @@ class WallSettings(Settings, total=False):
 
 
 class HitSettings(WallSettings, total=False):
-    """And how often it is hit."""
+    """Settings of the push, the sampling and the wall, and the number of hits."""
 
     repeats: Annotated[int, Ge(1), Le(100_000), _key("trial.repeats", "Number of hits.")]
 
@@ -78,7 +78,7 @@ def _excitation(key: str, help: str) -> Keyword:
 
 
 class ExcitationSettings(TypedDict, total=False):
-    """How a rig is excited; `band` is its lowest and its highest line."""
+    """Settings of the excitation of a rig; `band` is its lowest and its highest frequency (Hz)."""
 
     channel: Annotated[
         Literal["external", "motor"],
@@ -103,7 +103,7 @@ class ExcitationSettings(TypedDict, total=False):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigRequest:
-    """Which rig, with which changes, on which device.
+    """Request of something that a rig does: its experiment, changes and device.
 
     Attributes
     ----------
@@ -114,7 +114,8 @@ class RigRequest:
     changes
         Keys that the user set by hand, dotted; they win over everything else.
     verified
-        A real rig may be moved; without it a real device does not arm.
+        True if the operator has checked the signs of motor and encoder, so that a real rig may be moved; without it a
+        real device does not arm.
     """
 
     experiment: Experiment
@@ -140,9 +141,10 @@ class RigRequest:
 
 
 def changes_of(options: Mapping[str, Any], known: type) -> dict[str, Any]:
-    """Return changes by dotted key that the settings among some options mean, those of ``changes`` last.
+    """Return the changes of the experiment (by dotted key) for these options; those in ``changes`` override others.
 
-    `known` is the TypedDict of the permitted names; raises `ConfigError` for another one, with the closest of them.
+    `known` is the TypedDict of the permitted option names. Raise `ConfigError` for an unknown name; the error proposes
+    the closest permitted name.
     """
     names, keys = get_type_hints(known), keywords(known)
     changes: dict[str, Any] = {}
@@ -159,16 +161,16 @@ def changes_of(options: Mapping[str, Any], known: type) -> dict[str, Any]:
 
 
 def _pushed_by(operator: str) -> dict[str, Any]:
-    """Return who pushes: a hand of that grip, or the motor alone; the rules of an experiment refuse an unknown grip."""
+    """Return the changes for a push by a hand with this grip, or by the motor for "none". The grip is checked later."""
     if operator == "none":
         return {"trial.kind": "constant-effort"}
     return {"trial.kind": "human", "operator.grip": operator}
 
 
 def takes(options: type, request: type = RigRequest) -> Callable[[F], F]:
-    """Show the keywords of a TypedDict in a function's signature and docstring, in place of ``**options``.
+    """Return a decorator that replaces ``**options`` in a function's signature and docstring by keywords.
 
-    `request` is the dataclass whose fields some of them are.
+    The keywords are those of the TypedDict `options`; the dataclass `request` has the defaults of some of them.
     """
     hints, own = get_type_hints(options), keywords(request)
     all_keywords = {**own, **keywords(options)}

@@ -187,7 +187,7 @@ def test_an_impossible_comparison_is_refused_with_a_remedy(monkeypatch: pytest.M
     with pytest.raises(ConfigError, match=r"never reached the wall.*push harder"):
         compare(experiment, start=Start(position=-0.1))
     for entries, offsets in (([], (0.1,)), (None, ()), (None, (1.0,))):
-        with pytest.raises(ConfigError, match="no scheme or no encoder offset is given"):
+        with pytest.raises(ConfigError, match="at least one of each is needed"):
             compare(experiment, entries, offsets=offsets)
     unknown = Scheme(position_rate=20_000, velocity_rate=2000, estimator="fmd")
     with pytest.raises(ConfigError, match="fmd"):
