@@ -1,6 +1,7 @@
-"""Description of a rig from two data sheets and a mechanism: every question, its units, its range, its assumption.
+"""Questions from whose answers a rig is described: data-sheet values of motor and encoder, and the mechanism.
 
-`rig.new_rig` takes the answers by these names, `rig experiment new` as options or at prompts.
+Each question has its units, its range and its default. `rig.new_rig` takes the answers as keywords, `rig experiment
+new` as options or at prompts.
 """
 
 from __future__ import annotations
@@ -33,24 +34,24 @@ _SPELT = str.maketrans({"·": "", "*": "", " ": "", "⋅": "", "^": "", "²": "2
 
 @dataclass(frozen=True, slots=True)
 class DataSheetQuestion:
-    """One answer that describes a rig.
+    """Question about a rig, with the allowed answers.
 
     Attributes
     ----------
     text
         Text of the question.
     units
-        Unit → factor to SI, the SI unit first; empty for a plain number or a choice.
+        Factor to SI for each allowed unit, the SI unit first; None for a number without unit or a choice.
     low, high
-        Smallest and largest plausible value (SI).
+        Smallest and largest allowed value (SI).
     choices
-        Allowed names, for a choice.
+        Allowed names; empty if the answer is a number.
     of
-        Mechanisms that have it.
+        Mechanisms for which the question is asked.
     assumed
-        Value that is assumed without an answer; empty where an answer is required.
+        Description of the value that is assumed without an answer; empty if an answer is required.
     whole
-        True if it is a whole number.
+        True if the answer must be a whole number.
     """
 
     text: str
@@ -64,12 +65,12 @@ class DataSheetQuestion:
 
     @property
     def unit(self) -> str:
-        """Return the SI unit in which a number is understood."""
+        """Return the SI unit of the answer; empty for a number without unit or a choice."""
         return next(iter(self.units)) if self.units else ""
 
     @property
     def allowed(self) -> str:
-        """Return the allowed answers in words: choices, or range and units."""
+        """Return a text with the allowed answers: choices, or range and units."""
         if self.choices:
             return f"one of {', '.join(self.choices)}"
         kind = "a whole number" if self.whole else "a number"
@@ -78,7 +79,10 @@ class DataSheetQuestion:
         return f"{kind} from {self.low:g} to {self.high:g}{units if self.unit else ''}"
 
     def read(self, name: str, text: str) -> Any:
-        """Return the value (SI) of a text such as ``38.5 mN·m/A``; `ConfigError` says what is allowed."""
+        """Return the value (SI) of a text such as ``38.5 mN·m/A``; raise `ConfigError` if it is not allowed.
+
+        `name` is the name of the answer in the message.
+        """
         if self.choices:
             return self.checked(name, text.strip())
         found = _NUMBER.fullmatch(text.strip())
@@ -90,7 +94,7 @@ class DataSheetQuestion:
         return self.checked(name, int(value) if self.whole and value.is_integer() else value)
 
     def checked(self, name: str, value: Any) -> Any:
-        """Return a value that is allowed; `ConfigError` says what is."""
+        """Return the value (SI); raise `ConfigError` if it is not allowed."""
         if self.choices:
             if value in self.choices:
                 return value
@@ -108,12 +112,12 @@ class DataSheetQuestion:
 
 
 def _spelt(unit: str) -> str:
-    """Return a unit without the signs that people write differently."""
+    """Return a unit in one spelling, without spaces and multiplication signs."""
     return unit.translate(_SPELT).replace("Ω", "ohm").replace("Ω", "ohm").replace("Ohm", "ohm")
 
 
 class DataSheets(TypedDict, total=False):
-    """The answers, in SI units."""
+    """Answers to the questions, in SI units."""
 
     mechanism: Annotated[
         Mechanism,
@@ -283,13 +287,13 @@ class DataSheets(TypedDict, total=False):
 
 @cache
 def questions() -> Mapping[str, DataSheetQuestion]:
-    """Return every question by the name of its answer, in the order in which it is asked."""
+    """Return all questions by the name of their answer, in the order in which they are asked."""
     hints = get_type_hints(DataSheets, include_extras=True)
     return {name: get_args(hint)[1] for name, hint in hints.items()}
 
 
 def questions_for(mechanism: str) -> Mapping[str, DataSheetQuestion]:
-    """Return the questions that a mechanism has, the one for itself left out."""
+    """Return the questions that are asked for a mechanism, without the question for the mechanism itself."""
     return {
         name: question
         for name, question in questions().items()
@@ -298,7 +302,7 @@ def questions_for(mechanism: str) -> Mapping[str, DataSheetQuestion]:
 
 
 def check_answers(answers: Mapping[str, Any]) -> DataSheets:
-    """Return the answers if they describe a rig; `ConfigError` lists all that is missing or out of range."""
+    """Return the checked answers; raise `ConfigError` if one is unknown, missing, out of range or not needed."""
     given = {name: value for name, value in answers.items() if value is not None}
     known = questions()
     for name in given:
@@ -313,7 +317,9 @@ def check_answers(answers: Mapping[str, Any]) -> DataSheets:
     asked = questions_for(mechanism)
     surplus = [f"`{name}`" for name in given if name not in asked and name != "mechanism"]
     if surplus:
-        raise ConfigError(f"{', '.join(surplus)} cannot be given for a {mechanism}", remedy="leave it out")
+        raise ConfigError(
+            f"{', '.join(surplus)} cannot be given for a {mechanism}", remedy="leave out these values"
+        )
     missing = [name for name, question in asked.items() if not question.assumed and name not in given]
     if missing:
         lines = "\n".join(f"  `{name}`: {asked[name].text}; {asked[name].allowed}" for name in missing)

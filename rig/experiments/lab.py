@@ -1,6 +1,6 @@
-"""Functions for the user: an experiment by a preset's name, as a file or loaded, settings by name, and one result.
+"""Functions of the Python interface, like `rig.hit`: they take an experiment and settings, and return one result.
 
-Everything here adapts arguments and hands them to the functions that commands call too.
+Each function adapts its arguments and calls the same function as the command of that name.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ ExperimentLike = str | Path | Experiment
 
 
 class HitOptions(HitSettings, total=False):
-    """Keywords of `hit`: settings, and fields of a `HitRequest`, with their types there."""
+    """Keywords of `hit`: settings of the experiment, and fields of `HitRequest`."""
 
     law: str | Law
     estimator: str | Estimator
@@ -62,7 +62,7 @@ class HitOptions(HitSettings, total=False):
 
 @takes(WallSettings)
 def load(experiment: ExperimentLike, **settings: Unpack[WallSettings]) -> Experiment:
-    """Load an experiment, with some of its keys changed.
+    """Load an experiment and change some of its keys.
 
     Parameters
     ----------
@@ -71,12 +71,12 @@ def load(experiment: ExperimentLike, **settings: Unpack[WallSettings]) -> Experi
         experiment.
     **settings
         In SI units of the rig: ``stiffness=100.0``; any other key by ``changes={"wall.position": 0.1}``.
-        `operator` is who pushes: the grip of a simulated hand (relaxed, normal, firm), or none: the motor.
+        `operator` names the grip of a simulated hand that pushes (relaxed, normal, firm); with "none" the motor pushes.
 
     Raises
     ------
     ConfigError
-        No such preset or file, no such setting, or values that cannot be: each with key, range and remedy.
+        The preset, file or setting does not exist, or a value is invalid; the message names key, range and remedy.
     """
     return _change(experiment, changes_of(settings, WallSettings))
 
@@ -85,26 +85,26 @@ def load(experiment: ExperimentLike, **settings: Unpack[WallSettings]) -> Experi
 def hit(
     experiment: ExperimentLike = DEFAULT_PRESET, watch: Watch | None = None, **options: Unpack[HitOptions]
 ) -> HitResult:
-    """Hit a wall once: home, push into it, judge, record.
+    """Hit a wall once: home the handle, push it into the wall, record and judge the hit.
 
     Parameters
     ----------
     experiment
         As in `load`.
     watch
-        Called before the hit with its number, 0, and the experiment in effect; may return a function that is called
-        with (ticks, phase) while it runs.
+        Called before the hit with the number 0 and the experiment in effect. It may return a function that is then
+        called with (ticks, phase) while the hit runs.
     **options
-        Settings as in `load`, and: `law`, `estimator` (a name, or one of your own); an open `device` instead of a
-        `url`; `hands_off`, called before a torque pulse at which no hand may hold a real rig (prints a line to standard
-        error unless given); the `name` of the recording.
+        Settings as in `load`, and: `law`, `estimator` (a name, or your own); an open `device` instead of a `url`;
+        `hands_off`, called before a torque pulse during which no hand may hold a real rig (by default it prints a line
+        to standard error); the `name` of the recording.
 
     Raises
     ------
     ConfigError, PlanError
-        Something that cannot or must not run: nothing has moved.
+        The request is invalid or not permitted; nothing has moved.
     RigError
-        Whatever ended the hit early; the effort is zero, and `recording` of the error names what was recorded.
+        The hit ended early; the effort is zero, and the error's attribute `recording` is the path of the recording.
     """
     given: dict[str, Any] = {"hands_off": _print_message, **options}
     changes, loaded = changes_of(options, HitOptions), presets.load_named(experiment)
@@ -124,16 +124,16 @@ def hit(
 
 
 def stop() -> int:
-    """Stop every run of this program at once, whichever threads they are in: zero effort within a tick of each.
+    """Stop all runs of this program, in all threads; each loop sends zero effort in its next tick.
 
-    Call it from any thread, task or signal handler; it waits for nothing. Each stopped call raises `StoppedError`, and
-    its recording ends ``stopped``; a map begins nothing more. Other programs keep running, since
-    this one may not own their rigs: the command ``rig stop`` stops all.
+    Call it from any thread, task or signal handler; it returns at once. Each stopped call raises `StoppedError`, and
+    the end reason in its recording is ``stopped``; a map starts no more hits. Runs of other programs continue, because
+    their rigs may belong to others; the command ``rig stop`` stops these, too.
 
     Returns
     -------
     int
-        How many trials were running.
+        Number of trials that were running.
     """
     return stop_requests.request()
 
@@ -149,15 +149,15 @@ def plan(
     round_trip_s: float | None = None,
     **settings: Unpack[WallSettings],
 ) -> Plan:
-    """List what a hit would do, and check it; no device is touched, and what is refused is in the plan.
+    """Return the plan of a hit: its steps and its checks, the refused ones included; no device is opened.
 
-    Parameters as in `hit`. With `url`, `realtime` or `round_trip_s` (of the link, with the drive's behind a bridge, as
-    `rig doctor` measures it) the wall is also judged with the delay of a link.
+    Parameters are those of `hit`. With `url`, `realtime` or `round_trip_s` the wall is also judged with the delay of a
+    link. `round_trip_s` is the round trip of the link and of a drive behind a bridge, as `rig doctor` measures it (s).
 
     Raises
     ------
     ConfigError, PlanError
-        An invalid request; a round trip that is not above zero.
+        The request is invalid, or the round trip is not above 0.
     """
     changes = changes_of(settings, WallSettings)
     own = _take_own_parts({"law": law, "estimator": estimator}, changes)
@@ -178,14 +178,15 @@ def replay(
     estimator: str | Estimator | None = None,
     **settings: Unpack[WallSettings],
 ) -> ReplayResult:
-    """Run the inputs of a recording through its law and estimator again, or through others, and compare.
+    """Replay a recording: run its law and estimator, or others, with the recorded inputs, and compare the commands.
 
     Parameters
     ----------
     recording
-        It, or its file.
+        A recording, or the path of its file.
     law, estimator
-        Others than the recorded ones: by name, or of your own. One of your own that was recorded must be given too.
+        Name, or your own law or estimator, to use instead of the recorded ones. If the recording was made with your own
+        law or estimator, pass it here.
     **settings
         As in `load`.
 
@@ -194,7 +195,7 @@ def replay(
     RecordingError
         The recording lacks its beginning, or ticks in the middle.
     ConfigError
-        The settings are invalid, or the law or estimator of the recording is not known here.
+        The settings are invalid, or the law or estimator of the recording is not installed.
     LawError
         The law or the estimator raised an exception.
     """
@@ -220,27 +221,27 @@ def compare(
     estimator: str | Estimator | None = None,
     **settings: Unpack[WallSettings],
 ) -> SchemeComparison:
-    """Simulate the same hit under several schemes (`rig compare`); nothing is recorded.
+    """Simulate the same hit under several sampling schemes (`rig compare`); nothing is recorded.
 
     Parameters
     ----------
     experiment
         As in `load`; the motor pushes, without a hand.
     schemes
-        ``"dual:20k/2k,estimator=kalman"``, ``"uniform:20k"``, ``"none"`` for no damping; no damping, uniform and
-        dual-rate at the experiment's rates if empty.
+        For example ``"dual:20k/2k,estimator=kalman"``, ``"uniform:20k"``, ``"none"`` for no damping. If empty, three
+        schemes at the experiment's rates: no damping, uniform and dual-rate.
     offsets
-        Where position zero lies in its encoder cell (count, 0 to below 1): one hit each, of whose numbers the result
-        has the mean.
+        Places of position zero within its encoder cell (count, 0 to below 1). One hit is simulated for each, and the
+        result has the mean of their numbers.
     law, estimator
-        Name of a built-in or installed one, or one of your own.
+        Name of a built-in or installed law or estimator, or your own.
     **settings
         As in `load`.
 
     Raises
     ------
     ConfigError
-        A scheme or an offset that cannot be, a hand on the rig, or a handle that never reaches the wall.
+        A scheme or an offset is invalid, the trial has a hand, or the handle never reaches the wall.
     """
     changes = changes_of(settings, WallSettings)
     refuse_unused(changes)
@@ -273,32 +274,34 @@ def zwidth(
     watch: Callable[[sweep.Progress], None] | None = None,
     **settings: Unpack[Settings],
 ) -> ZWidth:
-    """Map the walls that a simulated rig renders stably, by hitting them (`rig zwidth`).
+    """Map which walls a simulated rig renders stably, by simulated hits (`rig zwidth`).
 
     Parameters
     ----------
     experiment
-        As in `load`. A preset is held by a simulated hand with a normal grip, unless settings say who pushes.
+        As in `load`. A preset is pushed by a simulated hand with a normal grip, unless the settings have `operator`,
+        `effort` or ``trial.kind``.
     schemes
-        One curve each, as ``"dual:20k/2k,estimator=kalman"``; the experiment's and the uniform ones of its rates if
-        empty.
+        Sampling schemes like ``"dual:20k/2k,estimator=kalman"``, one curve each. If empty: the experiment's scheme, and
+        the uniform schemes at its rates.
     dampings, offsets, repeats, judged
         As in `rig.experiments.mapping._ranges.hit_plan`.
     lowest, highest, search, ratio
-        Range of the stiffness, and the way through it: `rig.experiments.mapping._ranges.search_for`.
+        Range of the stiffness (N·m/rad or N/m), and the search in it: `rig.experiments.mapping._ranges.search_for`.
     law, estimator
-        Name, or one of your own. Other processes can use yours only when a package installs it: see `directory`.
+        Name, or your own. With `scheduler` or `directory` your own must be installed by a package, because other
+        processes must find it.
     directory
-        Where the map is kept, and resumed when it was stopped; not kept if None.
+        Directory in which the map is stored; a stopped map resumes from it. None: not stored.
     workers, scheduler, watch
         As in `rig.experiments.sweep.run`.
 
     Raises
     ------
     ConfigError, PlanError
-        A scheme or a range that cannot be.
+        A scheme or a range is invalid.
     StoppedError
-        Ctrl-C; what is done stays in the directory.
+        Ctrl-C was pressed; finished series stay in the directory.
     """
     changes = changes_of(settings, Settings)
     own = _take_own_parts({"law": law, "estimator": estimator}, changes)
@@ -346,34 +349,37 @@ def design(
     watch: Callable[[str, sweep.Progress], None] | None = None,
     **settings: Unpack[Settings],
 ) -> designing.Design:
-    """Find rates, estimator and filter for a rig by simulated hits (`rig design`); `toml()` of the result is to paste.
+    """Find rates, estimator and filter for a rig by simulated hits (`rig design`).
+
+    `toml()` of the result returns the text to paste into an experiment file.
 
     Parameters
     ----------
     experiment
-        As in `zwidth`. Limits of felt, heard and moved are its own: ``changes={"verdict.heard_force": 0.5}``.
+        As in `zwidth`. It has the limits of the ripples felt, heard and moved; change them for example by
+        ``changes={"verdict.heard_force": 0.5}``.
     goal, must_be_stable, fidelity_to, most_noise, most_cost
         Goal, K and B of a wall that must be stable, and the other wishes: `rig.experiments.design.Wishes`.
     where
-        The law may run: on this computer, on the device, or on both; where the experiment's own does if None.
+        Where the law may run: on this computer, on the device, or both; None: where the experiment's law runs.
     most_rate, link, round_trip_s
-        Highest position rate of the board (Hz), the experiment's own if None; what the link carries (bytes/s), anything
-        if None; how long a law on this computer takes to answer a sample (s), as the experiment says if None.
+        Highest position rate of the board (Hz; None: the experiment's rate), capacity of the link (bytes/s; None: not
+        limited), and time in which a law on this computer answers a sample (s; None: from the experiment).
     schemes
-        To choose from; the listed set of `rig.experiments.design._listing` if empty.
+        Schemes to choose from; if empty, the set in `rig.experiments.design._listing`.
     paper
-        True if the schemes of the rig's own paper are compared with all of that set, too.
+        True to add the schemes of the paper that describes the rig.
     directory
-        Where the search is kept, and resumed when it was stopped; not kept if None.
+        Directory in which the search is stored; a stopped search resumes from it. None: not stored.
     workers, scheduler, watch
         As in `rig.experiments.sweep.run`; `watch` is also called with the name of the stage.
 
     Raises
     ------
     ConfigError, PlanError
-        A scheme that cannot be; or no scheme fulfils the wishes: which one binds, and by how much.
+        A scheme is invalid, or no scheme fulfils the wishes; the message names the wish that fails and by how much.
     StoppedError
-        Ctrl-C; what is done stays in the directory.
+        Ctrl-C was pressed; finished parts stay in the directory.
     """
     held = _put_in_hand(experiment, changes_of(settings, Settings))
     request = designing.DesignRequest(
@@ -392,7 +398,7 @@ def design(
 
 
 def _put_in_hand(experiment: ExperimentLike, changes: dict[str, Any]) -> Experiment:
-    """Return an experiment with changes; a preset is in a simulated hand, unless they say who pushes."""
+    """Return the changed experiment; a simulated hand pushes a preset, unless the changes set the push."""
     built_in = isinstance(experiment, str) and experiment in presets.names()
     if built_in and not {"trial.kind", "trial.effort"} & set(changes):
         changes = changes | changes_of({"operator": "normal"}, Settings)
@@ -411,7 +417,10 @@ def _change(experiment: ExperimentLike, changes: Mapping[str, Any]) -> Experimen
 def _take_own_parts(
     options: Mapping[str, Any], changes: dict[str, Any]
 ) -> tuple[Law | None, Estimator | None]:
-    """Return a law and an estimator that are no names; names, and that of the estimator, are put into the changes."""
+    """Return the caller's own law and estimator, None for those given by name; write the names into `changes`.
+
+    Raise `ConfigError` if an option is neither a name nor a decorated function.
+    """
     law, estimator = options.get("law"), options.get("estimator")
     if isinstance(law, str):
         changes["wall.law"], law = law, None
@@ -420,8 +429,8 @@ def _take_own_parts(
     for part, kind, decorator in ((law, Law, "law"), (estimator, Estimator | str, "estimator")):
         if part is not None and not isinstance(part, kind):
             raise ConfigError(
-                f"{decorator} must be a name or a part made by @rig.{decorator}(…), and is a "
-                f"{type(part).__name__}",
+                f"{decorator} is of type {type(part).__name__}; it must be a name, or a function decorated by "
+                f"@rig.{decorator}(…)",
                 remedy=f"give a name, or a function decorated by @rig.{decorator}(…)",
             )
     return law, None if isinstance(estimator, str) else estimator
@@ -429,7 +438,7 @@ def _take_own_parts(
 
 @contextmanager
 def _register(law: Law | None, estimator: Estimator | None) -> Iterator[None]:
-    """Register a law and an estimator of the caller for a while, unless they are given by name."""
+    """Register the caller's own law and estimator until the block ends."""
     with ExitStack() as stack:
         if law is not None:
             stack.enter_context(plugins.register_temporarily("rig.laws", laws.BUILT_IN, law.name, law))
@@ -445,7 +454,7 @@ def _built_in(estimator: Estimator) -> bool:
 
 
 def _refuse_what_is_not_installed(law: Law | None, estimator: Estimator | None) -> None:
-    """Another process, or a later one, finds a part by its name in an installed package or not at all."""
+    """Raise `ConfigError` for a law or estimator that no installed package provides: other processes cannot find it."""
     for part, get, group in ((law, laws.get, "rig.laws"), (estimator, estimators.get, "rig.estimators")):
         try:
             known = part is None or get(part.name) is part

@@ -1,6 +1,6 @@
-"""Functions to measure a rig: its impedance, walls of a grid, recordings of it, and identification of its parameters.
+"""Functions of the Python interface that measure impedances and identify a rig's parameters.
 
-As `rig.experiments.lab`: arguments are adapted and handed to the functions that commands call, too.
+Each function adapts its arguments and calls the same function as the command, as in `rig.experiments.lab`.
 """
 
 from __future__ import annotations
@@ -51,47 +51,48 @@ def impedance(
     watch: Callable[[int, int], None] | None = None,
     **settings: Unpack[Settings],
 ) -> tuple[ImpedanceResult, ...]:
-    """Measure the impedance that a rig renders: excite it about each wall under each scheme (`rig impedance measure`).
+    """Measure the impedance that a rig renders: excite it at each wall with each scheme (`rig impedance measure`).
 
     Parameters
     ----------
     experiment
         As in `load`.
     walls
-        Stiffness and damping of each (N·m/rad and N·m·s/rad, or N/m and N·s/m); the experiment's own if None, and
-        ``(0.0, 0.0)`` for the bare rig.
+        Stiffness and damping of each wall (N·m/rad and N·m·s/rad, or N/m and N·s/m); ``(0.0, 0.0)`` is the rig without
+        a wall. None: the experiment's wall.
     schemes
-        Rates and estimators, as ``"uniform:1k,estimator=kalman"``; the experiment's own if empty.
+        Rates and estimators, like ``"uniform:1k,estimator=kalman"``. If empty: the experiment's scheme.
     excitation
         Keys of ``[excitation]``: ``{"rms": 5.0, "realisations": 4}`` (N·m or N). With a `url` its ``channel`` is
         ``"motor"`` unless given.
     method
-        ``"periodic"``: the ratio of the excited lines. ``"welch"``: as tfestimate does.
+        ``"periodic"``: ratio of effort to velocity at the excited frequencies. ``"welch"``: the method of MATLAB's
+        tfestimate.
     signal
-        ``"count"``: what the encoder shows. ``"truth"``: the simulated handle; without a `url` only.
+        Measured position. ``"count"``: of the encoder. ``"truth"``: of the simulated handle, only without a `url`.
     judging
-        Band and thresholds of verdict and fidelity, as ``rig.Judging(band_hz=(2.0, 50.0))``.
+        Band and thresholds of verdict and fidelity, like ``rig.Judging(band_hz=(2.0, 50.0))``.
     url, realtime, verified, arm_anyway, hands_off, output
-        A device, as in `hit`: its own motor excites it, and each realisation is recorded in `output`. None: simulated
-        without bytes, nothing is recorded.
+        Device as in `hit`: its motor excites it, and each realisation is recorded in `output`. Without a `url` the rig
+        is simulated without the byte link, and nothing is recorded.
     agrees
-        Called before each wall on a device with the experiment; False ends the measurement.
+        On a device, called with the experiment before each wall; the measurement ends if it returns False.
     watch
-        Called with the runs done and all runs.
+        Called after each run with the number of runs done and their total.
     **settings
         As in `load`.
 
     Returns
     -------
     tuple of ImpedanceResult
-        Wall after wall, scheme after scheme: the impedance at each line, whether it is passive, its fidelity.
+        One result for each scheme and wall: the impedance at each frequency, its passivity and its fidelity.
 
     Raises
     ------
     ConfigError, PlanError
-        An invalid request, or an excitation beyond the limits: nothing has moved.
+        The request is invalid, or the excitation exceeds a limit; nothing has moved.
     RigError
-        Cause of a run's early end on a device, other than the guard; the effort is zero.
+        A run on a device ended early, but not by the guard; the effort is zero.
     """
     changes = {f"excitation.{key}": value for key, value in (excitation or {}).items()}
     if url is not None:
@@ -109,7 +110,7 @@ def impedance(
     if signal != "count":
         raise ConfigError(
             f"signal = {signal!r} cannot be used with a device, which records counts only",
-            remedy='say signal="count"',
+            remedy='set signal="count"',
         )
     device = OnDevice(
         url=url,
@@ -133,21 +134,21 @@ def read_impedance(
     Parameters
     ----------
     recordings
-        Recordings of one wall under one scheme, or their files: `ImpedanceResult.recordings`.
+        Recordings of one wall with one scheme, or the paths of their files (`ImpedanceResult.recordings`).
     method, judging
         As in `impedance`.
 
     Returns
     -------
     ImpedanceResult
-        As `impedance` gives it on the device.
+        The same result as that of `impedance` on the device.
 
     Raises
     ------
     RecordingError
-        Not an excited trial, or not a whole one.
+        A recording is not an excited trial, or is incomplete.
     ConfigError
-        No recording, or recordings of several walls.
+        No recording is given, or recordings of several walls.
     """
     opened = [one if isinstance(one, Recording) else open_recording(one) for one in recordings]
     return measuring.recorded_impedance(opened, method=method, judging=judging)
@@ -169,20 +170,18 @@ def impedance_map(
     watch: Callable[[sweep.Progress], None] | None = None,
     **settings: Unpack[Settings],
 ) -> FrequencyMap:
-    """Map where the impedance of a simulated rig is passive, and how faithful it is (`rig impedance map`).
-
-    Every wall of a grid is excited.
+    """Excite a simulated rig at every wall of a grid; map its passivity and fidelity (`rig impedance map`).
 
     Parameters
     ----------
     experiment, excitation, judging
         As in `impedance`.
     schemes
-        One map each; those of Chawda et al. if empty: their four estimators.
+        Sampling schemes, one map each. If empty: those of Chawda et al., with their four estimators.
     stiffnesses, dampings
-        Values of the grid, ascending (N·m/rad and N·m·s/rad, or N/m and N·s/m); None: chosen by linear theory.
+        Values of the grid, ascending (N·m/rad and N·m·s/rad, or N/m and N·s/m). None: chosen by linear theory.
     signal
-        As in `impedance`; if None ``"count"`` on a rigid rig, ``"truth"`` on one of two masses.
+        As in `impedance`. None: ``"count"`` for a rigid rig, ``"truth"`` for a rig of two masses.
     directory, workers, scheduler, watch
         As in `zwidth`.
     **settings
@@ -191,14 +190,14 @@ def impedance_map(
     Returns
     -------
     FrequencyMap
-        ``passive`` and ``fidelity`` by scheme, realisation, damping and stiffness; `table_one` makes widths of it.
+        ``passive`` and ``fidelity`` by scheme, realisation, damping and stiffness; `table_one` computes widths from it.
 
     Raises
     ------
     ConfigError, PlanError
-        A scheme or a grid that cannot be, or an excitation beyond the limits.
+        A scheme or a grid is invalid, or the excitation exceeds a limit.
     StoppedError
-        Ctrl-C; what is done stays in the directory.
+        Ctrl-C was pressed; finished parts stay in the directory.
     """
     changes = {f"excitation.{key}": value for key, value in (excitation or {}).items()}
     plan = frequency_plan(
@@ -216,7 +215,7 @@ def impedance_map(
 
 
 class IdentifyOptions(TypedDict, total=False):
-    """Keywords of `identify`: fields of an `IdentifyRequest`, with their types there."""
+    """Keywords of `identify`: fields of `IdentifyRequest`."""
 
     url: str | None
     changes: Mapping[str, Any]
@@ -239,35 +238,35 @@ def identify(
     ask: Callable[[str], None] | None = None,
     **options: Unpack[IdentifyOptions],
 ) -> Identification:
-    """Identify a rig whose handle is free: signs, friction, inertia, damping, delay, first mode (`rig identify`).
+    """Identify signs, friction, inertia, damping, delay and first mode of a rig with a free handle (`rig identify`).
 
     Parameters
     ----------
     experiment
-        The rig as far as it is known, as in `load`; its limits are kept.
+        Description of the rig as far as it is known, as in `load`; its limits apply.
     tell
-        Called with a line about what happens next.
+        Called with a line of text about the next step.
     ask
-        Called with what a person has to do; returns when it is done. Needed for a mass on a real rig.
+        Called with an instruction to a person; must return when it is done. Required to hang a mass on a real rig.
     **options
-        `changes` are other keys of the experiment, by dotted name; `rate_hz` is that of the loop while it moves (None:
-        the experiment's, or in real time what the measured link carries); with `cogging`, `mass_kg` and `arm_m` are a
-        mass to hang on the rig for the sweeps once more, and its lever arm.
+        `changes` has other keys of the experiment, by dotted name. `rate_hz` is the rate of the loop (Hz; None: the
+        experiment's rate, in real time at most what the measured link permits). With `cogging`, `mass_kg` and `arm_m`
+        are a mass (kg) and its lever arm (m) with which the sweeps are repeated.
 
     Returns
     -------
     Identification
-        The fits with their 95 % intervals, the recordings, and ``experiment`` with the identified values;
-        `format_identification` is its file.
+        Fits with 95 % intervals, the recordings, and ``experiment`` with the identified values;
+        `format_identification` returns it as the text of a file.
 
     Raises
     ------
     ConfigError, PlanError
-        Something that cannot or must not run: nothing has moved.
+        The request is invalid or not permitted; nothing has moved.
     IdentificationError
-        Wrong signs, or data that show nothing; the message says why.
+        The signs are wrong, or the data do not determine a value; the message states the reason.
     RigError
-        Cause of a trial's early end; the effort is zero.
+        A trial ended early; the effort is zero.
     """
     request = IdentifyRequest(experiment=load(experiment), **options)
     return identifying.identify(request, tell, ask)

@@ -1,9 +1,9 @@
-"""Write an experiment file for a new rig from two data sheets: every number with its unit and its source.
+"""Write an experiment file for a new rig from data sheets: every number with its unit and its source.
 
-Values are computed at the handle. Start, push, wall and homing are chosen so that `rig experiment plan` passes and a
-hit reaches the wall; what the plan still refuses is changed as its checks state.
+Values are computed at the handle. Start, push, wall and homing are chosen so that a hit reaches the wall and `rig
+experiment plan` refuses nothing; if a check still refuses, the changes that it proposes are applied.
 
-`rig experiment new` calls it. It opens no device, and it must not invent a number without stating it as an assumption.
+`rig experiment new` calls it. It opens no device. It must mark every number without a source as an assumption.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ SECTIONS = (
 
 @dataclass(frozen=True, slots=True)
 class Assumption:
-    """A number that no data sheet gave: key, value with its unit, and what was assumed."""
+    """Number that was assumed because no answer determines it: its key, its value with unit, and the reason."""
 
     key: str
     value: str
@@ -103,7 +103,7 @@ class Assumption:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class NewRig(Shown):
-    """A rig from data sheets: the text of its experiment file, where that was written, and what was assumed."""
+    """Rig described from data sheets: text and path of its experiment file, and the assumptions."""
 
     name: str
     path: Path | None
@@ -112,7 +112,7 @@ class NewRig(Shown):
     experiment: Experiment
 
     def brief(self) -> list[Item]:
-        """Return the rig in a few numbers."""
+        """Return a headline of the experiment, the path of the file, and the assumptions."""
         x = self.experiment
         return [
             x.headline(),
@@ -132,18 +132,21 @@ def new_rig(
     Parameters
     ----------
     path
-        File to write; its name without the suffix is that of the rig. None: no file.
+        File to write; its name without suffix becomes the name of the rig. None: no file is written.
     overwrite
-        Replace a file that exists.
+        True to replace an existing file.
     **data_sheets
         Numbers in SI units, by the names of `rig.experiments._data_sheets.DataSheets`: ``mechanism="lever",
         torque_constant=0.0385, rotor_inertia=1.1e-5, nominal_current=2.5, encoder_lines=2048, transmission=12.0,
-        handle_length=0.08, handle_mass=0.06``. Others that are omitted are assumed, and marked so in the file.
+        handle_length=0.08, handle_mass=0.06``. For other numbers that are omitted a value is assumed, and marked so in
+        the file.
 
     Raises
     ------
     ConfigError
-        An answer that is missing or out of range, or a motor that is too weak for its friction.
+        An answer is missing or out of range.
+    PlanError
+        The motor is too weak for its friction, or no settings for a first hit were found.
     RecordingError
         The file exists, or cannot be written.
     """
@@ -163,7 +166,7 @@ def new_rig(
 
 
 class _Draft:
-    """Keys of an experiment file in their order, each with its value and its source."""
+    """Draft of an experiment file: its keys, each with value and source."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -179,7 +182,7 @@ class _Draft:
         return experiment_from_mapping(nest({key: value for key, (value, _) in self.keys.items()}), self.name)
 
     def in_real_time(self, ticks: int) -> Experiment:
-        """Return the experiment as a computer runs it behind a port, with so many ticks of delay."""
+        """Return the experiment in real time, with a link that delays commands by this number of ticks."""
         return config.with_realtime(self.experiment(), {"rig.simulation.computation_delay_ticks": ticks})
 
     def unit(self, key: str) -> str:
@@ -215,7 +218,7 @@ class _Draft:
 
 
 def _split_key(key: str) -> tuple[str, str]:
-    """Return the table and the key inside it."""
+    """Return the TOML table of a dotted key, and the key inside this table."""
     parts = key.split(".")
     depth = 2 if parts[0] == "rig" and len(parts) > 2 else 1
     return ".".join(parts[:depth]), ".".join(parts[depth:])
@@ -278,7 +281,7 @@ def _describe(draft: _Draft, a: DataSheets) -> None:
 
 
 def _masses(draft: _Draft, a: DataSheets, ratio: float) -> float:
-    """Set the masses that move, and return their sum at the hand."""
+    """Set the moving masses, and return their sum at the hand (kg·m² or kg)."""
     draft.set("[assumed] no elasticity between motor and hand", {"rig.mechanics.structure": "rigid"})
     if a["mechanism"] == "linear-motor":
         draft.set(
@@ -315,7 +318,7 @@ def _friction(draft: _Draft, a: DataSheets, nominal: float, radius: float, inert
 
 
 def _peak_current(a: DataSheets) -> tuple[float, str]:
-    """Return the largest current (A), and what limits it."""
+    """Return the largest current (A), and a text with its source."""
     profile = amplifiers.load(a.get("amplifier", "generic"))
     most = profile.most_a or math.inf
     peak = a.get("peak_current")
@@ -328,7 +331,7 @@ def _peak_current(a: DataSheets) -> tuple[float, str]:
         raise ConfigError(
             f"{profile.name} has no current loop, so winding_resistance and supply_voltage, which "
             "determine its current, must be given",
-            remedy="give both",
+            remedy="give both, from the data sheet of the motor and from the power supply",
         )
     limit, source = (
         (min(PEAK_OVER_NOMINAL * a["nominal_current"], most), "[assumed] twice the nominal current,")
@@ -410,7 +413,7 @@ def _travel(draft: _Draft, a: DataSheets, radius: float) -> None:
 
 
 def _rates(draft: _Draft, board: str, peak_a: float) -> None:
-    """Set rates that the board's own law can run, and the scale of its output."""
+    """Set the rates at which the board can run the law, and the full scale of its output."""
     if board == "none":
         rate = velocity = PORT_RATE
         source = "[chosen] what a computer can run behind a port"
@@ -434,7 +437,10 @@ def _rates(draft: _Draft, board: str, peak_a: float) -> None:
 
 
 def _prepare_hit(draft: _Draft) -> None:
-    """Set push, start, homing and wall: the strongest push whose wall is stable and stops the handle in its travel."""
+    """Set push, start, homing and wall.
+
+    Of several pushes take the strongest one for which a stable wall exists that stops the handle within its travel.
+    """
     keys = {key: value for key, (value, _) in draft.keys.items()}
     nominal, friction = keys["rig.limits.nominal_effort"], keys["rig.mechanics.motor_coulomb"]
     quantum = keys["rig.amplifier.effort_per_ampere"] * keys["rig.amplifier.current_quantum_a"]
@@ -456,9 +462,9 @@ def _prepare_hit(draft: _Draft) -> None:
 
 
 def _set_push(draft: _Draft, push: float, held: float) -> bool:
-    """Set a push, its start and its walls; return False if none is stable that stops the handle in its travel.
+    """Set a push (N·m or N), its start and its walls; return False if no stable wall stops the handle in its travel.
 
-    `held` is the largest distance from the start at which friction may hold the handle.
+    `held` is the largest distance from the start at which friction may hold the handle (rad or m).
     """
     draft.set("[chosen]", {"trial.effort": push, **SOFT})  # else the wall of a harder push may be refused
     x = draft.experiment()
@@ -495,7 +501,7 @@ def _set_push(draft: _Draft, push: float, held: float) -> bool:
 
 
 def _provisional(draft: _Draft, push: float) -> Experiment:
-    """Set all keys of a hit, some to be replaced, and return the experiment."""
+    """Set all keys of a hit to provisional values, and return the experiment."""
     keys = {key: value for key, (value, _) in draft.keys.items()}
     half, radius = keys["rig.limits.position_maximum"], keys["rig.mechanics.handle_radius"]
     speed = HOMING_M_S / radius
@@ -533,7 +539,7 @@ def _provisional(draft: _Draft, push: float) -> Experiment:
 
 
 def _suit_encoder(draft: _Draft, x: Experiment) -> None:
-    """Filter the velocity of a coarse encoder more, whose counts are steps of it, and judge no single count."""
+    """With a coarse encoder, lower the cut-off of the velocity filter and raise `verdict.moved` above one count."""
     toggles = TOGGLING_COUNTS * x.rig.encoder.resolution * x.rig.mechanics.handle_radius
     if toggles > x.verdict.moved:
         draft.set(
@@ -548,7 +554,7 @@ def _suit_encoder(draft: _Draft, x: Experiment) -> None:
 
 
 def _set_homing(draft: _Draft) -> float:
-    """Set the servo for both rates, and return the largest distance at which friction may hold the handle."""
+    """Set the homing servo, also for real time; return the largest offset at which friction may hold the handle."""
     offsets = []
     for before, x in (("", draft.experiment()), (REALTIME, draft.in_real_time(0))):
         servo = homing.stable_servo(x)
@@ -562,7 +568,7 @@ def _set_homing(draft: _Draft) -> float:
 
 @dataclass(frozen=True, slots=True)
 class _ChosenWall:
-    """Stiffness and damping of a stable wall, and the least stiffness that stops the handle in its travel."""
+    """Stiffness and damping of a stable wall, and the smallest stiffness that stops the handle within its travel."""
 
     stiffness: float
     damping: float
@@ -570,7 +576,7 @@ class _ChosenWall:
 
 
 def _stable_wall(x: Experiment) -> _ChosenWall:
-    """Return a wall well within linear theory, what the push shows, and the effort limit."""
+    """Return a wall well below the limits of linear theory and effort, into which the push moves some counts deep."""
     delta, push, limits = x.rig.encoder.resolution, motor_push(x), x.rig.limits
     # twice the kinetic energy
     gained = 2.0 * (push - homing.holding_effort(x)) * (x.wall.position - x.trial.start)
@@ -590,7 +596,7 @@ def _stable_wall(x: Experiment) -> _ChosenWall:
 
 
 def _correct(draft: _Draft, *, in_real_time: bool) -> None:
-    """Make the changes that the checks of a plan name, until it refuses nothing."""
+    """Apply the changes that refused checks propose, until the plan refuses nothing; else raise `PlanError`."""
     before = REALTIME if in_real_time else ""
     for _ in range(CORRECTIONS + 1):
         x = draft.in_real_time(0) if in_real_time else draft.experiment()
@@ -609,7 +615,7 @@ def _correct(draft: _Draft, *, in_real_time: bool) -> None:
 
 
 def _digits(value: float, way: Any = round) -> float:
-    """Return three digits of a value."""
+    """Return the value rounded to three significant digits; `way` is the function that rounds."""
     if value == 0.0 or not math.isfinite(value):
         return value
     scale = 10.0 ** (math.floor(math.log10(abs(value))) - 2)

@@ -40,7 +40,7 @@ def test_the_exit_code_reports_whether_the_rig_is_passive(run: Any) -> None:
     code, out, err = run(*bare, "--expect", "not-passive")
     assert code == 17
     assert "every line" in out
-    assert "is passive, expected not-passive; see its lines in the table" in err
+    assert "is passive, expected not-passive; look at the frequencies of this wall in the table" in err
 
 
 @pytest.mark.exhaustive("tests/system/test_commands.py::test_a_good_run_ends_with_0_as_json_and_as_text")

@@ -1,1 +1,1 @@
-"""Maps of walls: Z-width, impedance, and where theory and hits differ."""
+"""Maps of walls: which walls are stable (Z-width), which impedances are passive, and how theory and hits differ."""

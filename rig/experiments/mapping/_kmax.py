@@ -1,6 +1,6 @@
-"""The stiffest undamped wall against the sampling rate: Koul et al. 2013, Fig. 5.
+"""Map the stiffest stable undamped wall against the sampling rate: Koul et al. 2013, Fig. 5.
 
-The same series as in a Z-width map, with a uniform scheme for each rate and B = 0, where no estimator matters.
+This is a Z-width map with a uniform scheme for each rate and B = 0, where the estimator has no effect.
 """
 
 from __future__ import annotations
@@ -21,29 +21,32 @@ RATES = (100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000)  # Hz, the pap
 
 @dataclass(frozen=True, slots=True)
 class KMax(Drawn):
-    """The limits at B = 0, one for each rate (Hz)."""
+    """Limits of the stiffness at B = 0, one for each rate (Hz)."""
 
     rates: tuple[int, ...]
     map: ZWidth
 
     @staticmethod
     def is_of(plan: MapPlan) -> bool:
-        """Return True for a plan whose map is one of limits over the rate: B = 0, and uniform rates in rising order."""
+        """Return True if a plan has B = 0 only and uniform schemes in ascending order of their rates."""
         rates = [scheme.position_rate for scheme in plan.schemes]
         uniform = all(scheme.position_rate == scheme.velocity_rate for scheme in plan.schemes)
         return plan.dampings == (0.0,) and uniform and rates == sorted(set(rates))
 
     @classmethod
     def of(cls, found: ZWidth) -> KMax:
-        """Take a map of a plan that `is_of` accepts."""
+        """Return the limits of a finished map; `is_of` must accept its plan."""
         return cls(tuple(scheme.position_rate for scheme in found.plan.schemes), found)
 
     def curve(self, criterion: str) -> list[Boundary]:
-        """Return boundaries in the order of the rates."""
+        """Return the boundaries under a criterion, in the order of the rates."""
         return [self.map.curve(number, criterion)[0] for number in range(len(self.rates))]
 
     def saturation(self, criterion: str) -> float | None:
-        """Return K_max at the highest rate over K_max at 20 kHz; None without both, or when one is a cap or zero."""
+        """Return the ratio of K_max at the highest rate to K_max at 20 kHz.
+
+        Return None if no rate exceeds 20 kHz, if 20 kHz is missing, or if one of both limits is zero or a lower bound.
+        """
         if 20_000 not in self.rates or self.rates[-1] <= 20_000:
             return None
         curve = self.curve(criterion)
@@ -53,7 +56,7 @@ class KMax(Drawn):
         return last.stiffness / reference.stiffness
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the limits as plain values, for JSON."""
+        """Return limits and saturation as plain values for JSON."""
         mapping = self.map.as_mapping()
         for rate, scheme in zip(self.rates, mapping["schemes"], strict=True):
             scheme["rate_hz"] = rate
@@ -61,7 +64,7 @@ class KMax(Drawn):
 
 
 def undamped_schemes(rates: Sequence[int] = RATES) -> tuple[Scheme, ...]:
-    """Return a uniform scheme for each rate (Hz), in rising order."""
+    """Return a uniform scheme for each rate (Hz), in ascending order."""
     return tuple(
         Scheme(position_rate=rate, velocity_rate=rate, estimator="fdm") for rate in sorted(set(rates))
     )
@@ -75,7 +78,7 @@ def kmax_plan(
     offsets: Sequence[float] = (0.1, 0.6),
     repeats: int = 1,
 ) -> MapPlan:
-    """Plan the ascending series; run them with `rig.experiments.mapping.zwidth.zwidth` and wrap the map in `KMax`."""
+    """Return the plan of a map at B = 0 over rates (Hz); wrap the finished map in `KMax`."""
     return MapPlan(
         experiment=experiment,
         schemes=undamped_schemes(rates),

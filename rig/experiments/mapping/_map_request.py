@@ -1,6 +1,6 @@
-"""Which walls are mapped, as people write it: options of commands and fields of a page's request, and what they mean.
+"""Request of a map of hits: options of the command `rig zwidth` and fields of the console's page.
 
-Texts are lists or ranges of numbers (`rig.experiments.mapping._searches.numbers_of`); an empty one is the default.
+Texts are lists or ranges of numbers (`rig.experiments.mapping._searches.numbers_of`); an empty text is the default.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Text = Annotated[str, MaxLen(4096)]  # a page sends it
 
 @dataclass(frozen=True, kw_only=True)  # without slots: a page's request inherits from another class, too
 class MapRequest:
-    """A map of hits."""
+    """Request of a map of hits: walls, schemes, search and signals."""
 
     stiffness: Annotated[
         Text,
@@ -57,7 +57,7 @@ class MapRequest:
     ] = None
 
     def plan(self, x: Experiment, *, on_device: bool = False) -> MapPlan:
-        """Return the plan; errors as `hit_plan` and `search_for`."""
+        """Return the plan of the map for experiment `x`; raise the errors of `hit_plan` and `search_for`."""
         dampings = numbers_of(self.damping, "`damping`") if self.damping else None
         parsed = [Scheme.parse(text) for text in self.schemes]
         schemes = schemes_for(x, parsed, dampings, on_device=on_device)

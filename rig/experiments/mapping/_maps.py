@@ -1,8 +1,8 @@
-"""Run a map of walls as one sweep, and keep everything of one plan in one directory.
+"""Run a map of walls as one sweep, and store everything that belongs to one plan in one directory.
 
-``plan.json`` states from the beginning on what is mapped; ``journal`` holds the finished tasks while the map grows;
-``hits.parquet`` or ``walls.parquet`` every trial with its units; ``map.json`` the plan and the results. A map of a
-device has its recordings in ``hits``.
+Files: ``plan.json`` (the plan, written first), ``journal`` (finished tasks), ``hits.parquet`` or ``walls.parquet`` (a
+row for each trial, with units), ``map.json`` (plan and results). A map of a device has its recordings in the directory
+``hits``.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ VERSION = 2  # of `PLAN`
 
 
 class Map(Protocol):
-    """A finished map."""
+    """Finished map of hits or of impedances."""
 
     table_name: ClassVar[str]
 
     def table(self) -> Iterator[dict[str, Any]]:
-        """Return every trial as a flat row."""
+        """Return a row for each trial."""
         ...
 
     def units(self) -> Mapping[str, str]:
@@ -48,7 +48,7 @@ class Map(Protocol):
         ...
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plain values, for JSON, without the single trials."""
+        """Return the results as plain values for JSON, without the single trials."""
         ...
 
 
@@ -57,18 +57,21 @@ M_co = TypeVar("M_co", bound=Map, covariant=True)
 
 
 class Plan(Protocol[M_co]):
-    """Plan of a map: tasks of one kind of work, and the result that they make together."""
+    """Plan of a map: its tasks, and the function that computes the map from their results."""
 
     unit: ClassVar[str]  # number in each row of a result that the progress counts
 
     @property
     def experiment(self) -> Experiment:
-        """Return the experiment, whose rig names the directory."""
+        """Return the experiment; the name of its rig is part of the directory's name."""
         ...
 
     @property
     def tasks(self) -> Sequence[sweep.Task]:
-        """The independent parts, checked and made when first asked for; raises `PlanError` for what must not run."""
+        """Independent tasks of the map, created and checked at the first access.
+
+        Raises `PlanError` if a task is not permitted.
+        """
         ...
 
     def as_mapping(self) -> dict[str, Any]:
@@ -76,7 +79,7 @@ class Plan(Protocol[M_co]):
         ...
 
     def found(self, results: Sequence[Any]) -> M_co:
-        """Return the map that the results of all tasks make."""
+        """Return the finished map from the results of all tasks, in their order."""
         ...
 
 
@@ -88,7 +91,7 @@ def zwidth(
     workers: int | None = None,
     watch: Callable[[sweep.Progress], None] | None = None,
 ) -> M:
-    """Map a simulated rig without bytes.
+    """Run all tasks of a map of a simulated rig, without the byte link, and return the map.
 
     Parameters
     ----------
@@ -96,18 +99,18 @@ def zwidth(
         Plan of the map: `rig.experiments.mapping.zwidth.MapPlan` or
         `rig.experiments.mapping.zwidth_frequency.FrequencyPlan`.
     journal
-        File that stores finished tasks; a run of the same plan resumes from it.
+        File that stores finished tasks; a later run of the same plan resumes from it. None: not stored.
     scheduler, workers, watch
         As in `rig.experiments.sweep.run`.
 
     Raises
     ------
     ConfigError
-        A scheme that cannot run on this rig, or a journal of another plan.
+        A scheme cannot run on this rig, or the journal belongs to another plan.
     PlanError
-        An excitation that is too large: nothing was run.
+        The excitation exceeds a limit; nothing was run.
     StoppedError
-        Ctrl-C; what is done stays in the journal.
+        Ctrl-C was pressed; finished tasks stay in the journal.
     """
     results = sweep.run(
         plan.tasks,
@@ -121,9 +124,9 @@ def zwidth(
 
 
 def directory_for(plan: Plan[Map], where: Path, name: str, device: str = "") -> Path:
-    """Directory of a plan: its name carries a digest of everything that decides the results, this package included.
+    """Return the directory of a plan; its name has a digest of all tasks and of this package's code version.
 
-    `device` names what is mapped, if not the simulation (`rig.experiments.mapping._zwidth_rig.work_of`).
+    `device` names the mapped device (`rig.experiments.mapping._zwidth_rig.work_of`); empty for the simulation.
     """
     # The package's version belongs to it: a map of another version must not be resumed as this one.
     described = [sweep.code_version(), device, [[task.key, task.payload] for task in plan.tasks]]
@@ -139,7 +142,10 @@ def map_into(
     workers: int | None = None,
     watch: Callable[[sweep.Progress], None] | None = None,
 ) -> M:
-    """Map a simulated rig and keep everything in a directory; a finished map is read. Errors as `zwidth`."""
+    """Map a simulated rig and store plan, journal and results in a directory; raise the errors of `zwidth`.
+
+    Finished tasks of the directory's journal are not run again.
+    """
     _write_plan(plan, directory)
     found = zwidth(plan, journal=directory / JOURNAL, scheduler=scheduler, workers=workers, watch=watch)
     write_map(found, directory)
@@ -147,7 +153,7 @@ def map_into(
 
 
 def map_on_rig(plan: MapPlan, directory: Path, session: DeviceMap) -> ZWidth:
-    """Map a device and keep everything in a directory; errors as `zwidth_on_rig`."""
+    """Map a device and store everything in a directory; raise the errors of `zwidth_on_rig`."""
     _write_plan(plan, directory, session.where.url)
     found = zwidth_on_rig(plan, session, journal=directory / JOURNAL)
     write_map(found, directory)
@@ -166,12 +172,14 @@ def _write_plan(plan: Plan[Any], directory: Path, device: str = "") -> None:
 
 
 def read_plan(directory: Path) -> tuple[MapPlan | FrequencyPlan, str]:
-    """Return the plan of a map's directory, finished or not, and the URL of its device: empty for the simulation.
+    """Return the plan in a map's directory, and the URL of its device ("" for the simulation).
+
+    The map may be unfinished.
 
     Raises
     ------
     RecordingError
-        It is no map, or one of another version.
+        The directory is not a map, or is one of another version.
     ConfigError
         This version cannot read the experiment.
     """
@@ -187,20 +195,20 @@ def read_plan(directory: Path) -> tuple[MapPlan | FrequencyPlan, str]:
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise RecordingError(f"{path} is damaged: {error!r}", remedy="run the map's command again") from None
     raise RecordingError(
-        f"{path} is of version {saved['version']}, and this haptic-rig reads {VERSION}",
-        remedy="read it with the version that wrote it",
+        f"{path} is of version {saved['version']}; this haptic-rig can read only version {VERSION}",
+        remedy="read it with the haptic-rig that wrote it, or run the map's command again",
     )
 
 
 def recorded_hit(plan: MapPlan, series: Series, stiffness: float, output: Path) -> Path:
-    """Return one simulated hit of a map as a recording: the same rows over the byte link, to the last bit.
+    """Simulate one hit of a map again over the byte link, and return the path of its recording.
 
-    Its name says which hit it is, so that a hit that was asked for before is only found again.
+    The rows equal those of the map to the last bit. If the recording exists already, it is not made again.
 
     Raises
     ------
     PlanError
-        A wall that a trial may not hit, though a map may: in a soft one the handle would go beyond its window.
+        A trial may not hit this wall, although a map may: in a soft wall the handle would leave its window.
     """
     experiment = config.override(plan.experiment_of(series), {"wall.stiffness": stiffness}, "the map")
     experiment = config.override(experiment, {"rig.simulation.initial_position": start_of(experiment)})
@@ -222,13 +230,13 @@ def recorded_hit(plan: MapPlan, series: Series, stiffness: float, output: Path) 
 
 
 def write_map(found: Map, directory: Path) -> None:
-    """Write the table of trials and the summary; `RecordingError` when the disk refuses."""
+    """Write the table of trials and the summary; raise `RecordingError` if a file cannot be written."""
     document = summary(found)
     write_table(directory / found.table_name, found.table(), found.units(), document)
     write_document(directory / SUMMARY, document)
 
 
 def summary(found: Map) -> dict[str, Any]:
-    """Return plain values, for JSON: everything but the single trials; of impedances with Table I."""
+    """Return a map as plain values for JSON, without the single trials; for impedances also Table I."""
     more = {"table_one": plain(table_one(found))} if isinstance(found, FrequencyMap) else {}
     return {**found.as_mapping(), **more}

@@ -1,4 +1,4 @@
-"""Choose default ranges of a map, and compute what linear theory expects of each of its schemes.
+"""Choose default ranges of a map, and compute the limits that linear theory predicts for each of its schemes.
 
 Commands, pages and papers call it through `interface`.
 """
@@ -60,7 +60,7 @@ PAPERS_SCHEMES = (
 
 
 def bisect(holds: Callable[[float], bool], low: float, high: float, steps: int) -> tuple[float, float]:
-    """Halve the range between a value that holds and one that does not."""
+    """Bisect between `low`, for which `holds` is True, and `high`, for which it is False; return the last bounds."""
     for _ in range(steps):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if holds(middle) else (low, middle)
@@ -71,10 +71,10 @@ def bisect(holds: Callable[[float], bool], low: float, high: float, steps: int) 
 
 
 def highest_stiffness(experiment: Experiment) -> float:
-    """Return the stiffest wall in which the push rests as deep as ``trial.minimum_rest_counts`` (N·m/rad or N/m).
+    """Return the highest stiffness at which the push rests ``trial.minimum_rest_counts`` deep (N·m/rad or N/m).
 
-    Beyond it the handle leaves the wall for want of push, not of stability. With `minimum_rest_counts` = 0 one count
-    is asked for.
+    At least one count is required. In a stiffer wall the handle may leave the wall because the push is too weak, not
+    because the wall is unstable.
     """
     least = max(1.0, experiment.trial.minimum_rest_counts) * experiment.rig.encoder.resolution
 
@@ -100,16 +100,16 @@ def search_for(
     schemes: Sequence[Scheme] = (),
     on_device: bool = False,
 ) -> StiffnessSearch:
-    """Return rungs up to what the push can show and down to well below the linear limits, unless bounds are given.
+    """Return the stiffnesses of a search, between `lowest` and `highest` (N·m/rad or N/m).
 
-    The lowest stiffness is the highest over `span`, or less: a fourth of the lowest linear limit at B = 0 among the
-    schemes (those of `theory.default_schemes` if empty), as far as the window holds the push. On a device it is at
-    least the softest wall it may hit.
+    If not given, `highest` is `highest_stiffness`, and `lowest` is `highest`/`span` or less: down to a fourth of the
+    lowest linear limit at B = 0 among the schemes (`theory.default_schemes` if empty), while the handle stays within
+    its window. On a device `lowest` is at least the softest wall that may be hit.
 
     Raises
     ------
     PlanError
-        A highest stiffness beyond what the push can show, or a lowest one above the highest.
+        `highest` exceeds `highest_stiffness`, or the bounds and the ratio are invalid.
     """
     possible = highest_stiffness(experiment)
     if highest is not None and highest > possible * (1.0 + 1e-9):
@@ -143,7 +143,10 @@ def search_for(
 
 
 def _lowest_undamped_limit(experiment: Experiment, schemes: Sequence[Scheme]) -> float:
-    """Return the lowest limit of K at B = 0 in linear theory, where the estimator does not matter."""
+    """Return the lowest linear limit of K at B = 0 among the schemes (N·m/rad or N/m); inf if a drive renders the wall.
+
+    At B = 0 the estimator has no effect.
+    """
     if experiment.controller.wall_is_elsewhere:
         return math.inf
     one_of_each_rate = {
@@ -162,7 +165,7 @@ def _stays_in_window(experiment: Experiment, stiffness: float) -> bool:
 
 
 def _softest(experiment: Experiment, lowest: float, highest: float) -> float:
-    """Return the softest wall that a trial may hit: in a softer one the handle would go beyond its window."""
+    """Return the lowest stiffness that a trial may hit; with a softer wall the handle would leave its window."""
 
     def refused(logarithm: float) -> bool:
         walled = replace(experiment, wall=replace(experiment.wall, stiffness=math.exp(logarithm)))
@@ -181,9 +184,10 @@ def schemes_for(
     *,
     on_device: bool = False,
 ) -> tuple[Scheme, ...]:
-    """Return the schemes of a map of hits: those given, else the experiment's and the uniform ones of its rates.
+    """Return the schemes of a map of hits: the given schemes, or by default the experiment's and uniform ones.
 
-    In simulation, with B = 0 alone: uniform ones from 100 Hz to 50 kHz, since without damping there is no second rate.
+    The uniform schemes have the experiment's rates. In a simulation with B = 0 only, the default are uniform schemes
+    from 100 Hz to 50 kHz, because without damping the velocity rate has no effect.
     """
     if schemes:
         return tuple(schemes)
@@ -195,7 +199,7 @@ def schemes_for(
 def dampings_for(
     experiment: Experiment, schemes: Sequence[Scheme], columns: int = COLUMNS
 ) -> tuple[float, ...]:
-    """Return dampings from 0 to a little beyond the linear limit of the scheme that allows most."""
+    """Return evenly spaced dampings from 0 to `BEYOND` times the highest linear limit among the schemes."""
     widest = max(_range(experiment, scheme) for scheme in schemes)
     return tuple(np.linspace(0.0, BEYOND * widest, columns).tolist())
 
@@ -223,29 +227,30 @@ def hit_plan(
     judged: Judged | None = None,
     on_device: bool = False,
 ) -> MapPlan:
-    """Return a plan with every setting stated.
+    """Return the plan of a map of hits, with defaults for settings that are not given.
 
     Parameters
     ----------
     experiment
         Rig, trial and thresholds.
     schemes
-        `schemes_for` if empty.
+        Sampling schemes; `schemes_for` if empty.
     dampings, search
-        `dampings_for` and `search_for` if None.
+        Dampings (N·m·s/rad or N·s/m) and search of the stiffness; `dampings_for` and `search_for` if None.
     offsets
-        `rig.experiments.mapping.zwidth.OFFSETS` if None; a device has one.
+        Places of position zero within its encoder cell (count). None: `rig.experiments.mapping.zwidth.OFFSETS`, or the
+        rig's only offset on a device.
     repeats
         As in `MapPlan`.
     judged
-        Whose signals decide; what a rig records if None.
+        Signals that are judged, ``"recorded"`` or ``"true"``; recorded if None.
     on_device
-        True if a device will be hit.
+        True if the map is measured on a device.
 
     Raises
     ------
     ConfigError, PlanError
-        A scheme or a range that cannot be.
+        A scheme or a range is invalid.
     """
     chosen = schemes_for(experiment, schemes, dampings, on_device=on_device)
     if offsets is None:
@@ -262,7 +267,7 @@ def hit_plan(
 
 
 def theory_curves(plan: MapPlan) -> dict[int, tuple[list[float], list[float]]]:
-    """Return dampings and linear limits of every scheme that the theory can take, by index of scheme."""
+    """Return dampings and linear limits of K by the scheme's index; schemes with a nonlinear estimator are left out."""
     if plan.experiment.controller.wall_is_elsewhere:
         return {}
     dampings = np.linspace(min(plan.dampings), max(plan.dampings), CURVE_POINTS)
@@ -284,7 +289,7 @@ def _linear_only(schemes: Iterable[Scheme], curves_of: Callable[[Scheme], T]) ->
 
 
 def kmax_theory(found: KMax) -> tuple[list[float], list[float]]:
-    """Return rates and linear limits at B = 0."""
+    """Return the rates (Hz) and the linear limits of K at B = 0 (N·m/rad or N/m)."""
     schemes = found.map.plan.schemes
     limits = [theory.k_max(found.map.plan.experiment, scheme, 0.0) for scheme in schemes]
     return [float(rate) for rate in found.rates], [limit.stiffness for limit in limits]
@@ -302,24 +307,24 @@ def frequency_plan(
     judging: Judging | None = None,
     signal: Signal | None = None,
 ) -> FrequencyPlan:
-    """Return a plan with every setting stated.
+    """Return the plan of a map of impedances, with defaults for settings that are not given.
 
     Parameters
     ----------
     experiment
         Rig and excitation.
     schemes
-        `default_schemes` if empty.
+        Sampling schemes; `default_schemes` if empty.
     stiffnesses, dampings
-        Values of the grid; `default_grid` if None.
+        Values of the grid (N·m/rad or N/m, N·m·s/rad or N·s/m); `default_grid` if None.
     judging, signal
-        As in `FrequencyPlan`. If None a rigid rig is measured by its encoder's counts and one of two masses by the true
-        position of its handle, because an encoder on the other mass shows no driving-point impedance.
+        As in `FrequencyPlan`. Without `signal` a rigid rig is measured by encoder counts, and a rig of two masses by
+        the true position of the handle, because its encoder is not where it is excited.
 
     Raises
     ------
     ConfigError, PlanError
-        A scheme or a grid that cannot be.
+        A scheme or a grid is invalid.
     """
     chosen = tuple(schemes) or default_schemes(experiment)
     if stiffnesses is None or dampings is None:
@@ -339,7 +344,10 @@ def frequency_plan(
 
 
 def default_schemes(experiment: Experiment) -> tuple[Scheme, ...]:
-    """Return the paper's four estimators: at 1 kHz with its settings, else with their defaults at the active rates."""
+    """Return schemes with the four estimators of Chawda et al., at the experiment's rates.
+
+    At 1 kHz they have the settings of the paper, at other rates their defaults.
+    """
     rates = experiment.controller.position_rate, experiment.controller.velocity_rate
     if set(rates) == {PAPERS_RATE}:
         return tuple(Scheme.parse(text) for text in PAPERS_SCHEMES)
@@ -351,10 +359,10 @@ def default_schemes(experiment: Experiment) -> tuple[Scheme, ...]:
 def default_grid(
     experiment: Experiment, schemes: Sequence[Scheme]
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Evenly spaced stiffnesses and dampings: `SHARE` of what is stable with an unfiltered difference in linear theory.
+    """Return evenly spaced stiffnesses and dampings, up to `SHARE` of the limits of linear theory.
 
-    Stiffness of its largest stable stiffness over all dampings, damping of the largest at the lowest stiffness, both of
-    the rates that allow most, and rounded to two digits. The lowest stiffness is a step, not zero.
+    The limits are the largest stable stiffness over all dampings, and the largest stable damping, with an unfiltered
+    difference and the best of the rates. The ends are rounded to two digits. Stiffnesses do not include zero.
     """
     excited = config.excited(experiment)
     stiffness = damping = 0.0
@@ -374,10 +382,10 @@ def default_grid(
 def linear_curves(
     plan: FrequencyPlan, points: int = FREQUENCY_POINTS
 ) -> dict[int, tuple[list[float], list[float], list[float]]]:
-    """Dampings, stable stiffness and passive stiffness of every scheme that the linear theory can take, by index.
+    """Return dampings, largest stable K and largest passive K of linear theory, by the scheme's index.
 
-    Passive is meant over the plan's band only, which lets through much that Colgate and Schenkel's condition (all
-    frequencies) does not. Friction and quantum are left out.
+    Schemes with a nonlinear estimator are left out. A wall counts as passive if it is so within the plan's band; the
+    condition of Colgate and Schenkel (all frequencies) is stricter. Friction and quantisation are neglected.
     """
     dampings, lines = np.linspace(plan.dampings[0], plan.dampings[-1], points), _lines(plan)
     excited = config.excited(plan.experiment)
@@ -392,7 +400,7 @@ def linear_curves(
 
 
 def passive_limit(loop: LinearLoop, damping: float, highest: float, lines_hz: Floats) -> float:
-    """Largest stiffness up to which the closed form has no negative real part at these lines; `highest` at most."""
+    """Return the stiffness up to which linear theory predicts Re Z ≥ 0 at all these frequencies; at most `highest`."""
     wall = walls(loop, lines_hz)
 
     def passive(stiffness: float) -> bool:

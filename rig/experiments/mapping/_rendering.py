@@ -1,6 +1,7 @@
-"""Compute how much of a wall's damping reaches the handle where a single encoder count reads as a high velocity.
+"""Compute the share of a wall's damping that the effort limit lets through during slow motion.
 
-Maps and designs count no wall whose damping is not rendered.
+A single encoder count reads as a high velocity, so B times this velocity may exceed the effort limit. Maps and designs
+do not count a wall of which less than `RENDERED` of the damping remains.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ _BISECTIONS = 40
 
 
 def rendered_share(experiment: Experiment, damping: float) -> float:
-    """Return the share of B·velocity that the effort limit leaves of a slow motion, one count at a time; 1 at B = 0.
+    """Return the share of B·velocity that remains below the effort limit in a slow motion of single counts (0 to 1).
 
     Parameters
     ----------
     experiment
-        Estimator, velocity rate, encoder and limit; its own damping does not matter.
+        Estimator, velocity rate, encoder and effort limit; the damping of its wall is not used.
     damping
         B of the wall (N·m·s/rad or N·s/m).
     """
@@ -35,7 +36,7 @@ def rendered_share(experiment: Experiment, damping: float) -> float:
 
 
 def rendered_damping(experiment: Experiment) -> float:
-    """Return the largest B of which at least `RENDERED` is rendered; inf if any is."""
+    """Return the largest B (N·m·s/rad or N·s/m) of which at least `RENDERED` is rendered; inf without a bound."""
     high = 1.0
     while rendered_share(experiment, high) >= RENDERED:
         high *= 2.0

@@ -1,6 +1,7 @@
-"""Choose which wall to try next, and how far the walls reach that pass: through one damping and through a grid.
+"""Search the walls that pass: choose the next wall to test, and find the limit for one damping or in a grid.
 
-A search is a generator: it yields a wall and is sent its outcome from any source; `drive` runs one.
+A search is a generator: it yields a wall and receives its outcome by `send`, so that simulations and devices can test
+walls for it. `drive` runs a search.
 """
 
 from __future__ import annotations
@@ -37,12 +38,15 @@ Found = TypeVar("Found")
 def check_values(
     name: str, values: Sequence[Any], option: str, *, below: float = math.inf, rising: bool = False
 ) -> None:
-    """Refuse the values of an axis of a map: none, one of them twice, or numbers not within 0 ≤ value < below."""
+    """Raise `PlanError` if the values of a map's axis are empty, repeated, or numbers outside 0 ≤ value < `below`.
+
+    With `rising` they must be in ascending order. `option` names the option in the message.
+    """
     if not values:
-        raise PlanError(f"{name} (`{option}`): the list is empty", remedy="give at least one")
+        raise PlanError(f"{name} (`{option}`): the list is empty", remedy="give at least one value")
     twice = next((value for value, times in Counter(values).items() if times > 1), None)
     if twice is not None:
-        raise PlanError(f"{name} (`{option}`): {twice} is given twice", remedy="give each once")
+        raise PlanError(f"{name} (`{option}`): {twice} is given twice", remedy="give each value only once")
     wrong = [value for value in values if isinstance(value, int | float) and not 0.0 <= value < below]
     if wrong:
         raise PlanError(
@@ -51,11 +55,14 @@ def check_values(
             + ("" if below == math.inf else f" and less than {below:g}"),
         )
     if rising and list(values) != sorted(values):
-        raise PlanError(f"{name} (`{option}`) are not in rising order", remedy="give the lowest first")
+        raise PlanError(f"{name} (`{option}`) are not in rising order", remedy="give the lowest value first")
 
 
 def numbers_of(text: str, name: str) -> tuple[float, ...]:
-    """Numbers of ``0,0.5,1`` or, equally spaced, ``0:3.6:17`` (first, last, count); `ConfigError` calls them `name`."""
+    """Return the numbers of a text: a list ``0,0.5,1``, or an equally spaced range ``0:3.6:17`` (first, last, count).
+
+    Raise `ConfigError`, whose message contains `name`, if it is neither.
+    """
     try:
         if ":" not in text:
             return tuple(float(part) for part in text.split(","))
@@ -71,18 +78,18 @@ def numbers_of(text: str, name: str) -> tuple[float, ...]:
 
 
 def bounds_of(text: str, name: str) -> tuple[float, float]:
-    """Return the lowest and highest of ``10:1000``; `ConfigError` calls them `name`."""
+    """Return lowest and highest value of a text ``10:1000``; raise `ConfigError` with `name` in its message."""
     try:
         low, high = (float(part) for part in text.split(":"))
     except ValueError:
         raise ConfigError(
-            f"{name} {text}: not a range", remedy="write it as LOW:HIGH, like 10:1000"
+            f"{name} {text} is not a range", remedy="write it as LOW:HIGH, like 10:1000"
         ) from None
     return low, high
 
 
 def drive(search: Generator[Wall, Answer, Found], test: Callable[[Wall], Answer]) -> Found:
-    """Test walls as a search asks for them until it ends; returns its result."""
+    """Run a search: test each wall that it yields and send the outcome back; return the result of the search."""
     try:
         wall = next(search)
         while True:
@@ -94,7 +101,7 @@ def drive(search: Generator[Wall, Answer, Found], test: Callable[[Wall], Answer]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StiffnessSearch:
-    """Rungs of equal ratio from the lowest stiffness to the highest, and the way through them."""
+    """Search of a stiffness limit: range (N·m/rad or N/m), ratio between two tested stiffnesses, and method (`way`)."""
 
     way: Way = "ladder"
     lowest: float
@@ -109,13 +116,13 @@ class StiffnessSearch:
 
     @property
     def rungs(self) -> list[float]:
-        """Return all stiffnesses, ascending; the last one does not exceed the highest."""
+        """Return all stiffnesses that may be tested, ascending, none above `highest` (N·m/rad or N/m)."""
         # Plus 1e-9: a highest that is a whole number of ratios must be a rung, whatever its logarithm's last bit.
         steps = math.floor(math.log(self.highest / self.lowest) / math.log(self.ratio) + 1e-9)
         return [self.lowest * self.ratio**step for step in range(steps + 1)]
 
     def walk(self, criteria: Sequence[str]) -> Generator[float, Outcomes, None]:
-        """Yield the next stiffness to try and receive its outcomes, until every criterion has its limit."""
+        """Yield the next stiffness to test and receive its outcomes, until the limit of every criterion is found."""
         rungs = self.rungs
         if self.way == "bisection":
             yield from _bisect(rungs, criteria)
@@ -129,7 +136,7 @@ class StiffnessSearch:
 
 
 def _bisect(rungs: list[float], criteria: Sequence[str]) -> Generator[float, Outcomes, None]:
-    """For each criterion in turn between its highest pass and its lowest failure; no rung is tried twice."""
+    """Bisect for each criterion between its highest pass and its lowest failure; test no stiffness twice."""
     tried: dict[int, Outcomes] = {}
     for criterion in criteria:
         # The ends first: most dampings have a stable wall, and a cap that is reached needs no search.
@@ -146,18 +153,18 @@ def _bisect(rungs: list[float], criteria: Sequence[str]) -> Generator[float, Out
 
 @dataclass(frozen=True, slots=True)
 class StiffnessLimit:
-    """Where walls of one damping stop passing, from the stiffnesses that were tried.
+    """Stiffness limit at one damping, from the stiffnesses that were tested.
 
     Attributes
     ----------
     stiffness
-        Highest one that passed below every failure; 0 when none did.
+        Highest stiffness that passed below every failure (N·m/rad or N/m); 0 if none did.
     failed_at
-        Lowest one that failed; None when none did: the limit is then only a cap.
+        Lowest stiffness that failed; None if none did: the limit is then only a lower bound.
     islands
-        Ranges that pass above a failure, (lowest, highest).
+        Ranges (lowest, highest) of stiffnesses that pass above a failure.
     unknown
-        How many trials were invalid: these neither end a range nor count as a limit.
+        Number of invalid trials; an invalid trial neither passes nor fails.
     """
 
     stiffness: float
@@ -167,12 +174,12 @@ class StiffnessLimit:
 
     @property
     def capped(self) -> bool:
-        """Return True if the search reached the end of its range: some wall passed and none failed."""
+        """Return True if the limit is only a lower bound: some wall passed and none failed."""
         return self.failed_at is None and self.stiffness > 0.0
 
 
 def limit_of(tried: Mapping[float, Passes]) -> StiffnessLimit:
-    """Find the limit in the outcomes by stiffness."""
+    """Return the limit for these outcomes by stiffness."""
     stiffness, failed_at = 0.0, None
     islands: list[tuple[float, float]] = []
     connected = False  # whether the last valid outcome belongs to the current island
@@ -196,16 +203,16 @@ def limit_of(tried: Mapping[float, Passes]) -> StiffnessLimit:
 
 @dataclass(frozen=True, slots=True)
 class Extent:
-    """How far a curve of limits reaches over the damping.
+    """Extent of a curve of stiffness limits over the damping.
 
     Attributes
     ----------
     damping
-        Largest damping at which some wall passes; 0 when none does.
+        Largest damping at which a wall passes (N·m·s/rad or N·s/m); 0 if none does.
     area
-        Under the curve, up to that damping; a hole counts as zero there, so it is a lower bound where there are holes.
+        Area under the curve up to that damping; it is a lower bound if there are holes, where the curve is zero.
     holes
-        Dampings below it at which no wall passed: the limit lies below the softest wall tried, or does not exist.
+        Smaller dampings at which no wall passed: the limit is below the softest tested wall, or does not exist.
     """
 
     damping: float
@@ -214,7 +221,7 @@ class Extent:
 
     @classmethod
     def of(cls, dampings: Sequence[float], limits: Sequence[float]) -> Extent:
-        """Measure the limits of K (0: no wall passed) at rising dampings."""
+        """Return the extent of limits of K (0: no wall passed) at ascending dampings."""
         k, b = np.array(limits), np.array(dampings)
         passing = np.flatnonzero(k > 0.0)
         if not len(passing):
@@ -228,7 +235,10 @@ class Extent:
 
 
 def connected(passive: Flags) -> Flags:
-    """Walls that are passive together with all softer ones of their damping; ``passive[..., damping, stiffness]``."""
+    """Return True for walls that are passive together with all softer walls of the same damping.
+
+    Argument and result have the axes ``[..., damping, stiffness]``.
+    """
     return np.logical_and.accumulate(passive, axis=-1)
 
 
@@ -241,27 +251,27 @@ Traced = tuple[tuple[tuple[int, int], ...], tuple[int, ...], Ending]  # edge, ca
 def boundary_search(
     dampings: int, stiffnesses: int, start: Cell = (0, 0), *, looks: bool = True
 ) -> Generator[Cell, bool, Traced]:
-    """Walk along the boundary of a grid: yields walls, each once, and is sent whether each is passive.
+    """Walk along the boundary of a grid: yield each wall to test once, and receive True if it is passive.
 
-    Stiffness rises until a wall is not passive; the damping then rises by a step, and from there stiffness falls until
-    a wall is passive or rises until one is not; and so on, until no stiffness is left. It needs a tenth of the tests of
-    a grid and assumes two things for it: that the start is passive, and that each damping has one edge. Where a
-    measured map is speckled it moves from island to island.
+    The stiffness rises until a wall is not passive. Then the damping rises by a step, and the stiffness falls until a
+    wall is passive, or rises until a wall is not passive, and so on, until no stiffness remains. The search needs a
+    tenth of a grid's tests. It assumes that the start is passive, and that each damping has a single limit; in an
+    irregular map it may follow the boundary of an island.
 
     Parameters
     ----------
     dampings, stiffnesses
-        How many there are.
+        Number of dampings and of stiffnesses in the grid.
     start
-        A wall that should be passive.
+        Wall at which the search starts; it should be passive.
     looks
-        True if a start that is not passive may be followed by others with more damping.
+        True to try walls with more damping if the start is not passive.
 
     Notes
     -----
-    Not in the paper: what happens at the upper ends of the ranges (here: the edge is capped there, and the walk ends at
-    the last damping), and how a passive start is found (here, if asked for: the damping rises until the start's
-    stiffness is passive; these tests count).
+    The paper does not specify the behaviour at the upper ends of the ranges (here the limit is marked as capped, and
+    the search ends at the last damping), nor how to find a passive start (here, with `looks`, the damping rises until
+    the stiffness of the start is passive; these tests are counted).
     """
     damping, stiffness = start
     edge: list[tuple[int, int]] = []
@@ -296,25 +306,27 @@ def boundary_search(
 
 @dataclass(frozen=True, slots=True)
 class GridSearch:
-    """The boundary search in a finished grid, beside the grid's own edge.
+    """Result of a boundary search in a finished grid, and the true edge of the grid to compare with.
+
+    An edge is the highest passive stiffness at a damping. Walls are pairs of indices into `dampings`, `stiffnesses`.
 
     Attributes
     ----------
     path
-        The walls in the order of their tests.
+        Walls in the order of their tests.
     edge
-        Highest stiffness that the search takes for passive at each damping from the start's on; −1: none.
+        Edge (damping, stiffness) that the search found, from the start's damping on; stiffness −1: none is passive.
     capped
-        Dampings whose highest stiffness of all was passive: their edge lies beyond.
+        Dampings at which even the highest stiffness was passive, so that the true edge is higher.
     ending
-        Why the search ended.
+        Reason for the end of the search.
     cells
-        How many walls the grid has.
+        Number of walls in the grid.
     connected
-        The grid's own edge at each damping; −1: none.
+        Edge of the grid's connected region at each damping; −1: none is passive.
 
     dampings, stiffnesses
-        Values of the grid. Walls are indices of these.
+        Values of the grid.
     """
 
     path: tuple[Cell, ...]
@@ -328,27 +340,27 @@ class GridSearch:
 
     @property
     def highest(self) -> int:
-        """Return the largest stiffness on the edge that the search found; −1 if none."""
+        """Return the index of the largest stiffness on the edge that the search found; −1 if none is passive."""
         return max(stiffness for _, stiffness in self.edge)
 
     @property
     def above(self) -> int:
-        """At how many dampings the search ends above the edge of the connected region: on an island."""
+        """Number of dampings at which the found edge is above that of the connected region, so on an island."""
         return sum(k > self.connected[b] for b, k in self.edge)
 
     @property
     def below(self) -> int:
-        """At how many it ends below that edge."""
+        """Number of dampings at which the found edge is below that of the connected region."""
         return sum(k < self.connected[b] for b, k in self.edge)
 
     @property
     def unseen(self) -> int:
-        """Return dampings with passive walls that it never came to."""
+        """Return the number of dampings with passive walls that the search did not reach."""
         seen = dict(self.edge)
         return sum(b not in seen and k >= 0 for b, k in enumerate(self.connected))
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plain values, for JSON, in SI units; None for an edge that is not there."""
+        """Return plain values for JSON, in SI units; None stands for a damping without passive walls."""
         dampings, stiffnesses = self.dampings, self.stiffnesses
 
         def walls(edge: Iterable[tuple[int, int]]) -> list[list[float | None]]:
@@ -377,7 +389,10 @@ def trace_grid(
     start: Cell = (0, 0),
     looks: bool = True,
 ) -> GridSearch:
-    """Search in a finished grid of verdicts, ``passive[damping, stiffness]``, and compare; without axes, by index."""
+    """Run the boundary search in a finished grid ``passive[damping, stiffness]``, and compare both edges.
+
+    Without values for `dampings` and `stiffnesses` the indices are used.
+    """
     rows, columns = passive.shape
     path: list[Cell] = []
 

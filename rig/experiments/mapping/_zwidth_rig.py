@@ -1,7 +1,7 @@
-"""Map hits on a device: hit after hit, with homing, a person who agrees, and a motor that may cool in between.
+"""Map walls by hits on a device: home, ask a person for permission, hit, and let the motor cool, again and again.
 
-`_maps` and `rig zwidth --url` call it. A map is what the recordings of its hits say: an invalid hit is repeated, never
-counted. Finished series stay in the journal, and the same command resumes after them.
+`_maps` and `rig zwidth --url` call it. The map is computed from the recordings of its hits. An invalid hit is repeated
+and not used. Finished series stay in the journal, and the same command resumes after them.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ CALM_S = 0.5  # pause between hits, whatever the motor's heat
 
 @dataclass(frozen=True, slots=True)
 class Next:
-    """The hit that a person is asked to agree to."""
+    """Next hit, which a person must permit."""
 
     scheme: str
     stiffness: float
@@ -52,18 +52,19 @@ class Next:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeviceMap:
-    """Dialogue and device of a map on a rig, beside its plan.
+    """Device of a map, and functions for the dialogue with a person.
 
     Attributes
     ----------
     where
-        The device. Each wall is armed whatever its link: a map looks for the walls that fail, and a person agrees.
+        Device to map. Walls are armed even if the link makes them dangerous, because the map must find unstable walls;
+        a person permits each hit instead.
     agrees
-        Asked before every hit; False ends the session.
+        Called before each hit; the session ends if it returns False.
     report
-        Called after every hit with its measurement, and whether that is a valid one.
+        Called after each hit with the hit, its measurement, and True if the hit is valid.
     pause
-        Waits between two hits for a number of seconds, longer when the motor has to cool.
+        Called between two hits with the time to wait (s), which is longer if the motor must cool.
     """
 
     where: OnDevice
@@ -73,17 +74,17 @@ class DeviceMap:
 
 
 def zwidth_on_rig(plan: MapPlan, session: DeviceMap, *, journal: Path | None = None) -> ZWidth:
-    """Map a device.
+    """Map a device by hits; store finished series in the journal, and skip series that it contains.
 
     Raises
     ------
     PlanError
-        A plan for a simulation: judged by truth, or with several encoder offsets, which a device does not have; or a
-        scheme or a wall that this device or its link must not or cannot run. Nothing has moved then.
+        The plan needs a simulation (judged by true signals, or several encoder offsets), or the device or its link
+        cannot run a scheme or a wall. Nothing has moved.
     StoppedError
-        The person did not agree, or Ctrl-C; finished series stay in the journal.
+        The person did not agree, or Ctrl-C was pressed; finished series stay in the journal.
     RigError
-        Whatever ended a hit early, but for a wall that throws the handle out; or a hit that is invalid every time.
+        A hit ended early for another reason than an unstable wall, or was invalid in `ATTEMPTS` attempts.
     """
     _check(plan)
     series, tasks = plan.series(), plan.tasks
@@ -116,17 +117,20 @@ def zwidth_on_rig(plan: MapPlan, session: DeviceMap, *, journal: Path | None = N
 
 
 def work_of(url: str, realtime: bool) -> str:
-    """Return the name of the work on a device for a journal, which must not mix hits of two devices."""
+    """Return the name of a device for the journal, which must not mix the hits of two devices."""
     return f"{url} in real time" if realtime else url
 
 
 def cooling_s(rms_effort: float, nominal_effort: float, duration_s: float) -> float:
-    """How long a motor must rest after a push so that its mean heat over both is that of its nominal effort (s)."""
+    """Return the time for which a motor must rest after a push (s).
+
+    The mean heat over push and rest is then that of the nominal effort. Efforts are in N·m or N.
+    """
     return max(0.0, duration_s * ((rms_effort / nominal_effort) ** 2 - 1.0))
 
 
 def _make_stop_error(stop: BaseException, where: Next, journal: Path | None) -> StoppedError:
-    """Say how far a session came; series are done in their order."""
+    """Return the error for a stopped session, with the number of finished series in its message."""
     reason = stop.message if isinstance(stop, StoppedError) else "stopped; the effort is zero"
     kept = f"{where.series - 1} of {where.total} series are done" + (
         f" and stored in {journal}" if journal else ""
@@ -139,18 +143,18 @@ def _make_stop_error(stop: BaseException, where: Next, journal: Path | None) -> 
 def _check(plan: MapPlan) -> None:
     if plan.judged != "recorded":
         raise PlanError(
-            "`judge` = true needs the true signals of a simulation; a device records only measured ones",
-            remedy="give `judge` recorded",
+            "`judge` = true needs the true signals of a simulation; a device records only measured signals",
+            remedy="set `judge` to recorded",
         )
     if len(plan.offsets) != 1:
         raise PlanError(
-            f"{len(plan.offsets)} encoder offsets are given: on a device the offset cannot be chosen",
-            remedy="give one offset, and use repeats instead",
+            f"{len(plan.offsets)} encoder offsets are given; a device has only one, which cannot be chosen",
+            remedy="give one offset, and raise the number of repeats instead",
         )
 
 
 def _check_hits(plan: MapPlan, device: FramedDevice) -> None:
-    """Refuse walls that cannot be hit before hours of measurement begin: the ends of the search under every scheme."""
+    """Raise `PlanError` before the measurement if the softest or stiffest wall of a scheme cannot be hit."""
     rungs = plan.search.rungs
     for number, scheme in enumerate(plan.schemes):
         under = plan.experiment_of(next(one for one in plan.series() if one.scheme == number))
@@ -167,7 +171,7 @@ def _check_hits(plan: MapPlan, device: FramedDevice) -> None:
 
 @dataclass(slots=True)
 class _Hits:
-    """Hits on an open device, and whether its handle is where the last one should have left it."""
+    """Hits on an open device; `thrown_out` is True if the last wall threw the handle out."""
 
     session: DeviceMap
     trials: Trials
@@ -184,7 +188,7 @@ class _Hits:
         return rows
 
     def _row(self, experiment: Experiment, asked: Next) -> dict[str, Any]:
-        """Hit one wall until a hit is valid, and return its row."""
+        """Hit one wall until a hit is valid, and return its row; raise `RigError` after `ATTEMPTS` invalid hits."""
         for attempt in range(1, ATTEMPTS + 1):
             moved = self.thrown_out and self.trials.device is not None
             asked = replace(asked, attempt=attempt, thrown_out=moved)
@@ -204,13 +208,16 @@ class _Hits:
         error = RigError(
             f"{ATTEMPTS} hits at K = {asked.stiffness:.4g}, B = {asked.damping:.4g} were invalid: "
             f"{'; '.join(reasons) or recorded.kind}; the effort is zero",
-            remedy="remove this cause; the same command resumes after the last complete series",
+            remedy="remove the cause; then run the same command again: it resumes after the last complete series",
         )
         error.recording = left.path
         raise error
 
     def _hit(self, experiment: Experiment, stiffness: float) -> Recorded:
-        """Run one hit. One that the wall ended, or a moment without time, is a hit like others; other ends raise."""
+        """Run one hit and return its recording.
+
+        A hit that the wall or a lack of processor or link time ended is returned, too; raise the error of other ends.
+        """
         self.thrown_out = False
         done = self.trials.run(experiment, {"wall.stiffness": stiffness})
         if isinstance(done, Recorded):
@@ -224,7 +231,7 @@ class _Hits:
 
 
 def _by_the_wall(ended: Ended) -> bool:
-    """Return True if the wall threw the handle out in the push, or in the release, which leaves the push's verdict."""
+    """Return True if the wall threw the handle out during the push or the release."""
     early = ended.recorded.judgement.early
     return early[0] is Kind.UNSTABLE if early is not None else thrown_out(ended.recorded.recording) != ""
 

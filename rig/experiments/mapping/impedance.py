@@ -1,10 +1,10 @@
-"""Measure the impedance that a rig renders: at any walls, under any schemes, without bytes or on a device.
+"""Measure the impedance that a rig renders at given walls and schemes, in simulation or on a device.
 
     results = measure_impedance(experiment, walls=[(0.0, 0.0), (20e3, 60.0)])
     results[1].judgement.passive, results[1].fidelity.rms
 
-`rig impedance measure`, maps of impedances, `rig.experiments.measure`, papers and pictures call it. It must not fit
-anything itself (`rig.analysis.impedance`), nor load the other kinds of map.
+`rig impedance measure`, maps of impedances, `rig.experiments.measure`, papers and pictures call it. Estimators and fits
+are in `rig.analysis.impedance`. It must not load the other kinds of map.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ _JUDGEMENT: Final = "Excitation and judgement"  # group of options
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judging:
-    """Settings of a verdict beside the measurement (`rig.analysis.impedance._verdict.judge`)."""
+    """Settings of the verdict on a measured impedance (`rig.analysis.impedance._verdict.judge`)."""
 
     band_hz: Annotated[
         tuple[float, float] | None,
@@ -134,23 +134,23 @@ class Judging:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class ImpedanceResult(Shown, Drawn):
-    """One wall under one scheme.
+    """Measured impedance of one wall with one scheme.
 
     Attributes
     ----------
     experiment
-        As it ran: scheme, wall and excitation are in it.
+        Experiment as it ran, with scheme, wall and excitation.
     impedance, judgement, fidelity
-        None when the guard ended a run.
+        Impedance at each frequency, its verdict and its fidelity; None if the guard ended a run.
     fitted
-        Mass and viscous damping of a bare rig (no wall), its described back-EMF taken away, else None: K and B are in
-        `fidelity`.
+        Mass and viscous damping of a bare rig (no wall), without the described back-EMF. None for a wall, whose K and B
+        are in `fidelity`.
     method, signal
-        How it was estimated, and from which position.
+        Method of the estimate, and the measured position.
     ended, ended_s
-        Why the guard ended a run, and how long after its beginning (s); None for a whole measurement.
+        Reason why the guard ended a run, and the time since the run's beginning (s); None for a complete measurement.
     saturated
-        Share of ticks in which the effort was clipped: above zero the rig was not linear.
+        Share of ticks in which the effort was clipped (0 to 1): above zero the rig was not linear.
     recordings
         Recordings of a device; empty for a simulation.
     """
@@ -169,7 +169,7 @@ class ImpedanceResult(Shown, Drawn):
 
     @property
     def wall(self) -> Wall:
-        """Return the wall (stiffness and damping) that was rendered."""
+        """Return stiffness and damping of the rendered wall (N·m/rad and N·m·s/rad, or N/m and N·s/m)."""
         return self.stiffness, self.damping
 
     @reported
@@ -194,7 +194,7 @@ class ImpedanceResult(Shown, Drawn):
 
     @reported
     def motion(self) -> Motion:
-        """Return its kind of motion, which decides the units."""
+        """Return the rig's kind of motion, rotary or linear, which determines the units."""
         return self.experiment.rig.motion
 
     @reported
@@ -218,12 +218,12 @@ class ImpedanceResult(Shown, Drawn):
 
     @reported
     def note(self) -> str | None:
-        """Return how the simulation represents a law on the device; None where it does not."""
+        """Return a note if a simulation with the host's law stands for a law on the device, else None."""
         return STANDS_FOR_DEVICE if self.loop == "device" and not self.recordings else None
 
     @reported
     def excitation(self) -> dict[str, Any]:
-        """Return the keys of the excitation, with its size in effect."""
+        """Return the keys of the excitation, with the rms or peak effort in effect (N·m or N)."""
         x = self.experiment
         return {
             **config.as_mapping(x)["excitation"],
@@ -232,7 +232,7 @@ class ImpedanceResult(Shown, Drawn):
         }
 
     def brief(self) -> list[Item]:
-        """Verdict and fidelity, or what ended it."""
+        """Return the verdict and the fidelity, or the reason for an early end."""
         if self.judgement is None or self.fidelity is None:
             return [self.label, Row("ended", self.ended, note=f"after {self.ended_s:.3g} s")]
         unit, tested = unit_of("damping", self.motion), self.judgement.passivity
@@ -245,7 +245,7 @@ class ImpedanceResult(Shown, Drawn):
         ]
 
     def expected(self, lines_hz: Floats) -> Complexes | None:
-        """Closed form of rig and wall without friction and quantum; None for an estimator that is not linear."""
+        """Return the impedance by linear theory at these frequencies (Hz); None for a nonlinear estimator."""
         return expected(self.experiment, lines_hz, self.signal)
 
 
@@ -260,22 +260,23 @@ def measure_impedance(
     judging: Judging | None = None,
     watch: Watch | None = None,
 ) -> tuple[ImpedanceResult, ...]:
-    """Measure a simulated rig without bytes: every wall under every scheme.
+    """Measure the impedance of a simulated rig without the byte link, for every wall with every scheme.
 
     Parameters
     ----------
     experiment
-        The rig, and whatever the other parameters leave out.
+        Rig, and all settings that the other parameters do not replace.
     walls
-        Stiffness and damping of each; the experiment's own if None. Both zero: the bare rig.
+        Stiffness and damping of each wall; both zero: the bare rig. None: the experiment's wall.
     schemes
-        Rates and estimators; the experiment's own if empty.
+        Rates and estimators. If empty: the experiment's scheme.
     excitation
-        In place of the experiment's ``[excitation]``.
+        Excitation that replaces the experiment's ``[excitation]``; None: no replacement.
     method
-        ``"periodic"``: the ratio of lines. ``"welch"``: as tfestimate does.
+        ``"periodic"``: ratio of effort to velocity at the excited frequencies. ``"welch"``: the method of MATLAB's
+        tfestimate.
     signal
-        Encoder counts, or the simulation's true position of the handle (see `ExcitedRig`).
+        Encoder counts, or the true position of the simulated handle (see `ExcitedRig`).
     judging
         Band and thresholds of the verdict.
     watch
@@ -284,11 +285,11 @@ def measure_impedance(
     Raises
     ------
     ConfigError
-        Something that cannot be.
+        A wall or a scheme is invalid.
     PlanError
-        An excitation beyond the limits of effort, position or speed: nothing was run.
+        The excitation exceeds a limit of effort, position or speed; nothing was run.
     LawError
-        Estimator or law give something that is not finite.
+        Estimator or law return a value that is not finite.
     """
     asked = prepared(experiment, walls, schemes, excitation)
     refuse_excitations([one for group in asked for one in group])
@@ -313,9 +314,9 @@ def measure_impedance(
 def unexpected(
     results: Sequence[ImpedanceResult], expected: Collection[str]
 ) -> UnexpectedVerdictError | None:
-    """Return the error for the first wall that is not as expected, ``passive`` or ``not-passive``; None if all are.
+    """Return the error for the first wall that is not as expected (``passive``, ``not-passive``), None if all are.
 
-    Without expectations everything is expected.
+    If `expected` is empty, return None.
     """
     for result in results:
         word = "not measured"
@@ -324,7 +325,7 @@ def unexpected(
         if expected and word not in expected:
             return UnexpectedVerdictError(
                 f"{result.label} is {word}, expected {' or '.join(expected)}",
-                remedy="see its lines in the table, or change what `expect` allows",
+                remedy="look at the frequencies of this wall in the table, or add this verdict to `expect`",
             )
     return None
 
@@ -341,22 +342,23 @@ def measure_on_device(
     watch: Watch | None = None,
     agrees: Callable[[Experiment], bool] | None = None,
 ) -> Iterator[ImpedanceResult]:
-    """Measure a device by its own motor, or a simulated one over its link: one recorded trial for each realisation.
+    """Measure the impedance of a device, real or simulated, by its motor; yield the result of each wall when measured.
 
-    Parameters are those of `measure_impedance`; `agrees` is asked before each wall, and False ends the session. Yields
-    each result as it comes; a guard that trips ends that wall only.
+    Each realisation is a recorded trial. Parameters are those of `measure_impedance`; `agrees` is called with the
+    experiment before each wall, and the measurement ends if it returns False. If the guard ends a trial, the next wall
+    is measured.
 
     Raises
     ------
     PlanError
-        An excitation beyond the limits, or by a second actuator, which no device has; nothing has moved.
+        The excitation exceeds a limit, or needs a second actuator, which no device has; nothing has moved.
     RigError
-        Whatever ended a trial early but for the guard; the effort is zero.
+        A trial ended early, but not by the guard; the effort is zero.
     """
     asked = [one for group in prepared(experiment, walls, schemes, excitation) for one in group]
     if any(one.excitation.channel != "motor" for one in asked):
         raise PlanError(
-            'excitation.channel is not "motor": this program cannot drive a second actuator of a device',
+            'excitation.channel is "external", but this program cannot drive a second actuator of a device',
             remedy='set excitation.channel = "motor"',
         )
     refuse_excitations(asked)
@@ -387,7 +389,10 @@ def prepared(
     schemes: Sequence[Scheme],
     excitation: Excitation | None,
 ) -> list[list[Experiment]]:
-    """Return ExcitedRun experiments to run, checked: the walls of each scheme."""
+    """Return the experiments to run: for each scheme a list with an experiment for each wall.
+
+    Raise `ConfigError` for an invalid wall or scheme.
+    """
     if excitation is not None:
         experiment = replace(experiment, excitation=excitation)
     base = config.excited(experiment)
@@ -403,8 +408,8 @@ def prepared(
     for stiffness, damping in walls or ():
         if not (np.isfinite(stiffness) and np.isfinite(damping) and stiffness >= 0.0 and damping >= 0.0):
             raise ConfigError(
-                f"the wall has K = {stiffness:g} and B = {damping:g}, which must be finite and not negative",
-                remedy="give finite numbers that are not negative",
+                f"the wall has K = {stiffness:g} and B = {damping:g}; both must be finite and not negative",
+                remedy="give finite numbers of at least 0 for stiffness and damping",
             )
     return groups
 
@@ -424,7 +429,7 @@ def conclude(
     judging: Judging | None = None,
     recordings: tuple[Path, ...] = (),
 ) -> ImpedanceResult:
-    """Estimate and judge what was recorded of one wall."""
+    """Estimate and judge the impedance of one wall from the runs of all its realisations."""
     judging = judging or Judging()
     saturated = float(np.mean([run.saturated for run in runs]))
     records = [run.record for run in runs if run.record is not None]
@@ -470,14 +475,14 @@ def conclude(
 def recorded_impedance(
     recordings: Sequence[Recording], *, method: Method = "periodic", judging: Judging | None = None
 ) -> ImpedanceResult:
-    """Estimate and judge one wall from the recordings of its realisations; of several attempts at one the last counts.
+    """Estimate and judge one wall from recordings; if a realisation was repeated, only its last recording is used.
 
     Raises
     ------
     RecordingError
-        Not an excited trial, or not a whole one.
+        A recording is not an excited trial, or is incomplete.
     ConfigError
-        No recording, or recordings of several walls or schemes.
+        No recording is given, or recordings of several walls or schemes.
     """
     attempts = {str(one.header["initial_state"]["law"]["parameters"]): one for one in recordings}
     experiments = [experiment_of(one) for one in attempts.values()]
@@ -496,7 +501,7 @@ def recorded_impedance(
 
 
 def known_device(experiment: Experiment) -> RigidRig:
-    """Return the mass, damping and back-EMF of the rig, as its file says."""
+    """Return mass, damping and back-EMF of the rig as described in the experiment."""
     mechanics, amplifier = experiment.rig.mechanics, experiment.rig.amplifier
     return RigidRig(
         inertia=mechanics.motor_inertia + mechanics.loaded_link_inertia,
@@ -507,7 +512,10 @@ def known_device(experiment: Experiment) -> RigidRig:
 
 
 def expected(experiment: Experiment, lines_hz: Floats, signal: Signal = "count") -> Complexes | None:
-    """Return the closed form of rig and wall without friction and quantum, at the measured position, if it exists."""
+    """Return the impedance that linear theory predicts at these frequencies (Hz); None for a nonlinear estimator.
+
+    Friction and quantisation are neglected. `signal` is the measured position.
+    """
     wall, seen = experiment.wall, SEEN[signal]
     try:
         return rendered_impedance(experiment, wall.stiffness, wall.damping, lines_hz, seen=seen)
@@ -518,7 +526,7 @@ def expected(experiment: Experiment, lines_hz: Floats, signal: Signal = "count")
 def _record_whole(
     trials: Trials, experiment: Experiment, realisation: int
 ) -> tuple[RealisationRun, list[Path]]:
-    """Record one realisation; repeat it if samples were lost, because a period with a gap cannot be used."""
+    """Record one realisation, and repeat it if samples were lost; return the last run and the paths of all attempts."""
     paths: list[Path] = []
     while True:
         try:
@@ -533,7 +541,7 @@ def _record_whole(
 def _record_realisation(
     trials: Trials, experiment: Experiment, realisation: int
 ) -> tuple[RealisationRun, Path]:
-    """Return one realisation as a recorded trial."""
+    """Run one realisation as a recorded trial; return its run and the path of the recording."""
     trial = config.as_mapping(experiment)["trial"]
     done = trials.run(
         experiment,
@@ -556,9 +564,9 @@ def _record_realisation(
 
 
 def write_results(results: Sequence[ImpedanceResult], directory: Path) -> tuple[Path, Path]:
-    """Write every line of every result as a table, and everything as JSON; returns both paths.
+    """Write a table with a row for each frequency of each result, and all results as JSON; return both paths.
 
-    Raises `rig.core.errors.RecordingError` when the disk refuses.
+    Raise `rig.core.errors.RecordingError` if a file cannot be written.
     """
     make_directory(directory)
     table, summary = directory / TABLE, directory / SUMMARY

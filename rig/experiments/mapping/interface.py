@@ -1,7 +1,7 @@
-"""Interface of this sub-room: maps of hits and of impedances, their plans, runs and results, and what theory says.
+"""Public names of this package: maps of hits and of impedances, their plans and results, and limits of linear theory.
 
-Commands, pages, pictures and papers import it; they all need maps as a whole. It defines nothing, and no file of the
-sub-room imports it, so that one measured impedance or a table of limit cycles does not load every kind of map.
+Commands, pages, pictures and papers import it. It defines nothing, and no file of this package imports it, so that a
+single measured impedance or a table of limit cycles does not load every kind of map.
 """
 
 from rig.experiments.hits._on_device import OnDevice

@@ -1,7 +1,8 @@
-"""Summarise a map of impedances: widths of the connected region, its worst fidelity, Table I of Chawda et al.
+"""Summarise a map of impedances like Table I of Chawda et al.: widths of the connected region, and its worst fidelity.
 
-*K-width* is the largest passive stiffness connected with the lowest one of its damping; *B-width* the largest damping
-whose lowest stiffness is passive. Both are numbers of the grid: true to a step, and only a lower bound at its end.
+A wall is connected if it and all softer walls of its damping are passive. *K-width* is the largest connected stiffness,
+*B-width* the largest damping with a connected wall. Both are values of the grid, so accurate to one step; at the end of
+the grid they are only lower bounds.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ POINTS = 4  # common walls that are shown
 
 @dataclass(frozen=True, slots=True)
 class PassiveIsland:
-    """Passive walls beyond one that is not: a damping, and the lowest and the highest stiffness."""
+    """Range of passive walls above a wall that is not passive: its damping, lowest and highest stiffness."""
 
     damping: float
     lowest: float
@@ -37,24 +38,26 @@ class PassiveIsland:
 
 @dataclass(frozen=True, slots=True)
 class FrequencyWidth:
-    """One scheme's map, by one realisation or by all together.
+    """Widths of one scheme's map, by one realisation or by all realisations together.
+
+    Stiffnesses are in N·m/rad or N/m, dampings and fidelity errors in N·m·s/rad or N·s/m.
 
     Attributes
     ----------
     stiffness, at_damping
-        K-width, and the damping at which it is reached; 0 and NaN where nothing is connected.
+        K-width, and its damping; 0 and NaN if no wall is connected.
     stiffness_undamped
-        Stiffness of the column B = 0; None when the grid has none.
+        Largest connected stiffness at B = 0; None if the grid does not include B = 0.
     damping
-        B-width; NaN when no damping holds anything (0 is a width: B = 0 holds).
+        B-width; NaN if no wall is connected. 0 means that walls are connected at B = 0 only.
     worst_fidelity, worst_stiffness, worst_damping
-        Largest fidelity error over the connected region, and where (damping units; NaN without a region).
+        Largest fidelity error in the connected region, and its wall; NaN if no wall is connected.
     cells, islands
-        Walls in the connected region, and what lies beyond it.
+        Number of walls in the connected region, and passive ranges outside of it.
     gaps
         Dampings below the B-width without a connected wall.
     stiffness_capped, damping_capped
-        True if the grid ends before the region does.
+        True if the connected region reaches the end of the grid, so that the width is a lower bound.
     """
 
     stiffness: float
@@ -74,7 +77,7 @@ class FrequencyWidth:
     def of(
         cls, passive: Flags, fidelity: Floats, stiffnesses: Sequence[float], dampings: Sequence[float]
     ) -> FrequencyWidth:
-        """Measure a grid of verdicts and errors, both of shape (dampings, stiffnesses)."""
+        """Return the widths for a grid of verdicts and fidelity errors, both of shape (dampings, stiffnesses)."""
         # A stiffer wall that passes beyond one that fails is an island, listed and not counted: a map in the speckle
         # has some of them at any stiffness.
         region = connected(passive)
@@ -109,7 +112,7 @@ class FrequencyWidth:
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Mean, standard deviation and range over realisations; `count` of them gave a finite value."""
+    """Mean, standard deviation and range over the `count` realisations that have a finite value."""
 
     mean: float
     deviation: float
@@ -119,7 +122,7 @@ class Spread:
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Spread:
-        """Summarise numbers; values that are not finite are left out. The deviation of fewer than two is NaN."""
+        """Return the spread of the finite values; the deviation of a single value, and all numbers of none, are NaN."""
         kept = [value for value in values if math.isfinite(value)]
         if not kept:
             return cls(math.nan, math.nan, math.nan, math.nan, 0)
@@ -129,14 +132,14 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class SchemeWidths:
-    """Widths of one scheme: by all realisations together, and by each alone."""
+    """Widths of one scheme: by all realisations together, and by each realisation alone."""
 
     together: FrequencyWidth
     each: tuple[FrequencyWidth, ...]
 
     @classmethod
     def of(cls, found: FrequencyMap, scheme: int) -> SchemeWidths:
-        """Measure a scheme of a map by its number."""
+        """Return the widths of a scheme, given by its index in the map."""
         plan = found.plan
         *each, together = (
             FrequencyWidth.of(
@@ -148,23 +151,23 @@ class SchemeWidths:
 
     @reported
     def stiffness(self) -> Spread:
-        """Return K-width over realisations; one that holds nothing counts as 0."""
+        """Return the spread of the K-width over realisations; it is 0 for a realisation without connected walls."""
         return Spread.of([width.stiffness for width in self.each])
 
     @reported
     def damping(self) -> Spread:
-        """Return B-width over the realisations that hold something."""
+        """Return the spread of the B-width over the realisations with connected walls."""
         return Spread.of([width.damping for width in self.each])
 
     @reported
     def worst_fidelity(self) -> Spread:
-        """Return the largest error over the realisations that hold something, each over its own region."""
+        """Return the spread of the largest fidelity error over the realisations with connected walls."""
         return Spread.of([width.worst_fidelity for width in self.each])
 
 
 @dataclass(frozen=True, slots=True)
 class Printed:
-    """A column of the paper's Table I, measured on its rig: N/m, N·s/m, N·s/m, count."""
+    """Column of Table I in the paper: K-width (N/m), B-width and worst fidelity (N·s/m), number of tuned values."""
 
     stiffness: float
     damping: float
@@ -184,24 +187,24 @@ PAPERS_RIG, PAPERS_RATE = "chawda-linear", 1000
 
 @dataclass(frozen=True, slots=True)
 class SchemeRow:
-    """One estimator.
+    """Row of the table: one scheme.
 
     Attributes
     ----------
     scheme, label, estimator
-        Text form, legend, name.
+        Text form of the scheme, text for legends, name of the estimator.
     widths
-        K-width, B-width, worst fidelity, by all realisations together and by each.
+        K-width, B-width and worst fidelity, by all realisations together and by each.
     tuned
-        Names of the numbers that were tuned.
+        Names of the tuned parameters.
     common
-        Fidelity at each of `TableOne.points`: over realisations.
+        Fidelity error at each of `TableOne.points`, as spread over realisations.
     common_mean
-        Fidelity over all common walls: the mean over walls, its spread over realisations.
+        Mean fidelity error over all common walls, as spread over realisations.
     search
-        The paper's boundary search in this map.
+        Result of the paper's boundary search in this map.
     paper
-        The paper's column, for its own rig, rate and estimator.
+        Column of the paper; None for another rig, rate or estimator.
     """
 
     scheme: str
@@ -217,18 +220,20 @@ class SchemeRow:
 
 @dataclass(frozen=True, slots=True)
 class TableOne:
-    """The whole table.
+    """Table of the widths of all schemes.
+
+    Common walls have damping and are connected for all `comparable` schemes.
 
     Attributes
     ----------
     rows
-        One for each scheme.
+        Row for each scheme.
     points
-        Some of the common walls (stiffness, damping): with damping, and held by all `comparable` schemes.
+        Some of the common walls (stiffness, damping).
     common_walls
-        How many there are.
+        Number of common walls.
     comparable
-        Numbers of the schemes that hold any wall with damping.
+        Indices of the schemes that have a connected wall with damping.
     band_hz, realisations, stiffness_step, damping_step
         Settings on which all numbers depend.
     """
@@ -244,7 +249,7 @@ class TableOne:
 
 
 def table_one(found: FrequencyMap) -> TableOne:
-    """Summarise a map scheme by scheme, as Table I of Chawda et al. does.
+    """Return a table that summarises each scheme of a map, like Table I of Chawda et al.
 
     Parameters
     ----------
@@ -255,7 +260,7 @@ def table_one(found: FrequencyMap) -> TableOne:
     -------
     TableOne
         For each scheme K-width and B-width (N·m/rad and N·m·s/rad, or N/m and N·s/m) with their spread over
-        realisations, fidelity (damping units) at walls that all schemes hold, and the tuned numbers.
+        realisations, fidelity error (N·m·s/rad or N·s/m) at the common walls of all schemes, and the tuned parameters.
     """
     plan = found.plan
     regions = connected(found.passive[:, -1])  # of all realisations together
@@ -296,7 +301,10 @@ def table_one(found: FrequencyMap) -> TableOne:
 
 
 def tuned_numbers(estimator: str, parameters: Mapping[str, float | str]) -> tuple[str, ...]:
-    """Return names of the numbers among an estimator's stated settings, as the paper counts them."""
+    """Return the names of an estimator's tuned numbers, among its stated settings.
+
+    The gains of Levant's estimator are named alpha and lambda, because the paper counts them as two.
+    """
     names = [name for name, value in parameters.items() if not isinstance(value, str)]
     if estimator == "levant":
         others = [name for name in names if name not in LEVANT_GAINS]
@@ -311,7 +319,7 @@ def _papers(experiment: Experiment, scheme: Scheme, estimator: str) -> Printed |
 
 
 def _choose_spaced(cells: np.ndarray[Any, np.dtype[np.int64]]) -> list[tuple[int, int]]:
-    """Return some of the cells, evenly spaced in the order of damping times stiffness, the last among them."""
+    """Return up to `POINTS` of the cells, evenly spaced in the order of damping times stiffness."""
     if len(cells) == 0:
         return []
     order = np.argsort((cells[:, 0] + 1) * (cells[:, 1] + 1), kind="stable")
@@ -320,5 +328,5 @@ def _choose_spaced(cells: np.ndarray[Any, np.dtype[np.int64]]) -> list[tuple[int
 
 
 def _step(values: tuple[float, ...]) -> float:
-    """Return the largest step of a grid's axis, 0 for a single value."""
+    """Return the largest step between values of a grid's axis; 0 for a single value."""
     return float(np.diff(values).max()) if len(values) > 1 else 0.0

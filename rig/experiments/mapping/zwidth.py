@@ -1,8 +1,8 @@
-"""Map the Z-width in the time domain: for which walls (K, B) a rig stays stable, scheme by scheme, by hitting them.
+"""Map the Z-width in the time domain: find by hits for which walls (K, B) a rig is stable with each sampling scheme.
 
-A map is a set of independent *series*: one scheme, damping, encoder offset and repeat, and a search through the
-stiffnesses (`rig.experiments.mapping._searches`). Every map holds all criteria (felt, heard, any), and its table the
-numbers of recorded and true signals. Source: Koul et al. 2013, section III (five repeats averaged) and Fig. 6.
+A map consists of independent *series*. A series has one scheme, damping, encoder offset and repeat, and searches the
+stiffness limit (`rig.experiments.mapping._searches`). Each map has limits for all criteria (felt, heard, any); its
+table has the numbers of recorded and true signals. Source: Koul et al. 2013, section III and Fig. 6.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _BEFORE = "guard tripped before the wall"  # what the numbers of a hit do not sh
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """One search through the stiffnesses: index of its scheme, damping, encoder offset, index of the repeat."""
+    """Search of one stiffness limit: index of the scheme, damping, encoder offset (count), index of the repeat."""
 
     scheme: int
     damping: float
@@ -55,7 +55,7 @@ class Series:
 
     @property
     def key(self) -> str:
-        """Return the name of the series in a journal."""
+        """Return the key of the series in a journal."""
         return f"{self.scheme}/{self.damping!r}/{self.offset!r}/{self.repeat}"
 
 
@@ -66,21 +66,21 @@ class MapPlan:
     Attributes
     ----------
     experiment
-        Rig, trial and thresholds; its controller and its wall's K and B are what the map varies.
+        Rig, trial and thresholds; the map varies its controller and its wall's stiffness and damping.
     schemes
-        One curve each.
+        Sampling schemes, one curve each.
     dampings
-        B of each column of walls (N·m·s/rad or N·s/m).
+        Dampings of the walls (N·m·s/rad or N·s/m).
     search
-        Stiffnesses and the way through them.
+        Stiffnesses, and the method of the search.
     offsets
-        Where position zero lies in its encoder cell (count): one count decides whether a stiff wall buzzes.
+        Places of position zero within its encoder cell (count, 0 to below 1), which influence if a stiff wall vibrates.
     repeats
-        Series of each damping and offset; they differ in where exactly the handle starts, and in a hand's tremor.
+        Number of series for each scheme, damping and offset; they differ in the exact start and in a hand's tremor.
     judged
-        Whose signals decide: what a rig records, as for a single hit, or the simulation's truth.
+        Signals that are judged: ``"recorded"``, as for a single hit, or ``"true"`` ones of the simulation.
     criteria
-        Whose limits are searched for: each takes hits of its own.
+        Criteria (felt, heard, any) for each of which a limit is searched, with additional hits.
     """
 
     experiment: Experiment
@@ -95,15 +95,15 @@ class MapPlan:
     unit: ClassVar[str] = "ticks"
 
     def __post_init__(self) -> None:
-        """Raise `PlanError` for a map without series, or with the same one twice."""
+        """Raise `PlanError` if schemes, dampings or offsets are empty, repeated or out of range, or without repeats."""
         check_values("schemes", [scheme.text for scheme in self.schemes], "scheme")
         check_values("dampings", self.dampings, "damping")
         check_values("offsets", self.offsets, "offsets", below=1.0)
         if self.repeats < 1:
-            raise PlanError(f"{self.repeats} repeats (`repeats`)", remedy="give 1 or more")
+            raise PlanError(f"`repeats` = {self.repeats} must be at least 1", remedy="give 1 or more")
 
     def series(self) -> list[Series]:
-        """Return every series, in the order of schemes, dampings, offsets, repeats."""
+        """Return all series, in the order of schemes, dampings, offsets, repeats."""
         return [
             Series(number, damping, offset, repeat)
             for number in range(len(self.schemes))
@@ -113,7 +113,10 @@ class MapPlan:
         ]
 
     def experiment_of(self, series: Series, under: Experiment | None = None) -> Experiment:
-        """Return the experiment of a series but for its stiffness; `under` is the plan's under its scheme, if known."""
+        """Return the experiment of a series, except for its stiffness.
+
+        `under` is the plan's experiment with the scheme of the series already applied; None: it is applied here.
+        """
         changes = {
             "rig.encoder.offset": series.offset,
             "trial.seed": self.experiment.trial.seed + series.repeat,
@@ -124,7 +127,10 @@ class MapPlan:
 
     @cached_property
     def tasks(self) -> list[sweep.Task]:
-        """Return the series as a sweep runs them: here their experiments are checked, and nowhere again."""
+        """Return the tasks of a sweep, one for each series; raise `ConfigError` for an invalid experiment.
+
+        The experiments are checked only here.
+        """
         applied = [scheme.applied(self.experiment) for scheme in self.schemes]
         return [
             sweep.Task(
@@ -142,7 +148,7 @@ class MapPlan:
         ]
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plain values, which `from_mapping` turns into an equal plan."""
+        """Return the plan as plain values, from which `from_mapping` restores it."""
         own = {"search": asdict(self.search), "schemes": [scheme.text for scheme in self.schemes]}
         named = {
             name: getattr(self, name) for name in ("dampings", "offsets", "repeats", "judged", "criteria")
@@ -151,7 +157,7 @@ class MapPlan:
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], where: str) -> MapPlan:
-        """Return the plan of plain values; `ConfigError` names `where`."""
+        """Return the plan from plain values; a `ConfigError` names their source, `where`."""
         return cls(
             experiment=config.experiment_from_mapping(mapping["experiment"], where),
             schemes=tuple(Scheme.parse(text) for text in mapping["schemes"]),
@@ -164,12 +170,12 @@ class MapPlan:
         )
 
     def found(self, results: Sequence[Any]) -> ZWidth:
-        """Return the map that the results of all tasks make."""
+        """Return the finished map from the results of all tasks, in their order."""
         return ZWidth.of(self, results)
 
 
 def run_series(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Run one series in simulation; payload and result are JSON: a row for each hit, in the order of hits."""
+    """Simulate one series; return a row for each hit, in the order of the hits. Payload and rows are JSON values."""
     # The payload alone decides a series, so that a map is the same to the last bit on one core, on many, or on a
     # cluster, and a stopped one resumes.
     experiment = config.restore_experiment(payload["experiment"])
@@ -187,22 +193,23 @@ def run_series(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True, slots=True)
 class Boundary:
-    """The limit of one scheme at one damping under one criterion, over offsets and repeats.
+    """Stiffness limit of one scheme at one damping under one criterion, over all offsets and repeats.
 
     Attributes
     ----------
     stiffness, deviation
-        Mean and standard deviation of the limits (N·m/rad or N/m); 0 counts as a limit, the deviation of one is 0.
+        Mean and standard deviation of the limits of all series (N·m/rad or N/m). A limit of 0 is included; the
+        deviation of a single limit is 0.
     lowest, highest
-        Range of the limits.
+        Lowest and highest limit of the series (N·m/rad or N/m).
     capped
-        How many series ended before a wall failed: the mean is then a lower bound.
+        Number of series that ended before a wall failed: if above 0, the mean is a lower bound.
     unknown
-        How many hits were invalid.
+        Number of invalid hits.
     limits
-        Limits of each series, with its islands.
+        Limit of each series.
     rendered
-        Share of the damping that the effort limit leaves of a slow motion (`rig.experiments.mapping._rendering`).
+        Share of the damping that is rendered in slow motion (0 to 1; `rig.experiments.mapping._rendering`).
     """
 
     scheme: int
@@ -219,7 +226,7 @@ class Boundary:
 
     @property
     def counted(self) -> float:
-        """Limit that counts towards a width: 0 where the damping is not rendered."""
+        """Stiffness limit for the computation of a width (N·m/rad or N/m): 0 if the damping is not rendered."""
         return self.stiffness if self.rendered >= RENDERED else 0.0
 
     @classmethod
@@ -232,7 +239,7 @@ class Boundary:
         *,
         rendered: float = 1.0,
     ) -> Boundary:
-        """Summarise the limits of one scheme at one damping under a criterion."""
+        """Return the boundary for the limits of all series of one scheme, damping and criterion."""
         stiffness = np.array([limit.stiffness for limit in limits])
         return cls(
             scheme=scheme,
@@ -251,26 +258,27 @@ class Boundary:
 
 @dataclass(frozen=True, slots=True)
 class Width:
-    """A curve in numbers: what the papers compare. Dampings that are not rendered do not count.
+    """Numbers that summarise a curve of limits over the damping. Dampings that are not rendered are left out.
 
     Attributes
     ----------
     stiffness_undamped
-        Limit at B = 0; None when the map does not have that column, 0 when no wall passed there.
+        Limit at B = 0 (N·m/rad or N/m); None if the map does not include B = 0, 0 if no wall passed there.
     stiffness_peak, damping_at_peak
-        Largest limit, and where.
+        Largest limit (N·m/rad or N/m), and its damping (N·m·s/rad or N·s/m).
     damping_range
-        Largest damping at which some wall passes.
+        Largest damping at which a wall passes (N·m·s/rad or N·s/m).
     area
-        Under the curve, up to `damping_range`.
+        Area under the curve, up to `damping_range`.
     capped, undamped_capped, range_capped
-        True if peak, limit at B = 0 and range are only lower bounds: the search, or the map, ended before the wall did.
+        True if peak, limit at B = 0, and range are only lower bounds, because the search or the map ended before a wall
+        failed.
     holes
         Dampings below `damping_range` at which no wall passed; the area is then a lower bound.
     not_rendered
-        Dampings that were left out.
+        Dampings that were left out because they are not rendered.
     lowest
-        Softest wall that was tried: where none passed, the limit lies below it.
+        Lowest stiffness that was tried (N·m/rad or N/m); if no wall passed, the limit is below it.
     """
 
     stiffness_undamped: float | None
@@ -288,7 +296,7 @@ class Width:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class ZWidth(Shown, Drawn):
-    """A finished map: its plan, the boundaries, and every hit, series by series (read from the journal, if any)."""
+    """Finished map: its plan, its boundaries, and the rows of all hits (read from the journal, if there is one)."""
 
     table_name: ClassVar[str] = "hits.parquet"
 
@@ -300,17 +308,17 @@ class ZWidth(Shown, Drawn):
 
     @property
     def cutoffs(self) -> str | None:
-        """Return how the cut-offs differ between schemes that state none; None where they do not."""
+        """Return a sentence if schemes that state no cut-off get different ones; None if all are equal."""
         return describe_cutoffs(self.plan.schemes, self.plan.experiment)
 
     @property
     def of_device_loop(self) -> bool:
-        """Return True if simulated hits under the host's law represent a law on the device."""
+        """Return True if hits simulated with the host's law stand for a law on the device."""
         return self.plan.experiment.controller.loop == "device" and not self.on_device
 
     @classmethod
     def of(cls, plan: MapPlan, series: Sequence[list[dict[str, Any]]], *, on_device: bool = False) -> ZWidth:
-        """Find the boundaries in the hits of every series."""
+        """Return the map, with boundaries computed from the rows of every series."""
         limits: dict[tuple[int, float, str], list[StiffnessLimit]] = {}
         hits = 0
         applied = [scheme.applied(plan.experiment) for scheme in plan.schemes]
@@ -326,12 +334,12 @@ class ZWidth(Shown, Drawn):
         return cls(plan, boundaries, hits, series, on_device)
 
     def curve(self, scheme: int, criterion: str) -> list[Boundary]:
-        """Return boundaries of one scheme under one criterion, by damping."""
+        """Return the boundaries of one scheme (by index) under one criterion, in ascending order of damping."""
         found = [b for b in self.boundaries if (b.scheme, b.criterion) == (scheme, criterion)]
         return sorted(found, key=lambda boundary: boundary.damping)
 
     def width(self, scheme: int, criterion: str) -> Width:
-        """Summarise the boundary of one scheme under a criterion."""
+        """Return the width of one scheme (by index) under one criterion."""
         curve = self.curve(scheme, criterion)
         peak = max(curve, key=lambda boundary: boundary.counted)
         extent = Extent.of([b.damping for b in curve], [b.counted for b in curve])
@@ -351,7 +359,7 @@ class ZWidth(Shown, Drawn):
         )
 
     def invalid(self) -> dict[str, int]:
-        """Return why hits were invalid, with how many each, the most common reason first."""
+        """Return the number of invalid hits for each reason, the most common reason first."""
         limits, why = config.verdict_thresholds(self.plan.experiment), Counter[str]()
         suffix, column = TRUE if self.plan.judged == "true" else "", _passes("any", self.plan.judged)
         for rows in self.series:
@@ -363,7 +371,7 @@ class ZWidth(Shown, Drawn):
         return dict(why.most_common())
 
     def brief(self) -> list[Item]:
-        """Return each scheme's width, by the criterion that every ripple counts for."""
+        """Return each scheme's width under the criterion "any" of the three ripples."""
         x = self.plan.experiment
         stiffness, damping = (unit_of(name, x.rig.motion) for name in ("stiffness", "damping"))
         rows = []
@@ -383,7 +391,7 @@ class ZWidth(Shown, Drawn):
         ]
 
     def detailed(self) -> list[Item]:
-        """Return the short form, and the limit of each scheme at each damping."""
+        """Return the brief form, and a table with the limit of each scheme at each damping."""
         x = self.plan.experiment
         stiffness, damping = (unit_of(name, x.rig.motion) for name in ("stiffness", "damping"))
         curves = [self.curve(number, "any") for number in range(len(self.plan.schemes))]
@@ -392,7 +400,7 @@ class ZWidth(Shown, Drawn):
         return [*self.brief(), Table(head, rows, words=0)]
 
     def table(self) -> Iterator[dict[str, Any]]:
-        """Yield every hit as a flat row: scheme, damping, offset, repeat, stiffness, kinds and numbers."""
+        """Yield a row for each hit: scheme, damping, offset, repeat, stiffness, kinds of verdict and numbers."""
         for one, rows in zip(self.plan.series(), self.series, strict=True):
             of_series = asdict(one) | {"scheme": self.plan.schemes[one.scheme].text}
             for row in rows:
@@ -408,7 +416,7 @@ class ZWidth(Shown, Drawn):
         }
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plain values, for JSON: the plan, the boundaries and the widths, without the single hits."""
+        """Return plan, boundaries and widths as plain values for JSON, without the single hits."""
         plan = self.plan
         labels = [scheme.label(plan.experiment) for scheme in plan.schemes]
         return {
@@ -437,13 +445,16 @@ class ZWidth(Shown, Drawn):
 
 
 def row_of(measured: Measured, suffix: str) -> dict[str, Any]:
-    """Return columns of one side of a hit: kind, what passes, and every number."""
+    """Return the columns of a measured hit: verdict's kind, result for each criterion, and all numbers.
+
+    `suffix` is appended to each name: "" for recorded signals, `TRUE` for true ones.
+    """
     passes = (measured.passes(criterion) for criterion in CRITERIA)
     return dict(zip(_columns(suffix), (str(measured.kind), *passes, *measured.numbers.item()), strict=True))
 
 
 def outcomes_of(row: Mapping[str, Any], judged: Judged) -> Outcomes:
-    """Return the outcome of a row under each criterion, by the recorded or the true signals."""
+    """Return the result of a row for each criterion, by the recorded or the true signals; None: invalid."""
     return {criterion: row[_passes(criterion, judged)] for criterion in CRITERIA}
 
 

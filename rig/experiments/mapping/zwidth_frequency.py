@@ -1,10 +1,10 @@
-"""Map the Z-width in the frequency domain: for which walls (K, B) the impedance is passive, and how true it is.
+"""Map the Z-width in the frequency domain: for which walls (K, B) the impedance is passive, and its fidelity.
 
     found = zwidth(frequency_plan(presets.load("chawda-linear")))  # rig.experiments.mapping._maps, .ranges
     table_one(found)  # rig.experiments.mapping.table_one
 
-A map is an exhaustive grid; a task of its sweep is a column, one scheme and one damping. Source: Chawda et al., section
-V, Figs. 5 to 8; verdict and fidelity are those of `rig.analysis.impedance._verdict`.
+A map tests every wall of a grid. Each task of its sweep is a column of the grid: one scheme and one damping. Source:
+Chawda et al., section V, Figs. 5 to 8. Verdict and fidelity are those of `rig.analysis.impedance._verdict`.
 """
 
 from __future__ import annotations
@@ -52,15 +52,15 @@ class FrequencyPlan:
     Attributes
     ----------
     experiment
-        Rig and excitation; its controller and its wall's K and B are what the map varies.
+        Rig and excitation; the map varies its controller and its wall's stiffness and damping.
     schemes
-        One map each.
+        Sampling schemes, one map each.
     stiffnesses, dampings
         Values of the grid, ascending (N·m/rad or N/m, N·m·s/rad or N·s/m).
     judging
         Band and thresholds of the verdict.
     signal
-        Which position is measured; see `rig.experiments.trials.excitation_run.ExcitedRig`.
+        Measured position; see `rig.experiments.trials.excitation_run.ExcitedRig`.
     """
 
     experiment: Experiment
@@ -73,31 +73,31 @@ class FrequencyPlan:
     unit: ClassVar[str] = "runs"
 
     def __post_init__(self) -> None:
-        """Raise `PlanError` for a map without walls, with the same scheme twice, or with values in no rising order."""
+        """Raise `PlanError` if schemes, stiffnesses or dampings are empty, repeated, negative or not ascending."""
         check_values("schemes", [scheme.text for scheme in self.schemes], "scheme")
         check_values("stiffnesses", self.stiffnesses, "stiffness", rising=True)
         check_values("dampings", self.dampings, "damping", rising=True)
 
     @property
     def realisations(self) -> int:
-        """Return how many times each wall is excited."""
+        """Return the number of realisations of the excitation for each wall."""
         return self.experiment.excitation.realisations
 
     @property
     def band_hz(self) -> tuple[float, float]:
-        """Return lowest and highest frequency (Hz) of the lines that are judged."""
+        """Return the lowest and the highest frequency that are judged (Hz)."""
         excitation = self.experiment.excitation
         return self.judging.band_hz or (excitation.low_hz, excitation.high_hz)
 
     def columns(self) -> list[tuple[int, float]]:
-        """Return the number of the scheme and damping of every task."""
+        """Return index of the scheme and damping (N·m·s/rad or N·s/m) of each task."""
         return [(number, damping) for number in range(len(self.schemes)) for damping in self.dampings]
 
     @cached_property
     def tasks(self) -> list[sweep.Task]:
-        """Return the columns as a sweep runs them.
+        """Return the tasks of a sweep, one for each column.
 
-        Raises `PlanError` when the excitation is too large for the rig at the softest wall of some scheme.
+        Raise `PlanError` if the excitation exceeds a limit of the rig at the softest wall of a scheme.
         """
         applied = [scheme.applied(config.excited(self.experiment)) for scheme in self.schemes]
         refuse_excitations([_set_wall(one, self.stiffnesses[0], self.dampings[0]) for one in applied])
@@ -117,14 +117,14 @@ class FrequencyPlan:
         ]
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plain values, which `from_mapping` turns into an equal plan."""
+        """Return the plan as plain values, from which `from_mapping` restores it."""
         own = {"judging": asdict(self.judging), "schemes": [scheme.text for scheme in self.schemes]}
         named = {name: getattr(self, name) for name in ("stiffnesses", "dampings", "signal")}
         return {**plain(named), **own, "experiment": config.as_mapping(self.experiment)}
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], where: str) -> FrequencyPlan:
-        """Return the plan of plain values; `ConfigError` names `where`."""
+        """Return the plan from plain values; a `ConfigError` names their source, `where`."""
         return cls(
             experiment=config.experiment_from_mapping(mapping["experiment"], where),
             schemes=tuple(Scheme.parse(text) for text in mapping["schemes"]),
@@ -135,12 +135,15 @@ class FrequencyPlan:
         )
 
     def found(self, results: Sequence[Any]) -> FrequencyMap:
-        """Return the map that the results of all tasks make."""
+        """Return the finished map from the results of all tasks, in their order."""
         return FrequencyMap.of(self, results)
 
 
 def run_column(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Excite every wall of one column; payload and result are JSON: a row per wall and realisation, and for all."""
+    """Excite every wall of one column; payload and returned rows are JSON values.
+
+    Each wall has a row for each realisation, and one row for all realisations together.
+    """
     experiment = config.restore_experiment(payload["experiment"])
     judging = _restore_judging(payload["judging"])
     bench = ExcitedRig(experiment, signal=payload["signal"])
@@ -154,7 +157,7 @@ def run_column(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
 def wall_rows(
     bench: ExcitedRig, walled: Experiment, judging: Judging, signal: Signal
 ) -> Iterator[dict[str, Any]]:
-    """Excite one wall: a row for each realisation, and one for all of them together."""
+    """Excite one wall; yield a row for each realisation, and at last one row for all realisations together."""
     wall = walled.wall
     runs: list[RealisationRun] = []
     for realisation in range(walled.excitation.realisations):
@@ -193,7 +196,7 @@ def _row(result: ImpedanceResult, realisation: int, runs: int) -> dict[str, Any]
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class FrequencyMap(Shown, Drawn):
-    """A finished map.
+    """Finished map of impedances.
 
     Attributes
     ----------
@@ -202,9 +205,10 @@ class FrequencyMap(Shown, Drawn):
     columns
         Rows of `run_column`, in the order of `FrequencyPlan.columns`.
     passive
-        Verdicts, ``passive[scheme, realisation, damping, stiffness]``; the last realisation is all together.
+        True for passive walls, ``passive[scheme, realisation, damping, stiffness]``; the last index of the realisation
+        stands for all realisations together.
     fidelity
-        The same of the fidelity's rms, NaN where the guard ended the run.
+        Rms fidelity error (N·m·s/rad or N·s/m) with the same axes; NaN if the guard ended the run.
     """
 
     table_name: ClassVar[str] = "walls.parquet"
@@ -216,7 +220,7 @@ class FrequencyMap(Shown, Drawn):
 
     @classmethod
     def of(cls, plan: FrequencyPlan, columns: Sequence[list[dict[str, Any]]]) -> FrequencyMap:
-        """Arrange the rows of every column."""
+        """Return the map, with arrays from the rows of every column."""
         each = plan.realisations + 1
         shape = (len(plan.schemes), len(plan.dampings), len(plan.stiffnesses), each)
 
@@ -228,7 +232,7 @@ class FrequencyMap(Shown, Drawn):
         return cls(plan, columns, arranged("passive", np.bool_), arranged("fidelity", np.float64))
 
     def brief(self) -> list[Item]:
-        """Return how many walls of each scheme are passive."""
+        """Return the number of passive walls for each scheme."""
         plan, (low, high) = self.plan, self.plan.band_hz
         walls = len(plan.dampings) * len(plan.stiffnesses)
         rows = [
@@ -238,7 +242,7 @@ class FrequencyMap(Shown, Drawn):
         return [f"impedances of {plan.experiment.rig.name}, from {low:g} to {high:g} Hz", *rows]
 
     def table(self) -> Iterator[dict[str, Any]]:
-        """Yield every row, flat: scheme and damping first; a row for all realisations together has realisation None."""
+        """Yield the rows of all columns with scheme and damping; realisation None stands for all together."""
         for (number, damping), rows in zip(self.plan.columns(), self.columns, strict=True):
             for row in rows:
                 of_row = {key: value for key, value in row.items() if key != "runs"}
@@ -261,7 +265,7 @@ class FrequencyMap(Shown, Drawn):
         }
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plain values, for JSON: everything but the single walls and Table I."""
+        """Return plan and verdicts as plain values for JSON, without the rows of single walls and Table I."""
         plan, x = self.plan, self.plan.experiment
         return {
             "domain": "frequency",

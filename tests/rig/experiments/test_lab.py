@@ -201,10 +201,10 @@ def test_a_name_in_use_and_a_value_that_is_no_part_are_refused(stiffening: rig.L
     with pytest.raises(ConfigError, match=r"'bilateral' is already the name of a built-in"):
         rig.hit("koul-compliant", law=other)
     with pytest.raises(
-        ConfigError, match=r"law must be a name or a part made by .*int; give a name, .*@rig.law"
+        ConfigError, match=r"law is of type int; it must be a name.*; give a name, .*@rig.law"
     ):
         rig.hit(law=3)  # type: ignore[arg-type]
-    with pytest.raises(ConfigError, match=r"estimator must be a name or a part .*PlainLaw"):
+    with pytest.raises(ConfigError, match=r"estimator is of type PlainLaw; it must be a name"):
         rig.plan(estimator=stiffening)  # type: ignore[arg-type]
 
 
