@@ -1,1 +1,1 @@
-"""Identification of a rig from motions: inertia, friction, ripple."""
+"""Identification of a rig from its motions: inertia, friction, damping, delay, cogging and torque ripple."""

@@ -1,4 +1,4 @@
-"""From fits to the keys of an experiment: which values an identification changes, and what stands behind each."""
+"""Compute the keys of an experiment from the fits of an identification, with a text on the source of each value."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from rig.core.sample import unit_of
 
 @dataclass(frozen=True)
 class Identified:
-    """Keys with their new values, and for each the text with its ± and the motion that identified it."""
+    """New values by key, and for each key a text with its ± interval and the motion that identified it."""
 
     values: dict[str, Any] = field(default_factory=dict)
     sources: dict[str, tuple[str, str]] = field(default_factory=dict)
 
     def put(self, key: str, value: Any, text: str, motion: str) -> None:
-        """Set one key, with the text and the motion that it is from."""
+        """Set the value of a key, with its text and the motion that identified it."""
         self.values[key] = value
         self.sources[key] = (text, motion)
 
     def share(self, m: Mechanics, name: str, total: float, text: str, motion: str) -> None:
-        """Divide a total between motor and link in the described proportion."""
+        """Set a motor's and a link's value so that they sum to `total`, in the described proportion."""
         described = {side: float(getattr(m, f"{side}_{name}")) for side in ("motor", "link")}
         whole = sum(described.values())
         for side, before in described.items():
@@ -45,11 +45,11 @@ def identified_values(
     *,
     on_board: bool = False,
 ) -> Identified:
-    """Turn the fits into keys of the experiment.
+    """Return the keys of the experiment with their identified values.
 
-    One sensor sees sums. What it cannot split between motor and link keeps the description's proportion: friction and
-    damping always, inertia unless a mode splits it. A law that will run on the board (`on_board`) has not the whole
-    ticks of delay of the link that these motions came by.
+    A single sensor shows only sums over motor and link. They are divided in the described proportion: friction and
+    damping always, inertia only if no resonance was identified. If the law will run on the board (`on_board`), the
+    link's delay in whole ticks is left out.
     """
     found, m = Identified(), x.rig.mechanics
 
@@ -85,7 +85,7 @@ def identified_values(
 def _put_cogging(
     found: Identified, map_: CoggingMap, described: Cogging, ripple: Ripple | None, effort: str
 ) -> None:
-    """Both have the same orders in a file; ripple that was not looked for stays as described."""
+    """Set the keys of cogging and ripple, which share one list of orders; ripple that was not measured is unchanged."""
     if ripple is None:
         shares = _by_order(described.orders, described.ripple_cosine, described.ripple_sine)
     else:
@@ -116,12 +116,12 @@ def _put_cogging(
 def _by_order(
     orders: Sequence[int], cosine: Sequence[float], sine: Sequence[float]
 ) -> dict[int, tuple[float, float]]:
-    """Return the harmonics that there are; no columns: none."""
+    """Return cosine and sine by order, only for harmonics that are not zero."""
     return {n: (c, s) for n, c, s in zip(orders, cosine, sine, strict=False) if c or s}
 
 
 def _columns(orders: Sequence[int], each: dict[int, tuple[float, float]]) -> tuple[list[float], list[float]]:
-    """Return cosines and sines, zero where there is no harmonic."""
+    """Return cosines and sines for these orders; zero for an order without a harmonic."""
     rows = [each.get(n, (0.0, 0.0)) for n in orders]
     return [c for c, _ in rows], [s for _, s in rows]
 

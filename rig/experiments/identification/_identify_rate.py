@@ -1,4 +1,4 @@
-"""The rate of an identification in real time, by the measured link: what carries every command in time."""
+"""Choose the rate of an identification in real time, so that the measured link carries every command in time."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ RATES = ("controller.position_rate", "controller.velocity_rate")
 
 
 def at_rate(x: Experiment, rate_hz: int, origin: str) -> Experiment:
-    """Return the rig with a loop of this rate, its wall gone."""
+    """Return the experiment without a wall and with this rate (Hz); `origin` names the source of the change."""
     return config.override(still(x), dict.fromkeys(RATES, rate_hz), origin)
 
 
 @dataclass(frozen=True, slots=True)
 class RateChoice:
-    """A rate, and what the measured link says of it; `reason` is empty where it works."""
+    """Rate of the loop (Hz), why it would fail (empty if it works), and the longest silence of the link (s)."""
 
     rate_hz: int
     reason: str
@@ -38,7 +38,7 @@ class RateChoice:
 
 
 def measure_for(device: FramedDevice, x: Experiment, rate_hz: int) -> LinkMeasurement:
-    """Exchange clock stamps at a rate, in a thread scheduled like the loop; nothing moves."""
+    """Measure the link by clock exchanges at this rate (Hz), in a thread scheduled like the loop; nothing moves."""
     with obtained(host_beside(x.host, device.link)) as realtime:
         return measure_link(device, SECONDS, rate_hz, realtime=realtime)
 
@@ -46,12 +46,12 @@ def measure_for(device: FramedDevice, x: Experiment, rate_hz: int) -> LinkMeasur
 def choose_rate(
     x: Experiment, measurement: LinkMeasurement, *, most_hz: int, stated_hz: int | None = None
 ) -> RateChoice:
-    """Return the stated rate, or the highest of `most_hz` and its halves, at which an identification will work.
+    """Return the stated rate, or the highest one of `most_hz` and its halves, at which an identification will work.
 
     Raises
     ------
     PlanError
-        None does; with the numbers, and the rate that would work where there is one.
+        No such rate works; the message has the measured numbers, and proposes a rate that works if there is one.
     """
     rates = [most_hz, *halves(most_hz)]
     judged = [judge_rate(x, measurement, rate) for rate in rates]
@@ -71,13 +71,13 @@ def choose_rate(
 
 
 def halves(rate_hz: int) -> list[int]:
-    """Return half of a rate, a quarter and so on, in whole steps, down to the slowest (Hz)."""
+    """Return a half, a quarter … of a rate (Hz), rounded down to `RATE_STEP`, not below `SLOWEST_HZ`."""
     slower = (rate_hz >> number for number in range(1, rate_hz.bit_length()))
     return [rate - rate % RATE_STEP for rate in slower if rate - rate % RATE_STEP >= SLOWEST_HZ]
 
 
 def judge_rate(x: Experiment, measurement: LinkMeasurement, rate_hz: int) -> RateChoice:
-    """Compare the measured link with the lifetime of a command, the lost samples and the bytes of a rate."""
+    """Judge a rate by the measured link: lifetime of commands, lost samples, and capacity."""
     slowed = at_rate(x, rate_hz, "the link")
     lifetime_s = command_lifetime_s(slowed)
     pace = pace_of(measurement, rate_hz, x.verdict)

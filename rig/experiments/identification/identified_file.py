@@ -1,4 +1,4 @@
-"""The experiment file that an identification leaves: complete, identified keys with their source."""
+"""Format the experiment file of an identification: all keys, the identified ones with interval and recordings."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rig.experiments.identification.identify import Identification
 
 
 def format_identification(found: Identification) -> str:
-    """Return the text of a TOML file that `rig.config.load_experiment` reads as `found.experiment`."""
+    """Return the text of a TOML file from which `rig.config.load_experiment` loads `found.experiment`."""
     x = found.experiment
     where = "its simulation" if found.simulated else "the rig itself"
     lines = [
@@ -26,7 +26,7 @@ def format_identification(found: Identification) -> str:
 
 
 def _section(table: Mapping[str, Any], path: str, found: Identification, lines: list[str]) -> None:
-    """Write a table: its own keys first, then its sections."""
+    """Append the lines of a TOML table: first its keys, then its sub-tables."""
     leaves = {key: value for key, value in table.items() if not isinstance(value, dict)}
     if path and (leaves or not table):
         lines.append(f"[{path}]")

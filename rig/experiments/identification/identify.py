@@ -1,7 +1,7 @@
-"""Identify a rig: small pushes, slow strokes, excitation, each a recorded trial; then `rig.analysis.identification`.
+"""Identify a rig: record small pushes, slow strokes and excitations, then fit with `rig.analysis.identification`.
 
 `rig identify` and `rig.experiments.measure` call it. It must not change or write an experiment file: `identified_file`
-makes the one that an identification leaves. The same code runs on the simulated rig and on a real one.
+formats the new file. The same code runs on the simulated rig and on a real one.
 """
 
 from __future__ import annotations
@@ -124,16 +124,16 @@ Swept = tuple[Floats, Floats, Floats, list[Stroke]]  # time, effort, position
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IdentifyRequest(FreeRigRequest):
-    """Request of an identification: the experiment's rig is the first guess.
+    """Request of an identification; the described rig is the initial guess.
 
     Attributes
     ----------
     rate_hz
-        Rate of the loop during the motions only (Hz): the identified experiment has its own rates. None: those, or in
-        real time the device's own.
+        Rate of the loop during the motions only (Hz). None: the experiment's rate, or in real time a rate that the
+        device and the measured link permit.
     mass_kg, arm_m
-        Mass and lever arm hung on the rig for a second run of the sweeps (kg, m), which shows ripple; None: no mass,
-        the radius of the handle.
+        Mass (kg) and lever arm (m) with which the sweeps are repeated to measure ripple. Without a mass (None) ripple
+        is not measured; without an arm the radius of the handle is used.
     """
 
     realisations: Annotated[int, Keyword("Number of excitations, each with other phases.")] = 6
@@ -156,18 +156,18 @@ class IdentifyRequest(FreeRigRequest):
     def __post_init__(self) -> None:
         if self.mass_kg is not None and self.cogging is None:
             raise ConfigError(
-                "ripple is measured with a mass in the sweeps for cogging, which are not requested",
-                remedy="also give the highest harmonic of cogging",
+                "a mass is given to measure ripple, but this needs the sweeps for cogging, which are not requested",
+                remedy="also give the highest harmonic of cogging (`cogging`)",
             )
         for name, value in (("mass", self.mass_kg), ("arm", self.arm_m)):
             if value is not None and not (0.0 < value < math.inf):
                 raise ConfigError(
-                    f"the {name} is {value:g}, which must be above zero",
-                    remedy="give it in kg or m, above zero",
+                    f"the {name} is {value:g} {'kg' if name == 'mass' else 'm'}; it must be finite and above zero",
+                    remedy=f"give a {name} above zero",
                 )
         if self.realisations < 2:
             raise ConfigError(
-                f"{self.realisations} realisation is too few for a confidence interval",
+                f"{self.realisations} realisations are too few for a confidence interval: at least 2 are needed",
                 remedy="use 2 or more; 6 are usual",
             )
         if self.cogging is not None and not 1 <= self.cogging <= MOST_ORDER:
@@ -184,24 +184,24 @@ class IdentifyRequest(FreeRigRequest):
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Identification(Shown, Drawn):
-    """Result of an identification: the fits, the recordings behind them, and the experiment with the identified values.
+    """Result of an identification: the fits, their recordings, and the experiment with the identified values.
 
     Attributes
     ----------
     before, experiment
-        The experiment as it was described, and with the identified values.
+        Experiment as it was described, and with the identified values.
     signs, sliding, dynamics
-        The three fits; see `rig.analysis.identification`.
+        Fits of the pushes, strokes and excitations; see `rig.analysis.identification`.
     cogging
-        A fourth one, if it was asked for.
+        Fit of the sweeps; None if it was not requested.
     ripple
-        A fifth one, if a mass was hung on the rig.
+        Fit of the sweeps with a mass; None without a mass.
     recordings
-        ``"signs"``, ``"sliding"``, ``"dynamics"``, ``"cogging"`` and ``"ripple"`` → the files.
+        Recordings of each fit: ``"signs"``, ``"sliding"``, ``"dynamics"``, ``"cogging"``, ``"ripple"``.
     sources
-        Identified key → its value and interval in words, and where it comes from.
+        For each identified key a text with its value, its interval and its recordings.
     warnings
-        Observations that a person should check.
+        Warnings that a person should check.
     simulated
         True if the device was simulated.
     """
@@ -225,11 +225,11 @@ class Identification(Shown, Drawn):
 
     @reported
     def motion(self) -> str:
-        """Return its kind of motion, which decides the units."""
+        """Return the rig's kind of motion, rotary or linear, which determines the units."""
         return self.experiment.rig.motion
 
     def brief(self) -> list[Item]:
-        """Return the friction, damping, inertia, delay, each with its 95 % interval; warnings."""
+        """Return friction, damping, inertia and delay, each with its 95 % interval, and the warnings."""
         x, sliding, dynamics = self.experiment, self.sliding, self.dynamics
         values = {
             "Coulomb friction": sliding.coulomb.text(_unit(x, "effort")),
@@ -243,33 +243,33 @@ class Identification(Shown, Drawn):
 
 @stop_requests.together()
 def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None = None) -> Identification:
-    """Run the motions and fit.
+    """Identify a rig: run the motions, fit them, and return the result.
 
     Parameters
     ----------
     request
-        Request: rig, device and options.
+        Rig, device and options.
     tell
-        Called with one line that says what happens next.
+        Called with a line of text about the next step.
     ask
-        Has a person hang the mass on a real rig, and returns when it is done.
+        Called with the instruction to hang a mass on a real rig; must return when a person has done it.
 
     Raises
     ------
     PlanError
-        Something that must not run: nothing has moved.
+        The request is not permitted; nothing has moved.
     IdentificationError
-        Wrong signs, or data that say nothing: the message says why.
+        The signs are wrong, or the data do not determine a value; the message states the reason.
     RigError
-        Whatever ended a trial early (see `rig.experiments.trials._trial.run_trial`); the effort is zero.
+        A trial ended early (errors of `rig.experiments.trials._trial.run_trial`); the effort is zero.
     """
     say = tell or (lambda text: None)
     free = without_end_mass(request)
     url = request.url or "sim://"
     if request.mass_kg is not None and ask is None and not url.startswith("sim:"):
         raise ConfigError(
-            "a mass must be hung on the rig, but no function that asks for it is given",
-            remedy="give a function that asks the operator",
+            "a mass must be hung on the rig, but no function `ask` is given that instructs the operator",
+            remedy="pass `ask`, a function that shows a text to the operator and returns when this is done",
         )
     with ExitStack() as stack:
         device = stack.enter_context(devices.open_device(url, config.rig_model(still(free))))
@@ -324,7 +324,7 @@ def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None
 
 
 def _doubts(x: Experiment, found: Identification, drift: float, repeated: int) -> Iterator[str]:
-    """Say what of a result may be wrong by more than its interval, or is not known at all."""
+    """Yield warnings about values that may be wrong by more than their interval, or that were not determined."""
     dynamics, damping = found.dynamics, found.sliding.damping
     if repeated:
         yield f"{repeated} motions were measured again: they had lost or late samples"
@@ -349,10 +349,10 @@ def _doubts(x: Experiment, found: Identification, drift: float, repeated: int) -
 
 
 def without_end_mass(request: IdentifyRequest, *, served: bool = False) -> Experiment:
-    """The experiment with its changes as it moves: its handle free, its law on this computer, at the rate asked for.
+    """Return the experiment for the motions: handle free, law on this computer, requested rate.
 
-    A board has none of these motions. A rig that a ``sim://name`` simulates, or another process behind a port
-    (`served`), keeps its end mass, which is then subtracted.
+    Boards cannot run these motions. The end mass is removed, except on a rig that ``sim://name`` or another process
+    behind a port (`served`) simulates; there it is subtracted from the result.
     """
     experiment = config.override(request.experiment, request.changes)
     url = request.url or "sim://"
@@ -363,7 +363,7 @@ def without_end_mass(request: IdentifyRequest, *, served: bool = False) -> Exper
 
 
 def plan_of(free: Experiment, request: IdentifyRequest) -> Plan:
-    """Plan the motions that a request needs on a rig (`without_end_mass`)."""
+    """Return the plan of all motions of a request; `free` is the experiment from `without_end_mass`."""
     plan = identification_plan(
         free,
         realisations=request.realisations,
@@ -387,7 +387,7 @@ def _arm(x: Experiment, request: IdentifyRequest) -> float:
 
 
 class _Session:
-    """Trials on an open device, and what was recorded."""
+    """Session of trials on an open device, with their recordings."""
 
     def __init__(self, device: FramedDevice, x: Experiment, request: IdentifyRequest) -> None:
         self.device, self._request = device, request
@@ -401,7 +401,7 @@ class _Session:
         self.drift = 0.0  # largest change of an excited motion from period to period
 
     def free_motions(self, x: Experiment, say: Tell) -> tuple[SignCheck, Sliding, Dynamics]:
-        """Run pushes, sweeps if cogging is requested, strokes, and the excitation."""
+        """Run pushes, sweeps if cogging is requested, strokes and excitations; return their fits."""
         request = self._request
         say(f"signs: {PUSHES} small pushes, at most {most_push(x):.3g} {_unit(x, 'effort')}")
         # The order is one of trust: pushes need no sign to be known and end by themselves after a few counts; strokes
@@ -417,7 +417,7 @@ class _Session:
         return signs, sliding, self.dynamics(x, signs, sliding)
 
     def may_go_slower(self, error: RigError) -> bool:
-        """Return True if timing spoiled a motion at a rate that the user did not state."""
+        """Return True if the motions may be repeated at a lower rate: timing spoiled them, and no rate was stated."""
         virtual = self.device.link.clock.virtual
         return spoiled_by_timing(error) and not virtual and _stated_rate(self._request) is None
 
@@ -462,7 +462,7 @@ class _Session:
     def _run_excitation(
         self, x: Experiment, multisine: Multisine, inertia: float, number: int
     ) -> tuple[ExcitedRun, int]:
-        """Run one realisation, and again when a command that came late has pushed the handle out of its period."""
+        """Run one realisation, repeated if a late command disturbed its motion; return record and delay (ticks)."""
         motion = self._compensate_cogging(excitation_motion(x, multisine, inertia))
         for attempt in range(1 if self.device.link.clock.virtual else ATTEMPTS):
             if attempt:
@@ -477,12 +477,12 @@ class _Session:
         return run, late
 
     def sweep(self, x: Experiment, most_order: int) -> None:
-        """Sweep for cogging; from here on it is known, with the inertia that is described."""
+        """Run the sweeps and fit cogging with the described inertia; later motions use this first map."""
         self._swept, self._swept_in = self._sweeps(x, most_order, "cogging"), (cogging_period(x), most_order)
         self._cogging = self.cogging(inertia_of(x), config.rig_model(x).damping).cogging
 
     def cogging(self, inertia: float, damping: float) -> CoggingMap:
-        """The map by the sweeps, as what else resists the motion becomes better known: inertia, and all damping."""
+        """Return the map of cogging, fitted to the recorded sweeps with this inertia and damping."""
         period, most_order = self._swept_in
         return fit_cogging(
             *self._swept, period=period, most_order=most_order, inertia=inertia, damping=damping
@@ -491,7 +491,7 @@ class _Session:
     def ripple(
         self, loaded: Experiment, most_order: int, inertia: float, heavy: float, damping: float
     ) -> Ripple:
-        """Measure the ripple by the same sweeps with a mass on the rig, whose inertia with it is `heavy`."""
+        """Return the ripple, fitted to sweeps without and with a mass (inertias `inertia` and `heavy`, kg·m² or kg)."""
         period = cogging_period(loaded)
         free, hanging = (
             pairs_of(*swept, wave=period / most_order, inertia=moving, damping=damping)
@@ -508,7 +508,7 @@ class _Session:
         return np.arange(len(rows)) / rate, rows["effort_sent"], rows["position"], sweeps
 
     def _compensate_cogging(self, motion: IdentificationMotion) -> IdentificationMotion:
-        """The motion with the cogging compensated that is known: else a handle may fall from detent to detent."""
+        """Return the motion with the known cogging compensated, else a handle may jump from detent to detent."""
         x = motion.experiment
         if not self._cogging.orders:
             return motion
@@ -517,13 +517,13 @@ class _Session:
         return IdentificationMotion(config.override(evened, {}, "identification"), motion.law)
 
     def _effort(self, rows: NDArray[np.void]) -> NDArray[np.float64]:
-        """Return the effort of the motor, cogging included as far as it is known."""
+        """Return the sent effort plus the known cogging, for each row (N·m or N)."""
         return np.asarray(rows["effort_sent"] + self._cogging.effort(rows["position"]))
 
     def _run(
         self, motion: IdentificationMotion, name: str, number: int = 0
     ) -> tuple[NDArray[np.void], float]:
-        """Run one trial; return its rows and their rate (Hz)."""
+        """Run one trial, repeated if late; return its rows and their rate (Hz)."""
         x, request = motion.experiment, self._request
 
         def run() -> tuple[NDArray[np.void], Path]:
@@ -545,10 +545,10 @@ class _Session:
 def excited_run_of(
     rows: NDArray[np.void], rate: float, multisine: Multisine, effort: NDArray[np.float64]
 ) -> ExcitedRun:
-    """Return the whole periods of one realisation, the settling ones cut.
+    """Return the whole periods of one realisation, without the settling periods.
 
-    The effort of a row is held from its sample to the next; whatever comes later is a delay to be identified. Where the
-    last samples are lost, the periods end with those before.
+    The effort of a row is held from its sample to the next; a later effect is a delay to be identified. If the last
+    samples are lost, all periods are taken correspondingly earlier. Raise `TimingError` if too many are lost.
     """
     n = round(rate * multisine.period_s)
     end = (settle_periods(multisine.period_s) + PERIODS) * n
@@ -569,7 +569,7 @@ def excited_run_of(
 
 
 def acting_effort(rows: NDArray[np.void]) -> tuple[NDArray[np.float64], int]:
-    """Return the effort that acted from each sample to the next, by the device, and by how many ticks it is late."""
+    """Return the effort from each sample to the next as the device reports it (N·m or N), and its delay in ticks."""
     # The command that answers a sample acts from it on where nothing is late, and the next sample reports it. A link
     # whose delay varies would otherwise blur the fit. The lateness is that of most ticks.
     late = late_ticks(rows["current_sent"], rows["current_applied"])
@@ -592,7 +592,7 @@ def _check_undisturbed(rows: NDArray[np.void]) -> None:
 def _at_rates(
     free: Experiment, request: IdentifyRequest, device: FramedDevice, say: Tell
 ) -> Iterator[Experiment]:
-    """The rig at the rate that the user stated or the measured link carries, then at its halves. Nothing moves."""
+    """Yield the experiment at the stated rate, or at the highest rate that the link carries, then at lower rates."""
     refuse([check_rig(config.rig_model(still(free)), device.dictionary)])
     if device.link.clock.virtual:
         yield free
@@ -614,7 +614,7 @@ def _at_rates(
 
 
 def _stated_rate(request: IdentifyRequest) -> Any:
-    """Return the rate that the user set by hand, None if the user set none."""
+    """Return the rate that the user set (Hz); None if none was set."""
     return request.rate_hz or next((request.changes[key] for key in RATES if key in request.changes), None)
 
 

@@ -1,1 +1,1 @@
-"""Motions without a wall: pushes, strokes and pulses that identify, find the reference, and prove the motor."""
+"""Motions without a wall: torque pulses that check the motor, the search for the reference, and weighing."""

@@ -1,10 +1,9 @@
-"""Let a board make small pushes by itself: each is a trial of the law that every board has.
+"""Run small pushes on a board: each push is a trial of the law that every board has.
 
     made = board_pushes(device, x, 4, Path("pulse.rigcap"), verified=True, reference_count=0, extra={})
     made.rows, made.recording
 
-`pulse` calls it where the board runs the law (`controller.loop = "device"`). It must not move anything from this
-computer.
+`pulse` calls it if the board runs the law (`controller.loop = "device"`). It must not run a law on this computer.
 """
 
 from __future__ import annotations
@@ -49,31 +48,31 @@ def board_pushes(
     reference_count: int,
     extra: Mapping[str, Any],
 ) -> Pushes:
-    """Let the board push, as `rig.control.motions.nudges` does: two one way, two the other, and so on.
+    """Run pushes on the board, two in one direction, two in the other, and so on, like `rig.control.motions.nudges`.
 
     Parameters
     ----------
     device
-        Open, at rest.
+        Open device, at rest.
     x
-        Whose rig it is, with its limits; its law runs on the board.
+        Experiment with the rig and its limits, whose law runs on the board.
     pushes
-        How many.
+        Number of pushes.
     recording
-        The capture of the first; those of the others are beside it, with numbers.
+        Path of the first push's capture; the others are beside it, with numbers.
     verified, reference_count
         As in `rig.experiments.hits.hit.HitRequest`.
     extra
-        For the recordings' headers.
+        Additional entries of the recordings' headers.
 
     Raises
     ------
     PlanError
-        A board that runs no law: nothing has moved.
+        The board cannot run a law; nothing has moved.
     IdentificationError
         The handle does not rest, or samples were lost.
     RigError
-        Whatever else ended a push early; the effort is zero.
+        A push ended early for another reason; the effort is zero.
     """
     recorded: list[Recording] = []
     rows: list[NDArray[np.void]] = []
@@ -109,7 +108,7 @@ def board_pushes(
 
 
 def _at_rest(device: FramedDevice, x: Experiment, reference_count: int) -> float:
-    """Return where the handle is (rad or m), once it rests; a channel that is dead may toggle."""
+    """Wait until the handle rests, and return its position (rad or m); a count may toggle by one."""
     for _ in range(LOOKS):
         counts = [state.count for state in device.states(REST_S)]
         if len(counts) > 1 and max(counts) - min(counts) <= 1:
@@ -141,7 +140,7 @@ def _prepare_push(
 
 
 def _run_push(device: FramedDevice, request: TrialRequest) -> Recording:
-    """Run one push; the window that it leaves is no error."""
+    """Run one push and return its recording; a push normally ends when the handle leaves the window."""
     try:
         end = run_trial(device, request)
     except GuardError as error:

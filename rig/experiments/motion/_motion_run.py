@@ -1,4 +1,4 @@
-"""Run one motion of a rig with a free handle as a recorded trial on an open device; return every sample of it."""
+"""Run one motion of a rig with a free handle, as a recorded trial on an open device, and return all its samples."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ Result = TypeVar("Result")
 
 
 class TimingError(IdentificationError):
-    """Too many samples were lost or late: the motion may be measured again."""
+    """Too many samples of a motion were lost or late; the motion may be repeated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FreeRigRequest(RigRequest):
-    """Which rig is to move with a free handle, and where; the wall and the trial of it are not used."""
+    """Request of a motion with a free handle: rig and device; the experiment's wall and trial are not used."""
 
     verified: Annotated[
         bool, Keyword("On a real rig: a push of the wrong sign cannot do harm.", group="Device")
@@ -62,7 +62,7 @@ class FreeRigRequest(RigRequest):
 
 
 def refuse_unverified(device: FramedDevice, *, verified: bool) -> None:
-    """Raise `ConfigError` for a real rig whose signs the caller has not declared as verified."""
+    """Raise `ConfigError` for a real rig if the caller has not declared the signs of motor and encoder as verified."""
     if device.dictionary.simulated or verified:
         return
     raise ConfigError(
@@ -74,13 +74,14 @@ def refuse_unverified(device: FramedDevice, *, verified: bool) -> None:
 
 
 def position_now(device: FramedDevice, x: Experiment, reference_count: int) -> float:
-    """Return where the handle is (rad or m); raises `PlanError` outside of its window."""
+    """Return the position of the handle (rad or m); raise `PlanError` if it is outside of its window."""
     at = controller.resolution(x) * (device.count() - reference_count)
     limits = x.rig.limits
     if not limits.position_minimum < at < limits.position_maximum:
         raise PlanError(
-            f"the handle is at {at:.4g} {unit_of('position', x.rig.motion)}, outside of its window",
-            remedy="move it into the window by hand",
+            f"the handle is at {at:.4g} {unit_of('position', x.rig.motion)}, outside of its window "
+            f"({limits.position_minimum:.4g} to {limits.position_maximum:.4g})",
+            remedy="move the handle into the window by hand",
         )
     return at
 
@@ -95,29 +96,29 @@ def run_motion(
     extra: Mapping[str, Any],
     leaves_switch: bool = False,
 ) -> tuple[NDArray[np.void], Path]:
-    """Run a motion, and return the rows of its phases, without a gap, and the sealed recording.
+    """Run a motion; return the rows of its phases, one for each tick, and the path of the recording.
 
     Parameters
     ----------
     device
-        Open, at rest.
+        Open device, at rest.
     motion
         Motion, and its limits.
     recording
-        The capture to write; a file that does not exist.
+        Path of the capture to write; the file must not exist.
     verified, reference_count
         As in `rig.experiments.hits.hit.HitRequest`.
     extra
-        For the recording's header.
+        Additional entries of the recording's header.
     leaves_switch
         As in `rig.experiments.trials._trial.TrialRequest`.
 
     Raises
     ------
     TimingError
-        Samples were lost or late.
+        Too many samples were lost or late.
     RigError
-        Whatever ended the trial early; the effort is zero.
+        The trial ended early; the effort is zero.
     """
     x = motion.experiment
     run = prepared_on(
@@ -138,19 +139,19 @@ def run_motion(
 
 
 def trial_rows(recording: Recording, phases: Sequence[Phase] = (Phase.TRIAL,)) -> NDArray[np.void]:
-    """Return rows of the trial proper, or of these phases; errors as `whole`."""
+    """Return the rows of the phase TRIAL, or of these phases, one for each tick; raise the errors of `whole`."""
     return whole(recording, recording.rows[np.isin(recording.rows["phase"], phases)])
 
 
 def whole(recording: Recording, rows: NDArray[np.void]) -> NDArray[np.void]:
-    """Return these rows of a recording, one for each tick.
+    """Return these rows of a recording with lost rows filled in, so that there is one row for each tick.
 
-    Up to `MOST_LOST_SHARE` of them, `LONGEST_FILLED` in a row, may be lost: positions between two samples are on a
-    straight line, and the effort that the next sample reports has acted since the one before. Laws count elapsed ticks,
-    so that an excitation stays in step.
+    Up to `MOST_LOST_SHARE` of the rows, at most `LONGEST_FILLED` in a row, may be lost. Positions are interpolated
+    linearly; the effort that the next sample reports is taken for the lost ticks. The excitation stays in step, because
+    laws count elapsed ticks.
 
-    Raises `TimingError` when more are missing; or when too many were late, unless the board ran the law: then only the
-    report is late.
+    Raise `TimingError` if more rows are lost, or if too many were late. Lateness is ignored if the board ran the law:
+    then only the report was late.
     """
     if len(rows) < 2:
         raise TimingError(
@@ -178,7 +179,7 @@ def whole(recording: Recording, rows: NDArray[np.void]) -> NDArray[np.void]:
 
 
 def _fill_lost(rows: NDArray[np.void]) -> NDArray[np.void]:
-    """Return one row for each tick: what was lost is the row before, with what is known of the time in between."""
+    """Return one row for each tick; a lost row is a copy of the row before it, with position and effort filled in."""
     index = rows["sample_index"].astype(np.int64)
     ticks = np.arange(index[0], index[-1] + 1)
     after = np.searchsorted(index, ticks)
@@ -191,16 +192,16 @@ def _fill_lost(rows: NDArray[np.void]) -> NDArray[np.void]:
 
 
 class Pushes(NamedTuple):
-    """Pushes that were made.
+    """Result of a series of pushes.
 
     Attributes
     ----------
     rows
-        All of them, with rests in between.
+        Rows of all pushes and of the rests between them.
     recording
-        The sealed file; of the first, where each has its own.
+        Sealed recording; that of the first push if each push has a file.
     ended
-        The fault by which the device ended the last for want of motion, if it did.
+        Fault by which the device ended the last push because nothing moved; None without such a fault.
     """
 
     rows: NDArray[np.void]
@@ -209,7 +210,7 @@ class Pushes(NamedTuple):
 
 
 def stalled(error: DeviceFaultError) -> Recording:
-    """The recording of pushes that the device ended for want of motion: what they show says more. Else raises it."""
+    """Return the recording of pushes that the device ended because nothing moved; raise any other `error`."""
     end = end_of(error)
     sealed = None if end is None else end.sealed
     fault = None if sealed is None else (sealed.trailer or {}).get("fault")
@@ -219,7 +220,7 @@ def stalled(error: DeviceFaultError) -> Recording:
 
 
 def spoiled_by_timing(error: RigError) -> bool:
-    """Return True if a motion ended, or is of no use, because the computer or the link was late."""
+    """Return True if a motion ended early, or cannot be used, because the computer or the link was late."""
     end = end_of(error)
     if isinstance(error, TimingError) or end is None:
         return isinstance(error, TimingError)
@@ -229,9 +230,9 @@ def spoiled_by_timing(error: RigError) -> bool:
 
 
 def repeat_if_late(device: FramedDevice, run: Callable[[], Result], rate_hz: int) -> tuple[Result, int]:
-    """Run a motion at a rate (Hz), again while late or lost samples spoil it; return its result and the repetitions.
+    """Run a motion at a rate (Hz), and repeat it if samples are late or lost; return result and number of repetitions.
 
-    The error of the last attempt names the rate that outlives the longest silence in it.
+    After `ATTEMPTS` attempts raise the error; its remedy names a rate that tolerates the longest silence.
     """
     for repeated in range(ATTEMPTS):
         try:
@@ -247,13 +248,13 @@ def repeat_if_late(device: FramedDevice, run: Callable[[], Result], rate_hz: int
 
 
 def bearing_rate(silence_s: float) -> int:
-    """Return the highest rate whose commands live for twice this silence (Hz)."""
+    """Return the highest rate (Hz) at which the lifetime of a command is twice this silence (s)."""
     rate_hz = rate_of_lifetime(silence_s / LIFETIME_SHARE)
     return rate_hz - rate_hz % RATE_STEP
 
 
 def advice(silence_s: float, rate_hz: int) -> str:
-    """Return the remedy for a run at a rate (Hz) that was spoiled by such a silence of the computer or the link."""
+    """Return the remedy for a run at a rate (Hz) that failed after this silence of the computer or the link (s)."""
     bearing = bearing_rate(silence_s)
     if SLOWEST_HZ <= bearing < rate_hz:
         return (
@@ -267,7 +268,7 @@ def advice(silence_s: float, rate_hz: int) -> str:
 
 
 def silence_of(error: RigError) -> float | None:
-    """Longest time without a sample in the run that ended in this error (s), None where it has no recording."""
+    """Return the longest time without a sample in the run that raised this error (s); None without a recording."""
     end = end_of(error)
     if end is None or end.sealed is None or len(end.sealed.rows) < 2:
         return None
@@ -275,9 +276,10 @@ def silence_of(error: RigError) -> float | None:
 
 
 def signs_of(x: Experiment, rows: NDArray[np.void], rate: float) -> SignCheck:
-    """Compare pushes (`identify_motions.pushes_motion`), recorded at a rate (Hz), with the described rig.
+    """Compare the rows of pushes (`_identify_motions.pushes_motion`), recorded at a rate (Hz), with the described rig.
 
-    The effort is the one that the device reports with the next sample, since a slow loop or a late command delays it.
+    The effort of a row is the one that the device reports with the next sample, because a slow loop or a late command
+    delays it.
     """
     return check_signs(
         np.arange(len(rows)) / rate,

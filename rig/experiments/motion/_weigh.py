@@ -1,11 +1,11 @@
-"""Calibrate the effort by a known mass: slow strokes without it and with it, and the weight is the difference.
+"""Calibrate the motor's effort by a known mass: the weight is the difference of slow strokes with and without it.
 
     found = weigh(WeighRequest(experiment=x, url="usb://…", verified=True, mass_kg=0.1, arm_m=0.05), ask=input)
     found.effort_per_ampere
 
-An error of `rig.amplifier.effort_per_ampere`, a data sheet's torque constant times a ratio, is an error of every
-reported stiffness. The mass hangs on a string from a drum of radius `arm_m`: on the handle itself the arm loses up to 2
-% on a way of 0.2 rad (its cosine), 0.7 % on average.
+An error of `rig.amplifier.effort_per_ampere` (torque constant times ratio) is an error of every reported stiffness. The
+mass hangs on a string from a drum of radius `arm_m`: if it hung on the handle itself, the lever arm would shrink by up
+to 2 % within 0.2 rad (cosine), 0.7 % on average.
 """
 
 from __future__ import annotations
@@ -44,16 +44,16 @@ Ask = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WeighRequest(FreeRigRequest):
-    """Which rig, and what hangs on it.
+    """Request of a calibration: rig, device and mass.
 
     Attributes
     ----------
     mass_kg
-        Hung on it in the second half (kg).
+        Mass hung on the rig for the second strokes (kg).
     arm_m
-        Lever arm (m); None: the radius of the handle. A linear rig has none.
+        Lever arm of the mass (m); None: the radius of the handle.
     gravity
-        Gravity at the place (m/s²).
+        Local gravity (m/s²).
     """
 
     mass_kg: float
@@ -64,25 +64,25 @@ class WeighRequest(FreeRigRequest):
         for name, value in (("mass", self.mass_kg), ("arm", self.arm_m), ("gravity", self.gravity)):
             if value is not None and not (0.0 < value < math.inf):
                 raise ConfigError(
-                    f"the {name} is {value:g}, which must be above zero",
-                    remedy="give it in kg, m or m/s², above zero",
+                    f"the {name} is {value:g}; it must be finite and above zero",
+                    remedy="give the mass in kg, the arm in m and the gravity in m/s², each above zero",
                 )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Weighing:
-    """Calibration of the motor's effort by a mass.
+    """Result of the calibration of the motor's effort by a mass.
 
     Attributes
     ----------
     rig, motion, device
-        Names of the rig and of the device; the kind of motion, which decides the units.
+        Name of the rig, its kind of motion (which determines the units), and name of the device.
     mass_kg, arm_m, weight
-        Mass and lever arm of the load (kg, m), and its effort (N·m or N).
+        Mass (kg) and lever arm (m) of the load, and the effort of its weight (N·m or N).
     measured
-        The same as the described rig would have it, from the currents (N·m or N).
+        Effort of the weight measured by the motor's current and the described effort per ampere (N·m or N).
     bare, loaded
-        Sliding without the mass and with it.
+        Fits of the strokes without and with the mass.
     described
         `rig.amplifier.effort_per_ampere` of the experiment (N·m/A or N/A).
     recordings
@@ -103,7 +103,7 @@ class Weighing:
 
     @reported
     def effort_per_ampere(self) -> Interval:
-        """Return the effort per ampere by the weight (N·m/A or N/A), with its interval."""
+        """Return the calibrated effort per ampere (N·m/A or N/A), with its 95 % interval."""
         share = self.measured.ci95 / self.measured.value
         value = self.described * self.weight / self.measured.value
         return Interval(value, value * share)
@@ -114,7 +114,7 @@ class Weighing:
         return self.effort_per_ampere.holds(self.described)
 
     def rows(self) -> list[Row]:
-        """Return what was weighed and calibrated, for people."""
+        """Return the results as rows to print."""
         effort, unit = unit_of("effort", self.motion), unit_of("effort/A", self.motion)
         off = self.effort_per_ampere.value / self.described - 1.0
         agreement = (
@@ -132,25 +132,25 @@ class Weighing:
 
 @stop_requests.together()
 def weigh(request: WeighRequest, ask: Ask) -> Weighing:
-    """Measure, have a mass hung on the rig, measure again.
+    """Calibrate the effort: run slow strokes, let a person hang a mass on the rig, and run them again.
 
     Parameters
     ----------
     request
-        Request. A simulated rig is created again with the mass on it.
+        Rig, device and mass. A simulated rig is created again with the mass on it.
     ask
-        Called with what a person is to do; returns when it is done.
+        Called with an instruction to a person; must return when it is done.
 
     Raises
     ------
     PlanError
-        More weight than the motor holds for hours, or than a device lets a still handle bear; nothing has moved.
+        The weight exceeds the nominal effort, or the effort that a device allows at rest; nothing has moved.
     ConfigError
-        A real rig whose polarity is not verified.
+        The polarity of a real rig's motor and encoder is not verified.
     IdentificationError
-        The weight is lost in the friction, or the strokes say nothing.
+        The weight cannot be distinguished from friction, or the strokes do not determine it.
     RigError
-        Whatever ended a run early; the effort is zero.
+        A run ended early; the effort is zero.
     """
     described = config.override(request.experiment, request.changes)
     x = config.override(described, {"controller.loop": "host", "rig.mechanics.end_mass": 0.0}, "weighing")
@@ -199,7 +199,7 @@ def weigh(request: WeighRequest, ask: Ask) -> Weighing:
 
 
 def refuse_load(x: Experiment, weight: float) -> None:
-    """Raise `PlanError` for a weight (N·m or N) that the motor does not bear, or a device that stands still."""
+    """Raise `PlanError` if a weight (N·m or N) exceeds the nominal effort, or the effort a device allows at rest."""
     limits, needed, effort = x.rig.limits, weight + coulomb_of(x), unit_of("effort", x.rig.motion)
     for bound, what, remedy in (
         (
@@ -232,7 +232,10 @@ def hung(
     arm: float,
     gravity: float = STANDARD_GRAVITY,
 ) -> FramedDevice:
-    """Have the mass hung on the rig (`with_mass`); return its device, in simulation a new one, closed by the stack."""
+    """Let a person hang a mass on the rig, and return the device; in simulation open a new one with the mass on it.
+
+    `stack` closes a new device. `loaded` is the experiment from `with_mass`.
+    """
     if url.startswith("sim:"):
         # Inertia goes with the square of the arm, weight with the arm.
         pull = -gravity * loaded.rig.mechanics.handle_radius / arm
@@ -247,7 +250,7 @@ def hung(
 
 
 def with_mass(x: Experiment, mass_kg: float, arm: float) -> Experiment:
-    """Return the rig with the mass on it: its servo carries more."""
+    """Return the experiment with a mass (kg) at a lever arm (m) as its end mass, for which the servo is computed."""
     at_the_handle = mass_kg * (arm / x.rig.mechanics.handle_radius) ** 2
     return config.override(x, {"rig.mechanics.end_mass": at_the_handle}, "weighing")
 

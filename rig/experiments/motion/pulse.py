@@ -1,10 +1,10 @@
-"""Send a torque pulse before a person takes the handle: the rig has to move as it is described, in both directions.
+"""Send a torque pulse before a person takes the handle, to check that the rig moves as described in both directions.
 
     found = pulse(device, experiment, recording=Path("pulse.rigcap"), verified=True, reference_count=0)
     found.ok, found.checks
 
-`rig device check`, the admission of a hit, identification, the search for a reference and sessions call it. It must not
-take a motion that it did not observe for a passed check.
+`rig device check`, the admission of a hit, identification, the search for a reference and sessions call it. A check
+must not pass without an observed motion.
 """
 
 from __future__ import annotations
@@ -83,18 +83,18 @@ NO_HANDS = "hands off the handle: the motor moves it a little, both ways"
 
 @dataclass(frozen=True, kw_only=True)
 class Pulse:
-    """Result of the pushes of a torque pulse.
+    """Result of a torque pulse, which consists of several pushes.
 
     Attributes
     ----------
     rig, motion, device
-        Names of the rig and of the device; the kind of motion, which decides the units.
+        Name of the rig, its kind of motion (which determines the units), and name of the device.
     recording
-        The file of the pushes; of the first, where the board made them one by one.
+        Recording of the pushes; that of the first push if the board ran each push as a trial.
     signs
         Measured motion of the pushes.
     checks
-        Checks of these: motion, direction, size, delay.
+        Checks of the motion, its direction, its size and its delay.
     """
 
     rig: str
@@ -110,7 +110,7 @@ class Pulse:
         return not refused(self.checks)
 
     def insist(self) -> None:
-        """Raise `IdentificationError` with everything that these checks refuse, and what to do."""
+        """Raise `IdentificationError` with all refused checks and their remedies; do nothing if none is refused."""
         if found := refused(self.checks):
             raise IdentificationError(
                 "the rig does not move as it is described: "
@@ -120,7 +120,7 @@ class Pulse:
 
 
 def check_rig_moves(request: FreeRigRequest) -> Pulse:
-    """Open a device, and send it a pulse. Errors as `pulse`, and those of opening it."""
+    """Open a device and send it a torque pulse; raise the errors of `pulse` and of opening the device."""
     x = config.override(request.experiment, request.changes)
     url = devices.url_for(request.url or "sim://", x.controller.loop)
     with devices.open_device(url, config.rig_model(still(x))) as device:
@@ -140,27 +140,27 @@ def check_rig_moves(request: FreeRigRequest) -> Pulse:
 def pulse(
     device: FramedDevice, experiment: Experiment, *, recording: Path, verified: bool, reference_count: int
 ) -> Pulse:
-    """Push a rig whose handle is free, and compare its motion with the described one.
+    """Push a rig with a free handle, and compare its motion with the described rig.
 
     Parameters
     ----------
     device
-        Open, at rest. Where all is well it is marked as one that moved as described.
+        Open device, at rest. Its `moved_as_described` becomes True if no check is refused, else False.
     experiment
-        The rig is compared with, its limits are kept.
+        Description of the rig, with its limits.
     recording
-        The capture to write.
+        Path of the capture to write.
     verified, reference_count
         As in `rig.experiments.hits.hit.HitRequest`.
 
     Raises
     ------
     PlanError
-        Another rig, or one that must not move: nothing has moved.
+        The device has another rig, or the motion is not permitted; nothing has moved.
     ConfigError
-        A real rig whose polarity is not verified.
+        The polarity of a real rig's motor and encoder is not verified.
     RigError
-        Whatever ended the pushes early; the effort is zero.
+        A push ended early; the effort is zero.
     """
     # Withdrawn first: whatever ends this function, the rig is not armed on an older pulse.
     device.moved_as_described = False
@@ -209,7 +209,7 @@ def _host_pushes(
     reference_count: int,
     extra: Mapping[str, Any],
 ) -> Pushes:
-    """`board_pushes` by a law of this computer, in one trial."""
+    """Run all pushes in one trial, by a law on this computer; parameters as in `board_pushes`."""
 
     def run() -> tuple[NDArray[np.void], Path]:
         used = any(recording.with_suffix(suffix).exists() for suffix in (".rigcap", ".parquet"))
@@ -233,7 +233,7 @@ def _host_pushes(
 
 
 def at_own_rate(x: Experiment, device: FramedDevice) -> dict[str, Any]:
-    """In real time the loop runs at the device's own rate: slow motions need no more."""
+    """Return the changes that set the device's default rate, at most `slow_rate`; none in virtual time."""
     if device.link.clock.virtual:
         return {}
     rate = min(device.dictionary.position_rate_default, slow_rate(x))
@@ -241,12 +241,12 @@ def at_own_rate(x: Experiment, device: FramedDevice) -> dict[str, Any]:
 
 
 def energy_of(x: Experiment) -> float:
-    """Return the most that the motor gives to the handle in one push (J): its most effort over its way."""
+    """Return the largest energy of one push (J): its largest effort times its travel."""
     return most_push(x) * push_way(x)
 
 
 def judged(x: Experiment, signs: SignCheck) -> tuple[Check, ...]:
-    """Judge the pushes of a rig: whether it moved, where to, how much, and when."""
+    """Return the checks of the pushes: that the rig moved, its direction, its size and its delay."""
     most, coulomb = most_push(x), coulomb_of(x)
     effort = unit_of("effort", x.rig.motion)
     moved = [push for push in signs.pushes if push.moved]

@@ -1,11 +1,11 @@
-"""Find the reference: to the limit switch, back to the encoder's index, and position zero is known in the mechanism.
+"""Find the reference: move the handle to the limit switch and back to the encoder's index, which gives position zero.
 
     found = find_reference(ReferenceRequest(experiment=x, url="usb://…", verified=True))
     found.reference_count
 
-`rig device reference` calls it. It must not begin a search without the torque pulse, nor run one without its bounds:
-the speed and effort of homing, a window of the travel and a margin, and time. Drives call this homing by limit switch
-and index pulse; here homing is the servo that takes the handle to the start of a trial.
+`rig device reference` calls it. It must not begin a search without the torque pulse, nor run one without limits: the
+speed and effort of homing, a window of the travel plus a margin, and time. Makers of drives call this "homing by limit
+switch and index pulse"; here homing is the servo that moves the handle to the start of a trial.
 """
 
 from __future__ import annotations
@@ -57,31 +57,31 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceRequest(FreeRigRequest):
-    """Which rig is to find its reference, and how; by hand nothing has to be verified."""
+    """Request of a search for the reference; if a person moves the handle, no sign must be verified."""
 
     by_hand: Annotated[bool, Keyword("Move the handle by hand; the motor stays off.")] = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class FoundReference:
-    """Where position zero is.
+    """Result of a search for the reference.
 
     Attributes
     ----------
     rig, motion, device
-        Names of the rig and of the device; the kind of motion, which decides the units.
+        Name of the rig, its kind of motion (which determines the units), and name of the device.
     reference_count
-        Count at position zero.
+        Encoder count at position zero.
     index_count
-        Count at the index.
+        Encoder count at the index.
     position
-        Where the handle stands (rad or m).
+        Position of the handle (rad or m).
     switch_position
-        Where the limit switch opens (rad or m); None without one.
+        Position at which the limit switch opens (rad or m); None without a limit switch.
     index_counts
-        Counts from this index to the next, as they were passed; None where the travel holds no second one.
+        Measured distance to the next index (counts); None if the travel contains no second index.
     recordings
-        Recordings of the motions; none if moved by hand.
+        Recordings of the motions; empty if a person moved the handle.
     """
 
     rig: str
@@ -95,7 +95,7 @@ class FoundReference:
     recordings: tuple[Path, ...]
 
     def rows(self) -> list[Row]:
-        """Return what was found and measured, for people."""
+        """Return the results as rows to print."""
         unit = unit_of("position", self.motion)
         between = (
             "not measured: the travel contains one index" if self.index_counts is None else self.index_counts
@@ -111,7 +111,7 @@ class FoundReference:
 
 
 def find_reference(request: ReferenceRequest, tell: Tell | None = None) -> FoundReference:
-    """Open a device, and find its reference; `tell` is called with what happens next. Errors as `reference`."""
+    """Open a device and find its reference; raise the errors of `reference`. `tell` gets a text before each step."""
     x = config.override(request.experiment, request.changes)
     _refuse_without_index(x)
     url = devices.url_for(request.url or "sim://", x.controller.loop)
@@ -136,31 +136,31 @@ def reference(
     by_hand: bool = False,
     tell: Tell | None = None,
 ) -> FoundReference:
-    """Find the reference of an open device, which keeps it, and takes it for position zero from then on.
+    """Find the reference of an open device, and store it there as position zero.
 
     Parameters
     ----------
     device
-        Open, at rest.
+        Open device, at rest.
     experiment
-        Its rig has an index (`rig.reference`); its homing says how fast and how hard the handle moves.
+        Experiment whose rig has an index (`rig.reference`); its homing limits the speed and effort of the search.
     output
         Directory of the recordings.
     verified
-        As in `rig.experiments.hits.hit.HitRequest`; not needed by hand.
+        As in `rig.experiments.hits.hit.HitRequest`; not needed if a person moves the handle.
     by_hand
-        A person moves the handle, not the motor.
+        True if a person moves the handle, not the motor.
     tell
-        Called with what happens next, or what to do.
+        Called with a text about the next step, or with an instruction.
 
     Raises
     ------
     ConfigError
-        No index; no limit switch to search for; a real rig whose polarity is not verified. Nothing has moved.
+        There is no index or no limit switch, or the polarity of a real rig is not verified. Nothing has moved.
     IdentificationError
-        The rig does not move as described, no switch or no index where it must be, or two indices at a wrong distance.
+        The rig does not move as described, a switch or an index is not found, or two indices have a wrong distance.
     RigError
-        Whatever ended a motion early; the effort is zero.
+        A motion ended early; the effort is zero.
     """
     _refuse_without_index(experiment)
     refuse([check_rig(config.rig_model(still(experiment)), device.dictionary)])
@@ -205,7 +205,7 @@ _Found = tuple[int, int | None, int | None]  # counts: of the index, of the swit
 
 
 class _IndexSearch:
-    """One search on an open device, in counts; positions are relative to a zero that is not known yet."""
+    """Search on an open device, in counts; positions are relative to a provisional zero."""
 
     def __init__(
         self, device: FramedDevice, x: Experiment, output: Path, tell: Tell, *, verified: bool
@@ -273,7 +273,7 @@ class _IndexSearch:
         return free_name(self._output, f"{self._x.rig.name}-reference-{what}")
 
     def _go(self, count: int, what: str, *, zero: int | None = None) -> NDArray[np.void]:
-        """Move to a count, and return the rows of the way."""
+        """Move to a count, and return the rows of the motion; raise `IdentificationError` if the handle stops short."""
         device, zero = self._device, self._zero if zero is None else zero
         at, to = self._scale * (device.count() - zero), self._scale * (count - zero)
         try:
@@ -309,7 +309,7 @@ class _IndexSearch:
         )
 
     def _seek(self) -> None:
-        """Move until the switch is pressed: the run ends there."""
+        """Move until the limit switch is pressed, which ends the run; raise `IdentificationError` if it is not."""
         way = -self._away * round((1.0 + MARGIN) * self._travel / abs(self._scale))
         try:
             self._go(self._device.count() + way, "switch")
@@ -328,7 +328,7 @@ class _IndexSearch:
         )
 
     def _leave(self) -> tuple[int, int]:
-        """Move until the switch is open again; the last count at which it was pressed, and the indices seen before."""
+        """Move until the switch opens; return the last count at which it was pressed, and the earlier index count."""
         step = max(1, round(LEAVE * self._every))
         for _ in range(round(1.0 / LEAVE)):
             before = self._device.reference().index_edges
@@ -338,7 +338,8 @@ class _IndexSearch:
                 return int(rows["count"][pressed[-1] if len(pressed) else 0]), before
         raise IdentificationError(
             "the limit switch still shows pressed after the handle moved away from it",
-            remedy="its wire is broken, or the switch is at the other end (rig.reference.limit_switch)",
+            remedy="repair the switch's wire; or, if the switch is at the other end of the travel, correct "
+            "rig.reference.limit_switch",
         )
 
     # ------------------------------------------------------------------ by hand
@@ -379,7 +380,7 @@ class _IndexSearch:
     # ------------------------------------------------------------------ judging
 
     def _one_more(self, before: int) -> int:
-        """Count of the one index that must have been passed since there were `before`."""
+        """Return the count of the index; raise unless exactly one was passed since there were `before` index edges."""
         seen = self._device.reference()
         passed = (seen.index_edges - before) % 2**32
         if passed == 1:
@@ -395,7 +396,7 @@ class _IndexSearch:
         )
 
     def _check_near(self, index: int, switch: int) -> None:
-        """Refuse an index that another day may be the one before."""
+        """Raise if the index is so near to the switch that another index may be found first at another start."""
         way = self._away * (index - switch)
         if self._reference.limit_switch == "none":
             if way < 0:
@@ -416,12 +417,12 @@ class _IndexSearch:
         if abs(between - self._every) > SAME_COUNTS:
             raise IdentificationError(
                 f"the distance between two indices is {between} counts; described are {self._every}",
-                remedy="a pulse was lost or doubled by noise, or the encoder has lost counts; or correct "
+                remedy="check the encoder's wires, because noise may add or lose pulses and counts; or correct "
                 "rig.encoder.counts_per_revolution, decoding or rig.reference.index_distance",
             )
 
     def into_the_window(self, zero: int) -> None:
-        """Bring the handle to where a run may begin."""
+        """Move the handle into the position window, so that a run may begin."""
         limits = self._x.rig.limits
         margin = MARGIN * (limits.position_maximum - limits.position_minimum)
         at = self._scale * (self._device.count() - zero)

@@ -1,4 +1,4 @@
-"""Long computations: many independent tasks, on all cores or on a cluster, that survive whatever ends the process.
+"""Run many independent tasks on all cores or on a cluster; finished tasks survive any end of the process.
 
     results = sweep.run([sweep.Task("a", function_of_a_module, {"x": 1})], journal=Path("journal"))
 

@@ -1,6 +1,6 @@
-"""Hand out the tasks of a sweep, store the results, report the progress and handle Ctrl-C, all in the caller's thread.
+"""Submit the tasks of a sweep, store the results, report the progress and handle Ctrl-C, all in the caller's thread.
 
-`_tasks` runs it. The first Ctrl-C ends the handing out, a second one the waiting for running tasks, at once.
+`_tasks` runs it. After the first Ctrl-C no new task starts; a second Ctrl-C ends the wait for running tasks, too.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ Watch = Callable[["Progress"], None]
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One independent piece of a computation: ``work(payload)``.
+    """Task of a sweep: the call ``work(payload)``.
 
     Attributes
     ----------
     key
-        Its name, different from all others of the sweep.
+        Name of the task, unique in the sweep.
     work
-        Function of a module, which other processes import: payload (a dict) → result that JSON can hold. It must
-        depend on nothing but the payload.
+        Function at the top level of a module, which other processes can import. It takes the payload and returns JSON
+        values, which must depend on the payload only.
     payload
-        Arguments of the work, in values that JSON can hold (numpy's become plain ones, tuples lists).
+        Arguments of the work, as JSON values (numpy values become plain values, tuples become lists).
     weight
-        How long it takes, in a unit that is the same for all tasks.
+        Expected duration, in a unit that is the same for all tasks.
     """
 
     key: str
@@ -50,32 +50,32 @@ class Task:
 
     @property
     def work_name(self) -> str:
-        """Return the work as ``module:function``, by which a journal names it."""
+        """Return the name of the work in a journal: ``module:function``."""
         return f"{self.work.__module__}:{self.work.__qualname__}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Progress:
-    """How far a sweep is.
+    """Progress of a sweep.
 
     Attributes
     ----------
     done, running, total
-        Tasks that are done, handed out, and all.
+        Numbers of finished tasks, of submitted tasks that are not finished, and of all tasks.
     kept
-        Those of the done that the journal already held.
+        Number of finished tasks whose results were in the journal before this run.
     weight_done, weight_total, weight_kept
-        The same by weight.
+        Sums of the weights of the finished tasks, of all tasks, and of the tasks in `kept`.
     units
-        Units of work that the results of this run represent.
+        Number of units of work, for example hits, in the results of this run.
     elapsed_s
-        Time since the start of this run.
+        Time since the start of this run (s).
     workers
-        How many can work at once; 0 while a cluster has none.
+        Number of tasks that can run at once; 0 while a cluster has no workers.
     damaged
-        Lines of the journal that could not be read; their tasks run again.
+        Number of lines of the journal that could not be read; their tasks run again.
     stopping
-        True if no more tasks are handed out.
+        True if no more tasks are submitted.
     """
 
     total: int
@@ -93,7 +93,7 @@ class Progress:
 
     @classmethod
     def begin(cls, tasks: Sequence[Task], kept: Sequence[int], damaged: int) -> Progress:
-        """Return the progress before anything has been handed out; `kept` are the tasks already done."""
+        """Return the progress before any task is submitted; `kept` has the indices of the tasks already finished."""
         weight = sum(tasks[index].weight for index in kept)
         return cls(
             total=len(tasks),
@@ -107,17 +107,17 @@ class Progress:
 
     @property
     def fraction(self) -> float:
-        """Share of the work that is done, by weight."""
+        """Share of the work that is done, by weight (0 to 1)."""
         return 1.0 if self.done == self.total else self.weight_done / self.weight_total
 
     @property
     def units_per_s(self) -> float:
-        """Return units per second of this run."""
+        """Return the number of units of work per second in this run."""
         return self.units / max(self.elapsed_s, 1e-9)
 
     @property
     def seconds_left(self) -> float | None:
-        """Time until the end at the speed of this run; None before anything is known of it."""
+        """Estimated time until the end, at the speed of this run (s); None before the first result."""
         achieved, left = self.weight_done - self.weight_kept, self.weight_total - self.weight_done
         if self.done == self.total:
             return 0.0
@@ -125,14 +125,14 @@ class Progress:
 
 
 class Coordinator:
-    """One run over the tasks that are not done yet. `run` it, then read `failure` and `interruption`.
+    """Runs the tasks that are not finished yet. Call `run`, then read `failure` and `interruption`.
 
     Attributes
     ----------
     failure
-        Index of the first task in order that failed, -1 when no task can run, and what went wrong; None if all is well.
+        Index and error of the failed task that comes first; the index is -1 if no task can run. None without a failure.
     interruption
-        Ctrl-C, or what `watch` raised.
+        `KeyboardInterrupt` after Ctrl-C, or the exception that `watch` raised; else None.
     """
 
     def __init__(
@@ -163,7 +163,7 @@ class Coordinator:
         self._started_s, self._shown_s = time.monotonic(), -math.inf
 
     def run(self) -> None:
-        """Run until all is done, a task has failed, or Ctrl-C. Raises what kept it from its work."""
+        """Run until all tasks are finished, a task fails, or Ctrl-C; raise errors of the journal and the executor."""
         # A signal that ends the process at once is left alone: the journal is good whatever ends it.
         numbers = tuple(one for one in (signal.SIGINT, signal.SIGTERM) if callable(signal.getsignal(one)))
         # A signal is only noted, and acted on between two results: no Ctrl-C strikes between a result and its line in
@@ -208,7 +208,7 @@ class Coordinator:
         )
 
     def _check_interruption(self, signals: list[int], series: RunSeries) -> bool:
-        """Show the progress and act on Ctrl-C; returns True for the second one, which waits for nothing."""
+        """Call the watch function and handle Ctrl-C; return True after a second Ctrl-C, which ends the wait, too."""
         before = self.interruption
         try:
             # `rig.stop`, and a Ctrl-C that another thread was given, count in the series: once.
@@ -227,7 +227,7 @@ class Coordinator:
         return False
 
     def _take(self) -> None:
-        """Keep the results that have come back; wait a moment for the first one."""
+        """Store the results of finished tasks; wait up to `POLL_S` for the first one."""
         try:
             self._keep(self._back.get(timeout=POLL_S))
             while True:

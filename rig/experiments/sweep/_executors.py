@@ -1,7 +1,7 @@
-"""Run the tasks of a sweep: the interface of `concurrent.futures`, and daemon threads of this process.
+"""Run the tasks of a sweep: interface of all executors, and an executor with daemon threads of this process.
 
-Payloads and results travel as JSON text, errors as `Failure`, so that every executor gives the same values to the last
-bit. The coordinator alone stores results and counts them.
+Payloads and results are passed as JSON text, errors as `Failure`, so that every executor gives the same values to the
+last bit. Only the coordinator stores and counts results.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Work = Callable[[Any], Any]
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """The result of a task in JSON, and how many units it stands for."""
+    """Result of a task as JSON text, and the number of units of work in it."""
 
     text: str
     units: int
@@ -35,7 +35,7 @@ class Done:
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Error of a task, with the traceback of its origin; `of_task` is False when no task can run there."""
+    """Error of a task with its traceback (`details`); `of_task` is False if the worker cannot run any task."""
 
     message: str
     remedy: str = ""
@@ -44,29 +44,32 @@ class Failure:
 
 
 class Executor(Protocol):
-    """Somewhere to run tasks. Used by one thread at a time."""
+    """Interface of an executor, which runs tasks. Only one thread at a time may use it."""
 
     ahead: int  # tasks to hand out for each worker: 1 is the one that it runs
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
-        """Schedule a call, as `concurrent.futures.Executor.submit` does."""
+        """Schedule a call, like `concurrent.futures.Executor.submit`, and return its future."""
         ...
 
     def workers(self) -> int:
-        """Return how many calls can run at once, now; it may change."""
+        """Return the number of calls that can run at once; it may change."""
         ...
 
     def explain(self, error: BaseException) -> Failure:
-        """Say what an exception of a future means; raise it when no task can run any more."""
+        """Return the failure for an exception of a future; raise the exception if no task can run any more."""
         ...
 
     def close(self) -> None:
-        """Abandon the tasks that are still running."""
+        """Abandon the running tasks: do not wait for them."""
         ...
 
 
 def executor_for(scheduler: str | None, workers: int | None) -> Executor:
-    """Return threads of this process, or the workers of a Dask scheduler; raises `ConfigError`."""
+    """Return an executor with threads of this process, or with the workers of a Dask scheduler.
+
+    Raise `ConfigError` if both `scheduler` and `workers` are given.
+    """
     if scheduler is None:
         return Threads(workers)
     if workers is not None:
@@ -79,11 +82,11 @@ def executor_for(scheduler: str | None, workers: int | None) -> Executor:
 
 
 def perform(work: Work, payload: str, unit: str | None, code: str) -> Done | Failure:
-    """Run one task where it was sent; `payload` is JSON, `code` the `code_version` of the process that sent it."""
+    """Run one task in the worker; `payload` is JSON text, `code` the `code_version` of the submitting process."""
     if code != code_version():
         return Failure(
             f"a worker on {platform.node()} runs haptic-rig {code_version()}, this is {code}",
-            "install the same version there, and restart the worker",
+            f"install the same version on {platform.node()}, and restart the worker",
             of_task=False,
         )
     try:
@@ -97,7 +100,7 @@ def perform(work: Work, payload: str, unit: str | None, code: str) -> Done | Fai
 
 
 def as_json(value: Any, *, sort_keys: bool = False) -> str:
-    """Return JSON in ASCII whose floats read back to the same bits; numpy's values become plain ones."""
+    """Return JSON text in ASCII whose floats read back to the same bits; numpy values become plain values."""
     return json.dumps(value, separators=(",", ":"), sort_keys=sort_keys, default=_plain)
 
 
@@ -115,7 +118,7 @@ def _units(result: Any, name: str) -> int:
 
 
 class Threads:
-    """Threads of this process: compiled trials release the GIL, and a caller's own law is known here alone."""
+    """Executor with threads of this process, in which compiled trials release the GIL and the caller's law is known."""
 
     # Not `concurrent.futures.ThreadPoolExecutor`: the interpreter joins its threads when it ends, so a second Ctrl-C
     # would still wait for every task that is running.
@@ -123,7 +126,7 @@ class Threads:
     ahead = 1
 
     def __init__(self, workers: int | None = None) -> None:
-        """Start one thread for each core that this process may use, unless a number is given."""
+        """Start `workers` threads; None: one thread for each core that this process may use."""
         if workers is not None and workers < 1:
             raise ConfigError(f"workers = {workers} is out of range", remedy="give 1 or more")
         self._workers = workers or len(processors())
@@ -133,7 +136,7 @@ class Threads:
             threading.Thread(target=self._body, name=f"rig-sweep-{number}", daemon=True).start()
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
-        """Hand a call to the next idle thread."""
+        """Queue a call for the next idle thread, and return its future."""
         future: Future[Any] = Future()
         self._waiting.put((future, function, arguments))
         return future
@@ -143,11 +146,11 @@ class Threads:
         return self._workers
 
     def explain(self, error: BaseException) -> Failure:
-        """Raise the error: `perform` returns those of a task."""
+        """Raise the error, because it is not one of a task: `perform` returns errors of tasks as results."""
         raise error
 
     def close(self) -> None:
-        """Let each thread end after the call that it runs."""
+        """Let each thread end after its present call."""
         for _ in range(self._workers):
             self._waiting.put(None)
 

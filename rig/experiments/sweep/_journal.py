@@ -1,12 +1,12 @@
-"""The journal of a long computation: what is done stays done, whatever ends the process.
+"""Journal of a sweep: a file that stores the result of each finished task, so that a stopped sweep can resume.
 
-One file of lines (`rig.recording.lines`), one for each entry, appended and never changed::
+The file has lines (`rig.recording.lines`) that are appended and never changed::
 
     first   : {"sweep": 1, "work": …, "version": …, "tasks": …, "plan": SHA-256 of work, version and tasks, "first": …}
-    others  : {"key": …, "result": …}, one for each task done, in the order in which they were done
+    others  : {"key": …, "result": …}, a line for each finished task, in the order in which they finished
 
-A line whose CRC is wrong is as if it had never been written: its task is run again. A process that dies loses nothing
-that was appended; a power cut at most what came after the last sync.
+A line with a wrong CRC is ignored, and its task is run again. If the process dies, no appended line is lost; after a
+power cut at most the lines since the last sync are lost.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ SHOWN_DIFFERENCES, SHOWN_LETTERS = 3, 60
 
 
 class Memory:
-    """Results kept in memory: a journal that ends with the process."""
+    """Store of results in memory, with the interface of `Journal`; it ends with the process."""
 
     def __init__(self, total: int) -> None:
         self._texts: list[str | None] = [None] * total
@@ -39,11 +39,11 @@ class Memory:
         return [index for index, text in enumerate(self._texts) if text is not None]
 
     def append(self, index: int, key: str, text: str) -> None:
-        """Keep the result of a task; `text` is its JSON."""
+        """Store the result of a task; `text` is its JSON text."""
         self._texts[index] = text
 
     def results(self, indices: Iterable[int]) -> Iterator[Any]:
-        """Yield the results of tasks that are done."""
+        """Yield the results of finished tasks, given by their indices."""
         return (json.loads(self._texts[index] or "null") for index in indices)
 
     def sync(self) -> None:
@@ -54,23 +54,23 @@ class Memory:
 
 
 class Journal:
-    """An open journal, locked against other processes.
+    """Open journal file, locked against other processes.
 
     Parameters
     ----------
     path
         Path of the file, created if it does not exist.
     header
-        The first line but for its format: what is being computed. Two plans are one when their ``plan`` is equal.
+        Content of the first line without its version: what is computed. Plans are equal if their ``plan`` is equal.
     keys
         Keys of all tasks, in their order.
 
     Raises
     ------
     ConfigError
-        It belongs to another plan.
+        The journal belongs to another plan.
     RecordingError
-        It is no journal, another process writes it, or the disk refuses.
+        The file is not a journal, is used by another process, or cannot be read or written.
     """
 
     def __init__(self, path: Path, header: Mapping[str, Any], keys: Sequence[str]) -> None:
@@ -89,16 +89,16 @@ class Journal:
         return [index for index, place in enumerate(self._places) if place != NOT_DONE]
 
     def append(self, index: int, key: str, text: str) -> None:
-        """Keep the result of a task; `text` is its JSON."""
+        """Append the result of a task to the file; `text` is its JSON text."""
         line = line_of(f'{{"key":{json.dumps(key)},"result":{text}}}')
         self._file.append(line)
         self._places[index] = self._end
         self._end += len(line)
 
     def results(self, indices: Iterable[int]) -> Iterator[Any]:
-        """Yield the results of tasks that are done, one line in memory at a time; the journal may be closed.
+        """Yield the results of finished tasks, reading one line at a time; the journal may be closed.
 
-        Raises `RecordingError` when the file is no longer what it was.
+        Raise `RecordingError` if the file has changed since it was opened.
         """
         with plain_errors("read", self.path), open_regular(self.path) as file:
             for index in indices:
@@ -111,15 +111,15 @@ class Journal:
                 yield found["result"]
 
     def sync(self) -> None:
-        """Bring to disk what was appended, now and then."""
+        """Write the appended lines to disk, if the last write was some time ago."""
         self._file.sync()
 
     def close(self) -> None:
-        """Bring everything to disk and release the lock."""
+        """Write all lines to disk and release the lock."""
         self._file.close()
 
     def _load(self, header: Mapping[str, Any], keys: Sequence[str]) -> int:
-        """Read what is there, or begin; return the length of the good part."""
+        """Read an existing file, or begin a new one; return the length of its valid part (bytes)."""
         wanted = line_of(json.dumps(header))
         with plain_errors("read", self.path), open_regular(self.path) as file:
             first = file.readline()
@@ -160,10 +160,10 @@ class Journal:
 
 
 def read_on(path: Path, place: int = 0) -> tuple[list[tuple[str, Any]], int]:
-    """Return key and result of each task whose line begins at `place` or later, and where the next line will begin.
+    """Return key and result of each task from byte `place` of the file on, and the place of the next line.
 
-    Another process may be writing the journal: nothing is locked, an incomplete line is left for the next call, and a
-    damaged one is left out. Raises `RecordingError` when it cannot be read.
+    Another process may be writing the journal: it is not locked, an incomplete line is left for the next call, and a
+    damaged line is skipped. Raise `RecordingError` if the file cannot be read.
     """
     found = []
     with plain_errors("read", path), open_regular(path) as file:
@@ -179,7 +179,7 @@ def read_on(path: Path, place: int = 0) -> tuple[list[tuple[str, Any]], int]:
 
 
 def _refuse_another(path: Path, there: dict[str, Any], here: dict[str, Any]) -> None:
-    """Raise `ConfigError` that says what differs when a journal's header is not ours."""
+    """Raise `ConfigError` with the differences if a journal's header `there` is of another plan than `here`."""
     if (there["sweep"], there.get("plan")) == (here["sweep"], here["plan"]):
         return
     differences = [
@@ -194,7 +194,7 @@ def _refuse_another(path: Path, there: dict[str, Any], here: dict[str, Any]) -> 
 
 
 def _differences(there: Any, here: Any, where: str) -> Iterator[str]:
-    """Say leaf by leaf what differs: ``first.payload.wall.stiffness: 40 there, 50 here``."""
+    """Yield a text for each value that differs, like ``first.payload.wall.stiffness: 40 there, 50 here``."""
     if isinstance(there, dict) and isinstance(here, dict):
         for key in {**there, **here}:
             yield from _differences(there.get(key), here.get(key), f"{where}.{key}")

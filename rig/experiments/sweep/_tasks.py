@@ -1,8 +1,8 @@
-"""Long computations: many independent tasks, on all cores or on a cluster, that survive whatever ends the process.
+"""Run the tasks of a sweep, and return their results in the order of the tasks.
 
-A task is a key, a function of a module and plain data, from which that function makes a result that JSON can hold.
-`run` returns the results in the order of the tasks, the same to the last bit on any executor, in any order,
-in one go or in ten: results always pass through JSON, which gives floats back as they were.
+A task is a key, a function of a module and plain data, from which the function computes JSON values. Results are equal
+to the last bit on any executor, in any order, and after a stop and a resume: they always pass through JSON, which
+returns floats unchanged.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from rig.realtime.source_files import code_version
 
 
 class Results(Sequence[Any]):
-    """Results of `tasks`, in their order; those in a journal are read as they are asked for, and never all held.
+    """Results of `tasks`, in their order.
 
-    Equal results are equal in every bit and in the types that they are made of, wherever they were computed.
+    A result in a journal is read from the file at each access, so that a sweep may have more results than memory.
     """
 
     def __init__(self, tasks: Sequence[Task], indices: Sequence[int], store: Journal | Memory) -> None:
@@ -48,7 +48,7 @@ class Results(Sequence[Any]):
 
 
 class TaskError(RigError):
-    """A task raised. `key` names it; `results` are those of the tasks that are done. Its traceback is a note."""
+    """Error of a task. `key` names the task; `results` are those of the finished tasks; a note has the traceback."""
 
     exit_code = 11
 
@@ -59,7 +59,7 @@ class TaskError(RigError):
 
 
 class SweepStoppedError(StoppedError):
-    """A person stopped the sweep. `results` are those of the tasks that are done, out of `total`."""
+    """A person stopped the sweep. `results` are those of the finished tasks, of `total` tasks."""
 
     def __init__(self, message: str, *, remedy: str, total: int, results: Results) -> None:
         super().__init__(message, remedy=remedy)
@@ -88,29 +88,30 @@ def run(
     tasks
         Tasks to compute.
     journal
-        File that keeps results as they come. What it already holds is not computed again; a finished one returns at
-        once. None: results are kept in memory.
+        File that stores results as they arrive. Tasks whose results it contains already are not run again. None: the
+        results are stored in memory.
     scheduler
         Address of a Dask scheduler, like ``tcp://10.0.0.5:8786``. It and its workers need the same haptic-rig, and the
         modules of the tasks' functions. None: threads of this process.
     workers
-        How many threads. [one for each core that this process may use]
+        Number of threads. None: one for each core that this process may use.
     unit
-        Name of a number in each row of a result that says for how many units the row stands, like ``trials``. None: a
-        task is a unit.
+        Key of a number in each row of a result: the units of work in this row, for example ``ticks``. None: each task
+        is one unit.
     watch
-        Called some twenty times a second in the thread of the caller, and at the end.
+        Called about twenty times a second in the thread of the caller, and at the end, with the `Progress`.
 
     Raises
     ------
     ConfigError
-        A journal of another plan; no such scheduler; workers with another haptic-rig, or without a task's function.
+        The journal is of another plan, the scheduler is not found, or its workers have another haptic-rig or lack a
+        task's function.
     RecordingError
         The journal cannot be written, or another process writes it.
     TaskError
-        A task raised. No new ones were handed out; what was running has been kept.
+        A task raised an exception. No more tasks were started, and the results of the running ones are stored.
     SweepStoppedError
-        Ctrl-C: as above. A second Ctrl-C does not wait for what is running.
+        Ctrl-C was pressed; results are stored in the same way. A second Ctrl-C does not wait for running tasks.
     """
     store = _open(tasks, journal)
     try:
@@ -135,16 +136,16 @@ def run(
 def run_here(
     name: str, perform: Callable[[Task], Any], tasks: Sequence[Task], *, journal: Path | None = None
 ) -> Results:
-    """Run tasks one after the other in the caller's thread, for work with a rig or a person in it.
+    """Run tasks one after the other in the caller's thread, for work that needs a rig or a person.
 
     Parameters
     ----------
     name
         Name of the work in the journal, instead of the tasks' functions.
     perform
-        Does one task and returns what JSON can hold. An exception from it ends the run; what was done is kept.
+        Function that runs one task and returns JSON values. An exception ends the run; earlier results are stored.
     tasks, journal
-        As in `run`, with the same errors of the journal.
+        As in `run`; errors of the journal, too.
     """
     store = _open(tasks, journal, name)
     try:
@@ -158,7 +159,7 @@ def run_here(
 
 
 def _open(tasks: Sequence[Task], journal: Path | None, name: str | None = None) -> Journal | Memory:
-    """Open where results are kept. A journal says first what is computed: ``plan`` is a hash of all that decides it."""
+    """Open the store of results. A journal's header has ``plan``, a hash of everything that determines the results."""
     if len({task.key for task in tasks}) != len(tasks):
         raise ValueError("two tasks have the same key")
     if not all(task.weight > 0.0 for task in tasks):
@@ -183,7 +184,7 @@ def _open(tasks: Sequence[Task], journal: Path | None, name: str | None = None) 
 def _raise_what_ended(
     coordinator: Coordinator, tasks: Sequence[Task], results: Results, journal: Path | None
 ) -> None:
-    """Raise the error of a sweep that did not run to its end."""
+    """Raise the error of a sweep that failed or was interrupted; do nothing if it finished."""
     total, failure, interruption = len(tasks), coordinator.failure, coordinator.interruption
     so_far = f"{len(results)} of {total} tasks are done" + (
         "" if journal is None else f" and stored in {journal}"

@@ -327,11 +327,11 @@ def test_ripple_that_was_not_looked_for_stays_as_it_was_described(compliant: Any
 
 
 def test_a_mass_needs_sweeps_and_on_a_real_rig_a_function_that_asks_the_operator(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="ripple is measured with a mass in the sweeps"):
+    with pytest.raises(ConfigError, match="a mass is given to measure ripple"):
         IdentifyRequest(experiment=COMPLIANT, mass_kg=0.1)
     with pytest.raises(ConfigError, match="the arm is 0"):
         IdentifyRequest(experiment=COMPLIANT, cogging=4, mass_kg=0.1, arm_m=0.0)
-    with pytest.raises(ConfigError, match="no function that asks"):
+    with pytest.raises(ConfigError, match="no function `ask` is given"):
         identified(COMPLIANT, tmp_path, url="usb://1209:0001", cogging=4, mass_kg=0.1)
 
 
