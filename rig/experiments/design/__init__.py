@@ -1,12 +1,12 @@
-"""Which rates, estimator and filter suit a rig: a search through a listed set of schemes, for stated wishes.
+"""Find rates, estimator and filter for a rig: search a listed set of schemes for the one that fulfils wishes best.
 
-First all of the set by linear theory, with delay (`_linear`); then simulated hits of the best, on coarse rungs first,
-halved from round to round (`_rounds`); then the one that is recommended again, on encoder offsets and seeds that the
-search did not see, and on rigs that differ from the described one (`_margin`). What is measured, and what best, no
-worse and margin mean, was written before any result (`_rules`).
+Stages: linear theory with delay for the whole set (`_linear`); rounds of simulated hits for the best schemes, fewer and
+on finer stiffnesses in each round (`_rounds`); hits of the recommended scheme on encoder offsets and seeds that the
+search did not use, and on rigs that differ from the described one (`_margin`). The definitions of the measures and of
+"best", "no worse" and "margin" were written before any result (`_rules`).
 
-`rig design` and ``rig.design`` call it, and pictures draw the result. It must not move a rig: of a device that is named
-it measures the link alone.
+`rig design` and ``rig.design`` call it, and pictures draw the result. It must not move a rig; of a given device it only
+measures the link.
 """
 
 from rig.experiments.design import _rules as rules

@@ -1,4 +1,4 @@
-"""Limits that a device and its link set for a design: rates, and the delay of a law on this computer."""
+"""Limits of a device and its link for a design: highest rate, capacity, and delay of a law on this computer."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from rig.firmware.tick_budget import BOARD, named_budget
 
 
 def places_of(url: str, experiment: Experiment, board: str = BOARD) -> tuple[LawPlace, ...]:
-    """Return where the law may run with a device: on this computer, at the link's measured delay, and on the device.
+    """Return where the law may run with a device: on this computer, with the link's measured delay, and on the device.
 
-    Nothing moves. Raises what opening a device does, and `LinkLostError` for one that does not answer.
+    Nothing moves. Raise the errors of opening a device, and `LinkLostError` if the device does not reply.
     """
     named_budget(board)
     where = devices.url_for(url, experiment.controller.loop)

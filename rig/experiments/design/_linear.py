@@ -1,6 +1,6 @@
-"""Judge the listed set by linear theory: for each damping the largest stable stiffness, with delay and lag.
+"""Compute by linear theory, for each listed scheme and damping, the largest stable stiffness, with delay and lag.
 
-`search` calls it for its first stage. It must not decide alone: theory knows no quantum and no friction.
+`_search` calls it for its first stage. It must not select alone: theory neglects quantisation and friction.
 """
 
 from __future__ import annotations
@@ -34,14 +34,15 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Linear:
-    """Results of linear theory for a candidate: its boundaries over the dampings, and its velocity path.
+    """Results of linear theory for a candidate: its limits at each damping, and the numbers of its velocity path.
 
     Attributes
     ----------
     stable, quiet
-        Largest K at each damping, without and with a toggling count that may not be heard.
+        Largest stable K at each damping, and the largest at which also the effort ripple of a toggling count at rest
+        stays within the limit for *heard* (N·m/rad or N/m).
     stands_in
-        True if the usual filter stands in for the estimator.
+        True if the usual filter replaces an estimator that is not linear.
     """
 
     stable: tuple[float, ...]
@@ -52,7 +53,7 @@ class Linear:
     stands_in: bool
 
     def measures(self, dampings: Sequence[float], *, quiet: bool) -> Measures:
-        """As if hits had found this boundary."""
+        """Return the measures of the boundary `quiet` or `stable`, in the form of those found by hits."""
         found = BoundaryMeasures.of(dampings, self.quiet if quiet else self.stable)
         return Measures(**asdict(found), noise=self.noise, fidelity_hz=self.fidelity_hz, cost=self.cost)
 
@@ -60,9 +61,10 @@ class Linear:
 def tasks(
     experiment: Experiment, candidates: Sequence[Candidate], dampings: Sequence[float], k: Sequence[float]
 ) -> tuple[list[Task], list[int]]:
-    """Return one task for each estimator at each velocity rate, whose realisation all its candidates share.
+    """Return a task for each estimator with settings and velocity rate, and the order of the candidates in the rows.
 
-    Returns also the place of each result in the order of the tasks' rows: candidates are sorted by estimator there.
+    The candidates of a task share the linear model of their estimator, so candidates are sorted by estimator. The
+    second result has the index of the candidate for each row of all tasks.
     """
     # Sorted by estimator: the candidates of a task share its realisation.
     order = sorted(range(len(candidates)), key=lambda i: (_estimator(candidates[i]), i))
@@ -91,7 +93,7 @@ def tasks(
 
 
 def results(done: Sequence[Sequence[Mapping[str, Any]]], order: Sequence[int]) -> list[Linear]:
-    """Return the results of the tasks in the order of the candidates."""
+    """Return the results of all tasks in the order of the candidates; `order` is the second result of `tasks`."""
     rows = [
         Linear(**{**row, "stable": tuple(row["stable"]), "quiet": tuple(row["quiet"])})
         for one in done
@@ -101,7 +103,7 @@ def results(done: Sequence[Sequence[Mapping[str, Any]]], order: Sequence[int]) -
 
 
 def of_estimator(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the theory of some candidates that share estimator, settings and velocity rate; plain data in and out."""
+    """Return a row with the results for each candidate of a task; payload and rows are JSON values."""
     experiment = config.restore_experiment(payload["experiment"])
     k, b = np.array(payload["stiffnesses"]), np.array(payload["dampings"])
     first: LinearLoop | None = None
@@ -144,7 +146,7 @@ def of_estimator(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _stable(lifted: Lifted, k: Floats, b: Floats) -> NDArray[np.bool_]:
-    """Return which walls of shape (K, B) are stable; False beyond the chunk of K where a damping is first unstable."""
+    """Return True for stable walls, shape (K, B); at each damping, walls after the first unstable chunk are False."""
     stable = np.zeros((len(k), len(b)), np.bool_)
     left = np.arange(len(b))
     for some in np.array_split(np.arange(len(k)), max(1, len(k) // CHUNK)):
@@ -158,7 +160,7 @@ def _stable(lifted: Lifted, k: Floats, b: Floats) -> NDArray[np.bool_]:
 
 
 def _limits(stable: NDArray[np.bool_], k: Floats) -> list[float]:
-    """Return the largest K at each damping that is stable with all softer ones; 0 where the softest is not."""
+    """Return for each damping the largest K up to which all walls are stable; 0 if the softest wall is unstable."""
     count = np.logical_and.accumulate(stable, axis=0).sum(axis=0)
     return np.where(count > 0, k[np.maximum(count - 1, 0)], 0.0).tolist()  # type: ignore[no-any-return]
 

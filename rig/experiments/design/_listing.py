@@ -1,7 +1,8 @@
-"""List every scheme that a design looks at, and what link and board allow of it.
+"""List every scheme that a design considers, and remove those that the link or the board cannot run.
 
-Not in it: estimators that need the time of an edge, the hybrid, fixed-point words, and a velocity rate that adapts to
-speed, which narrows a Z-width. A scheme that the experiment's own rules, the device or its link refuse is left out.
+The list has no estimators that need edge times, no hybrid, no fixed-point arithmetic, and no velocity rate that adapts
+to the speed, which narrows a Z-width. Schemes that the rules of the experiment, the device or its link refuse are left
+out.
 """
 
 from __future__ import annotations
@@ -39,21 +40,21 @@ ACCELERATIONS = (0.1, 1.0)  # of the motor's largest
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LawPlace:
-    """Where the law runs, and what that allows.
+    """Place where the law runs (host or device), and its limits.
 
     Attributes
     ----------
     loop
-        On this computer or on the device.
+        ``"host"`` (this computer) or ``"device"``.
     rate_maximum
-        Most ticks a second (Hz).
+        Highest position rate (Hz).
     bytes_per_second
         Capacity of the link; None: unlimited.
     round_trip_s
-        From a sample to the effort that answers it, on the host; the delay is as many whole ticks, one at least. None:
-        the delay that the experiment describes.
+        Time from a sample to its effort if the host runs the law (s); the delay is rounded up to whole ticks, at least
+        one. None: the delay that the experiment describes.
     board
-        Whose processor's cycles count, with the law on the device.
+        Board whose processor cycles are estimated if the device runs the law.
     """
 
     loop: Loop
@@ -63,13 +64,13 @@ class LawPlace:
     board: str = BOARD
 
     def delay_ticks(self, experiment: Experiment, rate: int) -> int:
-        """Return whole ticks from a sample to its effort at a position rate."""
+        """Return the delay from a sample to its effort at a position rate (Hz), in whole ticks."""
         if self.loop == "host" and self.round_trip_s is not None:
             return ticks_late(self.round_trip_s, rate, experiment.host.pacing)
         return experiment.rig.simulation.computation_delay_ticks
 
     def allows(self, applied: Experiment) -> bool:
-        """Return True if device and link can run an experiment; a law on the device must exist and fit its tick."""
+        """Return True if link and device can run the experiment; a device must support the law and be fast enough."""
         try:
             if self.loop == "device":
                 controller.prepare_controller(applied)
@@ -82,16 +83,16 @@ class LawPlace:
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """A scheme where it runs.
+    """Scheme and place of the law.
 
     Attributes
     ----------
     scheme
-        Rates, estimator with its settings, prediction.
+        Rates, estimator with its settings, and prediction.
     loop, delay_ticks
-        Where its law runs, and how late it acts beside the amplifier.
+        Place of the law (``"host"`` or ``"device"``), and delay of its effort in ticks, without the amplifier's delay.
     board
-        As `LawPlace` has it.
+        As in `LawPlace`.
     """
 
     scheme: Scheme
@@ -101,11 +102,11 @@ class Candidate:
 
     @cached_property
     def key(self) -> str:
-        """Return the name of the candidate in a journal."""
+        """Return the key of the candidate in a journal."""
         return f"{self.loop} {self.delay_ticks} {self.scheme.text}"
 
     def condition(self, experiment: Experiment) -> Experiment:
-        """Return the experiment with its law where this one runs, so late; its scheme is still its own."""
+        """Return the experiment with this candidate's place and delay of the law, but with its scheme unchanged."""
         rig = experiment.rig
         late = replace(rig.simulation, computation_delay_ticks=self.delay_ticks)
         return replace(
@@ -115,11 +116,11 @@ class Candidate:
         )
 
     def applied(self, experiment: Experiment) -> Experiment:
-        """Return the experiment under this candidate; `ConfigError` for one that cannot be."""
+        """Return the experiment with this candidate's scheme, place and delay; raise `ConfigError` if it is invalid."""
         return self.scheme.applied(self.condition(experiment))
 
     def same_law(self, other: Candidate, experiment: Experiment) -> bool:
-        """Return True if both run the same law, however their schemes are written."""
+        """Return True if both candidates run the same law, even if their schemes are written differently."""
         return (self.loop, self._rates) == (other.loop, other._rates) and self.law(experiment) == other.law(
             experiment
         )
@@ -129,7 +130,7 @@ class Candidate:
         return self.scheme.position_rate, self.scheme.velocity_rate
 
     def law(self, experiment: Experiment) -> tuple[Any, ...]:
-        """Return all that decides the law: loop, delay (ticks), rates (Hz), estimator, prediction, parameters."""
+        """Return all that determines the law: place, delay (ticks), rates (Hz), estimator, prediction, parameters."""
         applied, resolution = self.applied(experiment), experiment.rig.encoder.resolution
         own = applied.controller
         numbers = prepare_estimator(applied, resolution, 1.0 / own.velocity_rate).parameters.tolist()
@@ -139,7 +140,7 @@ class Candidate:
 
     @classmethod
     def own(cls, experiment: Experiment, places: Sequence[LawPlace] = ()) -> Candidate:
-        """Return the experiment's own scheme, where it runs, as late as that place makes it."""
+        """Return the candidate with the experiment's scheme and place of the law, and the delay of that place."""
         own = experiment.controller
         there = next((place for place in places if place.loop == own.loop), places_for(experiment)[0])
         delay = there.delay_ticks(experiment, own.position_rate)
@@ -155,9 +156,10 @@ def places_for(
     round_trip_s: float | None = None,
     board: str = BOARD,
 ) -> tuple[LawPlace, ...]:
-    """Return where the law may run, without a device to ask: where the experiment's own runs, at most at its rate.
+    """Return the places where the law may run, from these options, without a device.
 
-    Raises `ConfigError` for a board whose cycles are not known.
+    `where` defaults to the experiment's place of the law, `rate_maximum` (Hz) to its position rate. Raise `ConfigError`
+    for an unknown board.
     """
     named_budget(board)
     check_positive({"most_rate": rate_maximum, "link": bytes_per_second, "round_trip": round_trip_s})
@@ -179,12 +181,12 @@ def places_for(
 def listed(
     experiment: Experiment, places: Sequence[LawPlace], schemes: Sequence[Scheme] = ()
 ) -> tuple[Candidate, ...]:
-    """Return the listed set on an experiment; with `schemes` these are the set.
+    """Return the candidates for an experiment at all places of the law: `schemes`, or all listed schemes if empty.
 
     Raises
     ------
     ConfigError
-        One of the `schemes` cannot be, wherever the law runs.
+        One of the given `schemes` is invalid.
     """
     found: dict[str, Candidate] = {}
     for place in places:

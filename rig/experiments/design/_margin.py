@@ -1,7 +1,8 @@
-"""Measure how much of the recommended stiffness remains on other rigs than the described one, and in other hands.
+"""Compute the share of the recommended stiffness that remains on rigs unlike the description, and in other hands.
 
-At one damping, by simulated hits: each identified parameter 20 % off alone, each hand alone, and `SAMPLES` rigs with
-all of them drawn at once. A parameter is identified if `rig identify` measures it and it is not zero.
+Simulated hits at one damping find the limit with each identified parameter changed alone by 20 %, with each hand alone,
+and on `SAMPLES` rigs with all parameters drawn at random. A parameter is identified if `rig identify` measures it and
+it is not zero.
 """
 
 from __future__ import annotations
@@ -51,16 +52,16 @@ IDENTIFIED = (
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """Share of the limit that remains under one change.
+    """Share of the stiffness limit that remains after one change of the rig.
 
     Attributes
     ----------
     share
-        Limit over that on the described rig; a lower bound if `capped`.
+        Limit on the changed rig divided by the limit on the described rig; not exact if `capped`.
     capped
-        True if the search ended before a wall failed, or did so on the described rig.
+        True if the search on the changed or on the described rig ended before a wall failed.
     theory
-        The same share in linear theory; None for an estimator that is not linear, or a limit of zero.
+        Share by linear theory if `capped`; None if not capped, for a nonlinear estimator, or for a limit of zero.
     """
 
     change: str
@@ -70,26 +71,26 @@ class Left:
 
     @property
     def expected(self) -> float:
-        """Share to rank by: what hits show, or what theory expects where they end early."""
+        """Share for ranking: by hits, or by theory if the search ended before a wall failed."""
         return self.share if not self.capped or self.theory is None else self.theory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Margin:
-    """The remaining share of a scheme's stiffness at one damping.
+    """Share of a scheme's stiffness that remains at one damping on other rigs.
 
     Attributes
     ----------
     damping, stiffness
-        B at which it is taken, and the limit of K on the described rig.
+        Damping (N·m·s/rad or N·s/m), and limit of K on the described rig (N·m/rad or N/m).
     capped
-        True if that limit is only a lower bound: the push ended before a wall failed.
+        True if that limit is only a lower bound, because the search ended before a wall failed.
     worst
-        Lowest share over all samples and hands, with the hand.
+        Lowest share over all samples and hands.
     alone
-        Remaining share under each single change, the lowest first.
+        Remaining share for each single change, the lowest first.
     samples
-        How many rigs, each in every hand.
+        Number of sampled rigs, each tested with every hand.
     """
 
     damping: float
@@ -101,17 +102,17 @@ class Margin:
 
     @reported
     def spoils_first(self) -> Left:
-        """Return the single change that leaves least."""
+        """Return the single change after which the smallest share remains."""
         return self.alone[0]
 
     @reported
     def secured(self) -> float:
-        """Return the stiffness that the worst of them leaves (N·m/rad or N/m); a lower bound where its share is one."""
+        """Return the stiffness that remains in the worst sample (N·m/rad or N/m); a lower bound if that is capped."""
         return self.worst.share * self.stiffness
 
 
 def identified(experiment: Experiment) -> dict[str, float]:
-    """Return identified parameters of a rig that are not zero, by dotted key."""
+    """Return the values of a rig's parameters that `rig identify` measures and that are not zero, by dotted key."""
     values = {}
     for key in IDENTIFIED:
         _, section, name = key.split(".")
@@ -124,7 +125,7 @@ def identified(experiment: Experiment) -> dict[str, float]:
 def margin_of(
     candidate: Candidate, experiment: Experiment, damping: float, limit: float, run: Sweeper
 ) -> Margin:
-    """Take the margin of a candidate at a damping; `limit` is about its limit of K there."""
+    """Return the margin of a candidate at a damping; `limit` is an estimate of its limit of K, for the search range."""
     described = candidate.condition(experiment)
     single, joint = dict(_single(described)), dict(_joint(described))
     variants = {"": described, **single, **joint}
@@ -162,7 +163,7 @@ def _single(described: Experiment) -> Iterator[tuple[str, Experiment]]:
 
 
 def _joint(described: Experiment) -> Iterator[tuple[str, Experiment]]:
-    """Yield samples of all parameters together, in each hand and in the experiment's own."""
+    """Yield name and experiment of samples with all parameters drawn at random, in each hand and the experiment's."""
     random, values = np.random.default_rng(SEED), identified(described)
     for number in range(1, SAMPLES + 1):
         factors = random.uniform(1.0 - SHARE, 1.0 + SHARE, len(values)).tolist()
@@ -173,7 +174,7 @@ def _joint(described: Experiment) -> Iterator[tuple[str, Experiment]]:
 
 
 def _hands(described: Experiment) -> dict[str, dict[str, str]]:
-    """Return every other hand, as changes, whose trial the experiment's own rules allow."""
+    """Return the changes for each other hand with which the experiment is valid, by the hand's name."""
     own = described.operator.grip if described.trial.kind == "human" else ""
 
     def may_hold(changes: dict[str, str]) -> bool:

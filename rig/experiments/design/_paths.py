@@ -1,6 +1,6 @@
-"""Measure noise, fidelity and cost of a velocity path: estimator, rates, extrapolation, delay and lag, without any hit.
+"""Compute noise, fidelity and cost of a velocity path (estimator, rates, extrapolation, delay and lag) without a hit.
 
-`linear` calls it for every candidate. It must not depend on a wall.
+`_linear` calls it for every candidate. It must not depend on a wall.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Complex = NDArray[np.complex128]
 
 
 def noise(controller: Controller, resolution: float) -> float:
-    """Return rms velocity at rest (rad/s or m/s) of a controller's estimator."""
+    """Return the rms of the estimated velocity at rest, while the count toggles at random (rad/s or m/s)."""
     # The handle rests on the edge of a count, and the count toggles at random from sample to sample: more than any rest
     # shows, and the same for every estimator.
     toggling = np.random.default_rng(SEED).integers(0, 2, 2 * SAMPLES)
@@ -36,7 +36,7 @@ def noise(controller: Controller, resolution: float) -> float:
 
 
 def fidelity_hz(controller: Controller, resolution: float, lag_s: float, delay_ticks: int) -> float:
-    """Up to which frequency (Hz) the rendered velocity is faithful."""
+    """Return the frequency (Hz) up to which the rendered velocity differs from the true one by at most `ERROR`."""
     period_s = 1.0 / controller.velocity_rate
     frequency = np.array(PERIODS) / (SAMPLES * period_s)
     omega = 2.0 * np.pi * frequency
@@ -59,14 +59,14 @@ def fidelity_hz(controller: Controller, resolution: float, lag_s: float, delay_t
 
 
 def cost(controller: Controller, board: str) -> float | None:
-    """Return cycles per tick on a board, the mean over a velocity period; None for an estimator that no board runs."""
+    """Return the estimator's mean processor cycles per tick on a board; None if the board cannot run the estimator."""
     # The estimator's longest call over the ticks of a velocity period; all else in a tick is the same for all schemes.
     of_a_call = _budget(board).call_cycles(controller.estimator)
     return None if of_a_call is None else of_a_call * controller.velocity_rate / controller.position_rate
 
 
 def fits_a_tick(controller: Controller, board: str) -> bool:
-    """Return True if the longest tick of a law fits the position rate on a board."""
+    """Return True if the board's processor can compute the longest tick of the law at the position rate."""
     return controller.position_rate <= _budget(board).rate_maximum(controller.estimator)
 
 
@@ -84,7 +84,7 @@ def _velocity(controller: Controller, counts: NDArray[np.int64], resolution: flo
 
 
 def _respond_to_sines(controller: Controller, resolution: float) -> Complex:
-    """Estimate over true velocity of the sines, at the samples."""
+    """Return the ratio of estimated to true velocity for sines at `PERIODS`, as complex numbers."""
     settings = tuple(sorted(controller.parameters.items()))
     return _of_estimator(controller.estimator, settings, controller.velocity_rate, resolution)
 
@@ -105,6 +105,9 @@ def _of_estimator(
 
 
 def _respond_to_hold(turn: NDArray[np.float64], extrapolate: bool) -> Complex:
-    """Return the frequency response of holding a sampled sine, or extrapolating it linearly; `turn` is ωT2."""
+    """Return the frequency response of a hold of velocity samples, or of their linear extrapolation.
+
+    `turn` is ω·T2, with T2 the velocity period (s).
+    """
     zero = (1.0 - np.exp(-1j * turn)) / (1j * turn)
     return np.asarray((1.0 + 1j * turn) * zero**2 if extrapolate else zero)

@@ -1,4 +1,4 @@
-"""Result of a design: the front, the recommended scheme with its margin, and a ``[controller]`` section to paste."""
+"""Result of a design: front, recommended scheme with its margin, and a ``[controller]`` section for a file."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ FITTED = "FITTED"  # how a rig's source says that its numbers were fitted on a p
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Standing:
-    """A scheme and what a round measured of it.
+    """Scheme with its results in a round of hits.
 
     Attributes
     ----------
     label
         Text for legends.
     measures, shares
-        See `rig.experiments.design._rules`.
+        Measures of the scheme, and how far it fulfils each wish (`rig.experiments.design._rules`).
     boundary
-        Limits of K over the dampings of the round, under *any*.
+        Limits of K at the dampings of the round, under the criterion *any*.
     stands_in
-        True if theory had to take the usual filter for its estimator.
+        True if linear theory replaced its estimator by the usual filter.
     """
 
     candidate: Candidate
@@ -45,34 +45,34 @@ class Standing:
 
     @property
     def capped(self) -> bool:
-        """Return True if some limit is only a lower bound, since no wall failed."""
+        """Return True if a limit is only a lower bound, because no wall failed."""
         return any(one.capped for one in self.boundary)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Design(Shown, Drawn):
-    """A finished design.
+    """Finished design.
 
     Attributes
     ----------
     experiment, wishes, places
         Request of the design.
     listed, kept
-        How many schemes theory and the first round of hits have seen.
+        Number of schemes in linear theory, and in the first round of hits.
     standings
-        Schemes of the second round, from which front and comparisons are taken: all by the same walls.
+        Schemes of the second round, all tested at the same walls; front and comparisons are computed from them.
     finalists
         Schemes of the last round, the best first.
     recommended, own
-        Schemes of the last round.
+        Recommended scheme and the experiment's own scheme, with results of the last round.
     held_out
-        Both again, on offsets and seeds that the search did not see; None where they are the same.
+        Comparison of `recommended` and `own` on offsets and seeds that the search did not use; None if they are equal.
     step
-        Ratio between two stiffnesses of the second round: what limits are known to there.
+        Ratio between two stiffnesses in the second round, which is the accuracy of its limits.
     hits
-        Number of hits of each stage.
+        Number of hits in each stage.
     against
-        Each scheme of the rig's paper against all of the listed set, where that was asked for.
+        Comparison of each scheme of the rig's paper with all listed schemes; empty if it was not requested.
     """
 
     experiment: Experiment
@@ -92,13 +92,13 @@ class Design(Shown, Drawn):
 
     @property
     def front(self) -> list[Standing]:
-        """Return schemes that no other of the second round dominates, the stiffest first."""
+        """Return the schemes of the second round that no other scheme dominates, the stiffest first."""
         chosen = [self.standings[i] for i in rules.front([one.measures for one in self.standings])]
         return sorted(chosen, key=lambda one: -one.measures.stiffness)
 
     @property
     def as_good(self) -> list[Standing]:
-        """Return schemes of the second round that reach the experiment's own one in every measure of a paper."""
+        """Return schemes of the second round that are as good as the experiment's own in every measure of a paper."""
         own = self._own_before.measures
         return [
             one
@@ -116,7 +116,7 @@ class Design(Shown, Drawn):
         return FITTED in self.experiment.rig.source
 
     def toml(self) -> str:
-        """Return the recommended ``[controller]`` section, with what it was found for."""
+        """Return the recommended ``[controller]`` section, with goal and margin as comments."""
         applied = self.recommended.candidate.applied(self.experiment).controller
         lines = [
             "# Found by rig design on simulated hits: " + self._goal_text(),
@@ -135,7 +135,7 @@ class Design(Shown, Drawn):
         return "\n".join(lines) + "\n"
 
     def brief(self) -> list[Item]:
-        """Return the recommended scheme, against the experiment's own, and its margin."""
+        """Return the recommended scheme, its comparison with the experiment's own scheme, and its margin."""
         return [
             f"design of {self.experiment.rig.name}: {self.recommended.label}",
             Row("goal", self._goal_text()),
@@ -151,7 +151,7 @@ class Design(Shown, Drawn):
         ]
 
     def detailed(self) -> list[Item]:
-        """Return the short form, and the front."""
+        """Return the brief form, and tables of the front and the last round."""
         return [
             *self.brief(),
             *self.against_tables(),
@@ -160,11 +160,11 @@ class Design(Shown, Drawn):
         ]
 
     def against_tables(self) -> list[Table]:
-        """Measure by measure: each scheme of the paper against all of the listed set."""
+        """Return a table for each scheme of the paper that compares it with the best listed scheme."""
         return [one.table(self.experiment.rig.motion) for one in self.against]
 
     def table(self, caption: str, standings: Sequence[Standing]) -> Table:
-        """Return a table of the measures of some schemes, one row each."""
+        """Return a table with the measures of some schemes, a row for each scheme."""
         unit = self._unit
         head = (
             "scheme",
@@ -197,7 +197,7 @@ class Design(Shown, Drawn):
         return Table(head, rows, caption)
 
     def margin_table(self, most: int | None = None) -> Table:
-        """Return a table of the remaining margin under each change of the rig: the `most` worst, worst first."""
+        """Return a table with the remaining margin for the worst sample and the `most` worst single changes."""
         margin = self.margin
         rows = [
             (
@@ -212,7 +212,7 @@ class Design(Shown, Drawn):
         return Table(("change", "left", "by linear theory"), rows, caption)
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return all results as plain values, for JSON."""
+        """Return all results as plain values for JSON."""
 
         def as_facts(one: Standing) -> dict[str, Any]:
             return {

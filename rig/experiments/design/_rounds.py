@@ -1,6 +1,6 @@
-"""Run maps of a few walls of many schemes as one sweep: the map's own series, tasks, hits and limits (`MapPlan`).
+"""Run the maps of many schemes, each with few walls, as one sweep; the maps are those of `MapPlan`.
 
-`search`, `margin` and `whole` call it.
+`_search`, `_margin` and `_whole` call it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Watch = Callable[[str, sweep.Progress], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WallGrid:
-    """Walls of a map, and where zero lies in its encoder cell: `rig.experiments.mapping.zwidth.MapPlan`."""
+    """Walls, encoder offsets and repeats of a map, as in `rig.experiments.mapping.zwidth.MapPlan`."""
 
     dampings: tuple[float, ...]
     search: StiffnessSearch
@@ -36,18 +36,18 @@ class WallGrid:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sweeper:
-    """Runs the stages of a design as sweeps, each with a journal of its own: a stopped design resumes in its stage.
+    """Runs the stages of a design as sweeps. Each stage has a journal, so that a stopped design resumes in its stage.
 
     Attributes
     ----------
     directory
-        Directory of the journals; None stores nothing.
+        Directory of the journals; None: nothing is stored.
     scheduler, workers
         As in `rig.experiments.sweep.run`.
     watch
         Called with the name of the stage and its progress.
     hits
-        How many each stage has run.
+        Number of hits in each finished stage.
     """
 
     directory: Path | None = None
@@ -57,7 +57,7 @@ class Sweeper:
     hits: dict[str, int] = field(default_factory=dict)
 
     def run(self, stage: str, tasks: Sequence[sweep.Task], unit: str | None = None) -> sweep.Results:
-        """Run one stage; errors as `rig.experiments.sweep.run`."""
+        """Run the tasks of one stage and return their results; raise the errors of `rig.experiments.sweep.run`."""
         journal = None
         if self.directory is not None:
             make_directory(self.directory)
@@ -73,7 +73,7 @@ class Sweeper:
         )
 
     def map_each(self, stage: str, work: Sequence[tuple[Experiment, Scheme, WallGrid]]) -> list[ZWidth]:
-        """Map each scheme on its experiment over its grid."""
+        """Map each scheme with its experiment and walls, and return the maps in the same order."""
         plans = [
             MapPlan(
                 experiment=experiment,
@@ -110,6 +110,6 @@ class Sweeper:
 
 
 def columns_to(reach: float, columns: int) -> tuple[float, ...]:
-    """Return dampings from 0 to a reach, closer near zero."""
+    """Return this number of dampings from 0 to `reach` (N·m·s/rad or N·s/m), denser near zero."""
     # Squared: closer near zero, where a boundary bends most.
     return tuple((reach * np.linspace(0.0, 1.0, columns) ** 2).tolist())

@@ -1,35 +1,36 @@
 """Criteria of a design, written down before any result: measures, goals, wishes, front, no worse, margin.
 
-A scheme has seven measures (`Measures`). Four are of its walls, by simulated hits under the criterion *any* (stable,
-and neither felt, heard nor moved), judged by what a rig records, means over encoder offsets: the largest K at B = 0,
+A scheme has seven measures (`Measures`). Four describe its walls, by simulated hits under the criterion *any* (stable,
+and neither felt, heard nor moved), judged by recorded signals, as means over encoder offsets: the largest K at B = 0,
 the peak of K over B, the largest B at which a wall passes, and the area of the K–B plane below the boundary up to that
 B. A damping that is not rendered (`rig.experiments.mapping._rendering`) counts as one at which no wall passes. Three
-are of its velocity path alone (`rig.experiments.design._paths`).
+measures describe its velocity path (`rig.experiments.design._paths`): noise, fidelity and cost.
 
-**Best** is what has most of what the goal names: the peak (*stiffness*), the range of B (*damping*) or the area
-(*area*). *Quiet* is the least noise among the schemes that have no less area than the experiment's own scheme. What
-fulfils all wishes comes before what does not; of equals the one with less noise is the better.
+**Best** is the scheme with the largest value of the goal: the peak (*stiffness*), the range of B (*damping*) or the
+area (*area*). With the goal *quiet* it is the scheme with the least noise among those whose area is not smaller than
+that of the experiment's own scheme. A scheme that fulfils all wishes precedes one that does not; of equal schemes the
+one with less noise is better.
 
-**The front** holds each scheme for which no other is at least as good in peak, range of B, noise, fidelity and cost,
-and better in one. All of it is of one round, so that all were measured by the same walls.
+**The front** contains each scheme for which no other scheme is at least as good in peak, range of B, noise, fidelity
+and cost, and better in one of them. All its schemes are from one round, so that they were tested at the same walls.
 
-**No worse** (`Comparison`): the goal's measure (the area for *quiet*) of the recommended scheme against that
-of the experiment's own, pair by pair, on offsets and seeds that the search did not see. It is no worse when the 95 %
-interval (Student's t) of the mean difference lies above −`NEGLIGIBLE` of the own scheme's mean, and better when it lies
-above zero. Where that is not shown, and the experiment's own scheme fulfils the wishes, too, that one is recommended.
-A scheme without a single stable wall is never recommended: where no scheme has one, that is an error.
+**No worse** (`Comparison`): the goal's measure (the area for *quiet*) of the recommended scheme is compared with that
+of the experiment's own scheme, in pairs, on offsets and seeds that the search did not use. It is no worse if the 95 %
+interval (Student's t) of the mean difference lies above −`NEGLIGIBLE` of the own scheme's mean, and better if it lies
+above zero. If it is not shown to be no worse, and the experiment's own scheme fulfils the wishes, too, the own scheme
+is recommended. A scheme without a stable wall is never recommended; if no scheme has one, this is an error.
 
-**As good as a paper's scheme** is one that reaches, to a rung of the search, the paper's scheme in K at B = 0, peak and
-range of B, each (`OF_A_PAPER`). On the rig of Chawda et al. it also reaches it in the four rows of their Table I
-(`OF_TABLE_ONE`): K-width to a rung, B-width to the column, the largest fidelity error (less is better) to `NEGLIGIBLE`,
-all three of the impedances that all realisations together give, and no more numbers to tune. *None of the listed set
-is as good* is stated only for the whole set (`rig.experiments.design._whole`): every scheme but the paper's own is
-either measured whole, or missed a measure in a hit without which it cannot reach it.
+**As good as a paper's scheme** is a scheme whose K at B = 0, peak and range of B (`OF_A_PAPER`) each reach that of the
+paper's scheme, to one step of the search. On the rig of Chawda et al. it must also reach the four rows of their Table I
+(`OF_TABLE_ONE`): K-width to one step, B-width exactly, the largest fidelity error (less is better) to `NEGLIGIBLE`, all
+three by the impedances of all realisations together; and it must not have more numbers to tune. *None of the listed
+set is as good* is stated only for the whole set (`rig.experiments.design._whole`): each scheme except the paper's own
+was either mapped completely, or failed a hit that is necessary to reach a measure.
 
 **Margin** (`rig.experiments.design._margin`): at the damping of the wished wall, or else of the peak, the lowest limit
-of K on rigs with all identified parameters drawn together from ±20 %, in every hand, over the limit on the described
-rig. Every wall from the softest on has to pass. *What spoils it first* is the one parameter, moved by 20 % alone, or
-the one hand, that leaves the lowest limit.
+of K on rigs with all identified parameters drawn together from ±20 %, in every hand, divided by the limit on the
+described rig. Every wall from the softest on has to pass. *What spoils it first* is the single parameter, changed by
+20 %, or the single hand, with which the lowest limit remains.
 """
 
 from __future__ import annotations
@@ -62,17 +63,17 @@ class Measures:
     Attributes
     ----------
     undamped, stiffness
-        Largest K at B = 0, and its peak over B (N·m/rad or N/m).
+        Largest K at B = 0, and largest K at any B (N·m/rad or N/m).
     damping
-        Range of B (N·m·s/rad or N·s/m).
+        Largest B at which a wall passes (N·m·s/rad or N·s/m).
     area
         Area of the K–B plane below the boundary (product of their units).
     noise
         Rms of the velocity at rest (rad/s or m/s).
     fidelity_hz
-        Up to where the rendered velocity is faithful.
+        Frequency up to which the rendered velocity is faithful (Hz).
     cost
-        Cycles of the estimator per tick, the mean over a velocity period; None where no board runs it.
+        Processor cycles of the estimator per tick, mean over a velocity period; None if no board can run it.
     """
 
     undamped: float
@@ -91,7 +92,7 @@ class Measures:
 
 @dataclass(frozen=True, slots=True)
 class BoundaryMeasures:
-    """The measures of a boundary in the K–B plane: of a map, of a single series of it, or of theory."""
+    """Measures of a boundary in the K–B plane, from a map, a series of hits, or theory (fields as in `Measures`)."""
 
     undamped: float
     stiffness: float
@@ -100,29 +101,29 @@ class BoundaryMeasures:
 
     @classmethod
     def of(cls, dampings: Sequence[float], limits: Sequence[float]) -> BoundaryMeasures:
-        """Measure the largest K at each damping, which rise from 0."""
+        """Return the measures for the limits of K at ascending dampings, of which the first is 0."""
         extent = Extent.of(dampings, limits)
         return cls(undamped=limits[0], stiffness=max(limits), damping=extent.damping, area=extent.area)
 
 
 def dominates(one: Measures, other: Measures) -> bool:
-    """Return True if one is at least as good in every objective, and better in one."""
+    """Return True if `one` is at least as good as `other` in every objective, and better in one of them."""
     pairs = [(one.merit(name), other.merit(name)) for name in OBJECTIVES]
     return all(a >= b for a, b in pairs) and any(a > b for a, b in pairs)
 
 
 def front(found: Sequence[Measures]) -> list[int]:
-    """Return which of these no other dominates, by index."""
+    """Return the indices of the measures that no other measures dominate."""
     return [i for i, one in enumerate(found) if not any(dominates(other, one) for other in found)]
 
 
 def as_good(one: Measures, other: Measures, step: float) -> bool:
-    """Return True if one reaches another in each measure of a paper, to a rung of `step`."""
+    """Return True if `one` reaches `other` in each measure of a paper; `step` is the ratio between two stiffnesses."""
     return all(reaches(name, getattr(one, name), getattr(other, name), step) for name in OF_A_PAPER)
 
 
 def reaches(name: str, one: float, other: float, step: float) -> bool:
-    """Return True if one value of a paper's measure is as good as another; a missing one (NaN) is reached by all."""
+    """Return True if value `one` of the measure `name` is as good as `other`, also if `other` is missing (NaN)."""
     if math.isnan(other):
         return True
     if name == "tuned":
@@ -133,25 +134,25 @@ def reaches(name: str, one: float, other: float, step: float) -> bool:
 
 
 class UnmetError(PlanError):
-    """No scheme of the listed set fulfils the wishes; says which of them binds, and by how much."""
+    """No listed scheme fulfils all wishes; the message names the limiting wish and how far it is reached."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wishes:
-    """Wishes for a design; limits of felt, heard and moved are the experiment's own.
+    """Wishes for a design; the limits of felt, heard and moved are those of the experiment.
 
     Attributes
     ----------
     goal
-        Measure that decides among the schemes that fulfil the other wishes.
+        Measure by which schemes that fulfil the other wishes are ranked.
     wall
-        K and B of a wall that has to be stable.
+        K and B of a wall that must be stable (N·m/rad and N·m·s/rad, or N/m and N·s/m).
     fidelity_hz
-        Up to where the rendered velocity has to be faithful.
+        Lowest allowed frequency up to which the rendered velocity is faithful (Hz).
     noise
-        Largest rms velocity at rest.
+        Highest allowed rms velocity at rest (rad/s or m/s).
     cost
-        Most cycles per tick.
+        Highest allowed number of processor cycles per tick.
     """
 
     goal: Goal = "area"
@@ -161,14 +162,14 @@ class Wishes:
     cost: float | None = None
 
     def __post_init__(self) -> None:
-        """Raise `PlanError` for a wish that is no positive number."""
+        """Raise `PlanError` for a wish that is not a positive number."""
         named = {"fidelity_to": self.fidelity_hz, "most_noise": self.noise, "most_cost": self.cost}
         if self.wall is not None:
             named["must_be_stable"] = self.wall[0]
         check_positive(named)
 
     def of_path(self, noise: float, fidelity_hz: float, cost: float | None) -> dict[str, float]:
-        """Return how far a velocity path fulfils each wish about it: from 1 on it does."""
+        """Return for each wish about the velocity path how far it is fulfilled; 1 or more: it is."""
         shares = {}
         if self.fidelity_hz is not None:
             shares["fidelity_hz"] = fidelity_hz / self.fidelity_hz
@@ -179,7 +180,7 @@ class Wishes:
         return shares
 
     def asked(self, name: str) -> str:
-        """Return a wish in words; the argument that states it is named."""
+        """Return a wish as a text that names the argument by which it was given."""
         if name == "wall" and self.wall is not None:
             return f"K = {self.wall[0]:g} with B = {self.wall[1]:g} (`must_be_stable`)"
         option = {"fidelity_hz": "fidelity_to", "noise": "most_noise", "cost": "most_cost"}[name]
@@ -187,7 +188,7 @@ class Wishes:
 
 
 def measure_of(goal: Goal) -> str:
-    """Return the measure of walls that a goal is compared by."""
+    """Return the name of the wall measure by which schemes are compared for a goal."""
     return "area" if goal == "quiet" else goal
 
 
@@ -199,8 +200,8 @@ def fulfilled(shares: Mapping[str, float]) -> bool:
 def refuse_unmet(wishes: Wishes, shares: Sequence[Mapping[str, float]]) -> None:
     """Raise `UnmetError` if no scheme fulfils all wishes.
 
-    The wish that binds is the one that comes least far among the schemes that fulfil all others; where none does, the
-    one that comes least far at all.
+    The limiting wish is the one with the lowest best share, among the schemes that fulfil all other wishes; if there is
+    none, among all schemes.
     """
     if not shares or any(fulfilled(one) for one in shares):
         return
@@ -223,7 +224,7 @@ def refuse_unmet(wishes: Wishes, shares: Sequence[Mapping[str, float]]) -> None:
 def key(
     wishes: Wishes, measures: Measures, shares: Mapping[str, float], own_area: float
 ) -> tuple[float, ...]:
-    """Return the sort key of a scheme, the best last: wishes first, then the goal; see the module's text."""
+    """Return the key by which schemes are sorted in ascending order, the best last: wishes, then goal, then noise."""
     met = min([1.0, *shares.values()])
     if wishes.goal == "quiet":
         enough = min(1.0, measures.area * (1.0 + NEGLIGIBLE) / own_area) if own_area > 0.0 else 1.0
@@ -233,14 +234,14 @@ def key(
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """The goal's measure of the recommended and of the experiment's own scheme, pair by pair of offset and seed."""
+    """Values of the goal's measure for the recommended and the experiment's own scheme, by offset and seed."""
 
     recommended: tuple[float, ...]
     own: tuple[float, ...]
 
     @property
     def interval(self) -> tuple[float, float, float]:
-        """Return the mean difference over the own scheme's mean, and the ends of its interval of `CONFIDENCE`."""
+        """Return the mean relative difference to the own scheme's mean, and both ends of its confidence interval."""
         own = float(np.mean(self.own))
         differences = (np.array(self.recommended) - np.array(self.own)) / (own if own > 0.0 else 1.0)
         mean, n = float(differences.mean()), len(differences)

@@ -1,7 +1,7 @@
-"""Search for a design: theory over the listed set, three rounds of hits, validation on held-out offsets and seeds.
+"""Search for a design: theory for the listed set, three rounds of hits, validation on held-out offsets and seeds.
 
-What a stage does follows from the results of those before, which are kept: a design that was stopped resumes in its
-stage, and its result is the same to the last bit.
+Each stage depends on the stored results of earlier stages: a stopped design resumes in its stage, and its result is
+equal to the last bit.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ HELD_OUT_SEED, HELD_OUT_REPEATS = 1_000, 2  # added to the seed of the trial; se
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Round:
-    """One round of hits: how many schemes enter it, and how fine their maps are."""
+    """Round of hits: number of schemes that enter it; search, number of dampings and offsets of their maps."""
 
     name: str
     enter: int
@@ -71,18 +71,17 @@ class DesignRequest:
     Attributes
     ----------
     experiment
-        Rig, push and thresholds; its own scheme is what every other one is compared with.
+        Rig, push and thresholds; all other schemes are compared with its own scheme.
     wishes
-        See `rig.experiments.design._rules`.
+        Goal and wishes, see `rig.experiments.design._rules`.
     places
-        Where the law may run; where the experiment's own runs, at most at its rate, if empty.
+        Places where the law may run. If empty: the experiment's place of the law, at most at its position rate.
     schemes
-        The listed set, if not `rig.experiments.design._listing`.
+        Schemes to search; if empty, those of `rig.experiments.design._listing`.
     rounds
         Rounds of hits.
     paper
-        True if the schemes of the rig's own paper are compared with all of the listed set, too
-        (`rig.experiments.design._whole`).
+        True to compare also the schemes of the rig's paper with all listed schemes (`rig.experiments.design._whole`).
     """
 
     experiment: Experiment
@@ -93,7 +92,7 @@ class DesignRequest:
     paper: bool = False
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plain values: all that decides the search; a paper has stages of its own, which change no other."""
+        """Return everything that determines the search as plain values; `paper` is left out, as it only adds stages."""
         return {
             "experiment": config.as_mapping(self.experiment),
             "wishes": plain(self.wishes),
@@ -104,7 +103,7 @@ class DesignRequest:
 
 
 def directory_for(request: DesignRequest, where: Path) -> Path:
-    """Return the directory of a design; its name carries a digest of everything that decides the result."""
+    """Return the directory of a design; its name has a digest of everything that determines the result."""
     described = json.dumps([sweep.code_version(), request.as_mapping()], sort_keys=True)
     digest = sha256(described.encode()).hexdigest()[:8]
     return where / f"design-{request.experiment.rig.name}-{digest}"
@@ -118,14 +117,14 @@ def design(
     workers: int | None = None,
     watch: Watch | None = None,
 ) -> Design:
-    """Find the scheme that suits a rig and wishes best.
+    """Find the scheme that fulfils the wishes for a rig best.
 
     Parameters
     ----------
     request
         Request of the design.
     directory
-        Where finished tasks are kept, and found again; None: nowhere.
+        Directory that stores finished tasks; a stopped design resumes from it. None: not stored.
     scheduler, workers, watch
         As in `rig.experiments.sweep.run`; `watch` is also called with the name of the stage.
 
@@ -134,11 +133,11 @@ def design(
     NoStableWallError
         No scheme has a stable wall whose damping is rendered.
     UnmetError
-        No scheme of the listed set fulfils the wishes; it says which one binds.
+        No listed scheme fulfils the wishes; the message names the limiting wish.
     ConfigError
-        A scheme of `request.schemes` that cannot be, a rig of no paper, or a scheduler that is not there.
+        A scheme of `request.schemes` is invalid, the rig is not one of a paper, or the scheduler is not found.
     StoppedError
-        Ctrl-C; what is done stays in the directory.
+        Ctrl-C was pressed; finished tasks stay in the directory.
     """
     run = Sweeper(directory=directory, scheduler=scheduler, workers=workers, watch=watch)
     return _Search(request, run).design()
@@ -242,7 +241,10 @@ class _Search:
         dampings: Sequence[float],
         own: Linear,
     ) -> list[Candidate]:
-        """Return the best first: in turn by the boundary with a toggling count and by that without."""
+        """Return the candidates sorted by linear theory, the best first.
+
+        They are taken in turn from two rankings: by limits with the ripple of a toggling count, and by limits without.
+        """
         wishes = self.request.wishes
 
         def value(one: Candidate, quiet: bool) -> tuple[float, ...]:
@@ -268,7 +270,7 @@ class _Search:
         known: Mapping[str, Linear],
         own: Candidate,
     ) -> list[Standing]:
-        """Map the entrants; the best first."""
+        """Map the schemes that enter a round, and return them with their results, the best first."""
         x, wishes = self.request.experiment, self.request.wishes
         b = sorted({*dampings, wishes.wall[1]} if wishes.wall else set(dampings))
         search = search_for(x, stage.way, ratio=stage.ratio, schemes=[one.scheme for one in entrants])
@@ -307,7 +309,7 @@ class _Search:
         )
 
     def _with_wall(self, finalists: list[Standing]) -> list[Standing]:
-        """Return the finalists with the wished wall itself hit, at all offsets: the map has only its neighbours."""
+        """Hit the wished wall itself with each finalist at all offsets, and return the finalists with the result."""
         wall = self.request.wishes.wall
         if wall is None:
             return finalists
@@ -326,7 +328,7 @@ class _Search:
         return sorted(found, key=lambda one: rules.fulfilled(one.shares), reverse=True)
 
     def _compare_held_out(self, best: Standing, own: Standing, dampings: Sequence[float]) -> Comparison:
-        """Return both schemes on offsets and seeds of their own."""
+        """Hit walls with both schemes on offsets and seeds that the search did not use; return the comparison."""
         x = self.request.experiment
         x = config.override(x, {"trial.seed": x.trial.seed + HELD_OUT_SEED}, "the comparison")
         last = self.request.rounds[-1]
@@ -346,7 +348,7 @@ class _Search:
 
 
 def _pairs(found: ZWidth) -> list[BoundaryMeasures]:
-    """Return a boundary of each offset and repeat by itself."""
+    """Return the measures of each single series, one for each offset and repeat."""
     curve = found.curve(0, "any")
     dampings = [b.damping for b in curve]
     return [
@@ -364,14 +366,14 @@ def _octaves(top: float, columns: int) -> tuple[float, ...]:
 
 
 def _reach(standings: Sequence[Standing]) -> float:
-    """Return the column after the last one in which any wall passed."""
+    """Return the first damping above all at which a wall passed; else the largest damping."""
     dampings = [b.damping for b in standings[0].boundary]
     last = max(one.measures.damping for one in standings)
     return next((b for b in dampings if b > last), dampings[-1])
 
 
 def _where(best: Standing, wishes: Wishes) -> tuple[float, float]:
-    """Return the damping at which a margin is taken, and the limit of K there."""
+    """Return the damping at which the margin is computed, and the limit of K there (N·m/rad or N/m)."""
     if wishes.wall is not None:
         return wishes.wall[1], max(b.lowest for b in best.boundary if b.damping == wishes.wall[1])
     peak = max(best.boundary, key=lambda boundary: boundary.counted)

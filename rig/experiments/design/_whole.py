@@ -1,6 +1,7 @@
-"""Compare the whole listed set with a paper's own scheme, in every measure of that paper.
+"""Compare all listed schemes with a scheme of a paper, in every measure of that paper.
 
-`search` calls it with `paper`. It must not state that no scheme is as good unless each was ruled out or mapped.
+`_search` calls it if `paper` is requested. It must not state that no scheme is as good as the paper's, unless each
+listed scheme was ruled out or mapped.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ class PaperSchemes:
 
     @classmethod
     def of(cls, rig: str) -> PaperSchemes:
-        """Return the paper that a rig is of; `ConfigError` for one of no paper."""
+        """Return schemes and measures of the paper that describes a rig; raise `ConfigError` if no paper does."""
         if rig in KOUL:
             return cls(schemes=(Scheme.of(presets.load(rig)),), measures=OF_A_PAPER)
         if rig == PAPERS_RIG:
@@ -86,7 +87,7 @@ class PaperSchemes:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MappedScheme:
-    """A scheme that was mapped whole, its value of each measure, and which of them are only lower bounds."""
+    """Completely mapped scheme: its value of each measure, and the names of those that are only bounds (`capped`)."""
 
     candidate: Candidate
     label: str
@@ -98,7 +99,7 @@ class MappedScheme:
         return ("≥ " if name in self.capped else "") + written(self.values[name], 3)
 
     def misses(self, other: MappedScheme) -> list[str]:
-        """Return measures in which it is not as good as another."""
+        """Return the names of the measures in which this scheme is not as good as the other."""
         return [
             name
             for name, value in self.values.items()
@@ -108,20 +109,20 @@ class MappedScheme:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Against:
-    """One scheme of a paper against all of the listed set.
+    """Comparison of one scheme of a paper with all listed schemes.
 
     Attributes
     ----------
     paper
-        The scheme.
+        Scheme of the paper.
     listed
-        How many schemes the set has beside it.
+        Number of listed schemes, without the scheme of the paper.
     ruled_out
-        Number of schemes, by measure, that a single hit (or a count of numbers) rules out, in the order of the checks.
+        For each measure the number of schemes that a failed hit (or the number of tuned values) rules out.
     measured
-        Schemes that nothing rules out and that were mapped, the best first: those that miss fewest measures.
+        Mapped schemes that were not ruled out; those that miss the fewest measures first.
     open
-        How many are neither ruled out nor measured, as one is found that is as good.
+        Number of schemes that were neither ruled out nor mapped, because a scheme as good as the paper's was found.
     """
 
     paper: MappedScheme
@@ -132,17 +133,17 @@ class Against:
 
     @property
     def best(self) -> MappedScheme | None:
-        """Return the scheme that misses fewest measures, of those the one with the largest range and peak."""
+        """Return the mapped scheme that misses the fewest measures; of equals that of largest K peak × B range."""
         return self.measured[0] if self.measured else None
 
     @property
     def as_good(self) -> bool:
-        """Return True if some listed scheme is as good as the paper's in every measure."""
+        """Return True if a listed scheme is as good as the paper's scheme in every measure."""
         return self.best is not None and not self.best.misses(self.paper)
 
     @property
     def text(self) -> str:
-        """Return the verdict of the comparison as one sentence."""
+        """Return the result of the comparison as a sentence."""
         if self.best is not None and self.as_good:
             return f"{self.best.label} is as good as {self.paper.label} in every measure"
         return (
@@ -151,7 +152,7 @@ class Against:
         )
 
     def table(self, motion: str) -> Table:
-        """Return each measure: the paper's scheme, the best found, and how many were ruled out by it."""
+        """Return a table: for each measure the paper's scheme, the best found, and the number of ruled out schemes."""
         best, missed = self.best, [] if self.best is None else self.best.misses(self.paper)
         rows = []
         for name in self.paper.values:
@@ -164,7 +165,7 @@ class Against:
         return Table(head, rows, self.text)
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the comparison as plain values, for JSON."""
+        """Return the comparison as plain values for JSON."""
 
         def as_facts(one: MappedScheme) -> dict[str, Any]:
             return {
@@ -188,7 +189,7 @@ class Against:
 def against_paper(
     experiment: Experiment, candidates: Sequence[Candidate], run: Sweeper
 ) -> tuple[Against, ...]:
-    """Hold each scheme of a rig's paper against candidates, which are the listed set, the most promising first."""
+    """Compare each scheme of the rig's paper with all listed candidates, given with the most promising first."""
     return _Whole(experiment, PaperSchemes.of(experiment.rig.name), run).compare(candidates)
 
 
@@ -248,7 +249,7 @@ class _Whole:
     def _sieves(
         self, name: str, asked: Mapping[str, float]
     ) -> Iterator[tuple[str, Callable[[Sequence[Candidate]], list[Candidate]]]]:
-        """Yield each measure with a filter, which returns the schemes that may still reach that measure."""
+        """Yield each measure, with a function that returns the candidates which may still reach it."""
         softest = self._search.lowest
         reach = next(b for b in self._dampings if rules.reaches("damping", b, asked["damping"], RATIO))
         # Any wall that holds at or beyond the range shows the range.
@@ -268,7 +269,7 @@ class _Whole:
             )
 
     def _keep_undamped(self, name: str, left: Sequence[Candidate], asked: float) -> list[Candidate]:
-        """At B = 0 a law is K times the position, so that one estimator stands for all."""
+        """Return the candidates that reach the stiffness `asked` at B = 0; there the estimator has no effect."""
 
         def law(one: Candidate) -> tuple[Any, ...]:
             return one.loop, one.delay_ticks, one.scheme.position_rate
@@ -279,13 +280,13 @@ class _Whole:
         return [one for one in left if law(one) in laws]
 
     def _rung(self, name: str, asked: float) -> float:
-        """Return the softest rung that is as good as what is asked for."""
+        """Return the lowest stiffness of the search that is as good as `asked` in a measure."""
         return next(k for k in self._search.rungs if rules.reaches(name, k, asked, RATIO))
 
     def _hold(
         self, stage: str, left: Sequence[Candidate], dampings: Sequence[float], stiffness: float
     ) -> list[Candidate]:
-        """Return candidates one of whose walls, at any of the dampings, does not fail at some offset."""
+        """Return the candidates whose wall of this stiffness does not fail at one of the dampings and offsets."""
         if not left:
             return []
         one_rung = StiffnessSearch(way="grid", lowest=stiffness, highest=1.5 * stiffness, ratio=2.0)
@@ -301,7 +302,7 @@ class _Whole:
         ]
 
     def _map_whole(self, stage: str, some: Sequence[Candidate]) -> list[MappedScheme]:
-        """Map candidates whole, and excite their rigs where the paper does."""
+        """Map candidates completely by hits, and by impedances if the paper has measures of them."""
         x = self._x
         grid = WallGrid(dampings=self._dampings, search=self._search, offsets=OFFSETS)
         maps = self._run.map_each(f"{stage} hits", [(one.condition(x), one.scheme, grid) for one in some])
@@ -349,7 +350,7 @@ class _Whole:
         return tuple(name for name in self._paper.measures if reached.get(name, False))
 
     def _count_tuned(self, one: Candidate) -> int:
-        """Return numbers to tune; the listed set states order and longest window where they keep their default, too."""
+        """Return the number of tuned values; an order or window of a listed scheme does not count at its default."""
         controller = one.applied(self._x).controller
         defaults = {
             setting.name: setting.default for setting in estimators.get(controller.estimator).settings

@@ -1,1 +1,1 @@
-"""Velocity estimators over one signal: compared, tuned, exported."""
+"""Velocity estimators on a signal of counts: compare them, tune their settings, and export them as C."""

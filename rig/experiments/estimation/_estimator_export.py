@@ -1,7 +1,7 @@
-"""Export a tuned estimator as one C99 file, and beside it a test against the motion that it was tuned on.
+"""Export a tuned estimator as a C99 header, with a test program that runs it on the motion of the tuning.
 
-`rig estimators export` calls it. The test holds counts and the velocities of the host's estimator in float64, so it
-must allow what float32 differs by.
+`rig estimators export` calls it. The test contains counts, and velocities of the host's estimator in float64; its
+tolerance covers the rounding of float32.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _IN_A_LINE = 4  # samples
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """How far the velocities of a test may be off: each of them, or their rms."""
+    """Largest allowed error of the test's velocities: of each velocity, or with `rms` True of their rms."""
 
     limit: float
     unit: str
@@ -59,7 +59,7 @@ class Tolerance:
 
     @property
     def text(self) -> str:
-        """Return the tolerance in words, with its unit."""
+        """Return the tolerance as a text with its unit."""
         if self.limit == 0.0:
             return "equal"
         return f"within {self.limit:.2g} {self.unit}" + (" rms" if self.rms else "")
@@ -67,22 +67,22 @@ class Tolerance:
 
 @dataclass(frozen=True, kw_only=True)
 class EstimatorExport:
-    """An estimator as C, and its test.
+    """Exported estimator in C, and its test.
 
     Attributes
     ----------
     estimator, settings
-        Its name, and those of its settings that were chosen.
+        Name of the estimator, and its settings that were chosen.
     rig, velocity_rate_hz, resolution
-        Rig, rate and resolution for which its numbers are computed.
+        Rig, rate (Hz) and resolution (rad or m) for which the constants are computed.
     unit
         Unit of the result of ``…_velocity``: rad/s or m/s, or for integers LSBs with their size.
     motion, samples, tolerance
         Motion, number of samples and tolerance of the test.
     costs
-        Cost of one call on each processor; empty where `cost_unknown` says why.
+        Cost of one call on each processor; if empty, `cost_unknown` has the reason.
     header, test
-        The files: `text` and `test_text`.
+        Paths of the files, whose contents are `text` and `test_text`.
     """
 
     estimator: str
@@ -107,7 +107,7 @@ class EstimatorExport:
         return "integers" if self.estimator == FIXED else "float32"
 
     def items(self) -> list[Row | Table]:
-        """Return description and cost of the export, for people."""
+        """Return description and cost of the export as rows to print."""
         rate = f"{self.velocity_rate_hz:g} Hz, {self.resolution:.4g} a count"
         rows: list[Row | Table] = [
             Row("estimator", self.estimator, note=f"in {self.arithmetic}, for {self.rig}: {rate}"),
@@ -131,33 +131,33 @@ def export_estimator(
     overwrite: bool = False,
     on_progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> EstimatorExport:
-    """Write an estimator with the numbers that suit a rig as one C99 header, and a program that tests it.
+    """Write an estimator with the constants for a rig as a C99 header, and a C program that tests it.
 
     Parameters
     ----------
     variant
-        Name, and settings on top of the experiment's, which count where that uses this estimator.
+        Name and settings of the estimator; they override the experiment's settings of the same estimator.
     experiment
-        Has encoder and velocity rate.
+        Experiment with encoder and velocity rate.
     header
-        File to write: ``kalman.h`` unless given; the test becomes ``kalman_test.c`` beside it.
+        Header to write. None: the estimator's name, for example ``kalman.h``. The test is ``kalman_test.c`` beside it.
     case
-        Case on which it was tuned; without one, `signal` as the rig's encoder sees it.
+        Case for the test, usually that of the tuning. None: `signal`, measured by the rig's encoder.
     signal
         One of `rig.experiments.estimation._signals.SIGNALS`.
     costs
-        Count what a call costs, where a cross compiler and the simulator are installed.
+        True to compute the cost of a call, if a cross compiler and the simulator are installed.
     overwrite
-        Replace files of those names.
+        True to replace existing files.
     on_progress
-        Called with each step and its share.
+        Called with the name of the present step and the share of it that is done (0 to 1).
 
     Raises
     ------
     ConfigError
-        An estimator that cannot be exported, and why; settings that do not fit; a case of another resolution or rate.
+        The estimator cannot be exported, its settings are invalid, or the case has another resolution or rate.
     RecordingError
-        A file is in the way, or the disk refuses.
+        A file exists already, or cannot be written.
     """
     rate_hz, resolution = float(experiment.controller.velocity_rate), signed(experiment)
     settings = _settings(variant, experiment)
@@ -166,9 +166,7 @@ def export_estimator(
     made = estimator_c(prepared)
     header = Path(f"{made.prefix}.h") if header is None else header
     if header.suffix != ".h":
-        raise ConfigError(
-            f"{header} is not a valid name for a header: it must end in .h", remedy="give one that ends in .h"
-        )
+        raise ConfigError(f"{header} is not a valid name for a header", remedy="give a name that ends in .h")
     test = header.with_name(f"{header.stem}_test.c")
     if not overwrite:
         refuse_existing(header)
@@ -239,7 +237,7 @@ def _check_fits(case: Case, rate_hz: float, resolution: float) -> Case:
 
 
 def _test_efforts(prepared: Prepared, limit: float, samples: int) -> Floats:
-    """Efforts of the test (N·m or N): they need not be those of the motion, only change the estimate."""
+    """Return efforts for the test (N·m or N), zero if the estimator uses none; they need not match the motion."""
     if not prepared.estimator.uses_effort:
         return np.zeros(samples)
     # As float32 has them: the test's C and this computer read the same numbers.
@@ -260,7 +258,7 @@ def _tolerance(prepared: Prepared, counts: Ints, elapsed: Ints, velocity: Floats
 
 
 def _with_rounded_memory(prepared: Prepared, counts: Ints, elapsed: Ints) -> Floats:
-    """Return velocities of an estimator of counts alone that keeps its memory in float32."""
+    """Return the velocities of an estimator whose memory is rounded to float32 after each sample (rad/s or m/s)."""
     update, state_f, state_i = (
         prepared.estimator.update,
         np.zeros_like(prepared.state_f),
@@ -274,7 +272,7 @@ def _with_rounded_memory(prepared: Prepared, counts: Ints, elapsed: Ints) -> Flo
 
 
 def _fastest(velocity: Floats, counts: Ints, elapsed: Ints) -> tuple[Ints, Ints]:
-    """Return counts and elapsed periods of `COSTED_SAMPLES` samples around the fastest."""
+    """Return counts and elapsed periods of `COSTED_SAMPLES` samples around the highest velocity."""
     first = max(0, int(np.abs(velocity).argmax()) - COSTED_SAMPLES // 2) if len(velocity) else 0
     return counts[first : first + COSTED_SAMPLES], elapsed[first : first + COSTED_SAMPLES]
 
@@ -362,7 +360,7 @@ def _test_text(
     velocity: Floats,
     effort: Floats,
 ) -> str:
-    """A program that ends with 0 where the header gives the host's velocities, and prints by how much it is off."""
+    """Return the C test program: it prints its largest error, and exits with 0 if this is within the tolerance."""
     whole = made.returns != "float"
     wanted = (
         [str(round(v / made.scale)) for v in velocity.tolist()]

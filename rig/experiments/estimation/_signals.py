@@ -1,7 +1,7 @@
-"""Reference motions that are known exactly: position, velocity and acceleration as functions of time.
+"""Reference motions in closed form: position, velocity and acceleration as functions of time.
 
-Estimators, filters and experiments are judged against them. Lengths are in position units (m, or rad times a radius);
-the numbers are those of a hand-held handle: 0.1 to 0.3 m/s, up to 40 Hz. Pure closed forms, no simulation.
+Estimators, filters and experiments are compared with them. Lengths are in position units (m, or rad times a radius).
+Amplitudes and frequencies are those of a hand-held handle: 0.1 to 0.3 m/s, up to 40 Hz.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ BISECTIONS = 60  # halves any interval below the rounding of its ends
 
 
 class Motion(NamedTuple):
-    """Position, velocity and acceleration at the times asked for, each in their shape."""
+    """Position, velocity and acceleration at given times, each with the shape of the times."""
 
     position: Floats
     velocity: Floats
@@ -28,20 +28,20 @@ class Motion(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """A motion for all times, and the span in which an estimator is judged by it.
+    """Reference motion, and the time span in which an estimator is judged.
 
     Attributes
     ----------
     name
-        As commands call it.
+        Name of the signal in commands.
     meaning
         Property of estimators that the signal shows.
     motion
-        Function of time (s, any shape); smooth in velocity.
+        Function of time (s, any shape) that returns a `Motion`; the velocity is continuous.
     start_s
-        From here on an estimator that began at time 0 is expected to have settled.
+        Begin of the judged span (s): an estimator that started at time 0 has settled.
     end_s
-        Where the signal ends.
+        End of the signal (s).
     """
 
     name: str
@@ -56,7 +56,7 @@ class Signal:
 
 
 def ramp(speed: float = 0.01 * np.pi) -> Signal:
-    """Steady motion. The default speed is no whole number of counts a period, so that every rounding occurs."""
+    """Return a motion of constant speed (m/s); the default is not a whole number of counts per period."""
 
     def motion(t: Floats) -> Motion:
         return Motion(speed * t, np.full_like(t, speed), np.zeros_like(t))
@@ -65,7 +65,7 @@ def ramp(speed: float = 0.01 * np.pi) -> Signal:
 
 
 def sine(amplitude: float = 0.01, frequency_hz: float = 5.0) -> Signal:
-    """Return the free oscillation of a handle: amplitude · sin(2π·frequency·t)."""
+    """Return the oscillation amplitude · sin(2π·frequency·t), with the amplitude in m."""
     w = 2.0 * np.pi * frequency_hz
 
     def motion(t: Floats) -> Motion:
@@ -78,7 +78,7 @@ def sine(amplitude: float = 0.01, frequency_hz: float = 5.0) -> Signal:
 def chirp(
     amplitude: float = 0.001, start_hz: float = 1.0, end_hz: float = 40.0, sweep_s: float = 1.0
 ) -> Signal:
-    """Sine of constant amplitude whose frequency rises linearly: amplitude · sin(φ), φ′ = 2π·(start + rate·t)."""
+    """Return a sine of constant amplitude (m) whose frequency rises linearly from `start_hz` to `end_hz`."""
     rate = (end_hz - start_hz) / sweep_s
 
     def motion(t: Floats) -> Motion:
@@ -93,11 +93,11 @@ def chirp(
 def wall_bounce(
     approach: float = 0.1, contact_s: float = 0.1, ring_hz: float = 34.0, damping_ratio: float = 0.05
 ) -> Signal:
-    """Steady approach, then ringing about the wall at position 0, as a hit of a stiff wall with little damping.
+    """Return the motion of a hit on a stiff wall with little damping: steady approach (m/s), then decaying oscillation.
 
-    From contact on, x = (v/ω)·exp(−ζ·ω₀·τ)·sin(ω·τ): the free motion of a mass on the wall's spring, which meets the
-    approach in position and velocity. `ring_hz` is the damped frequency ω/2π. With the defaults v·ω, which bounds the
-    acceleration, is 21.4 m/s².
+    The wall is at position 0. From contact on, x = (v/ω)·exp(−ζ·ω₀·τ)·sin(ω·τ), the free motion of a mass on the wall's
+    spring; position and velocity are continuous at the contact. `ring_hz` is the damped frequency ω/2π. The bound of
+    the acceleration is v·ω, 21.4 m/s² with the defaults.
     """
     w = 2.0 * np.pi * ring_hz
     decay = w * damping_ratio / np.sqrt(1.0 - damping_ratio**2)
@@ -122,7 +122,7 @@ def wall_bounce(
 
 
 def slow_reversal(amplitude: float = 0.001, frequency_hz: float = 1.0) -> Signal:
-    """Slow turning back and forth: counts become rare around each turn, which is where estimators differ most."""
+    """Return a slow oscillation: counts become rare around each reversal, where estimators differ most."""
     return Signal(
         "slow-reversal", "6 mm/s at most, and twice to rest", sine(amplitude, frequency_hz).motion, 0.2, 1.0
     )
@@ -134,28 +134,28 @@ SIGNALS: dict[str, Signal] = {
 
 
 def edge_times(signal: Signal, time_s: ArrayLike, resolution: float, *, offset: float = 0.5) -> Floats:
-    """Return when the last encoder edge at or before each time happened, as an ideal capture unit sees it.
+    """Return the time of the last encoder edge at or before each sample, as an ideal capture unit measures it.
 
     Parameters
     ----------
     signal
-        The motion; its velocity must change sign at most once between two times.
+        Motion whose velocity changes sign at most once between two samples.
     time_s
-        Times of the samples (s), rising, shape (n,).
+        Times of the samples (s), ascending, shape (n,).
     resolution
         Travel for one count (position units); its sign does not matter.
     offset
-        Where position zero lies in its cell (count), as in `rig.control.estimators.quantise`.
+        Place of position zero within its encoder cell (count), as in `rig.control.estimators.quantise`.
 
     Returns
     -------
     ndarray of float64
-        Times of edges (s), shape (n,); −inf until the first edge after ``time_s[0]``.
+        Times of the edges (s), shape (n,); −inf before the first edge after ``time_s[0]``.
 
     Notes
     -----
-    An edge is where the position passes a boundary of cells. Between two times and a turning point the motion is
-    monotone, so that the last boundary on the way is the near one of the last cell; bisection finds it.
+    At an edge the position passes a boundary between two encoder cells. The motion is monotone between samples and
+    turning points, so the last passed boundary is the near one of the last cell; its time is found by bisection.
     """
     times = np.asarray(time_s, dtype=np.float64)
     delta = abs(resolution)
@@ -183,7 +183,7 @@ def _turning_points(signal: Signal, times: Floats) -> Floats:
 
 
 def _bisect(function: Callable[[Floats], Floats], low: Floats, high: Floats) -> Floats:
-    """Return where each component of a function that is below zero at `low` and not at `high` passes zero."""
+    """Return the zero of each component of a function that is negative at `low` and not negative at `high`."""
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
         below = function(middle) < 0.0

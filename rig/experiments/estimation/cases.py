@@ -1,7 +1,7 @@
-"""Test cases of estimators: counts, one for each velocity sample, and the velocity that they come from.
+"""Test cases of estimators: a count for each velocity sample, and the true velocity.
 
-A case is a reference signal (`rig.experiments.estimation._signals`) as an ideal encoder sees it, or a recording with
-the simulation's truth, or one of a real rig with a reference that looks into the future.
+A case is made of a reference signal (`rig.experiments.estimation._signals`) with an ideal encoder, of a simulated
+recording with its true velocity, or of a real recording with a reference from a filter that uses future samples.
 """
 
 from __future__ import annotations
@@ -34,32 +34,32 @@ FEWEST_SAMPLES = 16  # that the filter of the reference takes
 
 @dataclass(frozen=True)
 class Case:
-    """Counts, one for each velocity sample, and the velocity that they come from.
+    """Test case of estimators: a count for each velocity sample, and the true velocity.
 
     Attributes
     ----------
     name
         Name of the signal or recording.
     motion
-        Decides the units.
+        Rotary or linear, which determines the units.
     dt
         Velocity period (s).
     resolution
         Travel for one count (rad or m), signed.
     time_s
-        When each sample was taken (s), shape (n,).
+        Time of each sample (s), shape (n,).
     counts, edge_time, elapsed
-        As `rig.control.estimators.estimate` takes them, shape (n,).
+        Inputs of an estimator, as in `rig.control.estimators.estimate`, shape (n,).
     judged
-        Which samples count for the score, shape (n,).
+        True for the samples from which the score is computed, shape (n,).
     truth
-        True velocity as a function of time (s).
+        Function that returns the true velocity (rad/s or m/s) at given times (s).
     reference
-        Where the truth comes from, in words.
+        Text on the source of the true velocity.
     effort
-        Mean effort of the motor since the sample before (N·m or N), shape (n,); None where it is not known.
+        Mean effort of the motor since the sample before (N·m or N), shape (n,); None if unknown.
     rig
-        What the rig gives an estimator that asks for it, as ``inertia``.
+        Settings that an estimator takes from the rig, for example ``inertia``.
     """
 
     name: str
@@ -83,27 +83,27 @@ class Case:
 
     @cached_property
     def judged_time_s(self) -> Floats:
-        """Return times of the judged samples (s)."""
+        """Return the times of the judged samples (s)."""
         return self.time_s[self.judged]
 
     @cached_property
     def true_velocity(self) -> Floats:
-        """Return the true velocity at the judged samples."""
+        """Return the true velocity at the judged samples (rad/s or m/s)."""
         return self.truth(self.judged_time_s)
 
     @reported
     def speed_rms(self) -> float:
-        """Return the root mean square of the true velocity over the judged samples."""
+        """Return the rms of the true velocity over the judged samples (rad/s or m/s)."""
         return float(np.sqrt(np.mean(np.square(self.true_velocity))))
 
     @cached_property
     def arrays(self) -> tuple[Ints, Floats, Ints]:
-        """Return counts, edge ages and elapsed periods, checked."""
+        """Return the checked counts, edge ages (s) and elapsed periods, each of shape (n,)."""
         return inputs(self.counts, self.dt, self.edge_time, self.elapsed)
 
     @cached_property
     def delayed_truths(self) -> tuple[slice, Floats, Floats, Floats]:
-        """Which judged samples tell the delay, the delays to try (s), the truth at each, a row, and its square."""
+        """Samples used to find a delay (slice of the judged ones), delays to try (s), truth for each, and its power."""
         chosen = slice(None, None, max(1, len(self.judged_time_s) // DELAY_SAMPLES))
         delays = np.arange(EARLIEST_S, LATEST_S + DELAY_STEP_S, DELAY_STEP_S)
         time_s = self.judged_time_s[chosen]
@@ -113,7 +113,7 @@ class Case:
 
 
 def signal_case(signal: Signal, rate_hz: float, resolution: float, *, offset: float = 0.5) -> Case:
-    """Return a reference signal as an ideal encoder sees it, sampled from time 0 on, with true edge times.
+    """Return the case of a reference signal, sampled from time 0 on by an ideal encoder with exact edge times.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def signal_case(signal: Signal, rate_hz: float, resolution: float, *, offset: fl
     resolution
         Travel for one count (m).
     offset
-        Where position zero lies in its cell (count).
+        Place of position zero within its encoder cell (count).
     """
     dt = 1.0 / rate_hz
     time_s = dt * np.arange(round(signal.end_s * rate_hz), dtype=np.float64)
@@ -157,29 +157,30 @@ def counts_case(
     motion: Motion = "rotary",
     name: str = "counts",
 ) -> Case:
-    """Return counts of your own with the velocity behind them, to compare and tune estimators on.
+    """Return a case of your own counts and velocities, on which to compare and tune estimators.
 
     Parameters
     ----------
     counts, dt, resolution, edge_time, elapsed, width
-        As `estimate` takes them: encoder counts of shape (n,), one for each velocity period of `dt` (s), and the travel
-        for one count (rad or m).
+        As in `estimate`: encoder counts of shape (n,), one for each velocity period of `dt` (s), and the travel for one
+        count (rad or m).
     velocity
-        True velocity at each sample (rad/s or m/s), shape (n,): of a simulation, or of a better sensor. Between samples
-        it is taken to be a line.
+        True velocity at each sample (rad/s or m/s), shape (n,), from a simulation or a better sensor; between
+        samples it is interpolated linearly.
     effort
-        As `estimate` takes it, for estimators that use it.
+        As in `estimate`, for estimators that use it.
     settle_s
-        From the first sample on, so long is not judged: estimators settle (s).
+        Time from the first sample on that is not judged, because estimators settle (s).
     motion
-        ``"rotary"`` (rad) or ``"linear"`` (m): units in tables.
+        ``"rotary"`` (rad) or ``"linear"`` (m), for the units in tables.
     name
-        For tables.
+        Name in tables.
 
     Raises
     ------
     ConfigError
-        As `estimate`; velocities of another length, or not finite; nothing left to judge.
+        An input of `estimate` is invalid, the velocities have another length or are not finite, or `settle_s` covers
+        all samples.
 
     Examples
     --------
@@ -225,27 +226,27 @@ def counts_case(
 
 
 def recording_case(recording: Recording, rate_hz: float | None = None, *, name: str = "recording") -> Case:
-    """Return a recording's counts, with the simulation's truth, or else with a zero-phase reference.
+    """Return the case of a recording, with the simulation's true velocity, or on a real rig with a filtered reference.
 
     Parameters
     ----------
     recording
-        Recording of any rig; the trial is judged, and the estimators settle in the part before it.
+        Recording of any rig; the phase TRIAL is judged, and the estimators settle before it.
     rate_hz
-        Velocity samples per second, a whole fraction of the recording's position rate; the recording's own if None.
+        Velocity samples per second (Hz), which must divide the recording's position rate. None: that of the recording.
     name
-        For tables.
+        Name in tables.
 
     Raises
     ------
     ConfigError
-        A rate that does not divide the position rate, or a recording without samples.
+        The rate does not divide the position rate, or the recording is too short.
 
     Notes
     -----
-    A real rig knows no true velocity. Its reference is the derivative of the recorded position through a Butterworth
-    filter of order 4 at `REFERENCE_HZ`, run forwards and backwards: no delay, but nothing above that frequency either,
-    so that errors against it are comparable, not absolute.
+    The true velocity of a real rig is unknown. Its reference is the derivative of the position after a Butterworth
+    filter of order 4 at `REFERENCE_HZ`, run forwards and backwards. It has no delay, but lacks higher frequencies: use
+    errors against it only to compare estimators.
     """
     resolution: float
     position_rate: float
@@ -303,14 +304,14 @@ def recording_case(recording: Recording, rate_hz: float | None = None, *, name: 
 
 
 def _mean_efforts(recording: Recording, index: Ints, first: NDArray[np.intp]) -> Floats:
-    """Mean of the active effort between the samples `first`, as the loop passes it to an estimator."""
+    """Return the mean applied effort before each sample of `first` (N·m or N), as the loop passes it to estimators."""
     impulse = np.cumsum(recording.column("effort_applied") * np.diff(index, prepend=index[0] - 1))[first]
     ticks = index[first] + 1
     return np.asarray(np.diff(impulse, prepend=0.0) / np.diff(ticks, prepend=0))
 
 
 def _truth(recording: Recording, time_s: Floats, resolution: float) -> tuple[Callable[[Floats], Floats], str]:
-    """Return the velocity as a function of time, and where it comes from."""
+    """Return a function of time (s) for the true velocity, and a text on its source."""
     if recording.has_truth:
         true = recording.column("velocity_true")
         known = np.isfinite(true)

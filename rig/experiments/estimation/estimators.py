@@ -1,6 +1,6 @@
-"""Score velocity estimators side by side, on motions whose velocity is known: how wrong, how late, how noisy at rest.
+"""Score velocity estimators on motions with a known velocity: error, delay, and noise at rest.
 
-A *case* is a row of counts with the velocity behind it (`rig.experiments.estimation.cases`), a *variant* an estimator
+A *case* is a series of counts with its true velocity (`rig.experiments.estimation.cases`). A *variant* is an estimator
 with its settings.
 """
 
@@ -31,21 +31,21 @@ TIMED_RUNS = 9
 
 @dataclass(frozen=True)
 class Variant:
-    """An estimator with settings; those left out take their default."""
+    """Estimator with settings; settings that are not given have their default."""
 
     estimator: str
     settings: Mapping[str, float | str] = field(default_factory=dict)
 
     @classmethod
     def parse(cls, text: str) -> Variant:
-        """Read ``kalman`` or ``kalman:gain=steady,q=2e4``; raises `ConfigError`."""
+        """Return the variant of a text like ``kalman`` or ``kalman:gain=steady,q=2e4``; raise `ConfigError`."""
         name, _, rest = text.partition(":")
         settings: dict[str, float | str] = {}
         for part in filter(None, rest.split(",")):
             key, equals, value = part.partition("=")
             if not equals:
                 raise ConfigError(
-                    f"{text}: {part!r} has no value: expected setting=value",
+                    f"{text}: the setting {part!r} has no value",
                     remedy="write NAME:setting=value,setting=value",
                 )
             try:
@@ -65,24 +65,24 @@ class Variant:
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """How one variant did on one case. Velocities in rad/s or m/s; NaN where a number does not apply.
+    """Score of one variant on one case. Velocities are in rad/s or m/s; a number that does not apply is NaN.
 
     Attributes
     ----------
     rms
-        Raw error, rms.
+        Error of the estimated velocity, rms.
     delay_s
-        Shift of the truth that leaves the least error: below zero for an estimate ahead of time; NaN when it is not
-        identifiable (see `delay`).
+        Delay of the estimate (s): the shift of the true velocity that minimises the error. It is negative for an
+        estimate ahead of time, and NaN if it cannot be identified (see `delay`).
     rms_without_delay
-        The error that is left then.
+        Error after correction of the delay, rms.
     rest_rms, toggling_rms
-        Velocity read at rest after a motion: with the count at rest, and with the count falling at random on one of
-        two neighbours at each sample.
+        Estimated velocity at rest after a motion, rms: with a constant count, and with a count that toggles at random
+        between two neighbours.
     ns_per_sample
-        Cost of one update through the plug type, on this machine; NaN if not timed.
+        Time of one update on this machine (ns); NaN if it was not measured.
     refused
-        Why the estimator cannot be realised at this rate; everything else is NaN then.
+        Reason why the estimator cannot run at this rate; all numbers are then NaN. None if it can.
     """
 
     case: str
@@ -101,14 +101,14 @@ class Score:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class EstimatorComparison(Shown, Drawn):
-    """Every variant on every case: `scores` case by case, in the order of the variants."""
+    """Scores of every variant on every case: `scores` has all variants of the first case, then those of the next."""
 
     cases: tuple[Case, ...]
     variants: tuple[Variant, ...]
     scores: tuple[Score, ...]
 
     def brief(self) -> list[Item]:
-        """Return the raw error and delay of each."""
+        """Return error and delay of each variant on each case."""
         rows: list[Item] = []
         number = len(self.variants)
         for case, first in zip(self.cases, range(0, len(self.scores), number), strict=True):
@@ -121,7 +121,7 @@ class EstimatorComparison(Shown, Drawn):
 
 
 def default_variants(names: Iterable[str] | None = None) -> tuple[Variant, ...]:
-    """Return the named estimators (if None, all that are not broken) with their default settings."""
+    """Return the named estimators with their default settings; None: all estimators that are not broken."""
     if names is None:
         names = (name for name in estimators.names() if not estimators.broken(name))
     return tuple(Variant(name) for name in names)
@@ -130,27 +130,27 @@ def default_variants(names: Iterable[str] | None = None) -> tuple[Variant, ...]:
 def compare_estimators(
     cases: Case | Sequence[Case], variants: Sequence[str | Variant] = (), *, timed: bool = False
 ) -> EstimatorComparison:
-    """Score velocity estimators on motions whose velocity is known (`rig estimators compare`).
+    """Score velocity estimators on motions with a known velocity (`rig estimators compare`).
 
     Parameters
     ----------
     cases
-        Counts with the velocity behind them: `counts_case` of arrays, `recording_case` of a recording.
+        Counts with their true velocity: `counts_case` makes a case of arrays, `recording_case` of a recording.
     variants
-        Estimators with their settings, as ``"kalman:gain=steady"``; all with their defaults if empty.
+        Estimators with their settings, like ``"kalman:gain=steady"``. If empty: all, with their defaults.
     timed
-        Also measure what one update costs on this machine (ns).
+        True to measure also the time of one update on this machine (ns).
 
     Returns
     -------
     EstimatorComparison
-        A `Score` for each variant on each case: raw rms error, delay, error without that delay, and noise at rest
-        (rad/s or m/s, s).
+        A `Score` for each variant on each case: rms error, delay (s), rms error without that delay, and rms noise at
+        rest (rad/s or m/s).
 
     Raises
     ------
     ConfigError
-        An unknown estimator. Settings that cannot be realised at the rate of a case are in its `Score.refused`.
+        An estimator is unknown. Settings that cannot run at the rate of a case are reported in `Score.refused`.
     """
     cases = (cases,) if isinstance(cases, Case) else tuple(cases)
     chosen = tuple(Variant.parse(one) if isinstance(one, str) else one for one in variants)
@@ -162,7 +162,7 @@ def compare_estimators(
 
 
 def score(case: Case, variant: Variant, *, timed: bool = False) -> Score:
-    """Score one variant on one case."""
+    """Return the score of one variant on one case."""
     named = (case.name, case.rate_hz, abs(case.resolution), variant.estimator, variant.settings)
     try:
         velocity = estimates(case, variant)
@@ -184,7 +184,7 @@ def score(case: Case, variant: Variant, *, timed: bool = False) -> Score:
 
 
 def estimates(case: Case, variant: Variant) -> Floats:
-    """Velocity that a variant gives at each sample of a case, shape (n,); raises `ConfigError` as `prepare` does."""
+    """Return the estimated velocity at each sample of a case (rad/s or m/s), shape (n,); raise `ConfigError`."""
     require_effort(estimators.get(variant.estimator), case.effort)
     return run(_prepared(case, variant), *case.arrays, case.effort)[0]
 
@@ -195,12 +195,12 @@ def _prepared(case: Case, variant: Variant) -> Prepared:
 
 
 def _settings(case: Case, estimator: Estimator, variant: Variant) -> dict[str, float | str]:
-    """Settings of a variant, on top of what the rig of a case gives its estimator."""
+    """Return the settings of a variant, and those that an estimator takes from the rig of the case."""
     return {**estimator.settings_of(case.rig), **variant.settings}
 
 
 def errors(case: Case, velocity: Floats) -> tuple[float, float, float]:
-    """Return raw rms error of velocities of shape (n,), delay (s), and rms error without that delay."""
+    """Return rms error (rad/s or m/s) of a velocity of shape (n,), its delay (s), and rms error without that delay."""
     # Three numbers: raw error alone ranks the least delayed estimator first whatever its noise, corrected error alone
     # the slowest filter.
     raw, delay_s = raw_error(case, velocity), delay(case, velocity)
@@ -210,16 +210,16 @@ def errors(case: Case, velocity: Floats) -> tuple[float, float, float]:
 
 
 def raw_error(case: Case, velocity: Floats) -> float:
-    """Return raw rms error of velocities of shape (n,)."""
+    """Return the rms error (rad/s or m/s) of an estimated velocity of shape (n,), over the judged samples."""
     return _rms(velocity[case.judged] - case.true_velocity)
 
 
 def delay(case: Case, velocity: Floats) -> float:
-    """Return the shift of the truth (s) that leaves the least squared error; NaN when it is not identifiable.
+    """Return the delay of a velocity of shape (n,) against the truth, by least squares (s); NaN if not identifiable.
 
-    Searched on the grid of `rig.experiments.estimation.cases`, and between its points. The shift is not
-    identifiable when the true velocity is constant, when the best shift is an end of the grid, or when the estimate
-    is so noisy that the standard error of the shift exceeds one step.
+    The delay is searched on the grid of `rig.experiments.estimation.cases`, and interpolated. It is not identifiable if
+    the true velocity is constant, if the best delay is at an end of the grid, or if noise makes its standard error
+    larger than a step of the grid.
     """
     if np.ptp(case.true_velocity) <= 1e-9 * case.speed_rms:
         return math.nan
@@ -240,10 +240,10 @@ def delay(case: Case, velocity: Floats) -> float:
 
 
 def rest_noise(variant: Variant, dt: float, resolution: float) -> tuple[float, float]:
-    """Return rms of the velocity read at rest, after a steady approach: with a resting count, and with a toggling one.
+    """Return the rms velocity at rest after a steady approach (rad/s or m/s): with a constant and a toggling count.
 
-    The toggling count falls on either of two neighbours with equal chance at each sample: a handle at rest on the
-    boundary of a cell.
+    The toggling count takes one of two neighbouring values at random at each sample, like a handle that rests on the
+    boundary of an encoder cell. `dt` is the velocity period (s), `resolution` the travel for one count (rad or m).
     """
     return _rest_noise(estimators.get(variant.estimator), tuple(variant.settings.items()), dt, resolution)
 
@@ -270,7 +270,7 @@ def _rest_noise(
 
 
 def cost_ns(case: Case, variant: Variant) -> float:
-    """Return the shortest time of an update (ns) in a compiled loop through the plug type, over the case to and fro."""
+    """Return the shortest measured time of an update in a compiled loop (ns), over the case forwards and backwards."""
     times = math.ceil(TIMED_SAMPLES / len(case.counts))
     counts = np.concatenate([case.counts if i % 2 == 0 else case.counts[::-1] for i in range(times)])
     arrays = inputs(counts, case.dt)

@@ -1,7 +1,7 @@
-"""Interface of this sub-room: velocity estimators on one signal, compared, scored, tuned and exported as C.
+"""Public names of this package: compare, score and tune velocity estimators, and export them as C.
 
-Commands, pictures and papers import it. It defines nothing, and no file of the sub-room imports it, so that a Lipschitz
-constant alone (`rig.lipschitz_of`) does not load what exports an estimator.
+Commands, pictures and papers import it. It defines nothing, and no file of this package imports it, so that a Lipschitz
+constant alone (`rig.lipschitz_of`) does not load the export of estimators.
 """
 
 from rig.experiments.estimation._estimator_export import export_estimator

@@ -1,10 +1,10 @@
-"""Compute the constant C of Levant's differentiator from a recorded motion: a sum of sines and its second derivative.
+"""Compute the constant C of Levant's differentiator from a motion: fit a sum of sines, take its second derivative.
 
     f(t) = c + Σ A_i·sin(ω_i·t + φ_i),   f̈(t) = −Σ A_i·ω_i²·sin(ω_i·t + φ_i),   C = max |f̈|.
 
-Source: Chawda et al., section IV. How many sines, and how long a stretch, they do not report, and both decide the
-answer. Rounding alone leaves a `residual_rms` of 1/√12 of a count; many counts mean that the fit, and with it C, is too
-smooth.
+Source: Chawda et al., section IV. They do not report the number of sines and the length of the stretch, and both
+influence the result. Rounding alone causes a `residual_rms` of 1/√12 of a count; if it is many counts, the fit is too
+smooth and C too small.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ _PADDING = 8  # of the spectrum in which a first guess is looked for
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LipschitzFit:
-    """A fitted sum of sines.
+    """Fitted sum of sines.
 
     Attributes
     ----------
     lipschitz
-        C, largest magnitude of the fit's second derivative, without the first and last `MARGIN` of the time (position
-        unit/s²).
+        Constant C: largest magnitude of the fit's second derivative, without the first and last `MARGIN` of the time
+        (rad/s² or m/s²).
     residual_rms
-        RMS distance of the samples from the fit (position unit).
+        Rms distance of the samples from the fit (rad or m).
     offset
-        The constant c (position unit).
+        Constant c of the sum (rad or m).
     frequencies_hz, amplitudes, phases
-        One element a sine, by falling amplitude; phases in rad at ``time_s[0]``.
+        Frequency (Hz), amplitude (rad or m) and phase at ``time_s[0]`` (rad) of each sine, by falling amplitude.
     time_s, fitted, second_derivative
-        The fit at the samples it was made of (seconds as given; position unit; position unit/s²).
+        Times of the samples (s), and the fit (rad or m) and its second derivative (rad/s² or m/s²) there.
     """
 
     lipschitz: float
@@ -73,16 +73,16 @@ def lipschitz_of(
     recording
         Recording of a hit. Only its measured position is used, so it may come from a real rig.
     sines
-        How many; one more should change C little.
+        Number of sines; with one sine more C should change little.
     before_s, after_s
-        The stretch, from first contact (s); it ends where the trial ends.
+        Begin and end of the fitted stretch, before and after the first contact (s).
 
     Raises
     ------
     RecordingError
-        The handle never met the wall in a trial.
+        The handle did not reach the wall in the trial.
     ConfigError
-        Too few samples for that many sines.
+        There are too few samples for this number of sines.
     """
     rows, time_s = recording.rows, recording.time_s
     trial = rows["phase"] == Phase.TRIAL
@@ -100,22 +100,22 @@ def identify_lipschitz(time_s: Floats, position: Floats, *, sines: int = DEFAULT
     Parameters
     ----------
     time_s
-        Times of the samples, shape (n,), increasing; a steady rate is assumed only for first guesses.
+        Times of the samples (s), shape (n,), ascending; a constant rate is assumed only for initial guesses.
     position
         Position at these times, shape (n,), rad or m.
     sines
-        How many sines, at least 1; each has three numbers, and the fit needs ten samples for each.
+        Number of sines, at least 1; the fit needs ten samples for each sine.
 
     Raises
     ------
     ConfigError
-        Too few samples for that many sines, arrays that do not belong together, or values that are not finite.
+        There are too few samples for this number of sines, the arrays have different shapes, or a value is not finite.
 
     Notes
     -----
-    The frequencies are found one after the other, each at the peak of the spectrum of what the others leave, and
-    refined together by nonlinear least squares; offset, amplitudes and phases follow linearly (variable projection).
-    Source: Chawda et al., section IV; the choice of frequencies is ours.
+    Frequencies are found one after the other, each at the peak of the residual's spectrum, and are then refined
+    together by nonlinear least squares; offset, amplitudes and phases follow linearly (variable projection). Source:
+    Chawda et al., section IV; the choice of frequencies is ours.
     """
     time_s, position = _check_motion(time_s, position, sines)
     t, y = _thin_out(time_s - time_s[0], position - position[0])
@@ -151,7 +151,7 @@ def _check_motion(time_s: Floats, position: Floats, sines: int) -> tuple[Floats,
     if not (np.isfinite(t).all() and np.isfinite(y).all() and (np.diff(t) > 0).all()):
         raise ConfigError(
             "the times do not increase, or a time or position is not finite",
-            remedy="remove the rows with bad values",
+            remedy="remove the samples with such values",
         )
     if sines < 1 or len(t) < 10 * sines:
         raise ConfigError(
@@ -174,13 +174,13 @@ def _spectral_peak(rest: Floats, step: float) -> float:
 
 
 def _columns(frequencies: Floats, t: Floats) -> Floats:
-    """Return regressors, shape (n, 1 + 2·sines): a constant, then all sines, then all cosines."""
+    """Return the regressors, shape (n, 1 + 2·sines): a column of ones, then all sines, then all cosines."""
     angle = 2.0 * np.pi * np.outer(t, frequencies)
     return np.hstack([np.ones((len(t), 1)), np.sin(angle), np.cos(angle)])
 
 
 def _linear_part(frequencies: Floats, t: Floats, y: Floats) -> Floats:
-    """Return the offset, then the factors of sines and cosines, that are best for these frequencies."""
+    """Return the offset and the factors of sines and cosines that fit best for these frequencies (Hz)."""
     return np.asarray(np.linalg.lstsq(_columns(frequencies, t), y, rcond=1e-9)[0])
 
 
@@ -193,7 +193,7 @@ def _residual(frequencies: Floats, t: Floats, y: Floats) -> Floats:
 
 
 def _jacobian(frequencies: Floats, t: Floats, y: Floats) -> Floats:
-    """Return the Jacobian of the residual by Kaufman: d/dω without its projection on the linear part."""
+    """Return the Jacobian of the residual, by Kaufman's approximation of variable projection."""
     columns, linear = _columns(frequencies, t), _linear_part(frequencies, t, y)
     n = len(frequencies)
     sine, cosine = columns[:, 1 : n + 1], columns[:, n + 1 :]

@@ -1,7 +1,7 @@
-"""Find the settings of an estimator that suit one motion best, by a named objective, and how much they matter.
+"""Find the settings of an estimator that minimise an objective on one motion, and the sensitivity to each setting.
 
-`rig estimators tune` calls it. An optimum belongs to its motion, rate and resolution: the reported range, in which the
-objective stays within a tenth, shows how far it may be carried elsewhere.
+`rig estimators tune` calls it. An optimum is valid for its motion, rate and resolution. The reported range, in which
+the objective rises by at most a tenth, shows how sensitive it is.
 """
 
 from __future__ import annotations
@@ -55,9 +55,9 @@ OBJECTIVES: dict[str, Callable[[Case, Floats], float]] = {
 
 @dataclass(frozen=True, slots=True)
 class SettingRange:
-    """Where a tuned setting may lie, the others held, before the objective is a tenth worse.
+    """Range of a tuned setting in which the objective is at most a tenth worse, with the other settings constant.
 
-    `open_below` and `open_above` say that the search ended there, not the range.
+    `open_below` and `open_above` are True if the search ended at that bound, so that the range may be larger.
     """
 
     setting: str
@@ -71,11 +71,10 @@ class SettingRange:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Tuning(Shown):
-    """The best settings found for one case, and how much they matter.
+    """Best settings for one case, with the range of each tuned setting.
 
-    `settings` are those that were given and those that had to move; all others are at their default.
-    `objective_start` and `objective_best` are in the units of the objective; `before` and `after` score the settings
-    that the search started from and those that it found.
+    `settings` has the given and the changed settings; all others have their default. `objective_start` and
+    `objective_best` are the values of the objective before and after; `before` and `after` are the scores.
     """
 
     estimator: str
@@ -91,13 +90,13 @@ class Tuning(Shown):
     evaluations: int
 
     def brief(self) -> list[Item]:
-        """Return the settings and how far each may be off."""
+        """Return the tuned settings, each with its range."""
         rows = [Row(one.setting, one.value, note=f"within 10 %: {shown_range(one)}") for one in self.ranges]
         changed = f"{self.objective} {self.objective_start:.4g} before, {self.objective_best:.4g} now"
         return [f"{self.estimator} tuned on {self.case}: {changed}", *rows]
 
     def toml(self) -> str:
-        """Return the fragment of an experiment's file: estimator and settings, with what they were tuned for."""
+        """Return the ``[controller]`` section of an experiment file, with comments on objective, case and ranges."""
         comments = {each.setting: f"  # within 10 %: {shown_range(each)}" for each in self.ranges}
         lines = [
             f"# Tuned for {self.objective} on {self.case} ({self.reference}) at {self.after.rate_hz:g} Hz,",
@@ -121,33 +120,34 @@ def tune_estimator(
     settings: Settings | None = None,
     free: Sequence[str] | None = None,
 ) -> Tuning:
-    """Find the settings of an estimator that make an objective least on a case (`rig estimators tune`).
+    """Find the settings of an estimator that minimise an objective on a case (`rig estimators tune`).
 
     Parameters
     ----------
     estimator
-        Its name.
+        Name of the estimator.
     case
-        Counts with the velocity behind them: `counts_case` of arrays, `recording_case` of a recording.
+        Counts with their true velocity: `counts_case` makes a case of arrays, `recording_case` of a recording.
     objective
-        ``"rms"``: raw error. ``"delay-corrected-rms"``: residual after correction of the delay. ``"rms+delay"``: the
-        latter as a share of the speed, and 10 ms of delay weigh as much as the speed.
+        ``"rms"``: rms error. ``"delay-corrected-rms"``: rms error after correction of the delay. ``"rms+delay"``: the
+        corrected error divided by the rms speed, plus the delay divided by 10 ms.
     settings
-        Where the search starts; settings not given start at their default. Choices keep the value given here.
+        Start of the search; other settings start at their default. Settings that are not numbers are not changed.
     free
-        Numbers to tune. None: all whose change is allowed and changes the estimate, but not those that start at zero,
-        which says "not given".
+        Names of the numbers to tune. None: all numbers that can be changed and influence the estimate, except those
+        that start at zero, which means "not given".
 
     Returns
     -------
     Tuning
-        A scan over the range by a Sobol sequence, then Nelder and Mead from its best point, repeatable to the bit. A
-        setting that makes no difference stays at its start.
+        Result of a scan by a Sobol sequence, then a search by Nelder and Mead from the best point; equal to the last
+        bit in every run. A setting without influence stays at its start.
 
     Raises
     ------
     ConfigError
-        An unknown estimator, objective or setting; nothing to tune; start settings that cannot be realised.
+        An estimator, objective or setting is unknown, no setting can be tuned, or the estimator cannot run with the
+        start settings.
     """
     if objective not in OBJECTIVES:
         raise ConfigError(
@@ -173,7 +173,7 @@ def tune_estimator(
 
 @dataclass(frozen=True, slots=True)
 class _Axis:
-    """One free setting on a scale from 0 to 1: logarithmic where the range allows, in whole numbers if it must."""
+    """Tuned setting on a scale from 0 to 1: logarithmic if its range is positive; whole numbers if `whole` is True."""
 
     setting: Setting
     low: float
@@ -205,7 +205,7 @@ class _Axis:
 
 
 class _TuningWalk:
-    """The objective as a function of settings, the axes that are free, and the walk along them."""
+    """Search over the tuned settings (`axes`), with the objective as a function of the settings."""
 
     def __init__(
         self,
@@ -222,7 +222,7 @@ class _TuningWalk:
         self.reference = estimates(case, Variant(estimator.name, self.start))
 
     def value(self, settings: Settings) -> float:
-        """Return the objective at these settings; infinite where they cannot be realised."""
+        """Return the objective at these settings; infinite if the estimator cannot run with them."""
         key = tuple(settings.items())
         if key not in self.known:
             self.known[key] = self._evaluate(settings)
@@ -238,7 +238,7 @@ class _TuningWalk:
         return found if math.isfinite(found) else math.inf
 
     def open(self, free: Sequence[str] | None) -> None:
-        """Make the axes of the named settings, or of all that do something."""
+        """Create an axis for each named setting; None: for all settings that influence the estimate."""
         numbers = {s.name: s for s in self.estimator.settings if isinstance(s, Setting)}
         for name in free or ():
             if name not in numbers:
@@ -259,11 +259,11 @@ class _TuningWalk:
             )
 
     def begin(self, setting: Setting) -> float:
-        """Return where the search starts: as given, or the default."""
+        """Return the start value of a setting: the given one, or the default."""
         return float(self.start.get(setting.name, setting.default or setting.minimum))
 
     def _axis(self, setting: Setting) -> _Axis | None:
-        """Return axis of a setting; None when no other value is allowed or none changes the estimate."""
+        """Return the axis of a setting; None if no other value is allowed, or none changes the estimate."""
         start = self.begin(setting)
         for whole in (False, True):
             axis = _Axis.around(setting, start, whole)
@@ -314,7 +314,7 @@ class _TuningWalk:
         return np.asarray(found.x if found.fun <= min(values) else best, dtype=np.float64)
 
     def plain(self, best: Floats) -> Floats:
-        """Put back to its start whatever setting makes no difference there."""
+        """Return the best point with each setting that has a negligible influence reset to its start."""
         limit = (1.0 + NEGLIGIBLE) * self.value(self.settings_at(best))
         for i, axis in enumerate(self.axes):
             start = axis.place(self.begin(axis.setting))
@@ -325,7 +325,7 @@ class _TuningWalk:
         return best
 
     def range_of(self, i: int, best: Floats) -> SettingRange:
-        """Walk from the optimum both ways along one axis until the objective is a tenth worse."""
+        """Return the range of one setting around the optimum in which the objective is at most a tenth worse."""
         axis, limit = self.axes[i], (1.0 + WITHIN) * self.value(self.settings_at(best))
         ends, opened = [], []
         for direction in (-1.0, 1.0):
@@ -363,7 +363,7 @@ class _TuningWalk:
 
 
 def shown_range(found: SettingRange) -> str:
-    """Return a range of settings in words, with its unit."""
+    """Return the range of a setting as a text, with its unit."""
     low, high, unit = f"{found.low:.4g}", f"{found.high:.4g}", "" if found.unit == "1" else f" {found.unit}"
     if found.open_below and found.open_above:
         return f"anything from {low} to {high}{unit}"
