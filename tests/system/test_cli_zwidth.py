@@ -68,7 +68,8 @@ def test_ctrl_c_keeps_finished_tasks_and_the_same_command_resumes(run: Any, tmp_
     assert process.returncode == 130
     assert out == ""
     assert re.search(
-        r"stopped; [1-5] of 6 tasks are done and stored in maps/.*the same command resumes from there", err
+        r"stopped; [1-5] of 6 tasks are done and stored in maps/.*run the same command again: it resumes from there",
+        err,
     )
 
     (journal,) = tmp_path.glob("maps/*/journal")

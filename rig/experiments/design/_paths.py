@@ -105,9 +105,6 @@ def _of_estimator(
 
 
 def _respond_to_hold(turn: NDArray[np.float64], extrapolate: bool) -> Complex:
-    """Return the frequency response of a hold of velocity samples, or of their linear extrapolation.
-
-    `turn` is ω·T2, with T2 the velocity period (s).
-    """
+    """Return the response of a hold (or linear extrapolation) at `turn` = ω·T2, with T2 the velocity period (s)."""
     zero = (1.0 - np.exp(-1j * turn)) / (1j * turn)
     return np.asarray((1.0 + 1j * turn) * zero**2 if extrapolate else zero)

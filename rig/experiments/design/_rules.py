@@ -85,7 +85,7 @@ class Measures:
     cost: float | None
 
     def merit(self, objective: str) -> float:
-        """Return a measure, so that more is better."""
+        """Return the value of a measure, with its sign changed if less is better; −inf if it is missing."""
         value: float | None = getattr(self, objective)
         return -math.inf if value is None else OBJECTIVES.get(objective, 1) * value
 

@@ -146,7 +146,7 @@ def _check_motion(time_s: Floats, position: Floats, sines: int) -> tuple[Floats,
     if t.ndim != 1 or t.shape != y.shape:
         raise ConfigError(
             f"time_s has shape {t.shape} and position {y.shape}",
-            remedy="give two flat arrays of equal length",
+            remedy="give two one-dimensional arrays of equal length",
         )
     if not (np.isfinite(t).all() and np.isfinite(y).all() and (np.diff(t) > 0).all()):
         raise ConfigError(

@@ -244,7 +244,9 @@ class _TuningWalk:
             if name not in numbers:
                 raise ConfigError(
                     f"estimator {self.estimator.name} has no number {name!r} to tune",
-                    remedy=f"its numbers: {', '.join(numbers) or 'none'}",
+                    remedy=f"choose one of its numbers: {', '.join(numbers)}"
+                    if numbers
+                    else "choose another estimator: this one has no numbers",
                 )
         for name in free or numbers:
             if free is None and not self.begin(numbers[name]):
@@ -279,7 +281,7 @@ class _TuningWalk:
         return None
 
     def settings_at(self, places: Floats) -> dict[str, float | str]:
-        """Return the settings at a point of the unit cube."""
+        """Return the settings for `places`, the position of each axis on its scale from 0 to 1."""
         found = dict(self.start)
         for axis, place in zip(self.axes, places, strict=True):
             value = axis.value(float(place))
@@ -288,7 +290,7 @@ class _TuningWalk:
         return found
 
     def descend(self) -> Floats:
-        """Return the best point of the unit cube."""
+        """Return the best position of each axis on its scale from 0 to 1, by a scan and a descent."""
         d = len(self.axes)
         start = np.array([axis.place(self.begin(axis.setting)) for axis in self.axes])
         # A scan before the descent, which finds only the nearest minimum. Sobol without scrambling, so that a tuning

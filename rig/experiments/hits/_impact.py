@@ -85,10 +85,7 @@ class Impact:
 
 
 def measure(time_s: Floats, counts: Floats, impact_velocity: float) -> ImpactNumbers:
-    """Return the numbers of a hit.
-
-    `time_s` and `counts` (penetration) begin at the first sample inside the wall and have shape (n,).
-    """
+    """Return the numbers of a hit; times (s) and penetration (counts) begin at the first sample inside, shape (n,)."""
     end = max(1, round(REST_SHARE * len(counts)))
     peak, rest = float(counts.max()), float(counts[-end:].mean())
     swing = max(LEAST_SWING, SWING_SHARE * (peak - rest))

@@ -81,10 +81,7 @@ class Examination:
 
     @reported
     def armable(self) -> bool | None:
-        """Return True if `rig hit` would arm the wall; None if the link was not measured.
-
-        The link of a simulated device never forbids arming.
-        """
+        """Return True if `rig hit` would arm the wall (always with a simulated link); None: link not measured."""
         if refused(self.admission):
             return False
         return None if self.gate is None else self.gate.armable or self.gate.simulated

@@ -554,7 +554,7 @@ def excited_run_of(
     end = (settle_periods(multisine.period_s) + PERIODS) * n
     lost = max(0, end - len(rows))
     if lost > LONGEST_FILLED:
-        raise TimingError(f"the last {lost} samples of the excitation are missing", remedy="measure it again")
+        raise TimingError(f"the last {lost} samples of the excitation are missing", remedy="identify again")
     kept = slice(end - PERIODS * n - lost, end - lost)
     return ExcitedRun(
         rate_hz=rate,
@@ -622,7 +622,7 @@ def _check_signs(signs: SignCheck) -> None:
     if signs.sign != 1:
         raise IdentificationError(
             "; ".join(signs.warnings) or "the pushes give no result",
-            remedy="turn rig.encoder.sign, or swap two wires; then identify again",
+            remedy="change the sign of rig.encoder.sign, or swap two wires of motor or encoder; then identify again",
         )
     if not signs.ok:
         raise IdentificationError(

@@ -68,10 +68,7 @@ class Plan(Protocol[M_co]):
 
     @property
     def tasks(self) -> Sequence[sweep.Task]:
-        """Independent tasks of the map, created and checked at the first access.
-
-        Raises `PlanError` if a task is not permitted.
-        """
+        """Tasks of the map, created and checked at the first access; raises `PlanError` for one not permitted."""
         ...
 
     def as_mapping(self) -> dict[str, Any]:

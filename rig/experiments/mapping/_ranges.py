@@ -143,10 +143,7 @@ def search_for(
 
 
 def _lowest_undamped_limit(experiment: Experiment, schemes: Sequence[Scheme]) -> float:
-    """Return the lowest linear limit of K at B = 0 among the schemes (N·m/rad or N/m); inf if a drive renders the wall.
-
-    At B = 0 the estimator has no effect.
-    """
+    """Return the lowest linear limit of K at B = 0 among the schemes; inf if a drive renders the wall."""
     if experiment.controller.wall_is_elsewhere:
         return math.inf
     one_of_each_rate = {

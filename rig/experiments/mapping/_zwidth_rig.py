@@ -122,10 +122,7 @@ def work_of(url: str, realtime: bool) -> str:
 
 
 def cooling_s(rms_effort: float, nominal_effort: float, duration_s: float) -> float:
-    """Return the time for which a motor must rest after a push (s).
-
-    The mean heat over push and rest is then that of the nominal effort. Efforts are in N·m or N.
-    """
+    """Return the time of rest after a push (s) with which the mean heat is that of the nominal effort (N·m or N)."""
     return max(0.0, duration_s * ((rms_effort / nominal_effort) ** 2 - 1.0))
 
 
@@ -135,7 +132,8 @@ def _make_stop_error(stop: BaseException, where: Next, journal: Path | None) -> 
     kept = f"{where.series - 1} of {where.total} series are done" + (
         f" and stored in {journal}" if journal else ""
     )
-    error = StoppedError(f"{reason}; {kept}", remedy="the same command resumes from there" if journal else "")
+    remedy = "run the same command again: it resumes from there" if journal else ""
+    error = StoppedError(f"{reason}; {kept}", remedy=remedy)
     error.recording = getattr(stop, "recording", None)
     return error
 

@@ -127,10 +127,7 @@ class MapPlan:
 
     @cached_property
     def tasks(self) -> list[sweep.Task]:
-        """Return the tasks of a sweep, one for each series; raise `ConfigError` for an invalid experiment.
-
-        The experiments are checked only here.
-        """
+        """Return a task for each series; raise `ConfigError` for an invalid experiment, checked only here."""
         applied = [scheme.applied(self.experiment) for scheme in self.schemes]
         return [
             sweep.Task(

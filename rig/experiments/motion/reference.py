@@ -196,8 +196,8 @@ def _refuse_without_index(x: Experiment) -> None:
     if not x.rig.reference.index:
         raise ConfigError(
             f"{x.rig.name} has no index to find: rig.reference.index is false",
-            remedy="set it, with rig.reference.travel, and a limit switch where the travel holds more than one index; "
-            "or put the handle at position zero before each run",
+            remedy="set rig.reference.index = true and rig.reference.travel, and describe a limit switch if the travel "
+            "contains more than one index; or put the handle at position zero before each run",
         )
 
 
@@ -392,7 +392,7 @@ class _IndexSearch:
             remedy="check the index's wire, the board's setting of it, and "
             "rig.encoder.counts_per_revolution; then move the handle without turning back"
             if passed == 0
-            else "noise on the index's wire, or a wrong rig.encoder.counts_per_revolution or decoding",
+            else "check the index's wire for noise, and rig.encoder.counts_per_revolution and decoding",
         )
 
     def _check_near(self, index: int, switch: int) -> None:

@@ -35,7 +35,7 @@ class Memory:
         self.damaged = 0
 
     def done(self) -> list[int]:
-        """Return which tasks are done, in order."""
+        """Return the indices of the finished tasks, ascending."""
         return [index for index, text in enumerate(self._texts) if text is not None]
 
     def append(self, index: int, key: str, text: str) -> None:
@@ -77,7 +77,7 @@ class Journal:
         self.path = path
         self.damaged = 0  # lines that were left out
         self._places = array("q", [NOT_DONE]) * len(keys)  # where the line of each task begins
-        self._file = LineFile(path, remedy="wait until it has ended, or name another file")
+        self._file = LineFile(path, remedy="wait until that process has ended, or give another file")
         try:
             self._end = self._load({"sweep": VERSION, **header}, keys)
         except BaseException:
@@ -85,7 +85,7 @@ class Journal:
             raise
 
     def done(self) -> list[int]:
-        """Return which tasks are done, in order."""
+        """Return the indices of the finished tasks, ascending."""
         return [index for index, place in enumerate(self._places) if place != NOT_DONE]
 
     def append(self, index: int, key: str, text: str) -> None:
@@ -131,7 +131,7 @@ class Journal:
         if there is None or "sweep" not in there:
             raise RecordingError(
                 f"{self.path} is not the journal of a sweep, or its first line is damaged",
-                remedy="name another file, or remove this one to start again",
+                remedy=f"give another file, or remove {self.path} to start again",
             )
         _refuse_another(self.path, there, json.loads(json.dumps(header)))
         end = self._read_results(len(first), {key: index for index, key in enumerate(keys)})
@@ -189,7 +189,7 @@ def _refuse_another(path: Path, there: dict[str, Any], here: dict[str, Any]) -> 
     more = ["…"] if len(differences) > SHOWN_DIFFERENCES else []
     raise ConfigError(
         f"{path} belongs to another plan: {'; '.join(differences[:SHOWN_DIFFERENCES] + more)}",
-        remedy="give the same options as before, name another journal, or remove this one to start again",
+        remedy=f"give the same options as before, or another journal; or remove {path} to start again",
     )
 
 

@@ -200,7 +200,11 @@ def _raise_what_ended(
         error.add_note(why.details)
         raise error
     if isinstance(interruption, KeyboardInterrupt):
-        remedy = "the same command resumes from there" if journal else "name a journal to be able to resume"
+        remedy = (
+            "run the same command again: it resumes from there"
+            if journal
+            else "give a journal the next time, to be able to resume"
+        )
         raise SweepStoppedError(
             f"stopped; {so_far}", remedy=remedy, total=total, results=results
         ) from interruption

@@ -371,10 +371,7 @@ def _bearing(x: Experiment, rate: int, limit: float) -> dict[str, Any]:
 
 
 def weighing_strokes(x: Experiment) -> tuple[list[tuple[float, float]], list[Stroke]]:
-    """Return the path of slow strokes (time in s, position in rad or m), and a list of the strokes.
-
-    They go about the middle of the window, at homing's speed and at half of it.
-    """
+    """Return path (s; rad or m) and list of strokes about the window's middle, at homing's speed and half of it."""
     travel = TRAVEL_SHARE * (x.rig.limits.position_maximum - x.rig.limits.position_minimum)
     start, time_s = _middle(x) - travel, HANG_S
     path, strokes = [(0.0, start), (time_s, start)], []
@@ -446,10 +443,7 @@ def servo_of(x: Experiment, rate: int) -> tuple[float, float]:
 
 
 def _cutoff_hz(x: Experiment, rate: int) -> float:
-    """Return the cut-off of the velocity filter (Hz).
-
-    It is lower with a coarse encoder, of which a single count would otherwise exceed the speed limit.
-    """
+    """Return the cut-off of the velocity filter (Hz), so low that a single count does not exceed the speed limit."""
     quiet = COUNT_SHARE * x.rig.limits.speed / (COUNT_PEAK * x.rig.encoder.resolution)
     return min(CUTOFF_SHARE * _divisor(rate, SLOW_RATE), quiet)
 
@@ -544,10 +538,7 @@ def coulomb_of(x: Experiment) -> float:
 
 
 def push_growth(x: Experiment) -> float:
-    """Return the rate at which the effort of a push grows (N·m/s or N/s).
-
-    The effort exceeds the described friction within `PUSH_S`, and grows slowly enough to be stopped in time.
-    """
+    """Return the growth of a push's effort (N·m/s or N/s): above friction within `PUSH_S`, slow enough to stop."""
     gentle = 6.0 * inertia_of(x) * push_way(x) / PUSH_RISE_S**3 * PUSH_S
     bound = PUSH_SHARE * min(x.rig.limits.nominal_effort, x.rig.limits.effort)
     return min(bound, max(gentle, PUSH_COULOMB * coulomb_of(x))) / PUSH_S
@@ -580,10 +571,7 @@ def pushes_checks(x: Experiment) -> list[Check]:
 
 
 def observable_check(x: Experiment) -> Check:
-    """Warn if a push may not overcome friction, weight and cogging.
-
-    It is only a warning, because the true friction may be lower than described.
-    """
+    """Warn if a push may not overcome the described friction, weight and cogging; true friction may be lower."""
     held, most, effort = holding_effort(x), most_push(x), _unit(x, "effort")
     return finding(
         "pushes of rig device check",

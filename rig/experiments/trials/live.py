@@ -140,20 +140,18 @@ def _allowed() -> str:
 
 
 def _post(ring: Ring, changes: Mapping[str, Any]) -> tuple[int, Experiment]:
-    """Compute the parameter set from the running experiment and post it; return its number and the new experiment.
-
-    Retry if another program changed the wall meanwhile.
-    """
+    """Post the parameter set of the changed experiment; return its number and the experiment. Retry on conflicts."""
     for _ in range(TRIES):
         info, word = ring.info_and_word()
         if "experiment" not in info or "current_quantum_a" not in info:
             raise RigError(
-                "the loop does not report which experiment it runs", remedy="change it from its own program"
+                "the loop does not report which experiment it runs",
+                remedy="change the wall in the program that runs the loop",
             )
         if info.get("law"):
             raise ConfigError(
-                "the law of this loop is defined in its own program: its parameters are unknown here",
-                remedy="change them in that program",
+                "the law of this loop is defined in the program that runs it, so its parameters are unknown here",
+                remedy="change the wall in the program that runs the loop",
             )
         running_now = config.experiment_from_mapping(info["experiment"], "the running experiment")
         _check_sides(running_now)
@@ -169,7 +167,7 @@ def _post(ring: Ring, changes: Mapping[str, Any]) -> tuple[int, Experiment]:
             armed = controller.for_experiment(running_now, **device)
             device_law.live_parameters(armed, device_law.arithmetic_of(experiment.controller), values)
         if ring.get(LOOP_DONE):
-            raise RunEndedError("the loop has ended", remedy="start another one")
+            raise RunEndedError("the loop has ended", remedy="start another run")
         number = ring.replace(values, partial(_info_with, info, experiment, changes), word)
         if number:
             return number, experiment

@@ -81,10 +81,7 @@ def make_plan(experiment: Experiment) -> Plan:
 
 
 def is_linked(url: str | None, *, realtime: bool, round_trip_s: float | None) -> bool:
-    """Return True if a plan must include the delay of a link.
-
-    It must in real time, with a given round trip, and on a device that is not simulated.
-    """
+    """Return True if a plan must include a link's delay: in real time, with a round trip, or with a real device."""
     return realtime or round_trip_s is not None or (url is not None and not url.startswith("sim:"))
 
 
@@ -243,10 +240,7 @@ def _link_ticks(x: Experiment, round_trip_s: float | None) -> tuple[int, str]:
 
 
 def _batch_check(x: Experiment, usable: float) -> Check:
-    """Check that the link's capacity is enough for the samples of every tick if the law runs on the device.
-
-    `usable` is that capacity (bytes/s).
-    """
+    """Check that the link's `usable` capacity (bytes/s) is enough for every tick of a law on the device."""
     needed = device_law.bytes_per_second(x)
     remedy = "choose a lower `rate`, or a faster link"
     if x.controller.measured_current:

@@ -138,7 +138,7 @@ def _run(
     except Exception as error:
         raise LawError(
             f"the law or the estimator raised {error!r}",
-            remedy="correct it: a kernel must not raise an exception",
+            remedy="correct the law or the estimator: it must not raise an exception",
         ) from error
 
 
@@ -188,7 +188,8 @@ def _controller(recording: Recording, changes: Mapping[str, Any] | None, law: La
     reference = initial.get("control", {}).get("reference_count")
     if quantum is None or reference is None:
         raise RecordingError(
-            "the recording's header lacks the current quantum or the reference count", remedy="record again"
+            "the recording's header lacks the current quantum or the reference count",
+            remedy="record the trial again",
         )
     return controller.for_experiment(
         experiment, current_quantum_a=quantum, reference_count=reference, law=law
