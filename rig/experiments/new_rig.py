@@ -324,7 +324,7 @@ def _peak_current(a: DataSheets) -> tuple[float, str]:
     peak = a.get("peak_current")
     if peak is not None and peak > most:
         raise ConfigError(
-            f"peak_current = {peak:g} A is above the maximum of {profile.name}",
+            f"peak_current = {peak:g} A is above the maximum of {profile.name}, {most:g} A",
             remedy=f"give at most {most:g} A, and set it in the amplifier",
         )
     if profile.drive == "voltage" and not {"winding_resistance", "supply_voltage"} <= a.keys():

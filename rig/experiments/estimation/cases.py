@@ -282,8 +282,8 @@ def recording_case(recording: Recording, rate_hz: float | None = None, *, name: 
         judged = judged & (time_s >= time_s[0] + REFERENCE_END_S) & (time_s <= time_s[-1] - REFERENCE_END_S)
     if not judged.any():
         raise ConfigError(
-            f"the recording lasts {time_s[-1]:.3g} s, of which {REFERENCE_END_S:g} s at each end are "
-            "not judged",
+            f"the recording lasts {time_s[-1]:.3g} s; {REFERENCE_END_S:g} s at each end are not judged, so no sample "
+            "remains",
             remedy="choose a longer recording",
         )
     return Case(

@@ -145,7 +145,7 @@ def _check_motion(time_s: Floats, position: Floats, sines: int) -> tuple[Floats,
     t, y = np.asarray(time_s, dtype=np.float64), np.asarray(position, dtype=np.float64)
     if t.ndim != 1 or t.shape != y.shape:
         raise ConfigError(
-            f"time_s has shape {t.shape} and position {y.shape}",
+            f"time_s has shape {t.shape} and position {y.shape}; both must be equal and one-dimensional",
             remedy="give two one-dimensional arrays of equal length",
         )
     if not (np.isfinite(t).all() and np.isfinite(y).all() and (np.diff(t) > 0).all()):
@@ -155,7 +155,7 @@ def _check_motion(time_s: Floats, position: Floats, sines: int) -> tuple[Floats,
         )
     if sines < 1 or len(t) < 10 * sines:
         raise ConfigError(
-            f"{sines} sines cannot be fitted to {len(t)} samples",
+            f"{sines} sines cannot be fitted to {len(t)} samples: each sine needs 10 samples",
             remedy=f"choose 1 to {len(t) // 10} sines" if len(t) >= 10 else "give at least 10 samples",
         )
     return t, y

@@ -155,7 +155,7 @@ def whole(recording: Recording, rows: NDArray[np.void]) -> NDArray[np.void]:
     """
     if len(rows) < 2:
         raise TimingError(
-            f"{recording.path}: the motion has only {len(rows)} samples", remedy="measure it again"
+            f"{recording.path}: the motion has {len(rows)} samples, and needs 2", remedy="repeat the motion"
         )
     rate = int(recording.header["experiment"]["controller"]["position_rate"])
     apart = np.diff(rows["sample_index"])

@@ -267,7 +267,7 @@ class _IndexSearch:
         for _ in range(round(1.0 / LOOK_S)):
             if found := self._device.states(LOOK_S):
                 return found[-1]
-        raise IdentificationError("the device sends no STATE", remedy="update its firmware")
+        raise IdentificationError("the device sent no STATE message within 1 s", remedy="update its firmware")
 
     def _name(self, what: str) -> Path:
         return free_name(self._output, f"{self._x.rig.name}-reference-{what}")
@@ -337,7 +337,7 @@ class _IndexSearch:
                 pressed = np.flatnonzero(rows["inputs"] & int(Input.LIMIT_SWITCH))
                 return int(rows["count"][pressed[-1] if len(pressed) else 0]), before
         raise IdentificationError(
-            "the limit switch still shows pressed after the handle moved away from it",
+            "the limit switch is still reported as pressed after the handle moved away from it",
             remedy="repair the switch's wire; or, if the switch is at the other end of the travel, correct "
             "rig.reference.limit_switch",
         )
@@ -407,8 +407,8 @@ class _IndexSearch:
             return
         if not NEAR * self._every <= way <= (1.0 - NEAR) * self._every:
             raise IdentificationError(
-                f"the index lies {way} counts from the limit switch, of {self._every} between two: at "
-                "another start the one before or after it may be seen first",
+                f"the index is {way} counts from the limit switch; allowed are {NEAR * self._every:.0f} to "
+                f"{(1.0 - NEAR) * self._every:.0f}, else another index may be found first at another start",
                 remedy="move the switch by about half of the distance between two indices",
             )
 

@@ -172,7 +172,8 @@ def _post(ring: Ring, changes: Mapping[str, Any]) -> tuple[int, Experiment]:
         if number:
             return number, experiment
     raise RigError(
-        "other programs keep changing the same wall", remedy="let only one program change the wall"
+        f"other programs changed the same wall during each of {TRIES} attempts",
+        remedy="let only one program change the wall",
     )
 
 

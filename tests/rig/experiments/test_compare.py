@@ -184,7 +184,7 @@ def test_the_usual_entries_keep_the_position_rate_and_the_experiments_dual_rate(
 
 def test_an_impossible_comparison_is_refused_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     experiment = short("koul-rigid")
-    with pytest.raises(ConfigError, match=r"never reached the wall.*push harder"):
+    with pytest.raises(ConfigError, match=r"never reached the wall.*raise trial.effort"):
         compare(experiment, start=Start(position=-0.1))
     for entries, offsets in (([], (0.1,)), (None, ()), (None, (1.0,))):
         with pytest.raises(ConfigError, match="at least one of each is needed"):
@@ -193,5 +193,5 @@ def test_an_impossible_comparison_is_refused_with_a_remedy(monkeypatch: pytest.M
     with pytest.raises(ConfigError, match="fmd"):
         compare(experiment, [Entry(name="typo", scheme=unknown)])
     held = replace(experiment, trial=replace(experiment.trial, kind="human"))
-    with pytest.raises(ConfigError, match="in automated trials, without a hand"):
+    with pytest.raises(ConfigError, match="compared without a hand"):
         compare(held)

@@ -133,7 +133,11 @@ def test_any_sequence_of_changes_ends_where_all_of_them_at_once_would(
 @pytest.mark.parametrize(
     ("changes", "error", "message"),
     [
-        ({"controller.estimator": "kalman"}, ConfigError, "may change: wall.stiffness, wall.damping"),
+        (
+            {"controller.estimator": "kalman"},
+            ConfigError,
+            "change one of these keys: wall.stiffness, wall.damping",
+        ),
         ({"wall.side": -1}, ConfigError, "wall.side cannot change while a loop runs"),
         ({"wall.law": "bilateral"}, ConfigError, "cannot change while a loop runs"),
         ({"stifness": 3.0}, ConfigError, "cannot change while a loop runs"),
@@ -169,7 +173,7 @@ def test_a_bilateral_wall_is_not_changed_while_it_runs(loop: str) -> None:
     ("info", "message"),
     [
         ({}, "does not report which experiment"),
-        (info_of(law=True), "is defined in its own program"),
+        (info_of(law=True), "is defined in the program that runs it"),
         (info_of(experiment=EXPERIMENT) | {"experiment": {"wall": {}}}, "the running experiment"),
     ],
 )

@@ -155,7 +155,7 @@ def test_swapped_motor_leads_end_it_before_the_search(tmp_path: Path) -> None:
 
 BROKEN = {
     "no switch": ({"switch_way": 0}, "no limit switch was found within"),
-    "a broken wire of the switch": ({"switch_count": 10**9}, "still shows pressed"),
+    "a broken wire of the switch": ({"switch_count": 10**9}, "still reported as pressed"),
     "no index": ({"index_counts": 0}, "no index was seen"),
     "noise on the index": ({"index_counts": EVERY // 4}, "indices were seen where exactly one is expected"),
     "a lost count": ({"index_counts": EVERY - 40}, f"{EVERY - 40} counts; described are {EVERY}"),

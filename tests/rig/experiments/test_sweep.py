@@ -334,7 +334,7 @@ def test_ctrl_c_keeps_finished_and_running_tasks_and_the_same_command_resumes(
     )
     assert f"{error.done} of 24 tasks are done" in error.message
     if journal is not None:
-        assert "the same command resumes" in error.remedy
+        assert "run the same command again" in error.remedy
         assert list(sweep.run(tasks, journal=journal, workers=2)) == [task.key for task in tasks]
         assert sorted(log.read_text().split()) == sorted(task.key for task in tasks)  # none twice
 
