@@ -1,1 +1,1 @@
-"""Hits on a rig, recorded or simulated: admitted, run, judged, compared."""
+"""Hits on a rig, real or simulated: check that a hit is permitted, run it, judge it, and compare schemes."""

@@ -248,7 +248,7 @@ def repeat_if_late(device: FramedDevice, run: Callable[[], Result], rate_hz: int
 
 
 def bearing_rate(silence_s: float) -> int:
-    """Return the highest rate (Hz) at which the lifetime of a command is twice this silence (s)."""
+    """Return the highest rate (Hz) at which the lifetime of a command is at least twice this silence (s)."""
     rate_hz = rate_of_lifetime(silence_s / LIFETIME_SHARE)
     return rate_hz - rate_hz % RATE_STEP
 

@@ -196,7 +196,7 @@ def verdicts_of(recording: Recording, experiment: Experiment) -> Verdicts:
 
 
 def judge(recording: Recording, experiment: Experiment) -> Judgement:
-    """Measure and judge a recording; `experiment` is the experiment in effect (`experiment_of` returns it)."""
+    """Measure and judge a recording; `experiment` is the one in effect, which `experiment_of` returns."""
     limits, wall, early = verdict_thresholds(experiment), experiment.wall, ended_early(recording)
     tick_s, thrown_out = 1.0 / experiment.controller.position_rate, early is not None
     elsewhere = recording.header["extra"].get("arithmetic") not in (None, *BOARD_ARITHMETICS)

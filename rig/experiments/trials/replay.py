@@ -80,7 +80,7 @@ class ReplayResult(Shown, Drawn):
 def replay(
     recording: Recording, changes: Mapping[str, Any] | None = None, *, law: Law | None = None
 ) -> ReplayResult:
-    """Replay a recording.
+    """Run the recorded inputs through the recorded law and estimator, or through changed ones, and compare.
 
     Parameters
     ----------
