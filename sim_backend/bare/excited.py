@@ -1,6 +1,6 @@
-"""Excite a rig about a point in one compiled call, without bytes: the runs of an impedance measurement.
+"""Excite a rig about a point in one compiled call, without a byte link: the runs of an impedance measurement.
 
-`rig.devices.simulated` builds it; the law is `rig.control.step.step`, once a tick, as everywhere. It homes nothing.
+`rig.devices.simulated` builds it. Each tick calls the control law (`rig.control.step.step`) once. There is no homing.
 """
 
 from __future__ import annotations
@@ -35,7 +35,11 @@ _NONFINITE = int(RowFlag.NONFINITE)
 
 @group
 class ExcitedTrace(NamedTuple):
-    """What is kept of a run: ticks with a clipped effort; counts, positions, velocities; what the guard withheld."""
+    """Recording of a run, in buffers that `excite` fills.
+
+    `bound` counts the ticks with a clipped effort; `counts`, `positions` and `velocities` are those of the handle;
+    `withheld` is the sent minus the wanted effort in each tick (N·m or N).
+    """
 
     bound: Ints
     counts: Ints
@@ -60,10 +64,11 @@ def excite(
     excitation: Any,
     ramp_steps: int,
 ) -> int:
-    """Run as many ticks as `kept.withheld` has room for, or until the guard ends the run; returns how many the law ran.
+    """Run the law until `kept.withheld` is full or the guard ends the run; return the number of completed ticks.
 
-    The plant is discretised at the inner step; `count` is its count now. Then inner steps in a tick, and between two
-    positions; effort of the second actuator in each inner step of a period, and the inner steps in which it rises.
+    The plant is discretised at the inner step, and `count` is its present count. `ratio` is the number of inner steps
+    in a tick, `every` that between two recorded positions. `excitation` is the effort of the second actuator in each
+    inner step of one period (N·m or N); it rises from zero during the first `ramp_steps` inner steps.
     """
     state, withheld = plant.state, kept.withheld
     m = controller.memory[0]
@@ -99,7 +104,7 @@ def excite(
 
 
 class ExcitedPlant:
-    """A rig to measure again and again; see `rig.devices.simulated.ExcitedSimulation`."""
+    """A simulated rig for many impedance measurements; see `rig.devices.simulated.ExcitedSimulation`."""
 
     def __init__(self, model: RigModel, tick_s: float, acquisition_hz: float, most_ticks: int) -> None:
         inner_s = min(model.simulation.inner_step_s, 1.0 / SLOWEST_INNER_HZ)
@@ -118,18 +123,27 @@ class ExcitedPlant:
 
     @property
     def inner_rate_hz(self) -> float:
-        """Return inner steps of the plant in a second (Hz)."""
+        """Return the number of inner steps of the plant in a second (Hz)."""
         return self._ratio / self._tick_s
 
     def _divisor(self, acquisition_hz: float) -> int:
-        """Inner steps between two positions: as many as the rate allows, and so that each tick has a position."""
+        """Return the number of inner steps between two recorded positions.
+
+        It is the largest divisor of a tick at which positions come at least at `acquisition_hz`.
+        """
         most = max(1, min(self._ratio, math.floor(self.inner_rate_hz / acquisition_hz + 1e-9)))
         return next(n for n in range(most, 0, -1) if self._ratio % n == 0)
 
     def excite(
         self, controller: ControllerState, position: float, excitation: Vector, ramp_s: float, ticks: int
     ) -> ExcitedMotion:
-        """Run the law for so many ticks, from rest at a position (rad or m)."""
+        """Run the law for `ticks` ticks, from rest at `position` (rad or m), and return the recorded motion.
+
+        Raises
+        ------
+        LawError
+            The estimator or the law gave a value that is not finite.
+        """
         plant = self._plant
         state = plant.at_rest(position)
         memory = controller.memory

@@ -1,6 +1,6 @@
-"""Run and measure one hit in one compiled call, without bytes: what maps of thousands of walls consist of.
+"""Run and measure one hit on a wall in one compiled call, without a byte link. Maps consist of thousands of hits.
 
-The result equals that of `rig.control.judging.judge` for the recording of the same trial over the byte link.
+The result equals that of `rig.control.judging.judge` for a recording of the same trial over the byte link.
 """
 
 from __future__ import annotations
@@ -46,10 +46,11 @@ def hit(
     recorded: Any,
     true: Any,
 ) -> int:
-    """Run one trial and measure its trial phase; returns its number of ticks.
+    """Run one trial and measure its trial phase; return the number of ticks of the trial.
 
-    The arguments of `sim_backend.bare.trial.run_ticks` with every sample in time, room for `SIGNALS` signals, the
-    meter, and a record of `rig.control._measure.NUMBERS` for what the rig records and for what is true.
+    The first eight arguments are those of `sim_backend.bare.trial.run_ticks`. `signals` is scratch memory of `SIGNALS`
+    rows. The measured numbers are written to `recorded` (from the values that a rig records) and `true` (from the
+    plant's state), both of dtype `rig.control.judging.NUMBERS`.
     """
     # Nothing here allocates or takes the GIL: a thread for each core stays busy, and memory does not grow with the
     # number of hits.
@@ -97,7 +98,7 @@ def hit(
 
 
 class RigOfHits:
-    """A rig to hit again and again; see `rig.devices.simulated`."""
+    """A simulated rig for many hits on a wall; see `rig.devices.simulated`."""
 
     def __init__(self, model: RigModel, tick_s: float, thresholds: Thresholds, most_ticks: int) -> None:
         self._model = model
@@ -108,7 +109,13 @@ class RigOfHits:
         self._signals = np.zeros((SIGNALS, most_ticks))
 
     def hit(self, controller: ControllerState, start: float) -> SimulatedHit:
-        """Run one trial from rest at a position and measure it."""
+        """Run one trial from rest at `start` (rad or m) and measure it.
+
+        Raises
+        ------
+        LawError
+            The estimator or the law gave a value that is not finite.
+        """
         plant, meter, trace = self._plant, self._meter, self._trace
         recorded, true = np.zeros(1, NUMBERS), np.zeros(1, NUMBERS)
         state, script = plant.at_rest(start), OperatorScript.of(self._model, plant.tick_s, start)

@@ -1,7 +1,7 @@
-"""Run a whole trial in one compiled call: plant, sensors and the law, without bytes, frames or clocks.
+"""Run a whole trial in one compiled call: plant, sensors and control law, without bytes, frames or clocks.
 
-It shares `step`, `advance` and the quantisers with the simulated device behind its link, so both give the same
-trajectory to the last bit. It has no watchdog: a caller that delays samples (`ages`) must account for it.
+It shares `step`, `advance` and the quantisers with the simulated device behind a link, so both give the same
+trajectory to the last bit. It has no watchdog; a caller that delays samples (`ages`) must keep that in mind.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ _LATE, _GAP = int(RowFlag.LATE), int(RowFlag.GAP)
 
 @group
 class Trace(NamedTuple):
-    """What happened in each tick: plant state, count, phase, active and commanded current, row flags.
+    """Recording of a trial: in each tick plant state, count, phase, active and commanded current (quanta), row flags.
 
-    Of a sample that the law never saw the phase is `UNSEEN`, and it has no flags.
+    If the law did not process a sample, the phase of its row is `UNSEEN` and its flags are 0.
     """
 
     states: FloatRows
@@ -45,7 +45,7 @@ class Trace(NamedTuple):
 
     @classmethod
     def empty(cls, ticks: int, plant: DiscretePlant) -> Trace:
-        """Return the room for as many ticks of a plant."""
+        """Return a trace of zeros with room for `ticks` ticks."""
         states = np.zeros((ticks, len(plant.at_rest(0.0))))
         return cls(states=states, **{name: np.zeros(ticks, np.int64) for name in cls._fields[1:]})
 
@@ -71,11 +71,12 @@ def run_ticks(
     tick_units: int,
     trace: Trace,
 ) -> int:
-    """Run until the law is done or the trace is full; returns the number of ticks up to the last sample it saw.
+    """Run until the law is done or the trace is full; return the number of ticks up to the law's last sample.
 
-    `script` has what the hand wants; `ages` how many ticks old the newest sample is that has reached the law in each
-    tick (0: that of the tick; behind its end all are in time), flagged as the loop would; `external_effort` acts on the
-    link all along; `start_units` and `tick_units` are device time of the first sample and length of a tick (1/16 µs).
+    `script` contains the intentions of the hand. `ages` is the age in ticks, in each tick, of the newest sample that
+    has reached the law; 0 means no delay, also for ticks beyond its end. Late samples get the flags of the real loop.
+    `external_effort` acts on the link during the whole run (N·m or N). `start_units` is the device time of the first
+    sample, `tick_units` the length of a tick (1/16 µs).
     """
     m, state, edge_age = controller.memory[0], plant.state, plant.edge_age
     # The device moves one tick under zero effort between ARM and its first sample.
@@ -129,28 +130,28 @@ def run_trial(
     script: OperatorScript | None = None,
     ages: NDArray[np.int64] = IN_TIME,
 ) -> Trace:
-    """Run one trial, from rest unless a velocity is given.
+    """Run one trial and return its trace.
 
     Parameters
     ----------
     controller
-        Fresh controller; its memory is used up.
+        New controller; the run changes its memory, so it cannot be used again.
     plant
-        Discretised at the controller's tick.
+        Plant, discretised at the controller's tick.
     initial_position
-        Of the whole rig, one tick before the first sample (rad or m).
+        Position of all masses one tick before the first sample (rad or m).
     most_ticks
-        Where to stop when the law never ends.
+        Largest number of ticks, for a law that never ends.
     start_units
-        Device time of the first sample (1/16 µs): how old an edge that never happened may look.
+        Device time of the first sample (1/16 µs). Before the first encoder edge, this is the reported age of the edge.
     initial_velocity
-        Of all masses, one tick before the first sample (rad/s or m/s).
+        Velocity of all masses one tick before the first sample (rad/s or m/s).
     external_effort
-        Effort of the world on the link, all along (N·m or N).
+        External effort on the link during the whole run (N·m or N).
     script
-        What the hand of a held plant wants, tick by tick; without one it holds still where it is.
+        Intentions of the hand, tick by tick; without a script the hand holds still.
     ages
-        See `run_ticks`.
+        Delay of the samples; see `run_ticks`.
     """
     script = script or OperatorScript.silent()
     if len(script.rows) and plant.hand_position is None:
@@ -174,7 +175,7 @@ def run_arguments(
     script: OperatorScript,
     ages: NDArray[np.int64] = IN_TIME,
 ) -> tuple[ControllerArguments, PlantArguments, OperatorScript, NDArray[np.int64], float, int, int]:
-    """Return arguments of `run_ticks` before the trace, in its order."""
+    """Return the arguments of `run_ticks`, in its order, except the last (the trace)."""
     tick_units = round(plant.tick_s * UNITS_PER_SECOND)
     return (
         controller.arguments(),

@@ -1,6 +1,6 @@
-"""Step a rig whose motor cogs: `sim_backend.mechanics.plant` with an effort that depends on the motor's position.
+"""Step a rig whose motor cogs: the plant of `sim_backend.mechanics.plant`, plus an effort that varies with position.
 
-It mirrors the slots of an iron-cored motor and a torque constant that varies with the position
+It simulates the slots of an iron-cored motor and a torque constant that varies with the position
 (`rig.core.model.Cogging`). Back-EMF under voltage drive has no ripple here.
 """
 
@@ -43,7 +43,7 @@ _FLOAT, _MATRIX = types.float64, types.float64[:, ::1]
 # One kernel serves all structures, held or not: a plant is first written in the states of the largest, and what a rig
 # does not have moves nothing.
 def expand_states(rig: StateSpace) -> StateSpace:
-    """Write a rig in the states of two masses in a hand; a link of its own that a rigid rig lacks rests at zero."""
+    """Return a rig in the states of the largest structure: two masses in a hand. States that it lacks stay zero."""
     held, rigid = rig.hand_position is not None, len(rig.friction) == 1
     states = [MOTOR, MOTOR + 1, *(() if rigid else (LINK, LINK + 1)), EFFORT]
     inputs = [COMMAND, EXTERNAL, RUBS_MOTOR, *(() if rigid else (RUBS_LINK,))]
@@ -67,7 +67,10 @@ def expand_states(rig: StateSpace) -> StateSpace:
 
 
 def mean_weight(step_s: float, lag_s: float) -> float:
-    """Weight of the last effort in the mean over a step of one that a lag of first order drives; without, 1."""
+    """Return the weight (0 to 1) of a step's final effort in the mean effort over the step.
+
+    The effort follows its command with a first-order lag of `lag_s`; without a lag the weight is 1.
+    """
     return 1.0 if lag_s == 0.0 else -1.0 / math.expm1(-step_s / lag_s) - lag_s / step_s
 
 
@@ -84,7 +87,10 @@ def _carry(
     g: float,
     goal: float,
 ) -> float:
-    """Return what the states add to one of them in a step; positions relative to that one."""
+    """Return the part of the next value of state `row` that follows from the present states.
+
+    The positions `x`, `y`, `h`, `goal` are given as distances from the mass to which the row belongs.
+    """
     hand = phi[row, 5] * h + phi[row, 6] * g + phi[row, 7] * goal
     return float(
         phi[row, 0] * x + phi[row, 1] * v + phi[row, 2] * y + phi[row, 3] * w + phi[row, 4] * effort + hand
@@ -95,14 +101,14 @@ def _carry(
 def _push(
     phi: Matrix, gamma: Matrix, row: int, command: float, external: float, velocity: float, press: float
 ) -> float:
-    """Return what the inputs of a tick, constant over its steps, add to a state in each step."""
+    """Return what the inputs add to state `row` in one inner step; they are constant during a tick."""
     hand = phi[row, 8] * velocity + phi[row, 9] * press
     return float(gamma[row, COMMAND] * command + gamma[row, EXTERNAL] * external + hand)
 
 
 @kernel(_FLOAT(_MATRIX, types.int64, _FLOAT, _FLOAT), inline=True, no_refcount=True)
 def _add_friction(gamma: Matrix, row: int, motor: float, link: float) -> float:
-    """Return what efforts on motor and link, constant over a step, add to a state."""
+    """Return what an effort on the motor and one on the link (N·m or N) add to state `row` in one inner step."""
     return float(gamma[row, RUBS_MOTOR] * motor + gamma[row, RUBS_LINK] * link)
 
 
@@ -110,7 +116,10 @@ def _add_friction(gamma: Matrix, row: int, motor: float, link: float) -> float:
 def advance(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Any, command: float, external: float
 ) -> int:
-    """Move a plant written in full by one tick under an active effort; see `sim_backend.mechanics.plant.advance`."""
+    """Move a plant with the states of `expand_states` by one tick; return the encoder count, before its sign.
+
+    `command` is the effort that acts in this tick, after delay and limit; `external` acts on the link (N·m or N).
+    """
     x, v, y, w, effort = state[0], state[1], state[2], state[3], state[4]  # motor, link, motor effort
     h, g, goal, velocity, press, age = state[5], state[6], state[7], state[8], state[9], state[10]
     begins = int(parameters[RIPPLE])

@@ -1,7 +1,7 @@
-"""Step a rig in a person's hand exactly: `sim_backend.mechanics.plant` with a hand mass and its intention.
+"""Step a rig in a person's hand exactly: the plant of `sim_backend.mechanics.plant`, a hand mass and its intention.
 
-States: those of the rig, hand position and velocity, then intended position, velocity and press, which keep their
-values until a script writes others (`sim_backend.mechanics.operator`). Friction and edges are those of `inner`.
+States: those of the rig, hand position and velocity, then intended position, intended velocity and press. The last
+three keep their values until a script (`sim_backend.mechanics.operator`) writes others.
 """
 
 from __future__ import annotations
@@ -35,7 +35,11 @@ _FLOAT, _INT, _MATRIX = types.float64, types.int64, types.float64[:, ::1]
 
 @kernel(_INT(types.float64[::1], _INT, _MATRIX, _INT, _INT), inline=True, no_refcount=True)
 def want(state: Any, edge_age: int, script: Any, row: int, again: int) -> int:
-    """Put a row of a script into the state, before the age of the edge; return the next row. No rows: nothing."""
+    """Copy row `row` of a script into the intentions in `state`; return the number of the next row.
+
+    The intentions lie just before index `edge_age`. After the last row follows row `again`. An empty script changes
+    nothing and gives 0.
+    """
     if script.shape[0] == 0:
         return 0
     for i in range(INTENTIONS):
@@ -53,7 +57,7 @@ def _push(
     wanted_velocity: float,
     press: float,
 ) -> float:
-    """Return what the inputs of a tick, constant over its steps, add to a state in each step."""
+    """Return what the inputs add to state `row` in one inner step; they are constant during a tick."""
     order = phi.shape[0]
     hand = phi[row, order - 2] * wanted_velocity + phi[row, order - 1] * press
     return float(gamma[row, 0] * command + gamma[row, 1] * external + hand)
@@ -61,7 +65,7 @@ def _push(
 
 @kernel(_FLOAT(_MATRIX, _INT, _FLOAT, _FLOAT, _FLOAT, _FLOAT), inline=True, no_refcount=True)
 def _carry(phi: Matrix, row: int, v: float, w: float, effort: float, g: float) -> float:
-    """Return what the velocities and the effort of a two-mass rig add to a state in a step."""
+    """Return what velocities (motor v, link w, hand g) and effort of a two-mass rig add to state `row` in a step."""
     return float(phi[row, 1] * v + phi[row, 3] * w + phi[row, 4] * effort + phi[row, 6] * g)
 
 
@@ -69,7 +73,10 @@ def _carry(phi: Matrix, row: int, v: float, w: float, effort: float, g: float) -
 def advance_rigid(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
 ) -> int:
-    """Move a held plant with a rigid capstan by one tick under an active effort; see `mechanics.plant.advance`."""
+    """Move a rigid rig in a hand by one tick; return the encoder count, before its sign.
+
+    `command` is the effort that acts in this tick, after delay and limit; `external` acts on the link (N·m or N).
+    """
     x, v, effort, h, g = state[0], state[1], state[2], state[3], state[4]  # link, motor effort, hand
     goal, goal_velocity, press, age = state[5], state[6], state[7], state[8]
     step_s, coulomb = parameters[STEP_S], parameters[COULOMB]
@@ -108,7 +115,7 @@ def advance_rigid(
 def advance_two_mass(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
 ) -> int:
-    """Move a held plant of two masses by one tick under an active effort; see `sim_backend.mechanics.plant.advance`."""
+    """Move a two-mass rig in a hand by one tick; arguments and result as of `advance_rigid`."""
     x, v, y, w, effort = state[0], state[1], state[2], state[3], state[4]  # motor, link, motor effort
     h, g, goal, goal_velocity, press, age = state[5], state[6], state[7], state[8], state[9], state[10]
     step_s, coulomb_v, coulomb_w = parameters[STEP_S], parameters[COULOMB], parameters[COULOMB_LINK]

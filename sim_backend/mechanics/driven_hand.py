@@ -1,7 +1,7 @@
-"""Simulate a hand that is driven interactively during a run: by a mouse, by keys, by a program.
+"""Simulate a hand that is driven interactively during a run: with a mouse, with keys, by a program.
 
-`sim_backend.board.hardware` asks it for short blocks of intentions, which play as a script does. It must not follow
-wishes before the trial begins, nor leave what a person can reach and press.
+`sim_backend.board.hardware` requests short blocks of intentions from it and plays them like a script. The hand must
+not follow wishes before the trial begins, and must stay within the travel and the force of a person.
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ PRESS_N = 10.0  # more than a firm grip's press
 
 
 class DrivenHand:
-    """The hand of a model, driven by wishes.
+    """The simulated hand at a rig's handle, which follows wishes: target positions and presses from outside.
 
     Parameters
     ----------
     model
-        A rig that is held, with a reach.
+        Rig that a person holds; it has an operator and a reach.
     wish
-        Returns what is wished now (`rig.realtime.hand.SharedHand.read`), or None.
+        Returns the newest wish (`rig.realtime.hand.SharedHand.read`), or None before the first.
     tell
-        Called at the start of each block of ticks with the positions of hand and handle (rad or m) and the handle's
-        velocity.
+        Called at the start of each block of ticks with hand position, handle position (rad or m) and handle velocity
+        (rad/s or m/s).
 
     Raises
     ------
     ConfigError
-        The rig is not held by a person.
+        No person holds the rig's handle.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class DrivenHand:
         self._leads = False
 
     def begin(self, position: float, tick_s: float, session: int = 0) -> None:
-        """Begin a session with the handle at a position (rad or m)."""
+        """Begin a session: the handle is at `position` (rad or m), and `session` selects the tremor."""
         reach = self._reach
         self._tick_s = tick_s
         self._at, self._rate = reach.start, 0.0
@@ -84,7 +84,10 @@ class DrivenHand:
         self._leads = False
 
     def next(self, hand: float) -> OperatorScript:
-        """The next ticks; to be asked for when the last ones are over. `hand` is where the hand is (rad or m)."""
+        """Return the intentions for the next block of ticks; call it when the last block has been played.
+
+        `hand` is the present position of the hand (rad or m).
+        """
         if not self._leads:
             self._leads = True
             # While the rig homes the hand goes along, whatever is wished: one that pulls elsewhere would keep the
@@ -114,7 +117,7 @@ class DrivenHand:
         return OperatorScript(rows=rows)
 
     def _along(self) -> Rows:
-        """Return intentions that go along with homing, then rest until the trial has surely begun."""
+        """Return intentions that follow the handle while the rig homes, then rest until the trial has begun."""
         reach = self._reach
         along_s = abs(reach.start - self._from) / reach.pace
         ticks = max(1, math.ceil((along_s + reach.wait_s - reach.free_s) / self._tick_s))
@@ -126,7 +129,10 @@ class DrivenHand:
         return rows
 
     def _read_wish(self, hand: float) -> tuple[float, float]:
-        """Return where the hand wants to be now (rad or m), and its press (N)."""
+        """Return the position to which the hand shall move (rad or m) and the press (N), both within their limits.
+
+        Without a new wish for `SILENT_S` seconds the hand stays where it is and does not press.
+        """
         wish = self._wish()
         self._silent_s += len(self._times) * self._tick_s
         if wish is not None and wish.sequence != self._newest_wish.sequence:
@@ -148,7 +154,7 @@ class DrivenHand:
         return self._goal, min(max(self._newest_wish.press, 0.0), PRESS_N)
 
     def _share(self) -> float:
-        """Return the effort of the hand as a share of the scripted one's, 1 at most: what its tremor grows with."""
+        """Return the force of this hand divided by the force of the scripted hand, at most 1; it scales the tremor."""
         operator = self._operator
         wall = self._reach.target - self._side * operator.depth / self._radius
         inside = max(0.0, self._side * (self._at - wall)) * self._radius
@@ -158,7 +164,10 @@ class DrivenHand:
 
 
 def follow(distance: float, rate: float, times: Rows) -> tuple[Rows, Rows]:
-    """Distance to a goal that stands still, and its rate, at some times from now: critically damped, exact."""
+    """Return distance to a fixed goal and its rate at `times` (s from now) for a critically damped approach.
+
+    `distance` and `rate` are the present values (rad or m, and that in 1/s); the solution is exact.
+    """
     omega = 2.0 * math.pi * FOLLOW_HZ
     pull = rate + omega * distance
     fade = np.exp(-omega * times)

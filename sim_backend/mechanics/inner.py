@@ -1,4 +1,4 @@
-"""Common parts of all inner steps, for a free or held rig: parameters, Coulomb friction, the time of an edge."""
+"""Parts that the inner steps of all plants share: indices of the parameters, Coulomb friction, time of an edge."""
 
 from __future__ import annotations
 
@@ -42,9 +42,10 @@ def clip(value: float, limit: float) -> float:
 
 @kernel(types.UniTuple(_FLOAT, 2)(_FLOAT, _FLOAT, _FLOAT), inline=True)
 def rub_one(free: float, gain: float, coulomb: float) -> tuple[float, float]:
-    """Return the friction effort on one mass, and the velocity it leaves: exactly zero when the mass comes to rest.
+    """Return the friction effort on a mass (N·m or N) and the velocity after it (rad/s or m/s).
 
-    `free` is the velocity at the end of the step without this friction, `gain` what a unit of it adds.
+    The velocity is exactly zero if the mass comes to rest. `free` is the velocity at the end of the step without
+    friction, `gain` the change of that velocity for 1 N·m (or N) of friction, `coulomb` the largest friction effort.
     """
     # The quotient does not depend on the loop's variables and leaves it; a division by gain would not.
     friction = free * (-1.0 / gain)
@@ -64,10 +65,11 @@ def rub_both(
     coulomb_motor: float,
     coulomb_link: float,
 ) -> tuple[float, float, float, float]:
-    """Return friction efforts on motor and link, and the velocities they leave; see `rub_one`.
+    """Return the friction efforts on motor and link, then the velocities of motor and link after it.
 
-    The pair solves a box-constrained linear complementarity problem. Its matrix of gains is symmetric and positive
-    definite (`plant._check_friction`), so there is exactly one solution.
+    Arguments are those of `rub_one`, for two coupled masses. The two efforts solve a box-constrained linear
+    complementarity problem. Its gain matrix is symmetric and positive definite (`plant._check_friction`), so there is
+    exactly one solution.
     """
     shrink = -1.0 / (gain_motor * gain_link - gain_cross * gain_cross)
     motor = shrink * (gain_link * free_motor - gain_cross * free_link)
@@ -91,10 +93,11 @@ def rub_both(
 def encode(
     old: int, age: float, before: float, after: float, step_s: float, resolution: float, offset: float
 ) -> tuple[int, float]:
-    """Return the encoder cell and age of the last edge after a step from position `before`, in cell `old`, to `after`.
+    """Return the encoder cell and the age of the last edge (s) at the end of a step.
 
-    The time of the edge is interpolated at the mean velocity of the step; of several edges the last counts.
-    A step that leaves a cell and comes back to it within itself shows no edge.
+    The step goes from position `before`, in cell `old`, to position `after`. The time of an edge is interpolated
+    linearly. If the step passes several edges, only the last is used. If it ends in the cell where it began, it shows
+    no edge.
     """
     new = cell(after, resolution, offset)
     if new == old:

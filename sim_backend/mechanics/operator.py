@@ -1,8 +1,8 @@
-"""Write what a simulated person wants, tick by tick: the script that moves the hand of `rig.core.model.Operator`.
+"""Compute the intentions of a simulated person for each tick: a script for the hand of `rig.core.model.Operator`.
 
-The hand goes along with homing, waits, reaches into the wall on a raised cosine and stays, pressing. A script is
-computed once, before the session; the device and the trial without bytes play the same one from the tick after arming
-on.
+The hand follows the handle during homing, waits, reaches into the wall on a raised cosine, stays there and presses. A
+script is computed once, before the session. The simulated device and the trial without bytes play the same script,
+from the tick after arming.
 """
 
 from __future__ import annotations
@@ -28,10 +28,9 @@ REPEAT_S = 2.0  # all of these frequencies have a whole number of periods in it
 
 @group
 class OperatorScript(NamedTuple):
-    """For each tick intended position, intended velocity and press on the hand, at the link.
+    """Intentions of the hand: one row for each tick with position, velocity and press, all in units of the link.
 
-    After the last row it continues at row `again`. No rows mean no intention: the hand, if there is one,
-    holds still.
+    After the last row the script continues at row `again`. With an empty script the hand holds still.
     """
 
     rows: FloatRows
@@ -49,13 +48,13 @@ class OperatorScript(NamedTuple):
         Parameters
         ----------
         model
-            The rig, with its operator and reach; without both, the script is empty.
+            Rig with operator and reach; if it lacks either, the script is empty.
         tick_s
-            Length of a tick (s). Each row is the intention in the middle of its tick, held over it.
+            Length of a tick (s). Each row is the intention in the middle of its tick and holds for the whole tick.
         position
-            Where the handle is when the session begins (rad or m).
+            Position of the handle at the start of the session (rad or m).
         session
-            How many sessions this person had before: tremor never comes twice alike.
+            Number of earlier sessions of this person; each session has a different tremor.
         """
         if model.operator is None or model.reach is None:
             return cls.silent()
@@ -96,7 +95,11 @@ def _raised_cosine(x: Rows) -> tuple[Rows, Rows]:
 
 
 def tremor(t: Rows, rms: float, generator: np.random.Generator) -> tuple[Rows, Rows]:
-    """Return the band-limited displacement of this rms: lines of equal size with random phases, and its rate."""
+    """Return a hand tremor at the times `t` (s): displacement with root mean square `rms`, and its rate.
+
+    It is a sum of equal sine waves at the frequencies `TREMOR_HZ` with random phases. The displacement has the unit of
+    `rms`.
+    """
     omega = 2.0 * math.pi * TREMOR_HZ
     phase = generator.uniform(0.0, 2.0 * math.pi, len(omega))
     # n lines of equal size with random phases: the squares of their rms values add up to rms².

@@ -1,8 +1,9 @@
-"""Simulate the mechanics of a rig: exact between inner steps, Coulomb friction implicit, one kernel a tick.
+"""Simulate the mechanics of a rig: exact between inner steps, with implicit Coulomb friction, one kernel call a tick.
 
-Devices call `advance` from Python, sweeps from compiled code, with the same arrays and so to the same bits. All that
-changes lies in one flat array, so that copying it copies the plant: the states of `rig.core.model.state_space`, what a
-person who holds the handle wants, the age of the last encoder edge (s), then the commands on their way, oldest first.
+Devices call `advance` from Python and sweeps call it from compiled code; with the same arrays both give the same bits.
+Everything that changes is in one flat array, so a copy of that array is a copy of the plant. It contains the states of
+`rig.core.model.state_space`, the intentions of a person who holds the handle (if there is one), the age of the last
+encoder edge (s), and the commands that do not act yet because of the delay, oldest first.
 
 The amplifier's limit and lag stand for stall torque and L/R of the motor's data sheet. Under voltage drive the command
 is the voltage in units of effort; the effort state is k_t times the current, back-EMF included.
@@ -54,9 +55,10 @@ RIGID_ORDER, TWO_MASS_ORDER = 3, 5  # states of a rig without a hand
 
 @group
 class PlantArguments(NamedTuple):
-    """A plant in motion: its state, the arrays and the places of `DiscretePlant`.
+    """A plant in motion: its state, and matrices, parameters and state indices of its `DiscretePlant`.
 
-    `other` moves the plant where a hand holds it or its motor cogs, a plug point: who simulates neither compiles none.
+    `other` is the compiled function that moves the plant by one tick if a hand holds it or its motor cogs. It is passed
+    by address, so a program that simulates neither does not compile it.
     """
 
     state: Floats
@@ -75,22 +77,22 @@ PLANT_TYPE = type_of(PlantArguments)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiscretePlant:
-    """A rig ready to be stepped: x ← phi x + gamma u in each inner step, and what the kernel needs beside it.
+    """A discretised rig: x ← phi x + gamma u in each inner step, with the parameters that `advance` needs.
 
     Attributes
     ----------
     phi, gamma
         Discrete matrices over one inner step, states and inputs in the order of `rig.core.model`.
     parameters
-        See the index constants of this module.
+        Friction, encoder and limits, by the index constants of `sim_backend.mechanics.inner`.
     tick_s
         Length of the tick (s).
     delay_ticks
-        Whole ticks between a command and its effort.
+        Ticks between a command and the effort that follows from it.
     sensed_position, handle_position, effort, edge_age
         Indices into the state; each velocity follows its position.
     hand_position
-        Index of the hand that holds the handle, or None.
+        Index of the hand's position in the state; None without a hand.
     """
 
     phi: Matrix
@@ -106,12 +108,12 @@ class DiscretePlant:
 
     @classmethod
     def build(cls, model: RigModel, tick_s: float) -> DiscretePlant:
-        """Discretise a rig for ticks of `tick_s` seconds; the same object for the same rig, whose arrays do not change.
+        """Return a rig discretised for ticks of `tick_s` seconds. Results are cached: do not write to the arrays.
 
         Raises
         ------
         ConfigError
-            The tick is not above zero, or the inner step is too long for the mode of the capstan.
+            The tick is not above zero, or the inner step is too long for the vibration mode of the capstan.
         """
         if not (tick_s > 0.0 and math.isfinite(tick_s)):
             raise ConfigError(f"tick_s = {tick_s} s must be above 0", remedy="choose a rate above zero")
@@ -119,11 +121,11 @@ class DiscretePlant:
 
     @property
     def arrays(self) -> tuple[Matrix, Matrix, Vector]:
-        """Return the matrices of this plant's steps."""
+        """Return `phi`, `gamma` and `parameters`."""
         return self.phi, self.gamma, self.parameters
 
     def arguments(self, state: Vector) -> PlantArguments:
-        """Return what compiled code takes of this plant in a state, which it changes."""
+        """Return the arguments for `advance`, which changes `state` in place."""
         return PlantArguments(
             state=state,
             phi=self.phi,
@@ -138,18 +140,18 @@ class DiscretePlant:
 
     @property
     def intentions(self) -> slice:
-        """Where the state keeps what the hand wants: a position, a velocity and a press; empty without a hand."""
+        """Return the slice of the state with the hand's intended position, velocity and press; empty without a hand."""
         return slice(self.edge_age - (0 if self.hand_position is None else INTENTIONS), self.edge_age)
 
     @property
     def commands(self) -> slice:
-        """Return where the state keeps the commands on their way, oldest first; zero them to cut the effort."""
+        """Return the slice of the state with the commands that do not act yet, oldest first; zero it to cut them."""
         return slice(self.edge_age + 1, None)
 
     def at_rest(self, position: float) -> Vector:
-        """State at rest at `position` (rad or m): no effort, no command on its way, no edge yet (age ∞).
+        """Return the state at rest at `position` (rad or m): no effort, no delayed command, no edge yet (age ∞).
 
-        A hand is there too and wants nothing else.
+        A hand is at the same position and intends to stay there.
         """
         state = np.zeros(self.edge_age + 1 + self.delay_ticks)
         state[self.sensed_position] = state[self.handle_position] = position
@@ -160,11 +162,11 @@ class DiscretePlant:
 
     @property
     def cogs(self) -> bool:
-        """Return True if the motor cogs: the plant is written in full then (`sim_backend.mechanics.cogging`)."""
+        """Return True if the motor cogs; the state then has the layout of `sim_backend.mechanics.cogging`."""
         return len(self.parameters) > PARAMETERS
 
     def count(self, state: Vector) -> int:
-        """Return the encoder count of a state of the plant."""
+        """Return the encoder count that belongs to a state."""
         p = self.parameters
         position = state[self.sensed_position]
         return encoder_count(position, p[RESOLUTION], p[OFFSET], int(p[SIGN]))
@@ -194,7 +196,10 @@ def _discretise(model: RigModel, tick_s: float) -> DiscretePlant:
 
 
 def energy(state: Vector, model: RigModel) -> float:
-    """Kinetic and elastic energy (J) in a state, a hand's and the cogging's included; not gravity's, not electrical."""
+    """Return the kinetic and elastic energy in a state (J), with that of hand and cogging.
+
+    Gravity and electrical energy are not included.
+    """
     mechanics, operator = model.mechanics, model.operator
     rigid = mechanics.structure == "rigid"
     link = mechanics.loaded_link_inertia
@@ -202,6 +207,8 @@ def energy(state: Vector, model: RigModel) -> float:
     handle = 0 if rigid else 2
     twice = 0.0
     if operator is not None:
+        # Index of the hand: behind three states of a rigid rig, five of a compliant one. With cogging every rig has the
+        # five (`cogging.expand_states`).
         h = 3 if rigid and not model.cogging.orders else 5
         link += operator.pads_mass * radius**2
         pads, hand = state[h] - state[handle], state[h + 2] - state[h]
@@ -216,7 +223,7 @@ def energy(state: Vector, model: RigModel) -> float:
 
 
 def _exact(continuous: StateSpace, step_s: float) -> tuple[Matrix, Matrix]:
-    """Return the zero-order-hold discretisation: exp([A B; 0 0] h) = [phi gamma; 0 1]."""
+    """Return phi and gamma of the zero-order-hold discretisation: exp([A B; 0 0] h) = [phi gamma; 0 1]."""
     order, inputs = continuous.b.shape
     # Van Loan's block matrix: one exponential gives both, also where A is singular (a free mass has no spring).
     both = np.zeros((order + inputs, order + inputs))
@@ -237,7 +244,7 @@ def _exact(continuous: StateSpace, step_s: float) -> tuple[Matrix, Matrix]:
 
 
 def _check_friction(continuous: StateSpace, gamma: Matrix, step_s: float) -> None:
-    """Refuse a step over which a friction effort can return as a velocity of the wrong sign."""
+    """Raise `ConfigError` if the step is so long that friction could change a velocity in the wrong direction."""
     # `rub_both` has one solution only if the gains from friction to velocity are positive definite. They are while the
     # step is shorter than about half a period of the capstan's mode.
     gains = gamma[list(continuous.friction_velocity), continuous.friction_inputs]
@@ -297,7 +304,7 @@ def _advance_rigid(
 def _advance_two_mass(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
 ) -> int:
-    """Move a plant of two masses by one tick; positions act through the stretch alone."""
+    """Move a two-mass plant by one tick; return the encoder count, before its sign."""
     x, v, y, w = state[0], state[1], state[2], state[3]  # motor and link: position, velocity
     effort, age = state[4], state[5]
     step_s, coulomb_v, coulomb_w = parameters[STEP_S], parameters[COULOMB], parameters[COULOMB_LINK]
@@ -352,10 +359,10 @@ def advance(plant: PlantArguments, command_effort: float, external_effort: float
     plant
         From `DiscretePlant.arguments`; its state is changed in place.
     command_effort
-        Effort asked of the amplifier from this tick on (N·m or N, finite). It acts `delay_ticks` ticks later,
-        clipped to the effort limit, through the electrical lag.
+        Effort commanded to the amplifier in this tick (N·m or N, finite). It acts `delay_ticks` ticks later, clipped
+        to the effort limit and filtered by the electrical lag.
     external_effort
-        Effort of the world on the link during the tick (N·m or N, finite).
+        External effort on the link during the tick (N·m or N, finite).
 
     Returns
     -------

@@ -1,7 +1,7 @@
-"""Quantise true values as sensors and the amplifier's converter do: to counts and current quanta.
+"""Quantise true positions to encoder counts and true currents to quanta, like the rig's sensors.
 
-The simulated device and the sweep without bytes call these same functions. The encoder mirrors a quadrature counter
-(data sheet: cycles per revolution, times decoding); the current quantum is the one that IDENTIFY declares.
+The simulated device and the sweep without bytes call the same functions. The encoder is a quadrature counter (data
+sheet: cycles per revolution, times decoding). The current quantum is the one that the device declares in IDENTITY.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ def cell(position: float, resolution: float, offset: float) -> int:
     resolution
         Travel for one count (rad or m), above zero.
     offset
-        Where position zero lies in its cell (count): 0.5 rounds to the nearest count, 0 truncates downwards.
+        Place of position zero in its encoder cell (count): 0.5 rounds to the nearest count, 0 rounds down.
     """
     return math.floor(position / resolution + offset)
 
 
 @kernel(types.int64(types.float64, types.float64, types.float64, types.int64), inline=True)
 def encoder_count(position: float, resolution: float, offset: float, sign: int) -> int:
-    """Count that the encoder shows at a position: sign · floor(position / resolution + offset).
+    """Return the encoder count at a position: sign · floor(position / resolution + offset).
 
     Parameters
     ----------
     position, resolution, offset
         See `cell`.
     sign
-        −1 for an encoder whose counts fall while the position rises, else +1.
+        +1 if the count rises with the position, −1 if it falls.
     """
     return sign * cell(position, resolution, offset)
 
@@ -52,13 +52,13 @@ def current_quanta(current_a: float, quantum_a: float) -> int:
     Parameters
     ----------
     current_a
-        Current (A). A value that is not a number gives 0, an infinite one the limit.
+        Current (A). NaN gives 0, ±∞ gives ±32767.
     quantum_a
         Size of one quantum (A), above zero.
 
     Notes
     -----
-    Nearest, halves towards +∞: the rule of the encoder and of the command (`rig.control._guard.current_quanta`).
+    Halves are rounded towards +∞, as in the encoder and in the command (`rig.control._guard.current_quanta`).
     """
     quanta = current_a / quantum_a
     if math.isnan(quanta):

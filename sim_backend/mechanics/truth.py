@@ -1,4 +1,4 @@
-"""The plant's own state, tick by tick, for comparison with what a rig can record."""
+"""Record the true state of the plant in every tick, for comparison with the values that a rig can measure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _FIRST_ROWS = 4096
 
 
 class TruthLog:
-    """States of a plant by sample index, without the commands on their way; the buffers double when they are full."""
+    """Log of plant states by sample index, without delayed commands; its buffers double when they are full."""
 
     def __init__(self, plant: DiscretePlant) -> None:
         self._plant = plant
@@ -29,18 +29,18 @@ class TruthLog:
         self._size = row + 1
 
     def room(self) -> tuple[NDArray[np.int64], NDArray[np.float64], int]:
-        """Return the buffers, which have room for one row at least, and where it goes."""
+        """Return the buffers (sample indices, states), with at least one free row, and the index of that row."""
         if self._size == len(self._indices):
             self._indices = np.concatenate([self._indices, np.zeros_like(self._indices)])
             self._states = np.concatenate([self._states, np.zeros_like(self._states)])
         return self._indices, self._states, self._size
 
     def written(self, size: int) -> None:
-        """Set the number of rows in the buffers after other code has written into them."""
+        """Set the number of rows after other code has written rows into the buffers of `room`."""
         self._size = size
 
     def table(self) -> NDArray[np.void]:
-        """Return the rows so far, dtype `rig.core.sample.TRUTH`."""
+        """Return the logged rows as an array of dtype `rig.core.sample.TRUTH`."""
         plant, states = self._plant, self._states[: self._size]
         rows = np.zeros(self._size, TRUTH)
         rows["sample_index"] = self._indices[: self._size]
