@@ -1,4 +1,4 @@
-"""Dictionary and active parameter block of a simulated device."""
+"""Store the dictionary and the active parameters of a simulated device, and answer the requests that concern them."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ FIRMWARE = "simulated 1"
 def describe(
     model: RigModel, name: str, rate_default: int, rate_maximum: int, law_maximum: int = 0
 ) -> dictionaries.Dictionary:
-    """Dictionary of a simulated device: narrower than the parameter table by its motion and its amplifier's peak.
+    """Return the dictionary of a simulated device: ranges of the parameter table, narrowed to the motion of the rig.
 
-    `law_maximum` says which laws it runs itself (parameter `law`): 0 none.
+    The rates are in Hz. `law_maximum` is the largest value of the parameter `law`: 0 for a device without a law.
     """
     return board.describe(
         model,
@@ -46,25 +46,25 @@ def describe(
 
 
 class Configuration:
-    """Active parameters, and how they change: all of a block between two ticks, or nothing.
+    """Active parameters of a device. A parameter block is activated completely, between two ticks, or rejected.
 
     Parameters
     ----------
     dictionary
-        The device's; its defaults are active first.
+        Dictionary of the device; its default values are active at the start.
     apply
-        Called with all values before they are activated; what it raises (`ParameterError`) refuses them.
+        Called with all values before they are activated; it raises `ParameterError` to reject them.
 
     Attributes
     ----------
     values
-        Name → active value.
+        Active value of each parameter, by name.
     crc
         CRC-32 of the active block.
     homed
-        Whether `reference_count` was set since the start.
+        True if `reference_count` was set since the start.
     hash
-        Of the dictionary.
+        Hash of the dictionary.
     """
 
     def __init__(
@@ -97,7 +97,10 @@ class Configuration:
         return self._assembler.chunk(request)
 
     def commit(self, request: m.SetCommit, *, armed: bool = False) -> tuple[Status, int]:
-        """Activate the block: status, and the parameter that it is about. An armed device takes live ones alone."""
+        """Activate the transferred block; return the status and the ID of the rejected parameter, 0 without one.
+
+        An armed device accepts only parameters that may change while it is armed (`LIVE`).
+        """
         status, block = self._assembler.commit(request)
         if status is not Status.OK:
             return status, 0
@@ -120,7 +123,7 @@ class Configuration:
         return Status.OK, 0
 
     def _check_ranges(self, values: Mapping[str, Value]) -> None:
-        """Refuse what is inside the table's range and outside this device's."""
+        """Raise `ParameterError` for a value outside the range of this device, which is narrower than the table's."""
         for info in self._dictionary.parameters:
             value = values.get(info.name, info.minimum)
             if not info.minimum <= value <= info.maximum:

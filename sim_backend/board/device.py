@@ -1,7 +1,7 @@
-"""Simulate the readable device: a whole rig that speaks the wire protocol, without I/O and without a clock.
+"""Simulate a device in readable Python: a whole rig behind the wire protocol, without I/O and without a clock.
 
-The owner of bytes and time (`link` in virtual time, `pty` in real time) calls `receive` and `tick` in turn. It mirrors
-the device of PROTOCOL.md but has no law of its own: a command of mode SUPERVISE feeds the watchdog, without current.
+The caller provides bytes and time: `link` in virtual time, `pty` in real time. It calls `receive` and `tick` in turn.
+The device follows PROTOCOL.md but runs no control law: a SUPERVISE command feeds the watchdog and drives no current.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ MODES = frozenset(int(mode) for mode in Mode)
 
 
 class DeviceWord:
-    """An attribute that lies in the device's words, where its ticks find it."""
+    """Attribute whose value is stored in `board.words`, the memory that the device's ticks read and write."""
 
     def __init__(self, place: int) -> None:
         self._place = place
@@ -81,41 +81,41 @@ class DeviceWord:
 
 
 class SimulatedDevice:
-    """A rig behind the wire protocol; `tick` has the order of a tick.
+    """A simulated rig behind the wire protocol.
 
     Parameters
     ----------
     model
-        The physics. Its current quantum is the one that the dictionary declares.
+        Rig to simulate. The dictionary declares its current quantum.
     name
-        What the device calls itself; the model's name unless given.
+        Name of the device; by default the name of the model.
     position_rate_maximum, position_rate_default
-        Ticks a second (Hz) that it can run at most, and runs until it is configured.
+        Highest tick rate, and tick rate until the host configures one (Hz).
     seed
-        Of the current sensor's noise.
+        Seed of the current sensor's noise.
     initial_position
-        Where the handle rests at power-up (rad or m); unless given, the model's own, else 0.
+        Position of the handle at power-up (rad or m); by default that of the model, else 0.
     keep_truth
-        Remember the plant's state of every tick of a session for `truth`.
+        True to record the plant's state in every tick of a session, for `truth`.
 
     Attributes
     ----------
     board
-        Its memory, as views for Python.
+        Memory of the device, as views for Python.
     connection
-        The protocol's end of this device: state, session, statistics.
+        Device side of the protocol: state, session, statistics.
     hardware
-        The physics behind it; `hardware.external_effort` pushes the link.
+        Simulated hardware and plant; set `hardware.external_effort` to push the link.
     inputs
-        `Input` bits of the switches and of the sync input that are active.
+        Active `Input` bits of the switches and of the sync input.
     sync
-        What the sync outputs showed up to the last sample: `Sync` bits, without that of the tick.
+        `Sync` bits of the sync outputs in the last tick, without the bit that marks each tick.
     sample_index, time
         Number and device time (1/16 µs since boot) of the last sample.
     worst_execution_time
-        Longest tick since arming (1/16 µs), as the owner measured it.
+        Longest tick since arming (1/16 µs); the caller measures it.
     missed_ticks
-        Ticks since arming that had no STATE, as the owner counted them.
+        Number of ticks since arming without a STATE; the caller counts them.
 
     Raises
     ------
@@ -169,7 +169,7 @@ class SimulatedDevice:
         self._start()
 
     def _start(self) -> None:
-        """Set what a microcontroller has in its memory, as its reset leaves it."""
+        """Set the memory of the device to its contents after a reset of the microcontroller."""
         self.sample_index = self.time = self._received_at = 0
         self.board.words[OWN.sync_time] = 0
         self._faults.forget()
@@ -190,7 +190,7 @@ class SimulatedDevice:
         self.sync = self.worst_execution_time = self.missed_ticks = 0
 
     def _note_protocol(self) -> None:
-        """Let ticks know where the protocol is."""
+        """Copy state and session of the protocol to `board.words`, where the ticks read them."""
         words = self.board.words
         words[OWN.protocol_state], words[SESSION] = self.connection.state, self.connection.session
 
@@ -224,7 +224,7 @@ class SimulatedDevice:
     # ------------------------------------------------------------------ the tick
 
     def tick(self) -> bytes:
-        """Let one period pass, from sample k − 1 to sample k; return the STATE frame that is due then, or nothing."""
+        """Simulate one period, up to the next sample; return the STATE frame of that sample, or b"" if none is due."""
         # The order is that of a board: current, motion, sample, monitors, report. So a command that arrives between
         # two samples acts at once, without any delay but the plant's own.
         board, words, hardware = self.board, self.board.words, self.hardware
@@ -244,9 +244,9 @@ class SimulatedDevice:
         return self.connection.send(m.State(*board.state)) if report(board) else b""
 
     def run(self, until_ns: int, most: int) -> tuple[bytes, int]:
-        """Let ticks pass until there is something to say; return that, and how many they were.
+        """Simulate ticks until the device sends a frame; return the frame (or b"") and the number of ticks.
 
-        `until_ns` is when the last of them may be due, on the scale of `elapsed_ns`; `most` how many they may be.
+        No tick is simulated that is due after `until_ns` (ns, on the scale of `elapsed_ns`), and at most `most` ticks.
         """
         for ticks in range(most):
             if self.next_tick_ns > until_ns:
@@ -257,24 +257,24 @@ class SimulatedDevice:
         return b"", most
 
     def miss(self) -> None:
-        """Let one period pass whose STATE was not sent, and count it: the owner was late."""
+        """Simulate one period without sending its STATE, because the caller is late, and count it as missed."""
         self.tick()
         self.missed_ticks += 1
 
     def _act_on_findings(self) -> None:
-        """Do what a part of a tick, or a command, asks for: enter FAULT, or pull the amplifier's enable low."""
+        """Enter FAULT if the last part of a tick found a fault; disable the amplifier if it requested that."""
         if self.board.words[OWN.found]:
             self._latch(self.board.words[OWN.found])
         elif self.board.words[CUTS]:
             self.hardware.cut()
 
     def _cut(self) -> None:
-        """Zero current, regardless of the slew limit."""
+        """Set the current to zero at once, regardless of the slew limit."""
         self._safety.rules[AT.current] = 0
         self.hardware.cut()
 
     def _latch(self, faults: int) -> None:
-        """Enter FAULT with bits ``1 << code``."""
+        """Enter FAULT; `faults` has a bit ``1 << code`` for each fault."""
         self._faults.latch(faults, self.time)
         self.connection.fault()
         self._note_protocol()
@@ -283,9 +283,10 @@ class SimulatedDevice:
     # ------------------------------------------------------------------ the conversation
 
     def receive(self, data: bytes, *, received_at: int | None = None) -> bytes:
-        """Take bytes of the host and return the answers; any bytes, in any pieces.
+        """Process bytes from the host, in pieces of any size, and return the device's replies.
 
-        `received_at` is when they came (device time), for the stamps of TIME; unless given, the last sample's.
+        `received_at` is the device time of their arrival (1/16 µs), which TIME reports; by default that of the last
+        sample.
         """
         self._received_at = self.time if received_at is None else received_at
         *whole, rest = data.split(b"\0")
@@ -295,7 +296,7 @@ class SimulatedDevice:
         return answers
 
     def _handle_frame(self, frame: bytes) -> bytes:
-        """Take one frame and answer it before the next is looked at, as a board does: its counters are then right."""
+        """Process one frame and return its replies. A board does so before the next frame; statistics depend on it."""
         connection = self.connection
         connection.receive_data(frame)
         answers = b""
@@ -331,7 +332,7 @@ class SimulatedDevice:
         return self._replies.answer(event, lambda: handler(event.message, event))
 
     def _handlers(self) -> dict[type[Message], Callable[[Any, Received], Message]]:
-        """Request → what executes it and makes its answer."""
+        """Return for each type of request the function that executes it and returns the reply."""
         return {
             m.Identify: lambda request, _: self._configuration.identity(request, self.connection.state),
             m.GetParameters: lambda request, _: self._configuration.parameters(request),
@@ -350,7 +351,7 @@ class SimulatedDevice:
         }
 
     def _ack(self, event: Received, status: Status, detail: int = 0) -> m.Ack:
-        """Return ACK that names the first tick which sees the change, and the active parameters."""
+        """Return an ACK with the first tick in which the change acts and, for some requests, the parameters' CRC."""
         crc = self._configuration.crc if isinstance(event.message, m.SetCommit | m.Arm) else 0
         return event.ack(status, detail=detail, sample_index=(self.sample_index + 1) & _U32, crc=crc)
 
@@ -397,7 +398,7 @@ class SimulatedDevice:
         return Status.OK, 0
 
     def _present_fault(self) -> Fault:
-        """Return the cause of a fault that is there now and will not go by itself when the effort is zero."""
+        """Return the fault whose cause is still present (emergency stop, overheating), or NONE."""
         if self.inputs & _EMERGENCY:
             return Fault.EMERGENCY_STOP
         return Fault.THERMAL if is_overheated(self._safety.heat) else Fault.NONE
@@ -411,9 +412,9 @@ class SimulatedDevice:
         return state is State.RUNNING or state is State.ARMED
 
     def _apply(self, values: Mapping[str, Value]) -> None:
-        """Run under new parameters from the next tick on, or raise `ParameterError` and continue as before.
+        """Use new parameters from the next tick on, or raise `ParameterError` and keep the old ones.
 
-        Only parameters of a law on the device may change while it is armed, and this device has no such law.
+        An armed device keeps all: only parameters of a law on the device may change then, and this one has no law.
         """
         if self._armed:
             return
@@ -436,7 +437,7 @@ class SimulatedDevice:
 
     @property
     def state(self) -> State:
-        """Return the protocol's state, as STATE reports it."""
+        """Return the state of the device that STATE reports."""
         return State(self.connection.state)
 
     @property
@@ -453,24 +454,24 @@ class SimulatedDevice:
         self.inputs = self.inputs | _HELD if held else self.inputs & ~_HELD
 
     def sync_input(self, high: bool, at: int | None = None) -> None:
-        """Put a level on the sync input; the device keeps the time at which it rose.
+        """Set the level of the sync input; the device stores the time of the last rising edge.
 
-        `at` is when (device time, 1/16 µs since boot), which the next sample must not be before; unless given, the
-        last sample's time.
+        `at` is the time of the change (1/16 µs since boot), not after the next sample; by default that of the last
+        sample.
         """
         if high and not self.inputs & _SYNC:
             self.board.words[OWN.sync_time] = self.time if at is None else at
         self.inputs = self.inputs | _SYNC if high else self.inputs & ~_SYNC
 
     def inject_fault(self, fault: Fault) -> None:
-        """Let the device find a fault: zero effort from here on, FAULT latched."""
+        """Make the device detect a fault: it sets the effort to zero and latches FAULT."""
         if fault is Fault.ENCODER:
             # Counts were lost: the position is unknown until it is homed again.
             self._configuration.homed = False
         self._latch(1 << fault)
 
     def reset(self) -> None:
-        """Reboot: parameters, homing, session and time are gone; the handle moves on without effort."""
+        """Reboot the device: it loses parameters, homing, session and time. The handle moves on without effort."""
         self._epoch_ns = self.elapsed_ns
         self.connection.reset()
         self._replies.forget()

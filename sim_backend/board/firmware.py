@@ -1,7 +1,8 @@
-"""Run the firmware's C code as a simulated device, with the plant of the simulation behind it.
+"""Run the firmware's C code as a simulated device that controls the simulated plant.
 
-`Core` is the software alone; `FirmwareDevice` gives it a rig and offers what `device.SimulatedDevice` does. It must not
-repeat what the C code decides: only the hardware layer (counter, amplifier, timer, switches) is simulated here.
+`Core` is the firmware without a plant. `FirmwareDevice` connects it to a simulated rig and has the methods of
+`device.SimulatedDevice`. Only the hardware layer (counter, amplifier, timer, switches) is simulated here; all decisions
+are left to the C code.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ _NS_NUMERATOR, _NS_DENOMINATOR = 125, 2  # a unit of device time is 62.5 ns
 
 
 class Core:
-    """The firmware behind its host port: bytes and a world, no plant."""
+    """The firmware, compiled for this computer, without a plant: the caller supplies time, counts and currents."""
 
     def __init__(
         self,
@@ -81,18 +82,18 @@ class Core:
             library.host_narrow(self.address, _INDEX[narrow], *bounds)
 
     def start(self) -> None:
-        """Start the firmware at a device time, as at power-up."""
+        """Start the firmware, as at power-up, at the device time that was set last (`host_set_world`)."""
         self.library.host_start(self.address)
 
     @property
     def status(self) -> HostStatus:
-        """Return where it is, and what it did to its hardware."""
+        """Return state and counters of the firmware, and its requests to the hardware (rate, cuts, enable)."""
         status = HostStatus()
         self.library.host_status(self.address, ctypes.byref(status))
         return status
 
     def lockstep(self, words: NDArray[np.int64]) -> Lockstep:
-        """Return what compiled ticks need of it; `words` is the memory that both share."""
+        """Return the firmware's functions for `lockstep.run_ticks`; `words` is the memory that both share."""
         prepare(run_ticks)
         library = self.library
         return Lockstep(
@@ -106,43 +107,44 @@ class Core:
         )
 
     def receive(self, data: bytes) -> bytes:
-        """Hand bytes in and return the answers."""
+        """Pass bytes from the host to the firmware and return its replies."""
         self.library.host_receive(self.address, data, len(data))
         return self.take()
 
     def take(self) -> bytes:
-        """Return the bytes that the device has sent."""
+        """Return the bytes that the firmware has sent since the last call."""
         count = self.library.host_take(self.address, self._output, OUTPUT_BYTES)
         return ctypes.string_at(self._output, count)  # `raw` would copy all of its 64 KiB
 
 
 class FirmwareDevice:
-    """The firmware with a simulated rig behind it.
+    """The firmware, compiled for this computer, with a simulated rig.
 
     Parameters
     ----------
     model, name, position_rate_maximum, position_rate_default, seed, initial_position, keep_truth
-        As of `SimulatedDevice`.
+        Same as for `SimulatedDevice`.
     law_maximum
-        The last of the laws (parameter `law`) that it declares to run itself; 0 none.
+        Largest value of the parameter `law` that the device accepts; 0 for a device without a law.
     library
-        The firmware's library; the shipped one unless given, compiled on first use.
+        Compiled firmware; by default that of the package, compiled on first use.
 
     Attributes
     ----------
     core
-        The software.
+        The firmware.
     hardware
-        The physics behind it; `hardware.external_effort` pushes the link.
+        Simulated hardware and plant; set `hardware.external_effort` to push the link.
     inputs
-        `Input` bits that are active.
+        Active `Input` bits.
     time
         Device time of the last sample (1/16 µs since boot).
 
     Raises
     ------
     ConfigError
-        The default rate is above the maximum, the model cannot be stepped at it, or the library cannot be made.
+        The default rate is outside 1 Hz to the maximum, the model cannot be simulated at that rate, or the firmware
+        cannot be compiled.
     """
 
     def __init__(
@@ -213,7 +215,7 @@ class FirmwareDevice:
 
     @property
     def state(self) -> State:
-        """Return the protocol's state, as STATE reports it."""
+        """Return the state of the device that STATE reports."""
         return State(self._seen.state)
 
     @property
@@ -228,22 +230,22 @@ class FirmwareDevice:
 
     @property
     def status(self) -> HostStatus:
-        """Return what the software reports outside of the protocol: counters and dropped frames."""
+        """Return state and counters of the firmware, with those that the protocol does not report."""
         return self._seen
 
     # ------------------------------------------------------------------ the tick
 
     def run(self, until_ns: int, most: int, *, enough: int = 1) -> tuple[bytes, int]:
-        """Let ticks pass until there is something to say; return that, and how many they were.
+        """Simulate ticks until the device has sent something; return the sent bytes and the number of ticks.
 
         Parameters
         ----------
         until_ns
-            No sample is taken that is due later (ns, on the scale of `elapsed_ns`).
+            No tick is simulated that is due later (ns, on the scale of `elapsed_ns`).
         most
-            Ticks at most.
+            Largest number of ticks.
         enough
-            Bytes of output after which it returns.
+            Number of sent bytes after which to return.
         """
         until = (2 * (until_ns - self._epoch_ns) + 1) // _NS_NUMERATOR  # the last unit that is not later
         ticks, output = 0, b""
@@ -265,13 +267,13 @@ class FirmwareDevice:
         return output, ticks
 
     def compiled(self) -> tuple[Lockstep, World]:
-        """Return what compiled ticks take of the device and its rig as they are now."""
+        """Return the arguments of compiled ticks (`lockstep.run_ticks`) in the present state of device and rig."""
         world = self.hardware.world(self._truth)
         self._words[INPUTS], self._words[DUE], self._words[TIME] = self.inputs, self._seen.due, self.time
         return self._lockstep, world
 
     def passed(self, world: World) -> None:
-        """Take note of what has happened to what `compiled` returned."""
+        """Update this object after compiled ticks have changed the arguments that `compiled` returned."""
         self.hardware.passed(self._lockstep, world, self._truth)
         self.time, self.inputs = self._words.item(TIME), self._words.item(INPUTS)
         self._seen = self.core.status
@@ -282,7 +284,7 @@ class FirmwareDevice:
         self._words[RATE_CHANGED] = self._words[SWITCHED_ON] = 0
 
     def tick(self) -> bytes:
-        """Let one period pass; return what is due then: the same as `run` does, by its parts."""
+        """Simulate one period in single steps; return the bytes that the device sends, the same as `run` would."""
         library, address = self.core.library, self.core.address
         # A port's `device_tick` takes the sample and drives the current that follows from it at once. Here the halves
         # stand apart and the plant moves in between, so a current acts from its sample on.
@@ -304,7 +306,7 @@ class FirmwareDevice:
     # ------------------------------------------------------------------ the conversation
 
     def receive(self, data: bytes, *, received_at: int | None = None) -> bytes:
-        """Take bytes of the host and return the answers; see `SimulatedDevice.receive`."""
+        """Process bytes from the host and return the device's replies; see `SimulatedDevice.receive`."""
         self._show_world()
         self.core.library.host_set_clock(
             self.core.address, self.time if received_at is None else received_at, 0
@@ -324,22 +326,22 @@ class FirmwareDevice:
         self._input(Input.HOLD_TO_RUN, held)
 
     def sync_input(self, high: bool, at: int | None = None) -> None:
-        """Put a level on the sync input; see `SimulatedDevice.sync_input`."""
+        """Set the level of the sync input; see `SimulatedDevice.sync_input`."""
         if high and not self.inputs & Input.SYNC:
             self.core.library.host_set_sync_time(self.core.address, self.time if at is None else at)
         self._input(Input.SYNC, high)
 
     def fail_encoder(self) -> None:
-        """Let the counter see an illegal transition before the next sample."""
+        """Make the encoder's counter report an illegal transition before the next sample."""
         self.core.library.host_fail_encoder(self.core.address)
 
     def inject_fault(self, fault: Fault) -> None:
-        """Let the port find a fault: zero effort from here on, FAULT latched."""
+        """Make the hardware layer report a fault: the firmware sets the effort to zero and latches FAULT."""
         self.core.library.host_fault(self.core.address, int(fault))
         self._act()
 
     def reset(self) -> None:
-        """Reboot: parameters, homing, session and time are gone; the handle moves on without effort."""
+        """Reboot the device: it loses parameters, homing, session and time. The handle moves on without effort."""
         self._epoch_ns = self.elapsed_ns
         self.time = 0
         self.hardware.cut()
@@ -352,9 +354,9 @@ class FirmwareDevice:
         self._start()
 
     def brown_out(self) -> None:
-        """Reset as a dip of the supply or the hardware watchdog does: the encoder's counter begins at zero too.
+        """Reset device and encoder counter, like a voltage dip or the hardware watchdog; the count restarts at zero.
 
-        The port says so to the software, as `WATCHDOG_RESET`.
+        The hardware layer reports the fault `WATCHDOG_RESET` to the firmware.
         """
         # The handle stays where it is while the counter restarts: the difference becomes slip.
         self.hardware.slip -= self.hardware.count
@@ -386,7 +388,7 @@ class FirmwareDevice:
         library.host_set_index(self.core.address, words.item(INDEX_EDGES), words.item(INDEX_COUNT))
 
     def _act(self) -> None:
-        """Do to the plant what the device has done to its amplifier and its timer."""
+        """Apply the firmware's changes of tick rate and amplifier (disabled, enabled) to the simulated hardware."""
         before, self._seen = self._seen, self.core.status
         if self._seen.rate != before.rate:
             self.hardware.set_rate(self._seen.rate)

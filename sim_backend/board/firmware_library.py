@@ -1,7 +1,7 @@
-"""The firmware's C code as a library of this machine (`rig.realtime._c_library`).
+"""Compile the firmware's C code as a shared library of this computer, and declare its functions for Python.
 
-The device at the far end of a law that runs on the device is the firmware itself, not a copy of it in Python. Its
-sources come with the package.
+A simulated device that runs the control law itself is this firmware, not a copy in Python. The sources come with the
+package.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ FIRMWARE = CLibrary(
 
 
 class Counters(ctypes.Structure):
-    """Struct counters of counters.h."""
+    """C structure `struct counters` of counters.h."""
 
     _fields_ = [
         (name, ctypes.c_uint32)
@@ -36,7 +36,7 @@ class Counters(ctypes.Structure):
 
 
 class HostStatus(ctypes.Structure):
-    """Struct host_status of host.h."""
+    """C structure `struct host_status` of host.h."""
 
     _fields_ = [
         ("time", ctypes.c_uint64),
@@ -95,7 +95,7 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
 
 
 def load(path: Path) -> ctypes.CDLL:
-    """Open a library that was compiled, with its signatures."""
+    """Open a compiled library and declare the signatures of its functions."""
     library = ctypes.CDLL(str(path))
     for name, (result, arguments) in _SIGNATURES.items():
         function = getattr(library, name)
@@ -105,11 +105,11 @@ def load(path: Path) -> ctypes.CDLL:
 
 @cache
 def library() -> ctypes.CDLL:
-    """Open the firmware's library, compiled before if it has to be.
+    """Return the firmware's library; compile it first if necessary.
 
     Raises
     ------
     ConfigError
-        There is no C compiler, it fails, or what it made does not open.
+        The C compiler is missing or fails, or the compiled library cannot be opened.
     """
     return FIRMWARE.opened(CACHE_DIRECTORY, load)

@@ -1,7 +1,7 @@
-"""Simulate the board's hardware: encoder counter, current amplifier and sensor, and the rig that hangs on them.
+"""Simulate the board's hardware: encoder counter, current amplifier and current sensor, and the rig behind them.
 
-Devices (software) call it once a tick: a current goes in; a count, the age of its last edge and a measured current come
-out. It must not decide anything: it mirrors the hardware layer of a firmware.
+A simulated device calls it once a tick with a current and reads a count, the age of the last edge and a measured
+current. All decisions belong to the device: this file only simulates the hardware layer of a firmware.
 """
 
 from __future__ import annotations
@@ -51,30 +51,30 @@ _put, _at = group_at(PlantArguments)
 
 @kernel(types.void(types.int64, PLANT_TYPE))
 def _keep(handle: int, plant: PlantArguments) -> None:
-    """Let a handle stand for a plant."""
+    """Store the arguments of a plant in the memory at address `handle`."""
     # To take the group of arguments apart at each call costs Python as much as a whole tick.
     _put(handle, plant)
 
 
 @kernel(types.int64(types.int64, types.float64, types.float64), no_refcount=True)
 def _advance(handle: int, command_effort: float, external_effort: float) -> int:
-    """Move the plant behind a handle by one tick; see `sim_backend.mechanics.plant.advance`."""
+    """Move the plant that `_keep` stored at `handle` by one tick; see `sim_backend.mechanics.plant.advance`."""
     return int(advance(_at(handle), command_effort, external_effort))
 
 
 class Hardware:
-    """A rig at rest, with its sensors; in the hand of a person if the model has one.
+    """A simulated rig with its sensors, at rest at the start; a person holds it if the model has an operator.
 
     Parameters
     ----------
     model
-        The physics.
+        Rig to simulate.
     rate
         Ticks a second (Hz).
     seed
-        Of the current sensor's noise.
+        Seed of the current sensor's noise.
     initial_position
-        Where the handle rests at power-up (rad or m); None for the model's own, else 0.
+        Position of the handle at power-up (rad or m); None for that of the model, else 0.
 
     Attributes
     ----------
@@ -83,17 +83,17 @@ class Hardware:
     measured
         Measured motor current at the last sample (quanta).
     external_effort
-        Effort of the world on the link (N·m or N), from the next tick on.
+        External effort on the link from the next tick on (N·m or N).
     slip
-        Counts that the encoder has gained or lost against the truth, from the next sample on; or that it never had,
-        because it begins at 0 wherever the handle stands.
+        Encoder count minus true count, from the next sample on: counts gained or lost, or the start of a counter that
+        begins at 0 at any position.
     leak
-        Current that the sensor shows beside the motor's (quanta): a short circuit, a drifted sensor.
+        Offset of the measured current (quanta), for example from a short circuit or a drifted sensor.
     marks
-        Where index and limit switch are, by the fields of `sim_backend.board.lockstep.Wires`.
+        Places of index and limit switch: the fields of that name in `sim_backend.board.lockstep.Wires`.
     drive, gain
-        What the amplifier makes of a command, and the sensor of the motor's current, as a share: 0 for a lead that came
-        off or a sensor that is dead, negative for one that is reversed. With both at −1 the motor's leads are swapped.
+        Ratio of motor current to commanded current, and of measured current to motor current. 0: a disconnected motor,
+        a dead sensor. Negative: reversed. With both at −1 the motor's leads are swapped.
     """
 
     def __init__(self, model: RigModel, rate: int, *, seed: int, initial_position: float | None) -> None:
@@ -120,7 +120,10 @@ class Hardware:
         self.measured = 0
 
     def set_rate(self, rate: int) -> None:
-        """Tick at another rate (Hz) from here on; the motion continues. Raises `ConfigError` and changes nothing."""
+        """Tick at another rate (Hz) from now on; the motion continues.
+
+        Raise `ConfigError`, and change nothing, if the plant cannot be simulated at this rate.
+        """
         self._plant = DiscretePlant.build(self._model, 1.0 / rate)
         # The delay is another number of ticks at another rate. No current is on its way: rates change only at rest.
         self._state = np.concatenate(
@@ -137,18 +140,18 @@ class Hardware:
         self._handle = 0
 
     def prepare(self) -> None:
-        """Compile or load what `advance` needs."""
+        """Compile the functions that `advance` calls, or load them from the cache."""
         prepare(_advance, current_quanta)
         self._memory = np.zeros(-(-group_bytes(PlantArguments) // 8), np.int64)
         self._handle = int(self._memory.ctypes.data)
         _keep(self._handle, self._moving)
 
     def drive_hand(self, hand: DrivenHand) -> None:
-        """Let a person drive the hand, from the next session on, in place of its script."""
+        """Replace the script by a hand that is driven interactively, from the next session on."""
         self._hand = hand
 
     def begin_session(self) -> None:
-        """Let the person who holds the handle, if there is one, begin: along to the start, and into the wall."""
+        """Start the script of the person who holds the handle, if there is one: homing, then a reach into the wall."""
         position = self._state.item(self._plant.handle_position)
         if self._hand is None:
             self._script = OperatorScript.of(self._model, self._plant.tick_s, position, self._sessions)
@@ -159,7 +162,7 @@ class Hardware:
         self._sessions += 1
 
     def _ask_hand(self) -> None:
-        """Where the hand is driven, ask for the next ticks when the last ones are over."""
+        """Request the next block of intentions if the hand is driven interactively and the last block is used up."""
         if self._hand_driven and self._row == 0 and self._hand is not None:
             hand, handle = self._plant.hand_position, self._plant.handle_position
             assert hand is not None
@@ -167,7 +170,7 @@ class Hardware:
             self._script = self._hand.next(self._state.item(hand))
 
     def advance(self, current: int) -> None:
-        """Let one tick pass under a current (quanta), then sample."""
+        """Simulate one tick with the given motor current (quanta), then sample count and measured current."""
         self._ask_hand()
         state, script = self._state, self._script
         if len(script.rows):
@@ -187,10 +190,10 @@ class Hardware:
             self.measured = max(-_PEAK, min(_PEAK, self.measured + self.leak))
 
     def run(self, software: Lockstep, until: int, most: int, enough: int, truth: TruthLog | None) -> int:
-        """Run many ticks under the current that some software requests; see `sim_backend.board.lockstep.run_ticks`.
+        """Run ticks with the currents that a compiled device requests; return their number.
 
-        It stops early where noise, room for the truth or the wishes of a driven hand are used up: for more ticks, call
-        it again.
+        The arguments are those of `sim_backend.board.lockstep.run_ticks`. The run stops early if noise, space for the
+        true states or intentions of the hand are used up; call it again for more ticks.
         """
         world = self.world(truth)
         ticks = run_ticks(software, *world, until, min(most, self.most_ticks), enough)
@@ -200,12 +203,12 @@ class Hardware:
 
     @property
     def most_ticks(self) -> int:
-        """Return ticks until a driven hand has to be asked again, or noise to be drawn."""
+        """Return the number of ticks until new intentions of the hand or new noise values are needed."""
         hand = len(self._script.rows) - self._row if self._hand_driven else NO_END
         return min(hand, self._noise.left or NO_END)
 
     def world(self, truth: TruthLog | None) -> World:
-        """Return what compiled ticks take of the rig as it is now; noise and truth have room for one at least."""
+        """Return the rig's arguments for compiled ticks; noise and space for true states last for at least one tick."""
         self._ask_hand()
         noise = self._noise
         noise.refill()
@@ -227,19 +230,19 @@ class Hardware:
         )
 
     def sense(self, words: Words) -> None:
-        """Let index and limit switch, if there are any, see the last sample; compiled ticks do it by themselves."""
+        """Update index and limit switch in `words` after a sample; needed only after ticks that are not compiled."""
         if self.marks["index_counts"] or self.marks["switch_way"]:
             sense(words, self.count - self.slip, self._wires())
 
     def power_up(self, words: Words) -> None:
-        """Forget the index that was seen, as a port does that starts anew, and look where the handle stands."""
+        """Clear the latched index, like a board at power-up, and update the limit switch for the present position."""
         # Marks are where the steel is: they follow the true count, not the one that lost counts.
         words[TRUE_COUNT] = self.count - self.slip
         words[INDEX_EDGES] = words[INDEX_COUNT] = 0
         self.sense(words)
 
     def passed(self, software: Lockstep, world: World, truth: TruthLog | None) -> None:
-        """Take note of ticks that have passed in what `world` returned."""
+        """Update this object after compiled ticks have changed the arguments that `world` returned."""
         places, words = world[-1].places, software.words
         self._row, self._noise.left = places.item(ROW), places.item(NOISE_LEFT)
         self.count, self.measured = words.item(COUNT), words.item(MEASURED)
@@ -257,11 +260,11 @@ class Hardware:
         return self._state.item(self._plant.edge_age)
 
     def cut(self) -> None:
-        """Pull the amplifier's enable low: commands that are on their way are gone too."""
+        """Disable the amplifier; commands that were delayed are lost too."""
         self._state[self._plant.commands] = 0.0
 
     def reset(self) -> None:
-        """Forget the captured edge, as the counter's own reset does; the rig moves on."""
+        """Clear the captured edge, as a reset of the counter does; the motion of the rig continues."""
         self._state[self._plant.edge_age] = math.inf
 
     def new_truth(self) -> TruthLog:
@@ -269,14 +272,14 @@ class Hardware:
         return TruthLog(self._plant)
 
     def log(self, truth: TruthLog, sample_index: int) -> None:
-        """Write the present state into a log."""
+        """Append the present state to a log."""
         truth.add(sample_index, self._state)
 
 
 def marks_of(model: RigModel) -> dict[str, int]:
-    """Return where index and limit switch are, in true counts: fields of `Wires`.
+    """Return the places of index and limit switch in true counts, by the names of the fields of `Wires`.
 
-    The switch closes half the way between two indices before the first one, which is where it should be mounted.
+    The switch closes halfway between two indices, before the first index: the recommended place.
     """
     encoder, reference = model.encoder, model.reference
     # A limit switch half way between two indices leaves the most room to either side.
@@ -297,9 +300,9 @@ class Noise:
     Attributes
     ----------
     drawn
-        A block, to be used from its end; empty for a sensor without noise.
+        A block of noise values (A), used from its end; empty for a sensor without noise.
     left
-        How many of it.
+        Number of unused values in the block.
     """
 
     def __init__(self, rms_a: float, seed: int) -> None:
@@ -310,7 +313,7 @@ class Noise:
         self.refill()
 
     def refill(self) -> None:
-        """Draw another block when the last one is used up."""
+        """Draw a new block if the last one is used up."""
         if self._rms_a != 0.0 and self.left == 0:
             self.drawn = self._generator.normal(0.0, self._rms_a, _NOISE_BLOCK)
             self.left = _NOISE_BLOCK

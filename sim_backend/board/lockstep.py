@@ -1,7 +1,7 @@
-"""Run many ticks of a compiled device in one compiled call: plant and sensors here, the device by address.
+"""Run many ticks of a compiled device in one compiled call, with plant and sensors.
 
-The order of a tick is that of `sim_backend.board.device`. It mirrors the wires between a board and its rig, and must
-not depend on frames or states of the protocol.
+The functions of the device are called by address. The order within a tick is that of `sim_backend.board.device`. The
+file simulates the wires between a board and its rig; it must not depend on frames or states of the protocol.
 """
 
 from __future__ import annotations
@@ -43,7 +43,11 @@ _call = native_call(2)  # half a tick: (device, words), both by address
 
 @group
 class Lockstep(NamedTuple):
-    """A device: its functions (of the firmware: lockstep.h, host.h), itself and its words by address, the words."""
+    """A compiled device.
+
+    `drive`, `sample`, `receive` and `take` are the addresses of its functions (lockstep.h and host.h of the firmware),
+    `device` and `address` those of the device and of its words; `words` is the shared memory itself.
+    """
 
     drive: Int
     sample: Int
@@ -56,18 +60,19 @@ class Lockstep(NamedTuple):
 
 @group
 class Wires(NamedTuple):
-    """What is between board and rig, and what disturbs there.
+    """Scales and disturbances of the signals between board and rig.
 
     Attributes
     ----------
     effort_quantum, ampere_per_effort, quantum_a
-        Scales of command (N·m or N), sensor (A for one of them) and its quanta (A).
+        Effort of one quantum of commanded current (N·m or N), current for one unit of effort (A), and size of one
+        quantum of measured current (A).
     external_effort, slip, leak
-        Of `sim_backend.board.hardware.Hardware`.
+        Same as the attributes of `sim_backend.board.hardware.Hardware`.
     index_first, index_counts
-        True count of an index, and counts to the next one; 0: no index.
+        True count of an index, and counts between two indices; 0: no index.
     switch_count, switch_way
-        True count from which on the limit switch is pressed, and in which direction of counting; 0: no limit switch.
+        The limit switch is pressed from this true count on, in this direction of counting (±1); 0: no limit switch.
     """
 
     effort_quantum: Float
@@ -87,9 +92,9 @@ Words = NDArray[np.int64] | memoryview
 
 @rule
 def sense(words: Words, count: int, wires: Wires) -> None:
-    """Let index and limit switch see that the true count is now this one.
+    """Update index and limit switch in `words` for a new true count.
 
-    An index is as wide as a count, and is latched where it begins, from either side.
+    An index is one count wide. It is latched at its first edge, in either direction of motion.
     """
     before, first, every = words[TRUE_COUNT], wires.index_first, wires.index_counts
     words[TRUE_COUNT] = count
@@ -108,16 +113,16 @@ def sense(words: Words, count: int, wires: Wires) -> None:
 
 @group
 class Supplies(NamedTuple):
-    """What is used up from tick to tick.
+    """Buffers that ticks use up.
 
     Attributes
     ----------
     noise
-        Of the current sensor (A), used from its end; empty without any.
+        Noise of the current sensor (A), used from its end; empty for a sensor without noise.
     places
-        Where script, noise and truth are.
+        Row of the script, number of unused noise values, number of rows of true states (`ROW` to `TRUTH_ROWS`).
     indices, states
-        Room for the truth of a session; empty to keep none.
+        Buffers for sample indices and true states of a session; empty to record none.
     """
 
     noise: Floats
@@ -128,7 +133,7 @@ class Supplies(NamedTuple):
 
 @kernel(types.void(PLANT_TYPE), inline=True)
 def cut(plant: PlantArguments) -> None:
-    """Pull the amplifier's enable low: commands that are on their way are gone too."""
+    """Disable the amplifier; commands that were delayed are lost too."""
     for i in range(plant.edge_age + 1, len(plant.state)):
         plant.state[i] = 0.0
 
@@ -149,9 +154,9 @@ def run_ticks(
     most: int,
     enough: int,
 ) -> int:
-    """Run until the device has `enough` bytes to say, its time is up, or something is used up; the number of ticks.
+    """Run ticks until the device has `enough` bytes to send or a buffer is used up; return the number of ticks.
 
-    `until` is the device time after which no sample is taken (1/16 µs), `most` the ticks at most.
+    No sample is taken that is due after the device time `until` (1/16 µs), and at most `most` ticks are run.
     """
     words, state, edge_age = software.words, plant.state, plant.edge_age
     noise, places, indices = supplies.noise, supplies.places, supplies.indices

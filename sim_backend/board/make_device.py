@@ -1,6 +1,6 @@
-"""Choose the device that stands for a simulated rig: the firmware's C code, or the readable one without a compiler.
+"""Choose the device of a simulated rig: the compiled firmware or, without a C compiler, the device in Python.
 
-Links and servers call it. Both devices send the same bytes (tests/firmware/test_core_equals_the_simulated_device.py).
+Both devices send the same bytes (tests/firmware/test_core_equals_the_simulated_device.py).
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from sim_backend.board.firmware_library import library
 def make_device(
     model: RigModel, firmware: bool | None, **options: Any
 ) -> tuple[SimulatedDevice | FirmwareDevice, tuple[str, ...]]:
-    """Make the device that stands for a rig, and say what could not be had, with its remedy.
+    """Return the device that simulates a rig, and messages about restrictions, each with its remedy.
 
     Parameters
     ----------
     model
-        The rig.
+        Rig to simulate.
     firmware
-        True: the firmware with its laws. False: the readable device. None: the firmware without its laws, or the
-        readable device where this machine cannot compile it.
+        True: compiled firmware that can run the law. False: device in Python. None: compiled firmware that runs no law,
+        or the device in Python if this computer cannot compile the firmware.
     options
-        Those of `SimulatedDevice`.
+        Further arguments of `SimulatedDevice`.
 
     Raises
     ------
     ConfigError
-        As the devices do; with `firmware` = True also where it cannot be compiled.
+        An argument is out of range, or `firmware` is True and the firmware cannot be compiled.
     """
     if firmware is False:
         return SimulatedDevice(model, **options), ()

@@ -1,7 +1,7 @@
-"""Keep the simulated device safe whatever its host does: watchdog, limits, monitors, fault memory.
+"""Keep the simulated device safe whatever its host sends: watchdog, limits, monitors, fault memory.
 
-`ticks` calls it. It mirrors the "Safety duties of the device" of PROTOCOL.md in integer counts, current quanta and
-device time, as a firmware does, and must not depend on frames, clocks or the plant.
+It implements the "Safety duties of the device" of PROTOCOL.md in integer counts, current quanta and device time, like a
+firmware, and must not depend on frames, clocks or the plant.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ _ZERO_UNIT = 256
 
 
 def flat(kind: type, size: int) -> Any:
-    """Return zeros, as a view of their memory: Python reads and writes its numbers faster than those of an array."""
+    """Return `size` zeros as a memory view, whose items Python reads and writes faster than those of an array."""
     return memoryview(np.zeros(size, kind))  # type: ignore[arg-type]
 
 
@@ -115,13 +115,16 @@ def flat(kind: type, size: int) -> Any:
 
 
 def idle(rules: Ints, now: int) -> None:
-    """Want no current, and wait for the host's next command: after ARM, after STOP."""
+    """Set the wanted current to zero and restart the watchdog with its longer time, as after ARM and after STOP."""
     rules[AT.lost] = 0
     feed(rules, now, 0, _IDLE_LIFETIME, 0)
 
 
 def feed(rules: Ints, now: int, current: int, lifetime: int, ramp: int) -> None:
-    """Take a valid command: current in quanta, times in device time."""
+    """Store the current of a valid command (quanta) and restart the watchdog.
+
+    After `lifetime` the current falls to zero within `ramp` (both in 1/16 µs).
+    """
     rules[AT.wanted] = current
     rules[AT.expires] = now + lifetime
     rules[AT.ramp] = ramp
@@ -129,9 +132,9 @@ def feed(rules: Ints, now: int, current: int, lifetime: int, ramp: int) -> None:
 
 
 def compute_wanted(rules: Ints, until: int) -> int:
-    """Return the current for a tick that ends at `until`: that of the command, which fades when its lifetime is over.
+    """Return the wanted current (quanta) for a tick that ends at device time `until`.
 
-    `until` is device time.
+    It is that of the last command while that is valid; then it falls to zero along a ramp.
     """
     # Effort is held over a tick, so judge at the tick's end: the current is exactly zero when the ramp ends, not a tick
     # later.
@@ -155,17 +158,17 @@ def compute_wanted(rules: Ints, until: int) -> int:
 
 
 def warm(heat: Floats, measured: int) -> None:
-    """Let one tick of the measured current pass: I²t, the winding's rise as a first-order lag of its square."""
+    """Update the thermal model by one tick with the measured current (quanta): first-order lag of its square (I²t)."""
     heat[HEAT] += (measured * measured - heat[HEAT]) * heat[DECAY]
 
 
 def is_overheated(heat: Floats) -> bool:
-    """Return True if the heat is so far above the budget that reducing the current has failed."""
+    """Return True if the heat exceeds the budget by the factor `THERMAL_CUT`: reducing the current did not help."""
     return bool(heat[HEAT] > THERMAL_CUT * heat[BUDGET] > 0.0)
 
 
 def configure_heat(heat: Floats, continuous_current: float, time_constant_s: float, rate: float) -> None:
-    """Set the budget, and the lag for `rate` ticks a second."""
+    """Set the thermal budget (from the continuous current in quanta) and the lag, for `rate` ticks a second."""
     # Only the budget changes: a motor does not cool by being configured. The budget is the steady rise under the
     # continuous current, which is its square in these units.
     heat[BUDGET] = float(continuous_current) ** 2
@@ -173,7 +176,10 @@ def configure_heat(heat: Floats, continuous_current: float, time_constant_s: flo
 
 
 def _fade_unconfirmed(rules: Ints, wanted: int) -> int:
-    """Fade an effort that has lasted for longer than any trial holds a handle, with the count on two neighbours."""
+    """Return the current (quanta) after a fade to zero while no encoder motion confirms it.
+
+    The fade begins when the count has stayed on two neighbouring values for longer than the parameter `confirm_ms`.
+    """
     # A dead encoder and a hand that holds still look alike on two channels; with one channel dead the other one toggles
     # the count between two neighbours, whatever the handle does. The effort returns after a wanted effort of zero.
     if wanted == 0 or rules[AT.confirm] == 0:
@@ -189,9 +195,9 @@ def _fade_unconfirmed(rules: Ints, wanted: int) -> int:
 
 
 def limit_current(rules: Ints, heat: Floats, wanted: int) -> int:
-    """Put into force what is allowed of a current, and return it.
+    """Limit the wanted current, make the result the active current, and return it (quanta).
 
-    A position that nothing confirms, current limit, thermal model, slew limit, in this order.
+    Limits act in this order: fade without encoder motion, current limit, thermal model, slew limit.
     """
     limit, continuous, slew = rules[AT.limit], rules[AT.continuous], rules[AT.slew]
     current = _fade_unconfirmed(rules, wanted)
@@ -214,7 +220,10 @@ def limit_current(rules: Ints, heat: Floats, wanted: int) -> int:
 
 
 def remove_zero(rules: Ints, measured: int, off: bool) -> int:
-    """Take the sensor's zero off a measured current (quanta); while the amplifier is off, the zero follows it."""
+    """Return the measured current minus the sensor's zero (quanta).
+
+    While the amplifier is off (`off`), the zero slowly follows the measured current.
+    """
     if off:
         step = measured * _ZERO_UNIT - rules[AT.zero]
         step = step // ZERO_TICKS if step > 0 else -(-step // ZERO_TICKS)
@@ -228,7 +237,10 @@ def remove_zero(rules: Ints, measured: int, off: bool) -> int:
 def check(
     rules: Ints, heat: Floats, counts: Ints, currents: Ints, count: int, current: int, measured: int
 ) -> int:
-    """Judge one tick: the count at its end, active current and measured. Return the faults as bits 1 << code."""
+    """Run the monitors on one tick and return the detected faults as bits ``1 << code``.
+
+    `count` is the count at the end of the tick, `current` and `measured` are active and measured current (quanta).
+    """
     slot, ticks = rules[AT.slot], rules[AT.ticks]
     moved = count - counts[slot]
     counts[slot] = count
@@ -267,9 +279,10 @@ def is_in_window(rules: Ints, count: int) -> bool:
 
 
 def _runaway(rules: Ints, current: int, moved: int, stood: bool) -> int:
-    """Count the ticks of large effort along the motion, and those on two neighbouring counts; say when these are many.
+    """Return the runaway fault bit if a large effort has lasted too long without encoder motion, else 0.
 
-    The second counter finds a dead encoder channel, which shows any motion as two neighbouring counts.
+    It counts the ticks of large effort in the direction of motion (`AT.driven`, for the speed check), and those during
+    which the count stayed on two neighbouring values (`AT.still`): a dead encoder channel shows any motion like that.
     """
     # LARGEST_SHARE times the threshold in whole quanta: no rounding, as in the firmware.
     if LARGEST_SHARE * abs(current) <= rules[AT.large]:
@@ -284,23 +297,23 @@ def _runaway(rules: Ints, current: int, moved: int, stood: bool) -> int:
 
 
 class Safety:
-    """The memory of the rules, and their settings.
+    """Memory and settings of watchdog, limits and monitors.
 
     Parameters
     ----------
     model
-        The rig, for the monitors: direction of counting, the amplifier's peak current, and the moved mechanics.
+        Rig to monitor: direction of counting, peak current of the amplifier, mechanics.
 
     Attributes
     ----------
     rules
-        By the places of `AT`.
+        Integers of all rules; `AT` names their indices.
     heat
-        By `HEAT`, `BUDGET`, `DECAY` (quanta², a share of it for a tick).
+        Thermal model: heat and budget (quanta²), and decay for each tick (a ratio), at `HEAT`, `BUDGET`, `DECAY`.
     counts
-        Those of the speed window, as a ring.
+        Counts in the window of the speed check, a ring buffer.
     currents
-        Of `rig.control.current`.
+        Memory of the comparison of commanded and measured current (`rig.control.current`).
     """
 
     def __init__(self, model: RigModel) -> None:
@@ -312,7 +325,7 @@ class Safety:
         self.rules[AT.ticks] = 1
 
     def configure(self, values: Mapping[str, Value], count: int) -> None:
-        """Take the limits out of a parameter block and begin to watch at `count`. Thresholds become whole counts."""
+        """Set limits and thresholds from the values of a parameter block; the speed check begins at `count`."""
         rules, rate = self.rules, int(values["position_rate"])
         configure_heat(self.heat, values["continuous_current"], values["thermal_time_constant"], rate)
         rules[AT.limit] = int(values["current_limit"])
@@ -341,7 +354,7 @@ class Safety:
         self.forget()
 
     def forget(self) -> None:
-        """Restart the checks of motion and currents: another session."""
+        """Restart the checks of motion and currents for a new session."""
         rules = self.rules
         rules[AT.driven] = rules[AT.still] = rules[AT.pushed] = rules[AT.peaks] = rules[AT.unmoved] = 0
         currents.forget(self.currents)
@@ -353,7 +366,7 @@ class Safety:
 def remember(
     rules: Ints, ring: Ints, index: int, count: int, current: int, measured: int, flags: int
 ) -> None:
-    """Put a tick (the values of a `FaultEntry`) into the ring, unless it is frozen."""
+    """Append a tick (the values of a `FaultEntry`) to the ring buffer, unless a latched fault has frozen it."""
     # Frozen at the first fault: what came before it is worth more than what followed.
     if rules[AT.fault] == 0:
         at = rules[AT.remembered] % RING_TICKS * _ENTRY
@@ -363,12 +376,12 @@ def remember(
 
 
 class FaultMemory:
-    """The fault that is latched, those that came later, and the ticks before the first.
+    """Memory of the latched fault, of later faults, and of the last ticks before the first fault.
 
     Parameters
     ----------
     rules
-        Of `Safety`: the latched fault is there, where ticks see it.
+        `Safety.rules`, which contains the latched fault because ticks read it.
     """
 
     def __init__(self, rules: Ints) -> None:
@@ -391,7 +404,10 @@ class FaultMemory:
         return Fault(self._rules[AT.fault])
 
     def latch(self, faults: int, time: int) -> None:
-        """Latch faults, bits ``1 << code``. Without an earlier fault the gravest is the first, and the ring freezes."""
+        """Record faults, given as bits ``1 << code``, found at device time `time`.
+
+        If no fault is latched, latch the gravest of them and keep the ticks before it.
+        """
         if not self.latched:
             self._first = _gravest(faults)
             self._rules[AT.fault] = self._first
@@ -404,11 +420,11 @@ class FaultMemory:
         self._later |= faults & ~(1 << self._first)
 
     def clear(self) -> None:
-        """Let go of the fault; what was frozen can still be read, until the next one."""
+        """Clear the latched fault. Its log can still be read until the next fault."""
         self._rules[AT.fault] = Fault.NONE
 
     def page(self, request: m.GetFaultLog) -> m.FaultLog:
-        """Answer a request for the log."""
+        """Return the requested page of the fault log."""
         entries = [
             m.FaultEntry(*entry) for entry in self._frozen[request.first : request.first + _PAGE_ENTRIES]
         ]
@@ -432,17 +448,17 @@ def _gravest(faults: int) -> Fault:
 
 
 def large_effort(model: RigModel, limit: int) -> int:
-    """`LARGEST_SHARE` times the effort above which a rig must move (quanta)."""
+    """Return `LARGEST_SHARE` times the current above which a rig must move (quanta); `limit` is `current_limit`."""
     mechanics = moved_mechanics(model)
     large = LARGEST_SHARE * mechanics.friction / mechanics.effort_quantum + FRICTION_SHARE * limit
     return min(int(large), LARGEST_SHARE * limit)
 
 
 def stall_time(model: RigModel, current: float) -> float:
-    """Time (s) after which a free rig under a steady current (quanta) must have shown an encoder edge; ∞ if never.
+    """Return the time (s) within which a steady current (quanta) must move a free rig by one encoder edge; ∞ if never.
 
-    Friction and weight are taken off the effort, then the whole inertia is moved by `rig.core.board.STALL_COUNTS`;
-    viscous and electrical lag add their times. Not meant for `hold_to_run`: a person can hold the handle still.
+    The effort minus friction and weight moves the whole inertia by `rig.core.board.STALL_COUNTS`; viscous damping and
+    electrical lag add to the time. Do not use it with `hold_to_run`: a person may hold the handle still.
     """
     m = moved_mechanics(model)
     effort = min(current * m.effort_quantum, m.effort_limit) - m.friction

@@ -1,7 +1,7 @@
-"""Compute a tick of the simulated device in its parts, over flat memory: what a microcontroller does without its host.
+"""Compute the parts of a tick of the simulated device on flat memory, like a microcontroller's timer interrupt.
 
-`device` calls `drive`, moves the plant, calls `sample`, and `report` if a STATE is due; between two ticks `obey` takes
-a COMMAND. Nothing here raises or calls back: found faults go into a word.
+`device` calls `drive`, moves the plant, then calls `sample` and `report`. Between two ticks it calls `obey` for each
+COMMAND. No function here raises or calls back: detected faults are stored in the word `OWN.found`.
 """
 
 from __future__ import annotations
@@ -74,18 +74,18 @@ _SHOWN = tuple(  # `Sync` bits → `Input` bits
 
 # Memory views: Python reads and writes their numbers twice as fast as those of an array.
 class DeviceMemory(NamedTuple):
-    """The memory of a device.
+    """Memory of a simulated device.
 
     Attributes
     ----------
     words
-        Those of `lockstep`, and behind them `OWN`.
+        Words that `lockstep` names, followed by those that `OWN` names.
     rules, heat, counts, currents
-        Of `sim_backend.board.safety.Safety`.
+        Same arrays as in `sim_backend.board.safety.Safety`.
     ring
-        Of `sim_backend.board.safety.FaultMemory`.
+        Ring buffer of `sim_backend.board.safety.FaultMemory`.
     state
-        Fields of the STATE that is due, by `rig.realtime.codec.STATE`.
+        Fields of the next STATE, at the indices of `rig.realtime.codec.STATE`.
     """
 
     words: Ints
@@ -98,7 +98,7 @@ class DeviceMemory(NamedTuple):
 
 
 def drive(board: DeviceMemory) -> int:
-    """Begin a tick: the current that flows in it (quanta)."""
+    """Begin a tick; return the motor current during it (quanta)."""
     words, rules = board.words, board.rules
     words[OWN.found] = words[CUTS] = words[OWN.sync] = words[OWN.driven] = 0
     if words[OWN.protocol_state] != _ARMED and words[OWN.protocol_state] != _RUNNING:
@@ -124,7 +124,7 @@ def drive(board: DeviceMemory) -> int:
 
 
 def sample(board: DeviceMemory) -> None:
-    """End a tick: its sample is in the words; the monitors look at it."""
+    """End a tick: run the monitors on its sample, which the caller has stored in the words."""
     words, rules = board.words, board.rules
     count, current = words[COUNT], words[OWN.driven]
     armed = words[OWN.protocol_state] == _ARMED or words[OWN.protocol_state] == _RUNNING
@@ -144,12 +144,12 @@ def sample(board: DeviceMemory) -> None:
 
 
 def time_of(words: Ints, index: int) -> int:
-    """Device time of a sample, from its number: a period that is no whole number of units does not drift."""
+    """Return the device time of sample `index` (1/16 µs), computed from its number so that rounding does not add up."""
     return int(words[OWN.grid_time] + (index - words[OWN.grid_index]) * UNITS_PER_SECOND // words[OWN.rate])
 
 
 def report(board: DeviceMemory) -> bool:
-    """Fill the fields of a STATE, if one is due."""
+    """Fill in the fields of a STATE and return True if one is due, else return False."""
     words, state = board.words, board.state
     index, time = words[SAMPLE_INDEX], words[TIME]
     if not words[SESSION]:
@@ -178,15 +178,16 @@ def report(board: DeviceMemory) -> bool:
 
 
 def lifetime_of(words: Ints, mode: int, lifetime_us: int) -> int:
-    """Return the lifetime of a COMMAND: the shorter of its own and the parameters' (device time)."""
+    """Return the lifetime of a COMMAND (1/16 µs): its own, limited to that of the parameters for its mode."""
     cap = words[OWN.supervise_lifetime] if mode == _SUPERVISE else words[OWN.command_lifetime]
     return int(min(lifetime_us * UNITS_PER_US, cap))
 
 
 def is_too_old(board: DeviceMemory, mode: int, lifetime_us: int, to_come: int, answered: int) -> bool:
-    """Return True if a COMMAND was under way for longer than its lifetime, by the STATEs since the one that it answers.
+    """Return True if a COMMAND arrived later than its lifetime after the STATE that it answers. STOP is never too old.
 
-    `to_come` is the sequence of the next STATE. Before the first one a host answers that.
+    `to_come` is the sequence number of the next STATE, `answered` that of the STATE which the COMMAND answers. Before
+    the first STATE a host uses the number of the first.
     """
     words = board.words
     # Sequences have 16 bits and wrap after 65 s at 1 kHz, far beyond any lifetime.
@@ -199,7 +200,7 @@ def is_too_old(board: DeviceMemory, mode: int, lifetime_us: int, to_come: int, a
 
 
 def obey(board: DeviceMemory, sequence: int, mode: int, flags: int, current: int, lifetime_us: int) -> None:
-    """Activate a COMMAND, or refuse it with a flag."""
+    """Activate a COMMAND: STOP sets the current to zero at once, SUPERVISE feeds the watchdog without a current."""
     words = board.words
     words[OWN.command_sequence], words[OWN.command_index] = sequence, words[SAMPLE_INDEX]
     words[OWN.command_sync] = words[CUTS] = 0
