@@ -20,7 +20,7 @@ assert sys.platform == "linux"
 
 
 def main() -> int:
-    """Serve until ended; the exit status."""
+    """Serve a simulated drive until a signal ends it; return the exit status."""
     program.begin()
     parser = argparse.ArgumentParser(prog="python -m sim_backend.drives", description=__doc__)
     parser.add_argument("kind", choices=("moteus", "odrive"))

@@ -1,4 +1,4 @@
-"""A frame on a CAN bus, and what every simulated drive is to those that carry frames to it."""
+"""Define a frame on a CAN bus and the interfaces of simulated drives and of the adapters that carry frames to them."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from typing import NamedTuple, Protocol
 
 
 class Frame(NamedTuple):
-    """Identifier and data.
+    """Frame on a CAN bus.
 
-    `extended` is the 29-bit form, `remote` a request for the frame of that identifier, `error` what a controller says
-    of the bus, by the classes of include/uapi/linux/can/error.h in place of an identifier.
+    `extended` marks a 29-bit identifier, `remote` a request for the frame of that identifier. `error` marks a report of
+    the CAN controller about the bus; its identifier is an error class of include/uapi/linux/can/error.h.
     """
 
     identifier: int
@@ -20,7 +20,7 @@ class Frame(NamedTuple):
 
 
 class DriveModel(Protocol):
-    """A drive with its rig, in its own time: it moves only in `run`.
+    """Simulated drive with its rig, in simulated time, which passes only in `run`.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class DriveModel(Protocol):
     ticks
         Ticks that have passed since power-up.
     next_due
-        Tick at which it will send a frame by itself; None when it never does.
+        Tick at which the drive sends its next unrequested frame; None if it sends only replies.
     """
 
     rate_hz: int
@@ -37,15 +37,15 @@ class DriveModel(Protocol):
 
     @property
     def next_due(self) -> int | None:
-        """Return when it will send a frame by itself (ticks)."""
+        """Return the tick of the next unrequested frame, or None."""
         ...
 
     def run(self, until: int) -> list[Frame]:
-        """Let time pass to a tick; what it sends by itself meanwhile."""
+        """Simulate up to tick `until`; return the unrequested frames that the drive sends meanwhile."""
         ...
 
     def receive(self, frame: Frame) -> list[Frame]:
-        """Take a frame, now; its answers."""
+        """Process a frame at the present time; return the replies."""
         ...
 
     @property
@@ -54,29 +54,29 @@ class DriveModel(Protocol):
         ...
 
     def happen(self, name: str, value: float) -> list[Frame]:
-        """Let the world do something to it; frames of others that this puts on the bus."""
+        """Apply an external event to the drive; return the frames of other hosts that it puts on the bus."""
         ...
 
 
 class Splitter(Protocol):
-    """Cuts bytes into units: a line, a frame."""
+    """Splitter of a byte stream into units: lines or frames."""
 
     def split(self, data: bytes) -> list[bytes]:
-        """Return whole units of what has come; the rest waits."""
+        """Return the complete units received so far; keep the rest for the next call."""
         ...
 
 
 class SimulatedAdapter(Protocol):
-    """Units of a line to and from frames."""
+    """Converter between units of a byte stream (lines or binary frames) and CAN frames."""
 
     def splitter(self) -> Splitter:
-        """Make what cuts its bytes into units."""
+        """Return a new splitter for the host's bytes."""
         ...
 
     def open(self, unit: bytes) -> tuple[Frame | None, list[bytes]]:
-        """Return the frame in a unit of the host, and the adapter's own answers to it."""
+        """Return the frame in a unit from the host (or None), and the adapter's own replies to the unit."""
         ...
 
     def close(self, frame: Frame) -> list[bytes]:
-        """Return units that carry a frame to the host."""
+        """Return the units that carry a frame to the host."""
         ...

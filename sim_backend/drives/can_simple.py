@@ -14,7 +14,7 @@ NODE_BITS = 5
 
 
 class CanSimpleCommand(IntEnum):
-    """Of the lower five bits of an identifier."""
+    """Command of a CAN Simple message: the lower five bits of its identifier."""
 
     GET_VERSION = 0x00
     HEARTBEAT = 0x01
@@ -46,7 +46,7 @@ class CanSimpleCommand(IntEnum):
 
 
 class AxisState(IntEnum):
-    """Those that are entered here; ODriveArduino, src/ODriveEnums.h."""
+    """Simulated states of an ODrive axis; numbers of ODriveArduino, src/ODriveEnums.h."""
 
     UNDEFINED = 0
     IDLE = 1
@@ -54,7 +54,7 @@ class AxisState(IntEnum):
 
 
 class Error(IntEnum):
-    """Bits of active errors and of the reason for a disarming; ODriveArduino, src/ODriveEnums.h."""
+    """Error bits of an ODrive, used for active errors and for the disarm reason; ODriveArduino, src/ODriveEnums.h."""
 
     INITIALIZING = 0x00000001
     MISSING_ESTIMATE = 0x00000008
@@ -68,7 +68,7 @@ class Error(IntEnum):
 
 
 class Result(IntEnum):
-    """Of the last request for a state; ODriveArduino, src/ODriveEnums.h."""
+    """Result of the last state request; ODriveArduino, src/ODriveEnums.h."""
 
     SUCCESS = 0
     DISARMED = 3

@@ -1,9 +1,9 @@
-"""Parse what goes wrong from words: ``drop to=host frame=12``, ``fault value=33 tick=300``.
+"""Parse the faults of a simulated run, such as ``drop to=host frame=12`` or ``fault value=33 tick=300``.
 
-The first word is a `rig.devices.fault_script.FaultKind`, which strikes a unit of the line (a line of text, a CAN
-frame), an event of a drive (`SimulatedMoteus.happen`, `SimulatedOdrive.happen`), or one of the two below. `frame`
-counts units of a direction from 0, for an event those that the host sent; `tick` counts milliseconds since the host's
-first one.
+The first word is a `rig.devices.fault_script.FaultKind`, which acts on one unit of the line (a line of text or a CAN
+frame), an event of a drive (`SimulatedMoteus.happen`, `SimulatedOdrive.happen`), ``stale`` or ``host-bus-off``.
+`frame` is the number of a unit in its direction, from 0 (for an event: of a unit from the host). `tick` is the time in
+milliseconds since the host's first unit.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _EXAMPLE = 'like "drop to=host frame=12" or "fault value=33 tick=300"'
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveEvent:
-    """What happens to a drive, just before it takes unit `frame` of the host, or at `tick` milliseconds."""
+    """Event that acts on a drive just before it receives unit `frame` from the host, or at `tick` milliseconds."""
 
     name: str
     value: float = 0.0
@@ -38,13 +38,13 @@ class DriveEvent:
 
 @dataclass(frozen=True, slots=True)
 class DriveScript:
-    """What goes wrong in a run."""
+    """Faults of a run: those of the line and those of the drive."""
 
     frames: tuple[FrameFault, ...] = ()
     events: tuple[DriveEvent, ...] = ()
 
     def on_a_can_bus(self) -> DriveScript:
-        """Return the same where a frame that is damaged on its way fails its CRC, and no controller passes it on."""
+        """Return this script for a CAN bus, where a damaged frame fails its CRC: damage becomes a dropped frame."""
         damaged = (FaultKind.CORRUPT, FaultKind.TRUNCATE)
         frames = (
             replace(fault, kind=FaultKind.DROP) if fault.kind in damaged else fault for fault in self.frames
@@ -52,7 +52,7 @@ class DriveScript:
         return replace(self, frames=tuple(frames))
 
     def check(self, known: Iterable[str]) -> None:
-        """Raise `ConfigError` for an event that does not happen to a drive."""
+        """Raise `ConfigError` if an event is not in `known`, the events of the drive."""
         for event in self.events:
             if event.name not in {STALE, HOST_BUS_OFF, *known}:
                 raise ConfigError(
@@ -62,7 +62,7 @@ class DriveScript:
 
     @classmethod
     def of(cls, texts: Iterable[str]) -> DriveScript:
-        """Read a script; raises `ConfigError` for an invalid entry."""
+        """Parse a script, one fault for each text; raise `ConfigError` for an invalid fault."""
         found = [_read(text) for text in texts]
         return cls(
             frames=tuple(one for one in found if isinstance(one, FrameFault)),

@@ -1,4 +1,4 @@
-"""Carry CAN frames in lines of text: ``can send 8001 01000A… BF *5C`` to the drive, ``OK`` and ``rcv …`` back.
+"""Carry CAN frames as lines of text: ``can send 8001 01000A… BF *5C`` to the drive, ``OK`` and ``rcv …`` back.
 
 `Uart` is the board's own serial port (docs/integration/uart.md of mjbots/moteus at db1a762,
 fw/uart_fdcanusb_micro_server.h), `Fdcanusb` the USB adapter (README.md of mjbots/fdcanusb at f18c1d6,
@@ -30,7 +30,7 @@ _CRC = _table()
 
 
 def checksum(text: bytes) -> int:
-    """Return CRC-8 over what stands before the star, the space included."""
+    """Return the CRC-8 of a line up to the ``*``, with the space before it."""
     crc = 0
     for byte in text:
         crc = _CRC[crc ^ byte]
@@ -43,17 +43,17 @@ def seal(text: bytes) -> bytes:
 
 
 class _RefusedError(Exception):
-    """A line is answered with ERR and this text."""
+    """The line is invalid; the reply is ERR with the text of this exception."""
 
 
 class LineSplitter:
-    """Cuts bytes into lines."""
+    """Splitter of a byte stream into lines."""
 
     def __init__(self) -> None:
         self._rest = b""
 
     def split(self, data: bytes) -> list[bytes]:
-        """Return whole lines, each with a line feed."""
+        """Return the complete lines received so far, each with a line feed; keep the rest."""
         *lines, self._rest = (self._rest + data).replace(b"\r", b"\n").split(b"\n")
         if len(self._rest) > LONGEST_LINE:
             self._rest = b""
@@ -61,12 +61,12 @@ class LineSplitter:
 
 
 class Uart:
-    """The board's own serial port.
+    """Serial port on the board of a moteus.
 
     Parameters
     ----------
     prefix
-        ``can.prefix``: frames of another one are passed over in silence.
+        Setting ``can.prefix`` of the drive; frames with another prefix are ignored.
     """
 
     def __init__(self, prefix: int = 0) -> None:
@@ -74,11 +74,11 @@ class Uart:
         self._checked = False
 
     def splitter(self) -> LineSplitter:
-        """Make what cuts bytes into lines."""
+        """Return a new splitter for the host's bytes."""
         return LineSplitter()
 
     def open(self, unit: bytes) -> tuple[Frame | None, list[bytes]]:
-        """Take a line; see `sim_backend.drives.bus.SimulatedAdapter`."""
+        """Return the frame in a line from the host (or None), and the adapter's replies to the line."""
         try:
             frame = self._frame(unit.rstrip())
         except _RefusedError as refused:
@@ -105,12 +105,12 @@ class Uart:
         return Frame(identifier & 0xFFFF, data[:DATA_BYTES])
 
     def close(self, frame: Frame) -> list[bytes]:
-        """Say a frame in a line."""
+        """Return the line that carries a frame to the host."""
         identifier = self._prefix << 16 | frame.identifier
         return self._format_answer(b"rcv %08x %b" % (identifier, frame.data.hex().encode()))
 
     def _remove_checksum(self, line: bytes) -> bytes:
-        """Return a line without its checksum, which may be missing until a first line has had one."""
+        """Return a line without its checksum; raise `_RefusedError` if it is wrong, or missing after a first one."""
         text, star, digits = line.rpartition(b"*")
         claimed = _hex(digits) if star and len(digits) == 2 else None
         # A checksum is optional until one has come; from then on each command needs one and each answer has one.
@@ -126,14 +126,14 @@ class Uart:
 
 
 class Fdcanusb:
-    """The USB adapter, on the bus (``can on``)."""
+    """USB adapter fdcanusb, which is connected to the bus (``can on``)."""
 
     def splitter(self) -> LineSplitter:
-        """Make what cuts bytes into lines."""
+        """Return a new splitter for the host's bytes."""
         return LineSplitter()
 
     def open(self, unit: bytes) -> tuple[Frame | None, list[bytes]]:
-        """Take a line; see `sim_backend.drives.bus.SimulatedAdapter`."""
+        """Return the frame in a line from the host (or None), and the adapter's replies to the line."""
         line = unit.rstrip()
         try:
             frame = None if line in {b"can on", b"can off"} else self._frame(line)
@@ -162,7 +162,7 @@ class Fdcanusb:
         return Frame(identifier & 0xFFFF, pad(data, NOP))
 
     def close(self, frame: Frame) -> list[bytes]:
-        """Say a frame in a line."""
+        """Return the line that carries a frame to the host."""
         identifier = b"%X" % frame.identifier
         # The adapter prints whole bytes: an even number of hexadecimal digits.
         identifier = identifier.zfill(len(identifier) + len(identifier) % 2)

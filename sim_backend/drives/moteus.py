@@ -1,8 +1,8 @@
-"""Simulate a moteus: frames in, frames out, a rig behind its shaft.
+"""Simulate a moteus drive: it receives and sends frames, and its shaft moves a simulated rig.
 
-It mirrors docs/protocol/{can,registers,diagnostic}.md of mjbots/moteus at db1a762 (2026-06) and its firmware there
-(fw/moteus_controller.cc, mjlib/multiplex/micro_server.cc). `moteus_law` has what happens in a control cycle,
-`moteus_registers` the registers, `moteus_settings` configuration and console.
+It follows docs/protocol/{can,registers,diagnostic}.md of mjbots/moteus at db1a762 (2026-06) and the firmware of that
+commit (fw/moteus_controller.cc, mjlib/multiplex/micro_server.cc). `moteus_law` computes a control cycle,
+`moteus_registers` lists the registers, `moteus_settings` contains configuration and console.
 """
 
 from __future__ import annotations
@@ -18,17 +18,22 @@ from rig.core.model import RigModel
 from sim_backend.drives import moteus_registers as registers
 from sim_backend.drives.bus import Frame
 from sim_backend.drives.moteus_law import (
+    BRAKE,
+    CALIBRATION_COMPLETE,
     FAULT,
     PLL_SHAPE,
     POSITION,
     RATE_HZ,
+    STAY_WITHIN,
     STOP_POSITION_DEPRECATED,
     STOPPED,
     TIMEOUT,
     WORDS,
+    ZERO_VELOCITY,
     W,
     law,
 )
+from sim_backend.drives.moteus_law import CURRENT as CURRENT_MODE
 from sim_backend.drives.moteus_registers import (
     CURRENT,
     POWER,
@@ -77,18 +82,18 @@ OTHER_MASTER = 2  # source of the frames of a second host, where one is simulate
 
 @dataclass(frozen=True, slots=True)
 class MoteusOptions:
-    """What a drive is when it is switched on.
+    """State of a moteus drive at power-up.
 
     Attributes
     ----------
     settings
-        Stored configuration, by name, where it differs from `moteus_settings.defaults`.
+        Stored settings, by name, that differ from `moteus_settings.defaults`.
     firmware
-        Version, one byte each: 0x010203 is 1.2.3.
+        Firmware version, one byte for each number: 0x010203 is 1.2.3.
     serial
         Serial number, three words.
     voltage, temperature
-        Of the supply (V) and of the board (°C).
+        Supply voltage (V) and temperature of the board (°C).
     """
 
     settings: Mapping[str, str] = field(default_factory=dict)
@@ -99,19 +104,19 @@ class MoteusOptions:
 
 
 class SimulatedMoteus:
-    """A moteus with its rig; see `sim_backend.drives.bus.DriveModel`.
+    """A simulated moteus with its rig; it implements `sim_backend.drives.bus.DriveModel`.
 
     Parameters
     ----------
     model
-        The rig: its encoder is the drive's, its amplifier the drive's current loop and torque constant.
+        Rig to simulate. The drive reads its encoder and has the current loop and torque constant of its amplifier.
     options
-        What it is when it is switched on.
+        State of the drive at power-up.
 
     Raises
     ------
     ConfigError
-        A linear rig, or a setting that a moteus of this kind does not have.
+        The rig is linear, or a setting does not exist on the simulated moteus.
     """
 
     rate_hz = RATE_HZ
@@ -123,7 +128,7 @@ class SimulatedMoteus:
         self._kt = model.amplifier.effort_per_ampere / abs(self.motor.effort_per_torque)
         self._options = options
         self.settings = MoteusSettings(defaults(self.motor.counts_per_turn, self._kt))
-        self._kind = self.settings.values["motor_position.sources.0.type"]  # of the encoder that there is
+        self._kind = self.settings.values["motor_position.sources.0.type"]  # of the encoder
         for name, text in options.settings.items():
             if not self.settings.set(name, text):
                 raise ConfigError(
@@ -131,23 +136,23 @@ class SimulatedMoteus:
                     remedy=f"choose one of {', '.join(self.settings.values)}",
                 )
         self.settings.store()
-        self._console = DiagnosticChannel(self.settings, self._order)
+        self._console = DiagnosticChannel(self.settings, self._run_console_command)
         self._packet = 0
         self._sent = b""
         self.ticks = 0
         self._writes: dict[int, float] = {}
         self._numbers = {
-            0x100: 0,
-            0x101: options.firmware,
-            0x102: MAP_VERSION,
-            **{0x120 + i: _to_signed(word) for i, word in enumerate(options.serial)},
-            **{0x150 + i: _to_signed(word) for i, word in enumerate((*options.serial, 0x5349_4D00))},
+            registers.MODEL_NUMBER: 0,
+            registers.FIRMWARE_VERSION: options.firmware,
+            registers.MAP_VERSION_REGISTER: MAP_VERSION,
+            **dict(zip(registers.SERIAL_NUMBER, map(_to_signed, options.serial), strict=True)),
+            **dict(zip(registers.UUID, map(_to_signed, (*options.serial, 0x5349_4D00)), strict=True)),
         }
         self._others = self._list_computed()
         self.power_up()
 
     def power_up(self) -> None:
-        """Begin anew, as after the supply came back: stored configuration, stopped, position from the encoder."""
+        """Restart the drive with its stored settings: stopped, with the position from the encoder."""
         self._words[:] = 0.0
         self._words[[W.voltage, W.temperature]] = self._options.voltage, self._options.temperature
         self._command = registers.fresh_command()
@@ -164,7 +169,7 @@ class SimulatedMoteus:
     # ------------------------------------------------------------------ time
 
     def run(self, until: int) -> list[Frame]:
-        """Let time pass to a tick; it says nothing by itself."""
+        """Simulate up to tick `until`; return no frames, because a moteus sends only replies."""
         if until > self.ticks:
             self.motor.run(until - self.ticks)
             self.ticks = until
@@ -176,25 +181,28 @@ class SimulatedMoteus:
         return frozenset(self._happenings())
 
     def happen(self, name: str, value: float) -> list[Frame]:
-        """Let the world do something to it.
+        """Apply an external event to the drive; return the frames that this puts on the bus.
 
-        The events of any drive (`Motor.happenings`; ``fault`` is a code), ``mode`` (its console commands one),
-        ``master`` (a second host commands a torque in N·m: the answer to it is on the bus).
+        Events are those of any drive (`Motor.happenings`; ``fault`` is a fault code), ``mode`` (the console commands a
+        mode) and ``master`` (a second host commands a torque in N·m; the drive's reply to it is on the bus).
         """
         return self._happenings()[name](value) or []
 
     def _happenings(self) -> dict[str, Callable[[float], list[Frame] | None]]:
         return {
             **self.motor.happenings(W, W.timeout_left, self.power_up),
-            "mode": lambda mode: self._obey(
+            "mode": lambda mode: self._apply_command(
                 {**registers.fresh_command(), registers.TIMEOUT_REGISTER: math.nan}, mode
             ),
             "master": self._second_master,
         }
 
     def _second_master(self, torque: float) -> list[Frame]:
-        command = {**registers.fresh_command(), registers.POSITION_REGISTER: math.nan, 0x022: torque}
-        self._obey({**command, 0x023: 0.0, 0x024: 0.0, 0x02B: 0.0}, POSITION)
+        command = {**registers.fresh_command(), registers.POSITION_REGISTER: math.nan}
+        command[registers.FEEDFORWARD_TORQUE] = torque
+        # Without gains the position mode drives this torque alone.
+        command |= dict.fromkeys((registers.KP_SCALE, registers.KD_SCALE, registers.ILIMIT_SCALE), 0.0)
+        self._apply_command(command, POSITION)
         return [
             Frame(self._id << 8 | OTHER_MASTER, self._read_registers(ReadRegisters(registers.MODE, 1, FLOAT)))
         ]
@@ -206,7 +214,7 @@ class SimulatedMoteus:
         return int(self.settings.values["id.id"])
 
     def receive(self, frame: Frame) -> list[Frame]:
-        """Take a frame at the present time; its answer."""
+        """Process a frame at the present time and return the reply: at most one frame."""
         destination, source = frame.identifier & 0xFF, frame.identifier >> 8 & 0xFF
         if destination not in {self._id, BROADCAST}:
             return []
@@ -227,7 +235,7 @@ class SimulatedMoteus:
                 answer += self._answer_poll(part)
         # The mode must be written first; a frame without it commands nothing.
         if registers.MODE in self._writes:
-            self._obey(self._writes, self._writes[registers.MODE])
+            self._apply_command(self._writes, self._writes[registers.MODE])
         return [Frame(self._id << 8 | source & 0x7F, bytes(answer))] if wanted else []
 
     def _write(self, part: WriteRegisters) -> bytes:
@@ -246,7 +254,7 @@ class SimulatedMoteus:
                 if raw != self._numbers[register - 4]:
                     self._writes[registers.NOT_MEANT] = 1.0
             elif register >= registers.SET_NEAREST:
-                self._act(register, value)
+                self._write_action_register(register, value)
             else:
                 self._writes[register] = value
         return refused
@@ -262,7 +270,7 @@ class SimulatedMoteus:
         return reply(part.first, part.kind, values)
 
     def _value(self, register: int, kind: int, words: list[float]) -> float | None:
-        """Return the value of a register for a frame; None if it cannot be read in this form."""
+        """Return the value of a register, scaled for a frame; None if it cannot be read with this integer type."""
         if register in self._numbers:
             return self._numbers[register] if kind == INT32 else None
         other = self._others.get(register)
@@ -272,7 +280,7 @@ class SimulatedMoteus:
         return value if kind == FLOAT else unscale(value, kind, steps)
 
     def _list_computed(self) -> dict[int, tuple[Callable[[list[float]], float], Steps]]:
-        """Return registers that follow from several words, or that this drive has nothing to say about."""
+        """Return function and scale of each register that is computed from several words, or is constant here."""
 
         def turns(w: list[float]) -> float:
             rotor = w[W.filtered] / w[W.counts_per_turn]
@@ -283,21 +291,28 @@ class SimulatedMoteus:
 
         absolute = 3.0 if self._absolute else 2.0  # valid are theta and velocity, or velocity alone
         return {
-            0x004: (lambda w: w[W.torque] * w[W.rotor_to_output] / w[W.torque_constant], CURRENT),
-            0x005: (nothing, CURRENT),
-            0x006: (nothing, TURNS),
-            0x007: (lambda w: w[W.torque] * w[W.velocity] * 2.0 * math.pi, POWER),
-            0x00A: (nothing, TEMPERATURE),
+            registers.Q_CURRENT: (
+                lambda w: w[W.torque] * w[W.rotor_to_output] / w[W.torque_constant],
+                CURRENT,
+            ),
+            registers.D_CURRENT: (nothing, CURRENT),
+            registers.ABSOLUTE_POSITION: (nothing, TURNS),
+            registers.ELECTRICAL_POWER: (lambda w: w[W.torque] * w[W.velocity] * 2.0 * math.pi, POWER),
+            registers.MOTOR_TEMPERATURE: (nothing, TEMPERATURE),
             registers.HOME_STATE: (lambda _: 2.0 if self._homed else absolute - 2.0, WHOLE),
-            0x03D: (lambda w: w[W.torque] - w[W.control_torque], registers.TORQUE),
-            0x050: (turns, TURNS),
-            0x051: (lambda w: w[W.pll_velocity] / w[W.counts_per_turn], TURNS_A_SECOND),
-            **dict.fromkeys((0x052, 0x054), (nothing, TURNS)),
-            **dict.fromkeys((0x053, 0x055), (nothing, TURNS_A_SECOND)),
-            0x058: (lambda _: absolute, WHOLE),
-            **dict.fromkeys((0x05E, 0x05F, 0x140, 0x141), (nothing, WHOLE)),
-            0x070: (lambda _: float(self.ticks * 1000 // RATE_HZ % (1 << 23)), WHOLE),
-            0x158: (lambda _: 1.0, WHOLE),
+            registers.TORQUE_ERROR: (lambda w: w[W.torque] - w[W.control_torque], registers.TORQUE),
+            # The drive has one encoder: the registers of the other two read 0.
+            **dict.fromkeys(registers.ENCODER_POSITIONS, (nothing, TURNS)),
+            **dict.fromkeys(registers.ENCODER_VELOCITIES, (nothing, TURNS_A_SECOND)),
+            registers.ENCODER_POSITIONS[0]: (turns, TURNS),
+            registers.ENCODER_VELOCITIES[0]: (
+                lambda w: w[W.pll_velocity] / w[W.counts_per_turn],
+                TURNS_A_SECOND,
+            ),
+            registers.ENCODER_VALIDITY: (lambda _: absolute, WHOLE),
+            **dict.fromkeys((*registers.GPIO_STATUS, *registers.DRIVER_FAULTS), (nothing, WHOLE)),
+            registers.MILLISECONDS: (lambda _: float(self.ticks * 1000 // RATE_HZ % (1 << 23)), WHOLE),
+            registers.UUID_MASK_CAPABILITY: (lambda _: 1.0, WHOLE),
         }
 
     # ------------------------------------------------------------------ stream
@@ -337,56 +352,40 @@ class SimulatedMoteus:
 
     # ------------------------------------------------------------------ commands
 
-    def _order(self, words: list[str]) -> bool:
-        """Run a command of the console (docs/protocol/diagnostic.md, `d`), without a watchdog unless it has one."""
+    def _run_console_command(self, words: list[str]) -> bool:
+        """Run a command of the console (docs/protocol/diagnostic.md, `d`); return False if it is not valid.
+
+        It has no watchdog timeout unless the command sets one.
+        """
         kind, *rest = words
         if kind == "stop":
-            self._obey(registers.fresh_command(), STOPPED)
+            self._apply_command(registers.fresh_command(), STOPPED)
             return True
-        acts = {
-            "nearest": registers.SET_NEAREST,
-            "exact": registers.SET_EXACT,
-            "recapture": registers.RECAPTURE,
-        }
-        acts["req-reindex"] = registers.REQUIRE_REINDEX
         try:
-            if kind in acts:
-                self._act(acts[kind], float(rest[0]) if rest else 0.0)
+            if kind in _CONSOLE_ACTIONS:
+                self._write_action_register(_CONSOLE_ACTIONS[kind], float(rest[0]) if rest else 0.0)
                 return True
-            return self._drive(kind, rest)
+            return self._parse_drive_command(kind, rest)
         except (ValueError, IndexError):
             return False
 
-    def _drive(self, kind: str, rest: list[str]) -> bool:
-        modes = {"pos": POSITION, "tmt": TIMEOUT, "zero": 12, "within": 13, "brake": 15, "dq": 9}
-        if kind not in modes:
+    def _parse_drive_command(self, kind: str, rest: list[str]) -> bool:
+        if kind not in _CONSOLE_MODES:
             return False
+        mode, taken = _CONSOLE_MODES[kind]
         command = {**registers.fresh_command(), registers.TIMEOUT_REGISTER: math.nan}
-        places = {"dq": (0x01D, 0x01C), "within": (0x040, 0x041, 0x025), "brake": ()}
-        taken = places.get(kind, (0x020, 0x021, 0x025))
         command.update(zip(taken, map(float, rest), strict=False))
-        letters = {
-            "p": 0x023,
-            "d": 0x024,
-            "i": 0x02B,
-            "s": 0x026,
-            "f": 0x022,
-            "t": 0x027,
-            "v": 0x028,
-            "a": 0x029,
-        }
-        letters["b"] = 0x02D
         for option in rest[len(taken) :]:
-            if option[0] not in letters:
+            if option[0] not in _CONSOLE_OPTIONS:
                 return False
-            command[letters[option[0]]] = float(option[1:])
-        self._obey(command, modes[kind])
+            command[_CONSOLE_OPTIONS[option[0]]] = float(option[1:])
+        self._apply_command(command, mode)
         return True
 
-    def _obey(self, command: dict[int, float], mode: float) -> None:
-        """Let a whole command act, unless its mode cannot be commanded."""
+    def _apply_command(self, command: dict[int, float], mode: float) -> None:
+        """Start a complete command (value of each register) in a mode; ignore modes that only the drive may enter."""
         # Fault, enabling and calibrating are entered by the drive alone.
-        if mode in range(FAULT, 5):
+        if mode in range(FAULT, CALIBRATION_COMPLETE + 1):
             return
         words, values = self._words, self.settings.values
         self._command = command
@@ -410,8 +409,8 @@ class SimulatedMoteus:
             self.motor.begin_session()
         words[W.command] = mode
 
-    def _act(self, register: int, value: float) -> None:
-        """Write-only registers (docs/protocol/registers.md, 0x130 to 0x133)."""
+    def _write_action_register(self, register: int, value: float) -> None:
+        """Execute a write to one of the write-only registers 0x130 to 0x133 (docs/protocol/registers.md)."""
         words = self._words
         if register == registers.SET_EXACT:
             words[W.output_shift] += value - words[W.position]
@@ -433,7 +432,7 @@ class SimulatedMoteus:
         return self._kind == SPI
 
     def _configure(self) -> None:
-        """Let the configuration act, at once as docs/reference/configuration.md says."""
+        """Copy the settings to the words of the law. They act at once, see docs/reference/configuration.md."""
         values, words = self.settings.values, self._words
         for word, name in _FOLLOWED.items():
             words[word] = values[name]
@@ -449,6 +448,35 @@ class SimulatedMoteus:
         per_turn = 2.0 * math.pi * self._kt * assumed / resistance
         words[W.brake_damping] = per_turn / values["motor_position.rotor_to_output_ratio"] ** 2
 
+
+_CONSOLE_ACTIONS = {
+    "nearest": registers.SET_NEAREST,
+    "exact": registers.SET_EXACT,
+    "recapture": registers.RECAPTURE,
+    "req-reindex": registers.REQUIRE_REINDEX,
+}
+_MOTION = (registers.POSITION_REGISTER, registers.VELOCITY_REGISTER, registers.MAX_TORQUE)
+_CONSOLE_MODES: dict[
+    str, tuple[int, tuple[int, ...]]
+] = {  # mode, and the registers of the arguments in their order
+    "pos": (POSITION, _MOTION),
+    "tmt": (TIMEOUT, _MOTION),
+    "zero": (ZERO_VELOCITY, _MOTION),
+    "within": (STAY_WITHIN, (registers.LOWER_BOUND, registers.UPPER_BOUND, registers.MAX_TORQUE)),
+    "brake": (BRAKE, ()),
+    "dq": (CURRENT_MODE, (registers.D_COMMAND, registers.Q_COMMAND)),
+}
+_CONSOLE_OPTIONS = {
+    "p": registers.KP_SCALE,
+    "d": registers.KD_SCALE,
+    "i": registers.ILIMIT_SCALE,
+    "s": registers.STOP_POSITION,
+    "f": registers.FEEDFORWARD_TORQUE,
+    "t": registers.TIMEOUT_REGISTER,
+    "v": registers.VELOCITY_LIMIT,
+    "a": registers.ACCEL_LIMIT,
+    "b": registers.IGNORE_BOUNDS,
+}
 
 _FOLLOWED: dict[int, str] = {
     W.counts_per_turn: "motor_position.sources.0.cpr",
@@ -479,5 +507,5 @@ _FOLLOWED: dict[int, str] = {
 
 
 def _to_signed(word: int) -> int:
-    """Return a word of 32 bits as int32."""
+    """Return an unsigned 32-bit number as a signed one."""
     return (word & 0xFFFFFFFF ^ 0x80000000) - 0x80000000

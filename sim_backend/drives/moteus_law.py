@@ -1,6 +1,6 @@
-"""Compute what a moteus does in each control cycle, compiled: encoder filter, modes, watchdog, limits, torque.
+"""Compute a control cycle of a moteus in compiled code: encoder filter, modes, watchdog, limits, torque.
 
-It mirrors mjbots/moteus at db1a762 (2026-06): docs/protocol/registers.md for modes and fault codes,
+It follows mjbots/moteus at db1a762 (2026-06): docs/protocol/registers.md for modes and fault codes,
 docs/reference/configuration.md (`servo.*`, `servopos.*`) for law, limits and time-out. Left out: the modes that set
 voltages (5 to 8, 14), which drive nothing here; field weakening, flux braking and the limits of power and bus voltage;
 single-precision arithmetic, except for the grid of the position.
@@ -135,7 +135,7 @@ def _limit(w: Words, code: float) -> None:
 
 @kernel(types.void(_V, types.int64), no_refcount=True)
 def _filter(w: Words, count: int) -> None:
-    """Encoder to position and velocity of the output: a loop of second order, critically damped."""
+    """Compute position and velocity of the output from the encoder count, by a critically damped second-order loop."""
     turned = w[W.sign] * count
     if w[W.snapped] == 0.0:
         w[W.snapped] = 1.0
@@ -162,7 +162,7 @@ def _starts_outside(w: Words) -> bool:
 
 @kernel(types.void(_V), no_refcount=True)
 def _change_mode(w: Words) -> None:
-    """Follow the command: out of a fault or a time-out only to stopped, out of stopped by enabling the driver."""
+    """Change to the commanded mode: from fault or time-out only to stopped, from stopped after enabling the driver."""
     # Changes of mode follow fw/bldc_servo_control.h.
     command, mode = w[W.command], w[W.mode]
     if command == STOPPED:
@@ -182,7 +182,7 @@ def _change_mode(w: Words) -> None:
 
 @kernel(types.void(_V), no_refcount=True)
 def _start(w: Words) -> None:
-    """Enabling takes its time, and no torque."""
+    """Advance the modes enabling and calibrating, which last for a fixed time and drive no torque."""
     if w[W.mode] in (ENABLING, CALIBRATING):
         w[W.starting] -= _DT
         if w[W.starting] <= 0.0:
@@ -209,7 +209,11 @@ def _check_faults(w: Words) -> None:
 
 @kernel(_F(_F, _F, _F, _F, _F), no_refcount=True)
 def _acceleration(dx: float, velocity: float, goal: float, accel: float, top: float) -> float:
-    """Return the acceleration towards a moving target: as fast as the limits allow, and stoppable there."""
+    """Return the acceleration towards a target that moves at velocity `goal`, for the fastest approach within limits.
+
+    `dx` is the distance to the target, `accel` and `top` are the limits of acceleration and speed (revolutions, s). The
+    motion can still reach the target without overshoot.
+    """
     # Trajectory of fw/bldc_servo_position.h; `ahead` is the speed one cycle later, which must still be stoppable.
     if abs(velocity) > top:
         return math.copysign(accel, -velocity)
@@ -224,9 +228,10 @@ def _acceleration(dx: float, velocity: float, goal: float, accel: float, top: fl
 
 @kernel(types.void(_V, _F, _F, _F, _F), no_refcount=True)
 def _follow(w: Words, target: float, velocity: float, top: float, accel: float) -> None:
-    """One step of the control position and velocity: at once without limits (NaN), else along a trajectory.
+    """Advance control position and control velocity by one cycle, along a trajectory within the limits.
 
-    A target that is NaN leaves the position alone: the velocity alone is followed.
+    `top` and `accel` limit speed and acceleration; if both are NaN, the target is taken over at once. If `target` is
+    NaN, only the velocity is followed.
     """
     if math.isnan(velocity):
         velocity = 0.0
@@ -271,7 +276,7 @@ def _follow(w: Words, target: float, velocity: float, top: float, accel: float) 
 
 @kernel(_F(_V, _F, _F, _F, _F), no_refcount=True)
 def _regulate(w: Words, kp_scale: float, kd_scale: float, ilimit_scale: float, feedforward: float) -> float:
-    """The PID controller around the control position and velocity, and feed-forward: torque at the output (N·m)."""
+    """Return the output torque (N·m) of the PID controller for control position and velocity, plus feed-forward."""
     w[W.error] = w[W.position] - w[W.control_position]
     threshold = w[W.velocity_threshold]
     off = w[W.velocity] - w[W.control_velocity]
@@ -295,7 +300,10 @@ def _regulate(w: Words, kp_scale: float, kd_scale: float, ilimit_scale: float, f
 
 @kernel(_F(_V, _F, _F), no_refcount=True)
 def _limit_torque(w: Words, torque: float, most: float) -> float:
-    """Torque after the limits of command, position bounds, velocity and current; each says so by its code."""
+    """Return the torque (N·m) after the limits of command (`most`), position bounds, velocity and current.
+
+    A limit that acts sets its code in the fault word.
+    """
     if abs(torque) > most:  # NaN: no limit
         torque = math.copysign(most, torque)
         _limit(w, MAX_TORQUE)
@@ -322,14 +330,14 @@ def _limit_torque(w: Words, torque: float, most: float) -> float:
 
 @kernel(_F(_V), no_refcount=True)
 def _damp(w: Words) -> float:
-    """Zero velocity: the derivative term alone, with the time-out's torque."""
+    """Return the torque (N·m) of the zero-velocity mode: the derivative term, limited to the time-out torque."""
     w[W.control_position], w[W.control_velocity] = w[W.position], 0.0
     return _limit_torque(w, _regulate(w, 0.0, w[W.kd_scale], 0.0, 0.0), w[W.timeout_max_torque])
 
 
 @kernel(_F(_V), no_refcount=True)
 def _time_out(w: Words) -> float:
-    """Return the torque of a time-out, by `servo.timeout_mode`; an unknown mode is as stopped (N·m)."""
+    """Return the torque (N·m) after a watchdog time-out, by `servo.timeout_mode`; 0 for an unknown mode."""
     way = w[W.timeout_mode]
     if way == POSITION:
         _follow(w, math.nan, 0.0, w[W.default_velocity_limit], w[W.default_accel_limit])
@@ -343,7 +351,10 @@ def _time_out(w: Words) -> float:
 
 @kernel(_F(_V), no_refcount=True)
 def _stay_within(w: Words) -> float:
-    """Return feed-forward alone inside the bounds, else the controller around the violated bound (N·m)."""
+    """Return the torque (N·m) of the stay-within mode.
+
+    Inside the bounds it is the feed-forward torque; outside, the controller regulates to the violated bound.
+    """
     # docs/protocol/registers.md, 0x040 and 0x041, and ISR_DoStayWithinBounds (fw/bldc_servo_control.h): no clamp, no
     # trajectory, feed-forward on both sides, the limit of the command last. The scales are not limited, as in fw/pid.h;
     # the page claims a limit for kd's (0x024).
@@ -366,7 +377,7 @@ def _stay_within(w: Words) -> float:
 
 @kernel(_F(_V), no_refcount=True)
 def _work(w: Words) -> float:
-    """Return the torque at the output that the mode asks for (N·m)."""
+    """Return the output torque (N·m) of the active mode."""
     mode = w[W.mode]
     torque = 0.0
     if mode == POSITION:
@@ -388,7 +399,10 @@ def _work(w: Words) -> float:
 
 @kernel(LAW, no_refcount=True)
 def law(w: Words, count: int, measured: float) -> float:
-    """Run one control cycle: encoder count and torque at the shaft (N·m) in, torque wanted there out."""
+    """Run one control cycle; return the wanted torque at the shaft (N·m).
+
+    `count` is the encoder count, `measured` the present torque at the shaft (N·m).
+    """
     if w[W.source_valid] != 0.0:
         _filter(w, count)
     # Torque at the output as the drive estimates it, from the true torque at the shaft.

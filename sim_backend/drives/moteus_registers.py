@@ -1,7 +1,6 @@
-"""List the registers of a moteus: what each stands for, and its scale (docs/protocol/registers.md of mjbots/moteus).
+"""List the registers of a moteus with meaning, scale and default (docs/protocol/registers.md of mjbots/moteus).
 
-`moteus` reads and writes through them. Registers of commands that drive nothing here (PWM and voltages, GPIO) are
-stored and read back.
+Command registers that this simulation does not use (PWM, voltages, GPIO) are stored and can be read back.
 """
 
 from __future__ import annotations
@@ -29,6 +28,19 @@ SET_NEAREST, SET_EXACT, REQUIRE_REINDEX, RECAPTURE = range(0x130, 0x134)
 UUID_MASK = range(0x154, 0x158)
 NOT_MEANT = -1  # of the writes of a frame: its mask is another board's, and the frame does nothing
 
+Q_CURRENT, D_CURRENT, ABSOLUTE_POSITION, ELECTRICAL_POWER = range(0x004, 0x008)
+MOTOR_TEMPERATURE, TORQUE_ERROR, ENCODER_VALIDITY, MILLISECONDS = 0x00A, 0x03D, 0x058, 0x070
+Q_COMMAND, D_COMMAND = 0x01C, 0x01D
+POSITION_REGISTER, VELOCITY_REGISTER, FEEDFORWARD_TORQUE, KP_SCALE, KD_SCALE = range(0x020, 0x025)
+MAX_TORQUE, STOP_POSITION, TIMEOUT_REGISTER, VELOCITY_LIMIT, ACCEL_LIMIT = range(0x025, 0x02A)
+ILIMIT_SCALE, IGNORE_BOUNDS = 0x02B, 0x02D
+LOWER_BOUND, UPPER_BOUND = 0x040, 0x041  # of the mode stay-within
+ENCODER_POSITIONS, ENCODER_VELOCITIES = (0x050, 0x052, 0x054), (0x051, 0x053, 0x055)
+GPIO_STATUS, DRIVER_FAULTS = (0x05E, 0x05F), (0x140, 0x141)
+MODEL_NUMBER, FIRMWARE_VERSION, MAP_VERSION_REGISTER = range(0x100, 0x103)
+SERIAL_NUMBER, UUID = range(0x120, 0x123), range(0x150, 0x154)
+UUID_MASK_CAPABILITY = 0x158
+
 # What is read off the law's words.
 _STATUS: dict[int, tuple[int, Steps]] = {
     0x000: (W.mode, WHOLE),
@@ -53,26 +65,25 @@ _STATUS: dict[int, tuple[int, Steps]] = {
 
 # What a command consists of: its word, scale and default (fw/bldc_servo_structs.h), and the shadows of the page.
 COMMAND: dict[int, tuple[int, Steps, float]] = {
-    0x01C: (W.q_command, CURRENT, 0.0),
-    0x020: (W.command_position, TURNS, 0.0),
-    0x021: (W.command_velocity, TURNS_A_SECOND, 0.0),
-    0x022: (W.feedforward, TORQUE, 0.0),
-    0x023: (W.kp_scale, SHARE, 1.0),
-    0x024: (W.kd_scale, SHARE, 1.0),
-    0x025: (W.max_torque, TORQUE, 100.0),
-    0x027: (W.timeout_left, TIME, 0.0),
-    0x028: (W.velocity_limit, TURNS_A_SECOND, math.nan),
-    0x029: (W.accel_limit, ACCELERATION, math.nan),
-    0x02B: (W.ilimit_scale, SHARE, 1.0),
-    0x02D: (W.ignore_bounds, WHOLE, 0.0),
-    0x040: (W.lower, TURNS, 0.0),
-    0x041: (W.upper, TURNS, 0.0),
+    Q_COMMAND: (W.q_command, CURRENT, 0.0),
+    POSITION_REGISTER: (W.command_position, TURNS, 0.0),
+    VELOCITY_REGISTER: (W.command_velocity, TURNS_A_SECOND, 0.0),
+    FEEDFORWARD_TORQUE: (W.feedforward, TORQUE, 0.0),
+    KP_SCALE: (W.kp_scale, SHARE, 1.0),
+    KD_SCALE: (W.kd_scale, SHARE, 1.0),
+    MAX_TORQUE: (W.max_torque, TORQUE, 100.0),
+    TIMEOUT_REGISTER: (W.timeout_left, TIME, 0.0),
+    VELOCITY_LIMIT: (W.velocity_limit, TURNS_A_SECOND, math.nan),
+    ACCEL_LIMIT: (W.accel_limit, ACCELERATION, math.nan),
+    ILIMIT_SCALE: (W.ilimit_scale, SHARE, 1.0),
+    IGNORE_BOUNDS: (W.ignore_bounds, WHOLE, 0.0),
+    LOWER_BOUND: (W.lower, TURNS, 0.0),
+    UPPER_BOUND: (W.upper, TURNS, 0.0),
 }
-STOP_POSITION, TIMEOUT_REGISTER, POSITION_REGISTER = 0x026, 0x027, 0x020
 _KEPT: dict[int, tuple[Steps, float]] = {
     **dict.fromkeys((0x010, 0x011, 0x012, 0x018), (SHARE, 0.0)),
     **dict.fromkeys((0x014, 0x015, 0x016, 0x019, 0x01A, 0x01B), (VOLTAGE, 0.0)),
-    0x01D: (CURRENT, 0.0),
+    D_COMMAND: (CURRENT, 0.0),
     0x01E: (TURNS_A_SECOND, 0.0),
     STOP_POSITION: (TURNS, math.nan),
     0x02A: (VOLTAGE, math.nan),
@@ -112,12 +123,15 @@ _FRESH = {register: default for register, (_, default) in _WRITTEN.items()}
 
 
 def fresh_command() -> dict[int, float]:
-    """Return a command in which only the mode has been written."""
+    """Return all command registers with their defaults; writing the mode register starts such a command."""
     return dict(_FRESH)
 
 
 def parse_write(register: int, kind: int, raw: float) -> tuple[int, float] | int:
-    """Register and value of a write, a shadow resolved; or the number of the error that is its answer."""
+    """Return register and value of a write, or the error number of the reply if it is not allowed.
+
+    A shadow register is replaced by the register that it stands for.
+    """
     register = SHADOWS.get(register, register)
     if register == MODE:
         return (MODE, raw) if 0 <= raw < MODES else UNKNOWN_REGISTER
@@ -129,9 +143,9 @@ def parse_write(register: int, kind: int, raw: float) -> tuple[int, float] | int
 
 
 def read(register: int, kind: int, words: list[float], command: dict[int, float]) -> float | None:
-    """Return the value of a register for a frame; None if it cannot be read.
+    """Return the value of a register, scaled for a frame; None if it cannot be read.
 
-    `words` are the law's, `command` the last one.
+    `words` are the words of `moteus_law`, `command` is the last command by register.
     """
     known = _STATUS.get(register)
     if known is not None:

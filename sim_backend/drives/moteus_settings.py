@@ -1,7 +1,7 @@
-"""Store the configuration of a moteus by name, with the console through which it is read and set.
+"""Store the settings of a moteus by name, and simulate the console that reads and changes them.
 
-It mirrors docs/reference/configuration.md and docs/protocol/diagnostic.md of mjbots/moteus (`conf …`, `tel …`, `d …`),
-with the answers of mjlib/micro/persistent_config.cc. A name that no behaviour here follows is an unknown name.
+It follows docs/reference/configuration.md and docs/protocol/diagnostic.md of mjbots/moteus (`conf …`, `tel …`, `d …`),
+with the replies of mjlib/micro/persistent_config.cc. Settings that the simulation does not use are unknown names.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ TORQUE_TIMES_KV = 1.5 / math.sqrt(3.0) * 60.0 / (2.0 * math.pi)
 
 
 def defaults(counts_per_turn: int, torque_constant: float) -> dict[str, Value]:
-    """Return the configuration of a drive on an encoder and a motor (N·m/A at the shaft), calibrated.
+    """Return the settings of a calibrated drive with this encoder and torque constant (N·m/A at the shaft).
 
-    An encoder of 2¹⁴ counts is the board's own; another one is a quadrature encoder on aux1. A sign that is changed
-    counts as calibrated anew: a positive torque turns towards greater positions.
+    With 2¹⁴ counts per turn the encoder is the one on the board, otherwise a quadrature encoder on aux1. If a setting
+    of sign is changed later, the drive behaves as calibrated again: a positive torque turns towards greater positions.
     """
     # Defaults of the firmware (fw/bldc_servo_structs.h at db1a762) but for what calibration finds (motor, encoder) and
     # what the maker sets by hand for a drive that turns freely: no bounds of position.
@@ -85,12 +85,12 @@ def defaults(counts_per_turn: int, torque_constant: float) -> dict[str, Value]:
 
 
 class MoteusSettings:
-    """Active configuration, and the one in persistent storage.
+    """Active settings, and those in persistent storage.
 
     Parameters
     ----------
     values
-        By name; the type of each stays.
+        Value of each setting by name; changes keep its type.
     """
 
     def __init__(self, values: Mapping[str, Value]) -> None:
@@ -103,7 +103,7 @@ class MoteusSettings:
         self._updated = updated
 
     def set(self, name: str, text: str) -> bool:
-        """Set a value in RAM; whether there is such a name and the text is a number."""
+        """Change an active setting; return False if the name is unknown or the text is not a number."""
         if name not in self.values:
             return False
         try:
@@ -115,16 +115,16 @@ class MoteusSettings:
         return True
 
     def store(self) -> None:
-        """Store the settings, as ``conf write`` does."""
+        """Copy the active settings to persistent storage, as ``conf write`` does."""
         self._stored = dict(self.values)
 
     def load(self) -> None:
-        """``conf load``; also what power-up does."""
+        """Replace the active settings by the stored ones, as ``conf load`` and power-up do."""
         self.values = dict(self._stored)
         self._updated()
 
     def reset(self) -> None:
-        """Restore the maker's settings in RAM, as ``conf default`` does."""
+        """Replace the active settings by the maker's, as ``conf default`` does."""
         self.values = dict(self._factory)
         self._updated()
 
@@ -135,14 +135,14 @@ def format_value(value: Value) -> str:
 
 
 class DiagnosticChannel:
-    """Lines in, answers out: diagnostic channel 1.
+    """Console of the drive (diagnostic channel 1): it receives lines and stores its replies.
 
     Parameters
     ----------
     settings
-        Of the drive.
+        Settings of the drive.
     order
-        Takes the words of a command behind ``d``; whether it was understood.
+        Executes the words of a command after ``d``; returns False if the command is not valid.
     """
 
     def __init__(self, settings: MoteusSettings, order: Callable[[list[str]], bool]) -> None:
@@ -152,14 +152,14 @@ class DiagnosticChannel:
         self.out = b""
 
     def hear(self, data: bytes) -> None:
-        """Take bytes; a line ends at a carriage return or line feed."""
+        """Process bytes from the host; a line ends at a carriage return or line feed."""
         *lines, self._line = (self._line + data).replace(b"\r", b"\n").split(b"\n")
         for line in lines:
             if line.strip():
                 self.out += self._answer(line.decode("latin1").split()).encode("latin1")
 
     def say(self, most: int) -> bytes:
-        """Give at most so many of the bytes that wait."""
+        """Return and remove at most `most` bytes of the waiting replies."""
         output, self.out = self.out[:most], self.out[most:]
         return output
 

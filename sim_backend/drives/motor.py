@@ -1,6 +1,6 @@
-"""Move the rig behind a drive: `sim_backend.mechanics.plant` under what the drive's law requests, tick by tick.
+"""Move the plant of a simulated drive by the torque that the drive's control law requests, tick by tick.
 
-The simulated drives call it. A drive has its own shaft (revolutions of its encoder, N·m), the rig's model the link.
+A drive measures and drives at its shaft (revolutions of its encoder, N·m); the model of the rig uses the link.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ PLACES = 4
 
 @group
 class Shaft(NamedTuple):
-    """What turns a rig: the law of a drive, between encoder and torque.
+    """A drive's control law with its memory, between the encoder count and the torque at the shaft.
 
     Attributes
     ----------
     law
-        Plug point of signature `LAW`.
+        Compiled function of signature `LAW`.
     words
-        Of the drive, which the law alone gives a meaning.
+        Memory of the law.
     places
-        By the constants of this file.
+        Count, row of the hand's script, ticks left for that row, and slip, at the indices `COUNT` to `SLIP`.
     effort_per_torque
-        Effort at the link for 1 N·m at the shaft.
+        Effort at the link (N·m) for 1 N·m at the shaft.
     row_ticks
-        Ticks that a row of the script lasts.
+        Number of ticks of each row of the hand's script.
     """
 
     law: Annotated[Any, types.FunctionType(LAW)]
@@ -60,7 +60,7 @@ class Shaft(NamedTuple):
 
 @group
 class Moving(NamedTuple):
-    """A rig that is turned."""
+    """Arguments of `run`: a plant, the script of its hand, and the drive at its shaft."""
 
     plant: Annotated[PlantArguments, type_of(PlantArguments)]
     script: Annotated[OperatorScript, type_of(OperatorScript)]
@@ -72,13 +72,13 @@ _put, _at = group_at(Moving)
 
 @kernel(types.void(types.int64, type_of(Moving)))
 def put(handle: int, moving: Moving) -> None:
-    """Let a handle stand for a rig and its drive."""
+    """Store rig and drive in the memory at address `handle`."""
     _put(handle, moving)
 
 
 @kernel(types.void(types.int64, types.int64), no_refcount=True)
 def run(handle: int, ticks: int) -> None:
-    """Let a number of the drive's control cycles pass."""
+    """Run `ticks` control cycles of the rig and drive that `put` stored at `handle`."""
     moving = _at(handle)
     plant, script, shaft = moving.plant, moving.script, moving.shaft
     places = shaft.places
@@ -96,28 +96,28 @@ def run(handle: int, ticks: int) -> None:
 
 
 class Motor:
-    """A rig at rest behind a drive's shaft; in the hand of a person if the model has one.
+    """A rig at the shaft of a drive, at rest at the start; a person holds it if the model has an operator.
 
     Parameters
     ----------
     model
-        The physics. Its computation delay is left out: the drive and the bus have delays of their own.
+        Rig to simulate, without its computation delay: the drive and the bus have delays of their own.
     rate_hz
-        Ticks a second of the drive's law.
+        Control cycles of the drive in a second (Hz).
     law, words
-        Of the drive.
+        Compiled control law of the drive, and its memory.
 
     Attributes
     ----------
     counts_per_turn
-        Of the encoder, for one turn of the shaft.
+        Encoder counts in one turn of the shaft.
     effort_per_torque
-        Effort at the link for 1 N·m at the shaft.
+        Effort at the link (N·m) for 1 N·m at the shaft.
 
     Raises
     ------
     ConfigError
-        A linear rig, whose encoder has no turns.
+        The rig is linear, so its encoder has no turns.
     """
 
     def __init__(self, model: RigModel, rate_hz: int, law: Any, words: Words) -> None:
@@ -166,24 +166,23 @@ class Motor:
         put(self._handle, self._moving)
 
     def begin_session(self) -> None:
-        """Let the person who holds the handle, if there is one, begin: along to the start, and into the wall."""
+        """Start the script of the person who holds the handle, if there is one: homing, then a reach into the wall."""
         position = self._state.item(self._plant.handle_position)
         self._play(OperatorScript.of(self._model, 1.0 / SCRIPT_HZ, position, self._sessions))
         self._sessions += 1
 
     def run(self, ticks: int) -> None:
-        """Let a number of the drive's control cycles pass."""
+        """Run `ticks` control cycles of the drive."""
         run(self._handle, ticks)
 
     def happenings(
         self, words: Any, watchdog: int, reboot: Callable[[], None]
     ) -> dict[str, Callable[[float], None]]:
-        """Return the events that any drive can be subjected to, by name.
+        """Return functions that apply an external event to the drive, by name of the event.
 
-        ``fault`` (its own), ``voltage`` (V), ``temperature`` (°C), ``slip`` (counts), ``expire`` (the watchdog, now),
-        ``reboot``.
-
-        `words` names the drive's words, `watchdog` is the one that counts down.
+        The events of all drives are ``fault`` (a fault code of the drive), ``voltage`` (V), ``temperature`` (°C),
+        ``slip`` (counts), ``expire`` (the watchdog expires now) and ``reboot``.
+        `words` names the indices of the law's memory, `watchdog` is the index of the remaining watchdog time.
         """
 
         def put(word: int) -> Callable[[float], None]:
@@ -199,12 +198,12 @@ class Motor:
         }
 
     def slip(self, counts: int) -> None:
-        """Let the encoder gain or lose counts against the truth."""
+        """Add `counts` to the encoder count without motion, as after lost or extra edges."""
         self._places[SLIP] += counts
 
     @property
     def turns(self) -> float:
-        """Return the true position of the shaft (revolutions from the model's zero), in the encoder's direction."""
+        """Return the true shaft position (revolutions from the zero of the model), positive as the encoder counts."""
         sensed = self._state.item(self._plant.sensed_position)
         encoder = self._model.encoder
         return encoder.sign * sensed * encoder.ratio / (2.0 * math.pi)

@@ -1,8 +1,8 @@
 """Parse and build the register protocol of a moteus: sub-frames in a frame (docs/protocol/can.md of mjbots/moteus).
 
-What cannot be read ends the frame; what came before it counts. The tunnelled stream (0x40 to 0x42) and its errors are
-those of mjlib/multiplex/format.h; the form with packet numbers (0x43, 0x44), with which the maker's library asks first,
-is read off that library (1.1.1, `moteus/multiplex.py`).
+Sub-frames before the first unreadable one are used, the rest of the frame is ignored. The tunnelled stream (0x40 to
+0x42) and its errors are those of mjlib/multiplex/format.h. The form with packet numbers (0x43, 0x44), which the maker's
+library tries first, is taken from that library (1.1.1, `moteus/multiplex.py`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _NO_NUMBER = {INT8: -(1 << 7), INT16: -(1 << 15), INT32: -(1 << 31)}  # docs/pro
 
 
 class WriteRegisters(NamedTuple):
-    """Consecutive registers get values, as they stand in the frame."""
+    """Request to write consecutive registers; `raws` are the values as encoded in the frame."""
 
     first: int
     kind: int
@@ -32,7 +32,7 @@ class WriteRegisters(NamedTuple):
 
 
 class ReadRegisters(NamedTuple):
-    """Registers are asked for."""
+    """Request to read `number` consecutive registers."""
 
     first: int
     number: int
@@ -40,14 +40,17 @@ class ReadRegisters(NamedTuple):
 
 
 class StreamData(NamedTuple):
-    """Bytes for a channel of the stream."""
+    """Bytes from the host for a channel of the tunnelled stream."""
 
     channel: int
     data: bytes
 
 
 class StreamPoll(NamedTuple):
-    """A channel is asked for its bytes; `acknowledged` is the last packet seen, None without numbers."""
+    """Request for at most `most` bytes of a channel of the tunnelled stream.
+
+    `acknowledged` is the number of the last packet that the host received; None in the form without numbers.
+    """
 
     channel: int
     most: int
@@ -77,7 +80,7 @@ class _Reader:
                 return value
 
     def numbers(self, kind: int, count: int) -> tuple[float, ...]:
-        """Read numbers of a kind; fewer than `count` where the frame ends too soon."""
+        """Return the next `count` numbers of type `kind`; fewer if the frame ends before."""
         letter, size = _FORMS[kind]
         count = min(count, self.left // size)
         values = struct.unpack_from(f"<{count}{letter}", self._data, self._place)
@@ -92,7 +95,7 @@ class _Reader:
 
 
 def subframes(data: bytes) -> Iterator[Subframe]:
-    """Take a frame apart; it ends where it makes no sense."""
+    """Yield the sub-frames of a frame, up to the first that is invalid."""
     reader = _Reader(data)
     try:
         while reader.left:
@@ -123,7 +126,7 @@ def _registers(reader: _Reader, head: int) -> WriteRegisters | ReadRegisters:
 
 
 def varuint(value: int) -> bytes:
-    """Encode a number with seven bits a byte, the least first; the highest bit means that more follow."""
+    """Encode a number with seven bits in each byte, lowest bits first; the top bit is set if more bytes follow."""
     out = bytearray()
     while value > 0x7F:
         out.append(value & 0x7F | 0x80)
@@ -133,26 +136,32 @@ def varuint(value: int) -> bytes:
 
 
 def reply(first: int, kind: int, values: list[float]) -> bytes:
-    """Return values of consecutive registers, as they stand in a frame."""
+    """Encode the reply with the values of consecutive registers from `first` on, as numbers of type `kind`."""
     count = len(values)
     head = bytes((REPLY | kind << 2 | count,)) if count < 4 else bytes((REPLY | kind << 2,)) + varuint(count)
     return head + varuint(first) + struct.pack(f"<{count}{_FORMS[kind][0]}", *values)
 
 
 def error(head: int, register: int, number: int) -> bytes:
-    """Encode the error of a register that could not be written or read."""
+    """Encode the error reply (`WRITE_ERROR` or `READ_ERROR`) for a register; `number` is the error number."""
     return bytes((head,)) + varuint(register) + varuint(number)
 
 
 def scale(raw: float, kind: int, steps: tuple[float, float, float]) -> float:
-    """Value of what stands in a frame; `steps` are those of the integers, the most negative of which is NaN."""
+    """Return the value of a number in a frame; `steps` are the sizes of one step as int8, int16 and int32.
+
+    The most negative integer means NaN.
+    """
     if kind == FLOAT:
         return raw
     return math.nan if raw == _NO_NUMBER[kind] else raw * steps[kind]
 
 
 def unscale(value: float, kind: int, steps: tuple[float, float, float]) -> float:
-    """Convert a value to a frame's integer, limited to ± the largest one; NaN becomes the most negative one."""
+    """Return a value as a number of type `kind` for a frame: the inverse of `scale`.
+
+    Integers are limited to ± the largest one; values that are not finite become the most negative one.
+    """
     if kind == FLOAT:
         return value
     if not math.isfinite(value):

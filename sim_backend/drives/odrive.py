@@ -1,7 +1,7 @@
-"""Simulate an ODrive: CAN Simple in and out, a rig behind its shaft.
+"""Simulate an ODrive: it receives and sends CAN Simple messages, and its shaft moves a simulated rig.
 
-It mirrors the page manual/can-protocol of docs.odriverobotics.com for firmware 0.6, and where that page could not be
-read, the maker's programs in odriverobotics/ODriveResources. `odrive_law` has what happens in a control cycle.
+It follows the page manual/can-protocol of docs.odriverobotics.com for firmware 0.6 and, for the parts of that page that
+could not be read, the maker's programs in odriverobotics/ODriveResources. `odrive_law` computes a control cycle.
 """
 
 from __future__ import annotations
@@ -103,18 +103,18 @@ _CYCLIC = {
 
 @dataclass(frozen=True, slots=True)
 class OdriveOptions:
-    """What a drive is when it is switched on.
+    """State of an ODrive at power-up.
 
     Attributes
     ----------
     settings
-        Saved configuration, by path, where it differs from the maker's.
+        Saved parameters, by path, that differ from the maker's defaults.
     firmware
-        Version.
+        Firmware version: major, minor, revision.
     serial
         Serial number, 48 bits.
     voltage, temperature
-        Of the supply (V) and of the inverter (°C).
+        Supply voltage (V) and temperature of the inverter (°C).
     """
 
     settings: Mapping[str, str] = field(default_factory=dict)
@@ -125,20 +125,20 @@ class OdriveOptions:
 
 
 class SimulatedOdrive:
-    """An ODrive with its rig, calibrated; see `sim_backend.drives.bus.DriveModel`.
+    """A simulated, calibrated ODrive with its rig; it implements `sim_backend.drives.bus.DriveModel`.
 
     Parameters
     ----------
     model
-        The rig: its encoder is the drive's (of 2¹⁴ counts the board's own, absolute in a turn; else an incremental
-        one), its amplifier the drive's current loop and torque constant.
+        Rig to simulate. The drive has the current loop and torque constant of its amplifier. With 2¹⁴ counts per turn
+        its encoder is the absolute one on the board, otherwise an incremental one.
     options
-        What it is when it is switched on.
+        State of the drive at power-up.
 
     Raises
     ------
     ConfigError
-        A linear rig, or a setting that is not simulated.
+        The rig is linear, or a setting is not simulated.
     """
 
     rate_hz = RATE_HZ
@@ -166,7 +166,7 @@ class SimulatedOdrive:
         self.power_up()
 
     def power_up(self) -> None:
-        """Begin anew, as after the supply came back: saved configuration, idle, position from the encoder."""
+        """Restart the drive with its saved parameters: idle, with the position from the encoder."""
         words = self._words
         words[:] = 0.0
         words[W.state] = IDLE
@@ -184,12 +184,12 @@ class SimulatedOdrive:
 
     @property
     def next_due(self) -> int | None:
-        """Return when it will send a message by itself (ticks)."""
+        """Return the tick of the next unrequested message, or None if all cyclic messages are off."""
         due = [at for command, at in self._due.items() if self.values[_CYCLIC[command]]]
         return min(due, default=None)
 
     def run(self, until: int) -> list[Frame]:
-        """Let time pass to a tick; the messages that fell due."""
+        """Simulate up to tick `until`; return the cyclic messages that the drive sends meanwhile."""
         sent: list[Frame] = []
         while self.ticks < until:
             due = self.next_due
@@ -213,11 +213,11 @@ class SimulatedOdrive:
         return frozenset(self._happenings())
 
     def happen(self, name: str, value: float) -> list[Frame]:
-        """Let the world do something to it.
+        """Apply an external event to the drive; return the frames that this puts on the bus.
 
-        The events of any drive (`Motor.happenings`; ``fault`` has bits of an error), ``mode`` (its control mode is
-        changed), ``master`` (a second host commands a torque in N·m: its frame is on the bus), ``estop``,
-        ``bus-off`` (its controller leaves the bus for so many seconds, 0: until it is switched off).
+        Events are those of any drive (`Motor.happenings`; ``fault`` has error bits), ``mode`` (the control mode
+        changes), ``master`` (a second host commands a torque in N·m; its frame is on the bus), ``estop`` and
+        ``bus-off`` (the drive's CAN controller is off for the given number of seconds; 0: for ever).
         """
         return self._happenings()[name](value) or []
 
@@ -249,7 +249,7 @@ class SimulatedOdrive:
         return self._node << NODE_BITS | command
 
     def receive(self, frame: Frame) -> list[Frame]:
-        """Take a frame at the present time; its answer."""
+        """Process a frame at the present time and return the reply: at most one frame."""
         if self._is_off or frame.extended or frame.identifier >> NODE_BITS != self._node:
             return []
         try:
@@ -264,7 +264,7 @@ class SimulatedOdrive:
         form = FORMS.get(command)
         if form is not None and len(frame.data) < form.size:
             return []
-        self._obey(command, form.unpack_from(frame.data) if form is not None else ())
+        self._apply_command(command, form.unpack_from(frame.data) if form is not None else ())
         return []
 
     def _reply(self, command: CanSimpleCommand) -> Frame:
@@ -298,12 +298,12 @@ class SimulatedOdrive:
         return FLOATS.pack(*pairs[command])
 
     def _outcome(self) -> Result:
-        """Return how the last request for a state went."""
+        """Return the result of the last state request, for the heartbeat."""
         if self._wanted == AxisState.CLOSED_LOOP_CONTROL and self._words[W.state] != CLOSED_LOOP:
             return Result.DISARMED
         return self._result
 
-    def _obey(self, command: CanSimpleCommand, values: tuple[Any, ...]) -> None:
+    def _apply_command(self, command: CanSimpleCommand, values: tuple[Any, ...]) -> None:
         w = self._words
         if command is CanSimpleCommand.SET_AXIS_STATE:
             self._request(*values)
@@ -330,7 +330,7 @@ class SimulatedOdrive:
             self._feed()
 
     def _request(self, state: int) -> None:
-        """Ask for a state; the calibrations are not simulated, and refused."""
+        """Request a state (idle or closed loop); calibrations are not simulated and are rejected."""
         if state not in {IDLE, CLOSED_LOOP}:
             self._result = Result.INVALID_STATE
             return
@@ -357,7 +357,7 @@ class SimulatedOdrive:
 
     @staticmethod
     def flat_endpoints(firmware: tuple[int, int, int] = FIRMWARE) -> dict[str, Any]:
-        """Return the flat_endpoints.json of this firmware: the number of each parameter by its path."""
+        """Return the contents of the maker's flat_endpoints.json: number and type of each parameter by its path."""
         endpoints: dict[str, Any] = {
             path: {"id": _IDS[path], "type": kind, "access": "rw"}
             for path, (kind, _, _) in _PARAMETERS.items()

@@ -1,7 +1,7 @@
-"""Compute what an ODrive does in each control cycle, compiled: encoder estimates, controller, limits, watchdog.
+"""Compute a control cycle of an ODrive in compiled code: encoder estimates, controller, limits, watchdog.
 
-It mirrors odriverobotics/ODrive at f9b5419 (firmware 0.5.6 of the open boards), whose names the closed firmware 0.6
-kept: Firmware/MotorControl/encoder.cpp and controller.cpp; that 0.6 works alike inside could not be checked. Left out:
+It follows odriverobotics/ODrive at f9b5419 (firmware 0.5.6 of the open boards), Firmware/MotorControl/encoder.cpp and
+controller.cpp. The closed firmware 0.6 kept the names; whether it works the same way could not be checked. Left out:
 trajectories, mirroring, tuning, anticogging, spin-out detection and the calibrations.
 """
 
@@ -94,7 +94,7 @@ _OVER, _UNDER = int(Error.DC_BUS_OVER_VOLTAGE), int(Error.DC_BUS_UNDER_VOLTAGE)
 
 @kernel(types.void(_V, types.int64), no_refcount=True)
 def _fail(w: Words, error: int) -> None:
-    """Take note of an error, and let go of the motor."""
+    """Set an error bit, and disarm the motor if it is driven."""
     w[W.active_errors] = float(int(w[W.active_errors]) | error)
     if w[W.state] == CLOSED_LOOP:
         w[W.state] = IDLE
@@ -108,7 +108,7 @@ def _between(value: float, least: float, most: float) -> float:
 
 @kernel(types.void(_V, types.int64), no_refcount=True)
 def _estimate(w: Words, count: int) -> None:
-    """Count to position and velocity: a discrete phase detector, and a critically damped loop of second order."""
+    """Estimate position and velocity from the encoder count, by a critically damped second-order loop."""
     kp = 2.0 * w[W.bandwidth]
     ki = 0.25 * kp * kp
     if w[W.snapped] == 0.0:
@@ -127,7 +127,7 @@ def _estimate(w: Words, count: int) -> None:
 
 @kernel(types.void(_V), no_refcount=True)
 def _take_inputs(w: Words) -> None:
-    """Inputs to setpoints, by the input mode; one that is not simulated leaves them as they are."""
+    """Compute the setpoints from the inputs, by the input mode; a mode that is not simulated changes nothing."""
     mode = w[W.input_mode]
     if mode == PASSTHROUGH:
         w[W.pos_setpoint], w[W.vel_setpoint] = w[W.input_pos], w[W.input_vel]
@@ -151,7 +151,7 @@ def _take_inputs(w: Words) -> None:
 
 @kernel(_F(_V), no_refcount=True)
 def _control(w: Words) -> float:
-    """Return the torque by position, velocity and torque control, within its limits (N·m)."""
+    """Return the torque (N·m) of the cascaded position, velocity and torque controllers, within the limits."""
     _take_inputs(w)
     top, mode, velocity = w[W.vel_limit], w[W.control_mode], w[W.vel_estimate]
     limited_velocity = w[W.enable_vel_limit] != 0.0
@@ -191,7 +191,7 @@ def _control(w: Words) -> float:
 
 @kernel(types.void(_V), no_refcount=True)
 def _check_faults(w: Words) -> None:
-    """Errors that the drive finds by itself; those of the supply go when their cause does."""
+    """Set the errors that the drive detects itself; clear those of supply, temperature and encoder without a cause."""
     kept = int(w[W.active_errors]) & ~(_OVER | _UNDER | _HOT | _MISSING)
     w[W.active_errors] = float(kept)
     if w[W.struck] != 0.0:
@@ -230,7 +230,10 @@ def _change_state(w: Words) -> None:
 
 @kernel(LAW, no_refcount=True)
 def law(w: Words, count: int, measured: float) -> float:
-    """Run one control cycle: encoder count and torque at the shaft (N·m) in, torque wanted there out."""
+    """Run one control cycle; return the wanted torque at the shaft (N·m).
+
+    `count` is the encoder count, `measured` the present torque at the shaft (N·m).
+    """
     if w[W.encoder_valid] != 0.0:
         _estimate(w, count)
     share = w[W.torque_constant] / w[W.motor_constant]  # configured over true constant of the motor

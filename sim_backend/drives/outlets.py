@@ -1,11 +1,11 @@
-"""Where a host finds a simulated drive: a pseudo-terminal, a CAN interface, a socket that is a bus.
+"""Offer a simulated drive to hosts: at a pseudo-terminal, on a CAN interface, or at a Unix socket that acts as a bus.
 
-A CAN bus is a descriptor that passes one frame of linux/can.h a message (`socket_can`), read and written with the same
-calls in either of two forms, which the place's name selects:
+A CAN bus is a file descriptor that passes one frame of linux/can.h in each message (`socket_can`). The place's name
+selects one of two kinds, which are read and written with the same calls:
 
 * ``vcan0``, ``can0``: a network interface, opened as ``socket(AF_CAN, SOCK_RAW, CAN_RAW)`` and bound to it;
 * ``/run/…`` (a path): a Unix socket, opened as ``socket(AF_UNIX, SOCK_SEQPACKET)`` and connected to it, for machines
-  whose kernel has no CAN. It is a bus: what one host sends reaches the drive and all other hosts.
+  whose kernel has no CAN. A frame from one host reaches the drive and all other hosts.
 """
 
 from __future__ import annotations
@@ -32,24 +32,24 @@ HOSTS = 8
 
 
 class UnpluggableTerminal(RawTerminal):
-    """A pseudo-terminal whose cable can be pulled."""
+    """Pseudo-terminal that can be unplugged."""
 
     _pulled = False
 
     def unplug(self) -> None:
-        """Close it: the host's end reads its end of file."""
+        """Close the terminal: the host reads an end of file."""
         self._pulled = True
         os.close(self.descriptor)
 
     def read(self, deadline_ns: int) -> bytes:
-        """Return what the host sent; see `sim_backend.ends.line.Line.read`."""
+        """Return bytes from the host; see `sim_backend.ends.line.Line.read`."""
         if self._pulled:
             sleep_until(deadline_ns)
             return b""
         return super().read(deadline_ns)
 
     def write(self, frames: bytes) -> None:
-        """Send bytes to the host at this outlet."""
+        """Send bytes to the host; discard them after `unplug`."""
         if not self._pulled:
             super().write(frames)
 
@@ -59,12 +59,12 @@ class UnpluggableTerminal(RawTerminal):
 
 
 class DriveSockets:
-    """The drive's sockets on a bus.
+    """Sockets of the drive on a CAN bus.
 
     Attributes
     ----------
     place
-        What a host opens.
+        Name of the CAN interface, or path of the Unix socket, that a host opens.
     """
 
     def __init__(self, place: str) -> None:
@@ -83,7 +83,7 @@ class DriveSockets:
         self.unplug()
 
     def unplug(self) -> None:
-        """Leave the bus: a host at a socket reads its end of file, one at an interface receives nothing any more."""
+        """Leave the bus: a host at a Unix socket reads an end of file, one at a CAN interface receives nothing more."""
         for end in self._ends:
             end.close()
         self._ends = []
@@ -93,7 +93,7 @@ class DriveSockets:
             Path(self.place).unlink(missing_ok=True)
 
     def read(self, deadline_ns: int) -> bytes:
-        """Return the frames that have come, waiting for one until the deadline."""
+        """Return the received frames; wait for one until the deadline (CLOCK_MONOTONIC, ns)."""
         ready = [*self._ends, *([self._listener] if self._listener is not None else [])]
         remaining_s = max(0, deadline_ns - time.monotonic_ns()) * 1e-9
         readable, _, _ = select.select(ready, [], [], remaining_s)
@@ -117,7 +117,7 @@ class DriveSockets:
         return from_wire(message)
 
     def write(self, frames: bytes) -> None:
-        """Put frames on the bus; a host that does not read loses them."""
+        """Send frames to the hosts on the bus; a host whose buffer is full loses them."""
         for unit in Frames().split(frames):
             self._send(to_wire(unit), self._ends)
 

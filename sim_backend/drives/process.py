@@ -1,4 +1,4 @@
-"""A simulated drive as a process of its own, that ends with the one that started it."""
+"""Serve a simulated drive, also in a process of its own, which ends with the process that started it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Kind = Literal["moteus", "odrive"]
 
 @dataclass(frozen=True, slots=True)
 class ServedDrive:
-    """A drive that is being served, and what a host opens."""
+    """A drive that is being served; `path` is the port or bus that a host opens."""
 
     path: str
 
@@ -57,33 +57,33 @@ def serve(
     Parameters
     ----------
     kind
-        Of drive.
+        Kind of drive: ``moteus`` or ``odrive``.
     model
-        The rig.
+        Rig to simulate.
     faults
-        What goes wrong (`sim_backend.drives.faults`).
+        Faults of the run (`sim_backend.drives.faults`).
     settings
-        Its stored configuration where it differs from the maker's, by name.
+        Stored settings, by name, that differ from the maker's.
     firmware
-        Version, one byte each: 0x010203 is 1.2.3.
+        Firmware version, one byte for each number: 0x010203 is 1.2.3.
     adapter
-        Of a moteus at a serial line: ``uart``, the board's own port with checksums, or ``fdcanusb``.
+        Protocol of a moteus without a CAN bus: ``uart``, the port on its board, or ``fdcanusb``, the USB adapter.
     place
-        Of the CAN bus (`sim_backend.drives.outlets`): of an ODrive, classic; of a moteus, CAN FD, and without one it is
-        behind a pseudo-terminal.
+        CAN bus to use (`sim_backend.drives.outlets`): classic CAN for an ODrive, CAN FD for a moteus. Without one, a
+        moteus is at a pseudo-terminal; an ODrive needs one.
     realtime
-        Scheduling, as ``host.realtime``: a drive's timer never waits. A process of its own tries it.
+        Scheduling: a value of ``host.realtime``.
     announce
-        Called once with what a host opens.
+        Called once with the port or bus that a host opens.
     stop
-        Ends it when set; in the main thread SIGINT and SIGTERM end it too.
+        Ends the run when it is set; in the main thread SIGINT and SIGTERM end it too.
     duration_s
-        Ends it after this time (s).
+        Ends the run after this time (s).
 
     Raises
     ------
     ConfigError
-        A rig that cannot hang on a drive, or a setting or a fault that there is not.
+        The rig does not fit the drive, a setting, fault or adapter does not exist, or an ODrive has no bus.
     """
     script, stop = DriveScript.of(faults), stop or threading.Event()
     drive: DriveModel
@@ -134,9 +134,9 @@ def _adapter(name: str, drive: SimulatedMoteus) -> SimulatedAdapter:
 
 @contextmanager
 def simulated_drive(kind: Kind, model: RigModel, **options: Any) -> Iterator[ServedDrive]:
-    """Start a process that serves a drive (see `serve`); it ends with the context, and with this process.
+    """Start a process that serves a drive; it ends with the context or with this process.
 
-    Raises `DeviceNotFoundError` when it does not come up.
+    `options` are those of `serve`. Raise `DeviceNotFoundError` if the process does not start.
     """
     by_hand = f"python -m sim_backend.drives {kind}"
     with start_announced(_child, kind, model, options, name=f"simulated {kind}", by_hand=by_hand) as path:

@@ -1,7 +1,7 @@
-"""Serve a simulated drive in real time: bytes of a line in, bytes out, and the drive's time beside the clock.
+"""Serve a simulated drive in real time: pass bytes between port and drive, and let simulated time follow the clock.
 
-`process` runs it. A request concerns the present, so the drive is advanced to it when a unit arrives, when it has to
-send unrequested, and every `IDLE_NS`.
+The drive is advanced to the present when a unit (line or frame) arrives, when it sends an unrequested frame, and at
+least every `IDLE_NS`.
 """
 
 from __future__ import annotations
@@ -24,39 +24,39 @@ _MS, _SECOND = 1_000_000, 1_000_000_000
 
 
 class DriveLine(Protocol):
-    """The drive's end of a line."""
+    """Drive side of a serial line or CAN bus."""
 
     def read(self, deadline_ns: int) -> bytes:
-        """Return what has come, waiting for it until the deadline (CLOCK_MONOTONIC, ns)."""
+        """Return the received bytes; wait for some until the deadline (CLOCK_MONOTONIC, ns)."""
         ...
 
     def write(self, frames: bytes) -> None:
-        """Send, now or as soon as it can be."""
+        """Send bytes now, or as soon as the host accepts them."""
         ...
 
     def unplug(self) -> None:
-        """Let the line be gone, for both ends: from then on nothing comes, and what is written is lost."""
+        """Disconnect both ends for good: nothing is received any more, and written bytes are lost."""
         ...
 
 
 class Serving:
-    """Serves a drive on a port until `stop` is set.
+    """Server of a simulated drive on a port, until `stop` is set.
 
     Parameters
     ----------
     drive, adapter, port
-        What is served, in which form, where.
+        Drive to serve, its protocol, and the port or bus.
     script
-        What goes wrong.
+        Faults of the run.
     stop
-        Ends it.
+        Ends the run when it is set.
     clock
-        The time (ns), that of the port's deadlines.
+        Returns the time (ns), on the scale of the port's deadlines.
 
     Attributes
     ----------
     held_up_ns
-        Time for which the simulated world stood still.
+        Total time (ns) during which simulated time stood still because this process did not run.
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class Serving:
         return deadline
 
     def _keep_up(self) -> None:
-        """Let the drive's time pass to now."""
+        """Advance the drive to the present time."""
         now = self._clock()
         # This process was kept from a processor: the simulated world stood still, so that no watchdog of the drive
         # expires because this computer was late.
@@ -123,7 +123,7 @@ class Serving:
 
     @property
     def _tick(self) -> int:
-        """Return milliseconds since the host's first byte."""
+        """Return the time since the host's first byte (ms)."""
         return 0 if self._first_ns is None else (self._seen_ns - self._first_ns) // _MS
 
     def _take(self, data: bytes) -> None:

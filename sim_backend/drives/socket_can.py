@@ -1,4 +1,4 @@
-"""Convert CAN frames as Linux has them on a raw socket: one a message, of 16 bytes (classic) or 72 (CAN FD).
+"""Convert CAN frames to and from the messages of a raw CAN socket of Linux: 16 bytes (classic CAN) or 72 (CAN FD).
 
 Layout: ``struct canfd_frame`` of include/uapi/linux/can.h.
 """
@@ -21,13 +21,13 @@ _LENGTHS: tuple[int, ...] = (*range(9), 12, 16, 20, 24, 32, 48, 64)  # of the da
 
 
 def pad(data: bytes, padding: int = 0) -> bytes:
-    """Return the data up to the next length that CAN FD has."""
+    """Return `data`, extended with the byte `padding` to the next length that CAN FD allows."""
     size = next(size for size in _LENGTHS if size >= len(data))
     return data + bytes((padding,)) * (size - len(data))
 
 
 def from_wire(message: bytes) -> bytes:
-    """Return a message of a socket as a unit; nothing for what is no frame."""
+    """Return a socket message as a unit of 72 bytes; b"" if the message is not a frame."""
     # Inside the simulation every frame has 72 bytes, and a flag gives its format: a byte stream without message
     # boundaries could not be split otherwise.
     if len(message) == CLASSIC_BYTES:
@@ -38,27 +38,27 @@ def from_wire(message: bytes) -> bytes:
 
 
 def to_wire(unit: bytes) -> bytes:
-    """Return the message that carries a unit."""
+    """Return the socket message for a unit of 72 bytes."""
     return unit if unit[5] & FD_FORMAT else unit[:CLASSIC_BYTES]
 
 
 class Frames:
-    """Cuts bytes into units."""
+    """Splitter of bytes into units of 72 bytes."""
 
     def split(self, data: bytes) -> list[bytes]:
-        """Return whole units; a bus passes no others."""
+        """Return the units in `data`; a bus passes only complete units."""
         return [data[at : at + FD_BYTES] for at in range(0, len(data), FD_BYTES)]
 
 
 class SocketCan:
-    """Frames of a socket; see `sim_backend.drives.bus.SimulatedAdapter`.
+    """Converter between units of 72 bytes and CAN frames; it implements `sim_backend.drives.bus.SimulatedAdapter`.
 
     Parameters
     ----------
     fd
-        Whether the drive uses CAN FD, with the faster bit rate, or classic CAN, where it receives nothing else.
+        True for a drive with CAN FD and its faster bit rate; False for one that accepts only classic CAN.
     padding
-        What fills its data up to a length that CAN FD has.
+        Byte that fills up data to a length that CAN FD allows.
     """
 
     def __init__(self, *, fd: bool = False, padding: int = 0) -> None:
@@ -66,11 +66,11 @@ class SocketCan:
         self._padding = padding
 
     def splitter(self) -> Frames:
-        """Make what cuts bytes into units."""
+        """Return a new splitter for the host's bytes."""
         return Frames()
 
     def open(self, unit: bytes) -> tuple[Frame | None, list[bytes]]:
-        """Read a frame; a controller's error frames are ignored."""
+        """Return the frame in a unit; None for error frames, and for CAN FD frames at a drive with classic CAN."""
         if len(unit) != FD_BYTES:
             return None, []
         word, size, flags, data = _FRAME.unpack(unit)
@@ -81,7 +81,7 @@ class SocketCan:
         return Frame(word & _ID, data, extended=bool(word & EXTENDED), remote=remote), []
 
     def close(self, frame: Frame) -> list[bytes]:
-        """Return the messages that carry a frame, including an error frame."""
+        """Return the unit that carries a frame (also an error frame) to the host, as a list."""
         word = frame.identifier
         for flag, holds in ((EXTENDED, frame.extended), (REMOTE, frame.remote), (ERROR, frame.error)):
             word |= flag if holds else 0

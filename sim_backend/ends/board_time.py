@@ -1,7 +1,7 @@
-"""Run a device whose ticks are compiled in real time: a board's timer and main loop, without Python and its lock.
+"""Run a compiled device in real time: the timer and the main loop of a board, in compiled code without Python's lock.
 
-`pty` calls it. It mirrors a board behind a USB serial port, which stays when a host exits, even by kill -9, and whose
-watchdog detects that only by the missing messages. The answer to STATE k acts from sample k + 1 on.
+It simulates a board behind a USB serial port. The board continues to run when a host exits, even by kill -9, and its
+watchdog detects that only by the missing messages. The reply to STATE k acts from sample k + 1 on.
 """
 
 from __future__ import annotations
@@ -64,14 +64,14 @@ _put, _at = group_at(LoopPort)
 
 @kernel(types.void(types.int64, PORT_TYPE))
 def _keep(line: int, port: LoopPort) -> None:
-    """Let a number stand for a port."""
+    """Store a port in the memory at address `line`."""
     # To take its five functions apart at each call costs Python most of a tick.
     _put(line, port)
 
 
 @kernel(types.void(PORT_TYPE, _INTS, _BYTES))
 def _flush(port: LoopPort, grid: Any, output: Any) -> None:
-    """Write what waits, as far as the port takes it; a port that is broken shows it when it is read."""
+    """Write as many of the waiting bytes as the port accepts. Errors are left to the next read."""
     sent = port.write(port.handle, np.int64(output.ctypes.data), grid[PENDING])
     if sent > 0:
         for i in range(sent, grid[PENDING]):
@@ -81,7 +81,7 @@ def _flush(port: LoopPort, grid: Any, output: Any) -> None:
 
 @kernel(types.void(type_of(Lockstep), PORT_TYPE, _INTS, _BYTES))
 def _send_output(software: Lockstep, port: LoopPort, grid: Any, output: Any) -> None:
-    """Send the device's output. Output without room is discarded, newest first, whole frames only."""
+    """Send the device's output. If the buffer is full, discard all of the new output, so that no frame is cut."""
     behind = np.int64(output.ctypes.data) + grid[PENDING]
     count = _take(software.take, software.device, behind, OUTPUT_BYTES)
     if grid[HUNG_UP] == 0 and grid[PENDING] + count <= PENDING_BYTES:
@@ -94,7 +94,7 @@ def _send_output(software: Lockstep, port: LoopPort, grid: Any, output: Any) -> 
 def _pass_input(
     software: Lockstep, plant: PlantArguments, port: LoopPort, grid: Any, output: Any, received: Any
 ) -> bool:
-    """Hand the device what the host sent, and send its answers; False when the port is broken."""
+    """Pass bytes from the host to the device and send its replies; return False if the port is broken."""
     words, address = software.words, np.int64(received.ctypes.data)
     count = port.read(port.handle, address, RECEIVED_BYTES)
     if count <= 0:
@@ -127,10 +127,11 @@ def keep_time(
     received: Any,
     end_ns: int,
 ) -> int:
-    """Tick and move bytes until `end_ns` on the port's clock, or until Python has to look; say why it returned.
+    """Run ticks and pass bytes until `end_ns` on the port's clock, or until Python code must act; return the reason.
 
-    `line` stands for the port (`_keep`).
-    Output buffer: `OUTPUT_BYTES` behind the `PENDING_BYTES` that wait to be sent; input buffer: `RECEIVED_BYTES`.
+    The reason is `AGAIN` (time is up), `ASK` (a buffer is used up, or the device was armed or changed its rate) or
+    `GONE` (the host hung up). `line` is the address of the port (`_keep`). `output` has `PENDING_BYTES` for bytes that
+    wait to be sent and `OUTPUT_BYTES` behind them, `received` has `RECEIVED_BYTES`.
     """
     words, port = software.words, _at(line)
     while True:
@@ -183,7 +184,7 @@ def keep_time(
 
 
 class TickedDevice(Protocol):
-    """A device that compiled ticks can run (`sim_backend.board.lockstep`)."""
+    """Simulated device whose ticks run in compiled code (`sim_backend.board.lockstep`)."""
 
     hardware: Hardware
 
@@ -194,7 +195,7 @@ class TickedDevice(Protocol):
 
     @property
     def elapsed_ns(self) -> int:
-        """Return the simulated time, over all resets (ns)."""
+        """Return the simulated time since the device was created, over all resets (ns)."""
         ...
 
     @property
@@ -203,29 +204,29 @@ class TickedDevice(Protocol):
         ...
 
     def compiled(self) -> tuple[Lockstep, World]:
-        """Return what compiled ticks take of the device and its rig as they are now."""
+        """Return the arguments of compiled ticks (`lockstep.run_ticks`) in the present state of device and rig."""
         ...
 
     def passed(self, world: World) -> None:
-        """Take note of what has happened to what `compiled` returned."""
+        """Update the device after compiled ticks have changed the arguments that `compiled` returned."""
         ...
 
 
 class BoardTime:
-    """Runs a device behind a port until `stop` is set.
+    """Runner of a compiled device behind a port, in real time, until `stop` is set.
 
     Parameters
     ----------
     device
-        The device.
+        Device to run.
     port
-        Its end of a line. A negative answer of `wait` or `read` means that the host hung up.
+        Device side of a line. A negative result of its `wait` or `read` means that the host hung up.
     stop
         Ends the run when it is set.
     hung_up
         Called when the host hung up.
     most
-        Largest number of ticks before `device` is notified of the ticks that have passed.
+        Largest number of ticks between two updates of `device` (`TickedDevice.passed`).
     """
 
     def __init__(
@@ -251,7 +252,7 @@ class BoardTime:
         self._boot_ns = 0
 
     def run(self, duration_s: float | None) -> None:
-        """Run the device in real time until it is stopped."""
+        """Run the device in real time for `duration_s` seconds, or until `stop` is set."""
         port, grid, line = self._port, self._grid, int(self._line.ctypes.data)
         now_ns = port.now(port.clock_handle)
         end_ns = NO_END if duration_s is None else now_ns + round(duration_s * 1e9)
@@ -274,7 +275,7 @@ class BoardTime:
             self.device.passed(world)
 
     def _renew_supplies(self) -> tuple[Lockstep, World]:
-        """Put out what the next ticks use up; return what they take."""
+        """Refill the buffers that ticks use up; return the arguments for the next ticks."""
         device, grid = self.device, self._grid
         software, world = device.compiled()
         boot_ns = device.elapsed_ns - device.time_ns  # of the simulated time; a reset moves it

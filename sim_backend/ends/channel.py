@@ -1,4 +1,4 @@
-"""A line that fails on command: a script of faults (`rig.devices.fault_script`) played on the frames of a link."""
+"""Apply scripted faults (`rig.devices.fault_script`) to the frames of a simulated link."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from rig.devices.fault_script import Direction, FaultKind, FrameFault
 
 
 class ScriptedLine:
-    """Both directions of a link, frame by frame, under a script.
+    """A line with two directions whose frames are damaged, delayed or dropped by a script.
 
     Attributes
     ----------
     unplugged
-        Nothing moves any more.
+        True after a scripted unplug: no more bytes are delivered.
     frames
-        Frames sent so far in each direction.
+        Number of frames sent so far in each direction.
     acted
-        How often each kind of fault has struck.
+        Number of times that each kind of fault has acted.
     """
 
     def __init__(self, faults: Iterable[FrameFault] = ()) -> None:
@@ -34,7 +34,7 @@ class ScriptedLine:
         self._under_way: dict[Direction, deque[tuple[int, bytes]]] = {d: deque() for d in Direction}
 
     def add(self, faults: Iterable[FrameFault]) -> None:
-        """Add to the script, also in the middle of a run."""
+        """Add faults to the script; allowed also during a run."""
         for fault in faults:
             if fault.frame is None:
                 self._waiting[fault.direction].append(fault)
@@ -42,14 +42,14 @@ class ScriptedLine:
                 self._faults.setdefault((fault.direction, fault.frame), []).append(fault)
 
     def send(self, direction: Direction, data: bytes, tick: int) -> None:
-        """Put bytes on the line when `tick` ticks have passed; an incomplete frame waits for the rest."""
+        """Send bytes at tick `tick`; an incomplete frame waits for its remaining bytes."""
         *frames, self._unfinished[direction] = (self._unfinished[direction] + data).split(b"\0")
         for frame in frames:
             if frame:  # a delimiter alone is not a frame
                 self.send_frame(direction, frame + b"\0", tick)
 
     def receive(self, direction: Direction, tick: int) -> bytes:
-        """Return what has come out at the other end when `tick` ticks have passed."""
+        """Return the bytes that have arrived at the other end by tick `tick`."""
         queue = self._under_way[direction]
         out = b""
         while queue and queue[0][0] <= tick and not self.unplugged:
@@ -57,12 +57,12 @@ class ScriptedLine:
         return out
 
     def next_due(self) -> int | None:
-        """Return when the first of what is under way comes out (ticks); None when nothing will."""
+        """Return the tick at which the next delayed bytes arrive; None without any."""
         due = [queue[0][0] for queue in self._under_way.values() if queue]
         return min(due) if due and not self.unplugged else None
 
     def send_frame(self, direction: Direction, frame: bytes, tick: int) -> None:
-        """Put one whole frame on the line, of whatever kind; see `send`."""
+        """Send one complete frame at tick `tick`, in any format; see `send`."""
         number = self.frames[direction]
         self.frames[direction] = number + 1
         behind, self._held[direction] = self._held[direction], []
@@ -78,7 +78,7 @@ class ScriptedLine:
         queue.extend((tick, piece) for piece in pieces + behind)
 
     def _due(self, direction: Direction, number: int, tick: int) -> list[FrameFault]:
-        """Return faults of a frame: those of its number, and those that have waited for one since their tick."""
+        """Return the faults of a frame: those scripted for its number, and those whose tick has come since the last."""
         waiting = self._waiting[direction]
         now = [fault for fault in waiting if fault.tick is not None and fault.tick <= tick]
         # A fault at a tick strikes the first frame after it, once.

@@ -1,7 +1,7 @@
-"""Compile the far end of a link in virtual time: the plug functions of the loop, for a device that is compiled too.
+"""Provide the compiled device side of a link in virtual time: `read`, `write` and `wait` for the control loop.
 
-`sim_backend.ends.link` opens it. A tick of the loop then runs no Python, except where a supply is used up, the device
-changed its rate or was armed, or Python had the device before (`serve`).
+A tick of the loop then runs no Python. Exceptions, for which it calls `serve`: a buffer is used up, the device was
+armed or changed its rate, or Python code has used the device since the last tick.
 """
 
 from __future__ import annotations
@@ -59,24 +59,24 @@ _move = types.ExternalFunction("memmove", types.uintp(types.uintp, types.uintp, 
 
 @group
 class FarEnd(NamedTuple):
-    """A device, its rig and its line.
+    """A compiled device with its rig and the line to the host.
 
     Attributes
     ----------
     software, plant, script, wires, supplies
-        Of `sim_backend.board.lockstep.run_ticks`.
+        First arguments of `sim_backend.board.lockstep.run_ticks`.
     progress
-        By the constants of this file.
+        State of the line, at the indices `STALE` to `MOST`.
     arrived
-        Bytes that wait for the host, with room for `OUTPUT_BYTES` behind the `capacity` that are kept.
+        Buffer of bytes for the host: `capacity` bytes, and `OUTPUT_BYTES` behind them for new output.
     capacity
-        Bytes of unread input.
+        Largest number of unread bytes; further bytes are lost.
     clock
         Address of the virtual time (ns).
     origin_ns
-        Simulated time at boot, on the clock (ns).
+        Virtual time at which the device booted (ns).
     serve
-        Address of the callback.
+        Address of the Python callback that refills buffers.
     """
 
     software: Annotated[Lockstep, type_of(Lockstep)]
@@ -98,13 +98,13 @@ _put, _at = group_at(FarEnd)
 
 @kernel(types.void(types.int64, FAR_END_TYPE))
 def put(handle: int, end: FarEnd) -> None:
-    """Let a handle stand for a far end."""
+    """Store a far end in the memory at address `handle`."""
     _put(handle, end)
 
 
 @kernel(types.int64(types.int64), no_refcount=True)
 def _ready(handle: int) -> int:
-    """See to it that what stands behind the handle is true: 0, or a negative errno."""
+    """Update the far end at `handle` if Python code has used the device; return 0, or a negative errno."""
     end = _at(handle)
     if end.progress[CLOSED] != 0:
         return _BROKEN
@@ -113,7 +113,7 @@ def _ready(handle: int) -> int:
 
 @kernel(types.void(FAR_END_TYPE))
 def _take_output(end: FarEnd) -> None:
-    """Take the device's output; what has no room is lost, as in a driver."""
+    """Append the device's output to the bytes for the host; bytes beyond `capacity` are lost, as in a driver."""
     progress, arrived = end.progress, end.arrived
     software = end.software
     room = OUTPUT_BYTES
@@ -125,7 +125,7 @@ def _take_output(end: FarEnd) -> None:
 
 @kernel(types.int64(types.int64, types.int64), no_refcount=True)
 def _pass(handle: int, deadline_ns: int) -> int:
-    """Let ticks pass until the device says something, at most to a time on the clock: 0, or a negative errno."""
+    """Run ticks until the device sends bytes, or up to `deadline_ns` on the clock; return 0, or a negative errno."""
     while True:
         end = _at(handle)
         words, progress = end.software.words, end.progress
@@ -146,13 +146,13 @@ def _pass(handle: int, deadline_ns: int) -> int:
 
 @kernel(types.int64(FAR_END_TYPE), inline=True)
 def _next_ns(end: FarEnd) -> int:
-    """Return when the next sample is due on the clock."""
+    """Return the time of the next sample on the virtual clock (ns)."""
     return int(end.origin_ns + end.software.words[DUE] * _UNITS_NS // _UNITS)
 
 
 @kernel(types.int64(types.int64), no_refcount=True)
 def _catch_up(handle: int) -> int:
-    """Bring the device to the clock's time, which the host may have moved by sleeping: 0, or a negative errno."""
+    """Advance the device to the time of the clock, which a sleeping host has moved; return 0, or a negative errno."""
     end = _at(handle)
     now_ns = load_word(end.clock)
     # A host that sleeps on the link's clock finds the device as late as a slow host would.
@@ -166,7 +166,10 @@ def _catch_up(handle: int) -> int:
 
 @kernel(WAIT_SIGNATURE, no_refcount=True)
 def wait(handle: int, deadline_ns: int) -> int:
-    """Let time pass until something has arrived, or to the deadline; plug point `wait`."""
+    """Let virtual time pass until bytes have arrived or the deadline is reached.
+
+    Return 1 if bytes wait for the host, 0 if not, or a negative errno.
+    """
     failed = _ready(handle)
     if failed == 0:
         failed = _catch_up(handle)
@@ -186,7 +189,7 @@ def wait(handle: int, deadline_ns: int) -> int:
 
 @kernel(TRANSFER_SIGNATURE, no_refcount=True)
 def read(handle: int, address: int, size: int) -> int:
-    """Take what has arrived; plug point `read`."""
+    """Move at most `size` waiting bytes to `address`; return their number, or a negative errno."""
     failed = _ready(handle)
     if failed != 0:
         return int(failed)
@@ -201,7 +204,7 @@ def read(handle: int, address: int, size: int) -> int:
 
 @kernel(TRANSFER_SIGNATURE, no_refcount=True)
 def write(handle: int, address: int, size: int) -> int:
-    """Hand the device bytes of the host, now; plug point `write`."""
+    """Pass `size` bytes at `address` from the host to the device; return `size`, or a negative errno."""
     failed = _ready(handle)
     if failed == 0:
         failed = _catch_up(handle)
@@ -224,25 +227,25 @@ def write(handle: int, address: int, size: int) -> int:
 
 
 class CompiledPort:
-    """Makes the port of a device in virtual time, and moves its state between Python and compiled code.
+    """Port of a compiled device in virtual time; it moves the device's state between Python and compiled code.
 
     Parameters
     ----------
     device
-        The device; Python may have it whenever the loop does not run, and calls `take_back` then.
+        Compiled device. Python code may use it while the loop does not run, after a call of `take_back`.
     clock
-        The virtual clock.
+        Virtual clock.
     origin_ns
-        Returns simulated time at boot, on that clock (ns).
+        Returns the virtual time at which the device booted (ns).
     progress, arrived
-        Shared with the link.
+        Arrays of `FarEnd`, shared with the link.
     capacity
-        Bytes of unread input.
+        Largest number of unread bytes.
 
     Attributes
     ----------
     failure
-        The first exception that Python raised inside the loop, or None.
+        First exception that a Python callback raised inside the loop, or None.
     """
 
     def __init__(
@@ -272,13 +275,13 @@ class CompiledPort:
         self._progress[STALE] = 1
 
     def port(self) -> LoopPort:
-        """Return the plug functions of the loop."""
+        """Return the compiled functions `read`, `write` and `wait` for the control loop."""
         self.take_back()
         handle = int(self._memory.ctypes.data)
         return LoopPort.on(self._clock, read=read, write=write, wait=wait, handle=handle)
 
     def take_back(self) -> None:
-        """Let Python see the device as the ticks left it, and the loop ask before its next one."""
+        """Copy the state after the last tick to the Python device; the loop updates itself before its next tick."""
         if self._progress[STALE] == 0:
             self._note()
             self._progress[STALE] = 1

@@ -1,7 +1,7 @@
-"""Offer the device's end of a line to a host in another process: a pseudo-terminal for serial programs, or a socket.
+"""Offer the device side of a line to a host in another process: as a pseudo-terminal or as a Unix socket.
 
-Either is one descriptor for its whole life, so that compiled code (`loop_port`) and Python move its bytes. It stays
-when a host exits, even by kill -9, and serves the next one.
+A line keeps one file descriptor for its whole life, so that compiled code (`loop_port`) and Python can use it. It stays
+open when a host exits, even by kill -9, and serves the next host.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ WAITING_HOSTS = 8  # for their turn at a socket
 
 
 class Line:
-    """A non-blocking descriptor. No call blocks beyond its deadline.
+    """Device side of a line, on a non-blocking descriptor. No call blocks beyond its deadline.
 
     Attributes
     ----------
     place
         Path that a host opens.
     descriptor
-        This end.
+        File descriptor of the device side.
     """
 
     def __init__(self, place: str, descriptor: int) -> None:
@@ -53,7 +53,7 @@ class Line:
         os.close(self.descriptor)
 
     def loop_port(self) -> LoopPort:
-        """Return the system calls on the descriptor, for compiled code."""
+        """Return functions for compiled code that read, write and wait on the descriptor."""
         return LoopPort.on(
             MonotonicClock(),
             read=system.descriptor_read,
@@ -63,11 +63,11 @@ class Line:
         )
 
     def next_host(self) -> None:
-        """Make ready for the next host, who begins with an empty line; called when reading fails."""
+        """Prepare for the next host, which must find an empty line; called after reading has failed."""
         raise NotImplementedError
 
     def read(self, deadline_ns: int) -> bytes:
-        """Return what the host sent, waiting for it until the deadline; without a host, nothing, at the deadline."""
+        """Return bytes from the host; wait for some until the deadline (CLOCK_MONOTONIC, ns), then return b""."""
         if self._hung_up:  # the descriptor polls as readable then: sleep instead, and look once
             sleep_until(deadline_ns)
         remaining_s = max(0, deadline_ns - time.monotonic_ns()) * 1e-9
@@ -83,7 +83,7 @@ class Line:
         return data
 
     def write(self, frames: bytes) -> None:
-        """Send answers, now or as soon as the host reads; a host that leaves kilobytes unread loses them."""
+        """Send frames now, or when the host reads; discard them while `PENDING_BYTES` are unread."""
         if self._hung_up:
             return
         self._flush()
@@ -99,7 +99,7 @@ class Line:
             self._pending = self._pending[os.write(self.descriptor, self._pending) :]
 
     def write_if_free(self, frame: bytes) -> None:
-        """Send a frame that is worth nothing later, unless older ones still wait; its sequence shows the loss."""
+        """Send a frame unless older ones still wait; the host sees the loss from the sequence numbers."""
         if self._pending:
             self.write(b"")
         if not self._pending:
@@ -107,7 +107,7 @@ class Line:
 
 
 class PseudoTerminal(Line):
-    """The master side of a pseudo-terminal in raw mode."""
+    """Master side of a pseudo-terminal in raw mode."""
 
     def __init__(self) -> None:
         master, slave = os.openpty()
@@ -116,7 +116,7 @@ class PseudoTerminal(Line):
         os.close(slave)  # from now on a hang-up shows that no host has it open
 
     def next_host(self) -> None:
-        """Throw away what the host that went has not read: the line discipline keeps 4 KiB of it for ever."""
+        """Discard the bytes that the last host has not read: the line discipline keeps up to 4 KiB of them."""
         with contextlib.suppress(OSError, termios.error):
             slave = os.open(self.place, os.O_RDWR | os.O_NOCTTY)
             termios.tcflush(slave, termios.TCIFLUSH)
@@ -124,10 +124,10 @@ class PseudoTerminal(Line):
 
 
 class Socket(Line):
-    """A Unix socket at a path, which one host has at a time.
+    """Unix socket at a path, used by one host at a time.
 
-    The descriptor is the socket that listens or the one that is connected: reading from the former fails when a host
-    comes, from the latter when it goes.
+    The descriptor is either the listening or the connected socket. A read from the listening socket fails when a host
+    connects, a read from the connected socket when the host disconnects.
     """
 
     def __init__(self, path: Path) -> None:
@@ -144,7 +144,7 @@ class Socket(Line):
         Path(self.place).unlink(missing_ok=True)
 
     def next_host(self) -> None:
-        """Take the host that waits, or listen when one is gone."""
+        """Accept the waiting host, or listen again after a host has disconnected."""
         now = self._listener
         if not self._connected:
             try:

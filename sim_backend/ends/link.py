@@ -1,7 +1,7 @@
-"""Simulate the rig in this process, in virtual time: bytes by function call, hours in seconds, every run alike.
+"""Simulate the rig in this process and in virtual time: hours pass in seconds, and every run gives the same result.
 
-`rig.devices` opens it for ``sim://``. It mirrors a serial port and its driver: a bounded input buffer that drops what
-is not read, EIO after an unplug.
+It implements ``sim://``. The link behaves like a serial port and its driver: a bounded input buffer, which loses bytes
+that are not read, and EIO after an unplug.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ _LONG = 1 << 62  # ticks: without an end
 
 
 class LinkedDevice(Protocol):
-    """A simulated device: `device.SimulatedDevice`, or the firmware with a rig."""
+    """Simulated device: `board.device.SimulatedDevice` or `board.firmware.FirmwareDevice`."""
 
     @property
     def time(self) -> int:
@@ -70,7 +70,7 @@ class LinkedDevice(Protocol):
 
     @property
     def elapsed_ns(self) -> int:
-        """Return the simulated time, over all resets (ns)."""
+        """Return the simulated time since the device was created, over all resets (ns)."""
         ...
 
     @property
@@ -79,11 +79,14 @@ class LinkedDevice(Protocol):
         ...
 
     def run(self, until_ns: int, most: int) -> tuple[bytes, int]:
-        """Let ticks pass until there is something to say, up to a time and a number of them."""
+        """Simulate ticks until the device sends a frame; return its bytes (or b"") and the number of ticks.
+
+        Stop at `until_ns` (on the scale of `elapsed_ns`) or after `most` ticks.
+        """
         ...
 
     def receive(self, data: bytes, *, received_at: int | None = None) -> bytes:
-        """Take bytes of the host and return the answers."""
+        """Process bytes from the host, which arrived at device time `received_at` (1/16 µs); return the replies."""
         ...
 
     def press_emergency_stop(self, pressed: bool = True) -> None:
@@ -91,11 +94,11 @@ class LinkedDevice(Protocol):
         ...
 
     def sync_input(self, high: bool, at: int | None = None) -> None:
-        """Put a level on the sync input, at a device time (1/16 µs since boot)."""
+        """Set the level of the sync input at device time `at` (1/16 µs since boot)."""
         ...
 
     def inject_fault(self, fault: Fault) -> None:
-        """Let the device find a fault."""
+        """Make the device detect a fault."""
         ...
 
     def truth(self) -> NDArray[np.void]:
@@ -104,22 +107,22 @@ class LinkedDevice(Protocol):
 
 
 def open_link(url: DeviceUrl, model: RigModel | None = None, faults: Faults | None = None) -> MemoryLink:
-    """Open ``sim://name?seed=3&offset=0.25``: a fresh simulated device, at rest, powered up at this moment.
+    """Open a URL such as ``sim://name?seed=3&offset=0.25``: a new simulated device, at rest, just powered up.
 
     Options: `seed` of the sensor noise; `initial_position` of the handle (rad or m); `offset` of the encoder (count,
-    0 ≤ offset < 1) instead of the model's; `incremental` = 1 for an encoder that begins at 0 wherever the handle
-    stands; `position_rate_default` and `position_rate_maximum` (Hz); `clock_ppm`, by which the device's clock runs
-    fast; `sync` = 0.5,0.75 for pulses on the sync input that begin so many seconds after power-up; `firmware` = 1 for a
-    device that can run the law, the firmware itself, compiled for this machine.
+    0 ≤ offset < 1) instead of the model's; `incremental` = 1 for an encoder that begins at 0 at any position of the
+    handle; `position_rate_default` and `position_rate_maximum` (Hz); `clock_ppm`, by which the device's clock runs
+    fast; `sync` = 0.5,0.75 for pulses on the sync input 0.5 s and 0.75 s after power-up; `firmware` = 1 for a device
+    that can run the law: the firmware, compiled for this computer.
 
-    Unless `firmware` is given the device runs no law: it is the firmware too where this machine can compile it, whose
-    ticks pass no Python, else the readable device (`sim_backend.board.device`, `firmware` = 0), which says the same and
-    is slower. Where something goes wrong on command (`faults`), bytes pass Python.
+    Without the option `firmware` the device runs no law. It is the compiled firmware, whose ticks run no Python, or,
+    without a C compiler (or with `firmware` = 0), the device in Python (`sim_backend.board.device`): it sends the same
+    bytes and is slower. With scripted faults (`faults`) all bytes pass through Python.
 
     Raises
     ------
     ConfigError
-        No model, an unknown option, or a value that it cannot have; no C compiler for the firmware.
+        The model is missing, an option is unknown or out of range, or the firmware cannot be compiled.
     """
     if model is None:
         raise ConfigError(
@@ -185,7 +188,7 @@ def _with_offset(url: DeviceUrl, model: RigModel, offset: float) -> RigModel:
 
 
 def _pulses(starts_s: Sequence[float], origin_ns: int) -> deque[tuple[int, bool]]:
-    """Return when the sync input rises and falls (ns on the device's scale)."""
+    """Return time (ns, on the scale of `elapsed_ns`) and level of each edge of the sync input."""
     levels: deque[tuple[int, bool]] = deque()
     for start, following in pairwise((*starts_s, np.inf)):
         end = start + min(SYNC_PULSE_S, 0.5 * (following - start))
@@ -194,31 +197,31 @@ def _pulses(starts_s: Sequence[float], origin_ns: int) -> deque[tuple[int, bool]
 
 
 class MemoryLink:
-    """`rig.devices.device.Link` over a simulated device in this process.
+    """Link (`rig.devices.device.Link`) to a simulated device in this process.
 
     Parameters
     ----------
     device
-        The far end.
+        Simulated device.
     faults
-        What goes wrong, and when; None for a line that never fails.
+        Scripted faults of line and device; None for a line without faults.
     url
-        How it was named.
+        URL that was opened, for messages.
     clock_ppm
-        By how much the device's clock, and its whole world with it, runs faster than the link's (1e-6).
+        By how much the device's clock and plant run faster than the clock of the link (1e-6).
     sync_s
-        When pulses on the device's sync input begin (s of device time from now on), rising.
+        Start times of pulses on the device's sync input (s of device time from now on), in ascending order.
     messages
-        What could not be had, each with its remedy.
+        Restrictions of the device, each with its remedy.
 
     Attributes
     ----------
     device
-        The far end, for tests that look at it or act on it as the world does.
+        Simulated device, for tests that inspect it or act on it from outside.
     line
-        The failing line with its counters, or None.
+        Line with scripted faults and its counters, or None.
     discarded
-        Bytes that came while the buffer was full.
+        Number of bytes that arrived while the buffer was full.
     """
 
     bytes_per_second: float | None = None
@@ -251,7 +254,7 @@ class MemoryLink:
         self._compiled = self._compile(device)
 
     def _compile(self, device: LinkedDevice) -> CompiledPort | None:
-        """Return what runs the loop's far end without Python, unless frames, the device or its clock go wrong here."""
+        """Return a compiled port, or None (scripted faults, sync pulses, a clock error, or the device in Python)."""
         scripted = self.line is not None or self._happenings or self._levels or self._pace != _BILLION
         if scripted or not isinstance(device, FirmwareDevice):
             return None
@@ -267,18 +270,18 @@ class MemoryLink:
 
     @property
     def device(self) -> Any:
-        """Return the device, as the ticks so far left it."""
+        """Return the device in its state after the last tick."""
         self._take_back()
         return self._device
 
     @property
     def frames(self) -> dict[Direction, int]:
-        """Return frames sent so far in each direction; counted only on a link with scripted faults, else empty."""
+        """Return the number of frames sent in each direction; empty on a link without scripted faults."""
         return {} if self.line is None else self.line.frames
 
     @property
     def struck(self) -> int:
-        """Return faults of the script that have happened to frames."""
+        """Return the number of scripted faults that have acted on frames."""
         return 0 if self.line is None else self.line.acted.total()
 
     @property
@@ -288,7 +291,7 @@ class MemoryLink:
 
     @property
     def armed(self) -> bool:
-        """Return True if the device would take a command."""
+        """Return True if the device is armed and accepts commands."""
         return self.device.state in (State.ARMED, State.RUNNING)
 
     def _take_back(self) -> None:
@@ -297,19 +300,19 @@ class MemoryLink:
 
     @property
     def discarded(self) -> int:
-        """Return bytes that the host did not read in time."""
+        """Return the number of bytes that were lost because the host did not read them in time."""
         return self._progress.item(DISCARDED)
 
     # ------------------------------------------------------------------ Link
 
     def read(self, timeout_s: float) -> bytes:
-        """Return what has arrived, letting at most `timeout_s` of virtual time pass for the first byte."""
+        """Return the bytes that have arrived; wait at most `timeout_s` of virtual time for the first."""
         self._take_back()
         self._wait(self.clock.now_ns() + round(max(0.0, timeout_s) * 1e9))
         return self._taken(BUFFER_BYTES)
 
     def write(self, data: bytes) -> None:
-        """Send all of `data`; it is there at once."""
+        """Send all of `data`; it arrives at the device at once."""
         self._take_back()
         self._check_open()
         self._catch_up()
@@ -320,7 +323,7 @@ class MemoryLink:
         self._to_host(self._device.receive(data, received_at=self._device_time()))
 
     def port(self) -> LoopPort:
-        """Return the plug functions of the loop: compiled ones, or callbacks that come back into this object."""
+        """Return `read`, `write` and `wait` for the control loop: compiled functions, or callbacks to this object."""
         if self._compiled is not None and self.line is None:
             return self._compiled.port()
         if self._port is None:
@@ -328,7 +331,7 @@ class MemoryLink:
         return self._port
 
     def failure(self) -> BaseException | None:
-        """Return the exception that the simulation raised inside the loop, or None, also after a scripted unplug."""
+        """Return the exception that the simulation raised inside the loop; None without one or after an unplug."""
         return self._failure or (None if self._compiled is None else self._compiled.failure)
 
     def truth(self) -> NDArray[np.void]:
@@ -337,42 +340,42 @@ class MemoryLink:
         return self._device.truth()
 
     def close(self) -> None:
-        """Go away. The device stays as it is, and its watchdog runs when time does: see `elapse`."""
+        """Close the link. The device keeps its state, and its watchdog continues while time passes; see `elapse`."""
         self._closed = True
         self._progress[CLOSED] = 1
 
     # ------------------------------------------------------------------ virtual time
 
     def elapse(self, duration_s: float) -> None:
-        """Let time pass without the host: it is busy, hangs, or was killed. Works on a closed link too."""
+        """Let virtual time pass without action of the host, as if it hangs or was killed; also on a closed link."""
         self._take_back()
         self.clock.sleep_until(self.clock.now_ns() + round(duration_s * 1e9))
         self._catch_up()
 
     def _next_tick_ns(self) -> int:
-        """Return when the next sample is due on the link's clock."""
+        """Return the time of the next sample on the link's clock (ns)."""
         return self._link_time(self._device.next_tick_ns)
 
     def _link_time(self, device_ns: int) -> int:
-        """Time on the link's clock that is not before a time of the device's (ns since it was made)."""
+        """Return a time on the device's scale (`elapsed_ns`) as time on the link's clock (ns), rounded up."""
         # Rounded up: rounded down, the device would be asked to run before its tick is due and never get there.
         return -((self._start_ns - device_ns) * _BILLION // self._pace)
 
     def _device_time(self) -> int:
-        """Device time now, between its samples too (1/16 µs)."""
+        """Return the present device time (1/16 µs), which may lie between two samples."""
         device = self._device
         elapsed_ns = self._start_ns + self.clock.now_ns() * self._pace // _BILLION
         since_boot_ns = elapsed_ns - (device.elapsed_ns - device.time_ns)
         return max(device.time, since_boot_ns * _UNITS // _UNITS_NS)
 
     def _catch_up(self) -> None:
-        """Bring the device to the clock's time, which the host may have moved by sleeping."""
+        """Advance the device to the time of the clock, which a sleeping host has moved."""
         now_ns = self.clock.now_ns()
         while self._next_tick_ns() <= now_ns:
             self._run(now_ns)
 
     def _wait(self, deadline_ns: int) -> bool:
-        """Let time pass until something has arrived, or to the deadline; whether something is there."""
+        """Let virtual time pass until bytes have arrived or to the deadline (ns); return True if bytes have arrived."""
         self._check_open()
         self._catch_up()
         # Time moves only while the host waits, and stops when the device sends: it never passes sample k before the
@@ -386,9 +389,9 @@ class MemoryLink:
         return True
 
     def _run(self, deadline_ns: int) -> int:
-        """Let the device tick until it sends something, at most to a deadline that its next tick does not pass.
+        """Run ticks until the device sends bytes, or up to `deadline_ns`, not before its next tick.
 
-        Returns the time of its last tick on the link's clock.
+        Return the time of its last tick on the link's clock (ns).
         """
         device = self._device
         most = self._until_something_happens()
@@ -405,7 +408,7 @@ class MemoryLink:
         return self._link_time(device.elapsed_ns)
 
     def _until_something_happens(self) -> int:
-        """Let happen what is due; return the ticks up to the next of it, one at least."""
+        """Apply the scripted events of the device that are due; return the ticks to the next event, at least 1."""
         passed = self._progress.item(TICKS)
         while self._happenings and self._happenings[0].tick <= passed:
             happening = self._happenings.pop(0)
@@ -421,7 +424,7 @@ class MemoryLink:
         return max(1, due - passed)
 
     def _until_a_level_changes(self) -> int:
-        """Put on the sync input what the next sample is to see; return until when that is all (ns of the device)."""
+        """Apply the edges of the sync input up to the next sample; return the time to which there are no more (ns)."""
         device = self._device
         while self._levels and self._levels[0][0] <= device.next_tick_ns:
             at_ns, high = self._levels.popleft()
@@ -445,7 +448,7 @@ class MemoryLink:
         self._progress[DISCARDED] += len(data) - len(kept)
 
     def _taken(self, most: int) -> bytes:
-        """Take the first of what has arrived."""
+        """Remove and return at most `most` of the bytes that have arrived."""
         waiting = self._progress.item(ARRIVED)
         size = min(most, waiting)
         data = self._arrived[:size].tobytes()

@@ -1,7 +1,7 @@
-"""Run the simulated rig as a process of its own, in real time, behind a pseudo-terminal or a socket (`line`).
+"""Run the simulated rig as a separate process in real time, behind a pseudo-terminal or a Unix socket (`line`).
 
-The device is the firmware under the clock of `board_time`, or the readable device under that of `real_time` where
-nothing compiles it. It mirrors a USB serial device.
+It behaves like a USB serial device. The device is the compiled firmware, timed by `board_time`, or, without a C
+compiler, the device in Python, timed by `real_time`.
 """
 
 from __future__ import annotations
@@ -53,39 +53,38 @@ def serve(
     Parameters
     ----------
     model
-        The physics.
+        Rig to simulate.
     rate
-        Ticks a second (Hz) that the device advertises and runs until it is configured.
+        Tick rate of the device until the host configures one (Hz).
     seed
-        Of the sensor noise.
+        Seed of the sensor noise.
     name
-        What the device calls itself; the model's name unless given.
+        Name of the device; by default the name of the model.
     firmware
-        True: the firmware itself, compiled for this machine, which can run the law. False: the readable device. Unless
-        given, the firmware without its laws where this machine can compile it, else the readable device.
+        True: compiled firmware that can run the law. False: device in Python. None: compiled firmware without a law, or
+        the device in Python if this computer cannot compile the firmware.
     hand
-        File through which a person drives the hand at the handle (`rig.realtime.hand`); without one it plays its
-        script.
+        File through which a person drives the hand (`rig.realtime.hand`); without it the hand plays its script.
     socket
-        Path of a Unix socket to be made and removed at the end; a pseudo-terminal unless given.
+        Path of a Unix socket to create, removed at the end; by default a pseudo-terminal is used.
     announce
         Called once with the path of the port, when a host can open it.
     stop_event
         Ends the run when it is set.
     link_path
-        A symbolic link to make to the port, for a name that stays; removed at the end.
+        Path of a symbolic link to the port, for a fixed name; removed at the end.
     duration_s
         Ends the run after this time (s).
 
     Notes
     -----
-    Called in the main thread it also ends, cleanly, on SIGINT (Ctrl-C) and SIGTERM.
+    In the main thread, SIGINT (Ctrl-C) and SIGTERM also end the run, cleanly.
 
     Raises
     ------
     ConfigError
-        A rate that the port cannot carry, `link_path` exists and is no symbolic link, or the firmware cannot be made;
-        no such hand, or a rig that is not held by a person.
+        The rate is out of range, `link_path` exists and is not a symbolic link, the firmware cannot be compiled, the
+        file `hand` does not exist, or no person holds the rig's handle.
     """
     maximum = FIRMWARE_RATE_MAXIMUM if firmware else POSITION_RATE_MAXIMUM
     if not 50 <= rate <= maximum:
@@ -121,7 +120,7 @@ def serve(
 def _drive_hand(
     device: SimulatedDevice | FirmwareDevice, model: RigModel, hand: str | Path | None
 ) -> Iterator[None]:
-    """Let a person drive the hand, if there is a file for it."""
+    """Connect the hand of the rig to the file `hand` while the context lasts; without a file, do nothing."""
     if hand is None:
         yield
         return
@@ -136,7 +135,7 @@ def _drive_hand(
 
 @contextlib.contextmanager
 def _link(link_path: str | Path | None, target: str) -> Iterator[None]:
-    """Keep a symbolic link to the port while it is open."""
+    """Create a symbolic link to the port and remove it at the end of the context; without a path, do nothing."""
     if link_path is None:
         yield
         return

@@ -1,7 +1,7 @@
-"""Run the readable device in real time, whatever port its bytes pass: the reference of `board_time`.
+"""Run the device in Python in real time behind any port: the reference for `board_time`, used without a C compiler.
 
-It runs where nothing compiles the firmware. In each period the plant moves under the active current, STATE goes out,
-and the bytes that came meanwhile are handed over: the answer to STATE k acts from sample k + 1 on.
+In each period the plant moves under the active current, STATE is sent, and the bytes that came meanwhile are processed:
+the reply to STATE k acts from sample k + 1 on.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ _UNIT_NS = 1e9 / UNITS_PER_SECOND
 
 
 class DevicePort(Protocol):
-    """The device's end of a link. No call blocks beyond its deadline (CLOCK_MONOTONIC, ns)."""
+    """Device side of a link. No call blocks beyond its deadline (CLOCK_MONOTONIC, ns)."""
 
     def read(self, deadline_ns: int) -> bytes:
-        """Return what the host sent, waiting for it until the deadline; without a host, nothing, at the deadline."""
+        """Return bytes from the host; wait for some until the deadline, then return b""."""
         ...
 
     def write(self, frames: bytes) -> None:
-        """Send answers, now or as soon as the host takes them; a host that leaves kilobytes unread loses them."""
+        """Send frames now, or when the host reads; discard them while too many bytes are unread."""
         ...
 
     def write_if_free(self, frame: bytes) -> None:
-        """Send a frame that is worth nothing later, unless older ones still wait; its sequence shows the loss."""
+        """Send a frame unless older ones still wait; the host sees the loss from the sequence numbers."""
         ...
 
 
 class RealTime:
-    """Runs a `device` behind a port, tick by tick, until `stop` is set."""
+    """Runner of a device in Python behind a port, tick by tick, until `stop` is set."""
 
     def __init__(self, device: SimulatedDevice, port: DevicePort, stop: threading.Event) -> None:
         self.device = device
@@ -47,7 +47,7 @@ class RealTime:
         self._origin_ns = 0
 
     def run(self, duration_s: float | None) -> None:
-        """Run the device in real time until it is stopped."""
+        """Run the device in real time for `duration_s` seconds, or until `stop` is set."""
         start_ns = time.monotonic_ns()
         end_ns = start_ns + round(duration_s * 1e9) if duration_s is not None else None
         self._origin_ns = start_ns - self.device.elapsed_ns
@@ -63,7 +63,7 @@ class RealTime:
                 self._port.write(self.device.receive(received, received_at=came_at))
 
     def _listen(self, deadline_ns: int) -> tuple[bytes, int]:
-        """Wait for the tick; return what the host sent meanwhile, and when it began to come (device time)."""
+        """Wait for the tick; return bytes that came from the host, and device time of the first of them (1/16 µs)."""
         received = b""
         came_at = self.device.time
         while True:
@@ -78,7 +78,7 @@ class RealTime:
         return received, came_at
 
     def _keep_up(self) -> None:
-        """Skip the ticks that can no longer be reported, and count them."""
+        """Run the late ticks beyond `CATCH_UP_TICKS` without sending a STATE, and count them."""
         device = self.device
         late_ns = time.monotonic_ns() - self._origin_ns - device.next_tick_ns
         if late_ns > LONGEST_PAUSE_S * 1e9:
@@ -99,7 +99,7 @@ class RealTime:
 
 
 def sleep_until(deadline_ns: int) -> None:
-    """Sleep until a time on CLOCK_MONOTONIC (ns); return at once when it has passed."""
+    """Sleep until a time on CLOCK_MONOTONIC (ns); return at once if it has passed."""
     remaining_ns = deadline_ns - time.monotonic_ns()
     if remaining_ns > 0:
         time.sleep(remaining_ns * 1e-9)

@@ -1,4 +1,4 @@
-"""What ends a simulated rig or drive that runs as a program."""
+"""Stop a simulated rig or drive that runs as a program when a signal arrives."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 @contextlib.contextmanager
 def stopped_by_signals(stop: threading.Event) -> Iterator[None]:
-    """Turn SIGINT and SIGTERM into `stop` while this lasts; only the main thread can."""
+    """Set `stop` on SIGINT and SIGTERM while the context lasts; outside of the main thread, do nothing."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -1,8 +1,8 @@
-"""Simulate the rig with the shape of a USB device: descriptors, and two bulk endpoints behind a socket.
+"""Simulate the rig as a USB device: descriptors, and two bulk endpoints behind a socket.
 
-The part that plays the bus (an emulated usbfs, a USB/IP server) forwards control requests to `UsbShape.control` and
-moves packets through a SOCK_SEQPACKET socket, one message a packet. Frames are not aligned to packets: the pipe is a
-stream.
+The program that emulates the bus (an emulated usbfs, a USB/IP server) forwards control requests to `UsbShape.control`
+and moves packets through a SOCK_SEQPACKET socket, one message for each packet. Frames are not aligned to packets: the
+endpoints carry a byte stream.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _SETUP = struct.Struct("<BBHHH")
 
 @dataclass(frozen=True, slots=True)
 class UsbShape:
-    """The device's descriptors on USB."""
+    """USB descriptors of the simulated device."""
 
     vendor: int = USB_VENDOR
     product: int = USB_PRODUCT
@@ -69,7 +69,7 @@ class UsbShape:
         return head + interface + endpoints
 
     def string(self, index: int) -> bytes | None:
-        """String descriptor: 0 the languages, 1 maker, 2 name, 3 serial number, 4 interface; None for others."""
+        """Return a string descriptor (0 languages, 1 maker, 2 name, 3 serial number, 4 interface); None for others."""
         texts = (self.maker, self.name, self.serial, "haptic rig bytes")
         if index == 0:
             content = struct.pack("<H", _ENGLISH)
@@ -90,7 +90,7 @@ class UsbShape:
         Returns
         -------
         bytes or None
-            The data stage, may be empty; None to stall, for a request that this device does not know.
+            Bytes of the data stage, which may be empty; None to stall, for a request that this device does not support.
         """
         direction, request, value, _, length = _SETUP.unpack(setup)
         if request == _GET_DESCRIPTOR:
@@ -109,7 +109,7 @@ class UsbShape:
 
 
 class UsbPort:
-    """The device's end of the two bulk pipes, as a `real_time.DevicePort`; `end` is a connected SOCK_SEQPACKET."""
+    """Device side of the two bulk endpoints, a `real_time.DevicePort`; `end` is a connected SOCK_SEQPACKET socket."""
 
     def __init__(self, end: socket.socket, packet: int = FULL_SPEED_PACKET) -> None:
         end.setblocking(False)
@@ -120,7 +120,7 @@ class UsbPort:
         self.unplugged = False
 
     def read(self, deadline_ns: int) -> bytes:
-        """Return the next packet of the host, waiting for it until the deadline; nothing at the deadline."""
+        """Return the next packet from the host; wait for it until the deadline (CLOCK_MONOTONIC, ns), else b""."""
         if self.unplugged:
             sleep_until(deadline_ns)
             return b""
@@ -139,7 +139,7 @@ class UsbPort:
         return data
 
     def write(self, frames: bytes) -> None:
-        """Send answers, now or as the host fetches them; a host that leaves kilobytes there loses them."""
+        """Send frames now, or when the host reads; discard them while `PENDING_BYTES` are unread."""
         # As on the wire, packets that the host does not fetch stay with the device: it holds a few and discards what
         # follows, newest first, whole frames only.
         if self.unplugged or len(self._pending) + len(frames) > PENDING_BYTES:
@@ -151,7 +151,7 @@ class UsbPort:
                 self._pending = self._pending[sent:]
 
     def write_if_free(self, frame: bytes) -> None:
-        """Send a frame that is worth nothing later, unless older ones still wait; its sequence shows the loss."""
+        """Send a frame unless older ones still wait; the host sees the loss from the sequence numbers."""
         if self._pending:
             self.write(b"")
         if not self._pending:
@@ -168,20 +168,20 @@ def serve(
     stop_event: threading.Event | None = None,
     duration_s: float | None = None,
 ) -> None:
-    """Run a simulated rig behind the bulk pipes until it is stopped.
+    """Run a simulated rig behind the bulk endpoints until it is stopped.
 
     Parameters
     ----------
     model
-        The physics.
+        Rig to simulate.
     end
-        The device's end of the pipes: a connected socket that keeps the boundaries of messages. It is not closed here.
+        Device side of the endpoints: a connected socket that keeps message boundaries. The caller must close it.
     rate
-        Ticks a second (Hz) that the device advertises and runs until it is configured.
+        Tick rate of the device until the host configures one (Hz).
     packet
         Largest packet (bytes).
     seed
-        Of the sensor noise.
+        Seed of the sensor noise.
     stop_event
         Ends the run when it is set.
     duration_s
@@ -190,7 +190,7 @@ def serve(
     Raises
     ------
     ConfigError
-        A rate that a process in Python cannot keep.
+        The rate is outside 50 Hz to `POSITION_RATE_MAXIMUM`, which a process in Python can keep.
     """
     if not 50 <= rate <= POSITION_RATE_MAXIMUM:
         raise ConfigError(
