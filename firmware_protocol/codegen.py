@@ -1,8 +1,8 @@
-"""Print the tables of its pages and of the firmware from the tables that run.
+"""Generate the tables of the protocol's pages, and the firmware's C tables, from the tables in Python.
 
-``python -m firmware_protocol.codegen`` rewrites what stands between the markers of PROTOCOL.md, PORTING.md, FMEA.md and
-HARDWARE.md, and the firmware's ``protocol.h`` and ``protocol.c``; with ``--check`` it changes nothing and ends with 1
-when one of them is stale. The prose around the markers is written by hand.
+``python -m firmware_protocol.codegen`` rewrites the sections between the markers of PROTOCOL.md, PORTING.md, FMEA.md
+and HARDWARE.md, and the firmware's ``protocol.h`` and ``protocol.c``. With ``--check`` it changes nothing and exits
+with 1 if a file is out of date. The text outside of the markers is written by hand.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _SECTION = re.compile(r"<!-- generated: (\w+) -->\n.*?<!-- end -->", re.DOTALL)
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a Markdown table: a head and rows of cells."""
+    """Return a Markdown table with the given column titles and rows of cells."""
     lines = [
         "| " + " | ".join(str(cell) for cell in row) + " |" for row in (head, ["---"] * len(head), *rows)
     ]
@@ -54,7 +54,7 @@ def _bytes_of(wires: dict[str, Wire], start: int = 0) -> str:
 
 
 def overview() -> str:
-    """Return the table of messages: type ids, senders, classes and sizes."""
+    """Return the table of messages: type ids, senders, delivery classes and sizes."""
     rows = []
     for type_id, cls in m.MESSAGES.items():
         layout = LAYOUTS[type_id]
@@ -67,7 +67,7 @@ def overview() -> str:
 
 
 def messages() -> str:
-    """Return the sections of all payloads, byte by byte."""
+    """Return a section for each message with the table of its payload."""
     parts = []
     for type_id, cls in m.MESSAGES.items():
         reply = REPLIES.get(cls)
@@ -88,7 +88,7 @@ def batch_layouts() -> str:
 
 
 def fault_entry() -> str:
-    """Return one entry of the fault ring."""
+    """Return the table of the fields of a FAULT_ENTRY, and its size."""
     return f"{_bytes_of(wire_fields(m.FaultEntry))}\n\n{FAULT_ENTRY_BYTES} bytes an entry."
 
 
@@ -107,7 +107,7 @@ def _codes(codes: Iterable[Described | DescribedFlag]) -> str:
 
 
 def picture() -> str:
-    """State diagram: every transition that changes the state."""
+    """Return the state diagram as a Mermaid block, with every transition that changes the state."""
     lines = ["```mermaid", "stateDiagram-v2", "    [*] --> BOOT: reset"]
     for state, row in TRANSITIONS.items():
         for cls, after in row.items():
@@ -120,7 +120,7 @@ def picture() -> str:
 
 
 def states() -> str:
-    """State × message from the host → state; and what the device sends without a request."""
+    """Return the table of the next state for each message and state, and of the device's unrequested messages."""
     requests = [cls for type_id, cls in m.MESSAGES.items() if m.sender_of(type_id) is m.Role.HOST]
     rows: list[Sequence[object]] = [
         (f"`{title(cls)}`", *(row[cls].name if cls in row else "–" for row in TRANSITIONS.values()))
@@ -132,7 +132,7 @@ def states() -> str:
 
 
 def header() -> str:
-    """Return the table of the header's fields, the same in every frame."""
+    """Return the table of the fields of the header, which begins every frame."""
     return _bytes_of(wire_fields(Header))
 
 
@@ -161,7 +161,7 @@ def duties_of_a_port() -> str:
 
 
 def parts_list() -> str:
-    """Return parts of the reference rig, and where what is known of them is from."""
+    """Return the table of the parts of the reference rig, with the source of their data."""
     parts = tomllib.loads(WIRING.read_text(encoding="utf-8"))["part"]
     return table(("", "part", "source"), ((one["name"], _part(one), one["source"]) for one in parts))
 
@@ -199,20 +199,20 @@ SECTIONS: dict[str, Callable[[], str]] = {
 
 
 def render(text: str) -> str:
-    """Return the text with every section between markers made anew; raises KeyError for an unknown section."""
+    """Return the text with every marked section generated again; raise KeyError for an unknown section."""
     return _SECTION.sub(
         lambda match: f"<!-- generated: {match[1]} -->\n{SECTIONS[match[1]]()}\n<!-- end -->", text
     )
 
 
 def fresh() -> dict[Path, str]:
-    """Return every file that is made here, and what should stand in it."""
+    """Return the up-to-date text of every generated file."""
     made = {page: render(page.read_text(encoding="utf-8")) for page in PAGES}
     return made | {path: text() for path, text in FILES.items()}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Rewrite what is made here, or with ``--check`` say whether it is fresh."""
+    """Rewrite the generated files that are out of date; with ``--check`` only report them and return 1."""
     check = "--check" in (sys.argv[1:] if arguments is None else arguments)
     stale = {path: text for path, text in fresh().items() if _text_of(path) != text}
     for path, text in stale.items():

@@ -1,8 +1,8 @@
-"""Turn bytes into events and messages into frames, with the states of the device that both ends agree on.
+"""Turn bytes into events and messages into frames, and track the state of the device on both ends.
 
-The owner of the link hands bytes to `receive_data`, takes events until `next_event` returns None, and writes what
-`send` returns. One class serves host and device, so a test can join both back to back. It must not have a port, a clock
-or a thread; whatever bytes come, it gives events or raises `RemoteProtocolError`, and its memory stays bounded.
+The caller passes bytes to `receive_data`, takes events until `next_event` returns None, and writes the result of `send`
+to the link. One class serves host and device, so a test can connect two of them directly. It has no port, clock or
+thread. For any bytes it returns events or raises `RemoteProtocolError`, and its memory stays bounded.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ _STATES: dict[int, State] = {int(state): state for state in State}
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """A message that the protocol allows here and now, with the fields of its header."""
+    """A received message that the protocol allows in the present state, with the fields of its header."""
 
     message: Message
     session: int
@@ -143,13 +143,13 @@ class Received:
     def ack(
         self, status: Status = Status.OK, *, detail: int = 0, sample_index: int = 0, crc: int = 0
     ) -> m.Ack:
-        """Make the ACK of this request."""
+        """Return the ACK that answers this request."""
         return m.Ack(self.nonce, self.request, int(status), detail, sample_index, crc)
 
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """A request that the device must refuse by sending `ack()`, unless it is a repeat (see replies.py)."""
+    """A request that the device must reject by sending `ack()`, unless it is a repeated one (see replies.py)."""
 
     request: int  # type id, possibly one that we do not know
     nonce: int
@@ -158,7 +158,7 @@ class Refused:
     detail: int
 
     def ack(self) -> m.Ack:
-        """Make the ACK with the reason."""
+        """Return the ACK that rejects this request, with the reason."""
         return m.Ack(self.nonce, self.request, int(self.status), self.detail, 0, 0)
 
 
@@ -166,21 +166,21 @@ Event = Received | Refused
 
 
 class Connection:
-    """One end of the link.
+    """One end of the link: host or device.
 
     Parameters
     ----------
     role
-        Which end this is.
+        Role of this end.
 
     Attributes
     ----------
     state
-        State of the device; on the host, the latest that is known of it.
+        State of the device; on the host, the last reported one.
     session
-        Session of the armed run, 0 outside of one.
+        Number of the session while the device is armed, otherwise 0.
     transaction
-        Host: how far the transaction is that was begun last.
+        Host: progress of the last transaction.
     statistics
         Counters of what was received (`LinkStatistics`).
     """
@@ -204,7 +204,7 @@ class Connection:
     # ------------------------------------------------------------------ receiving
 
     def receive_data(self, data: bytes) -> None:
-        """Take bytes from the link, in any pieces. Then call `next_event` until it returns None."""
+        """Accept bytes from the link, in pieces of any size. Then call `next_event` until it returns None."""
         self._frames.extend(self._splitter.feed(data))
         while len(self._frames) > QUEUE_LIMIT:
             self._frames.popleft()
@@ -272,7 +272,7 @@ class Connection:
         return Received(message, session, sequence)
 
     def _is_news(self, layout: Layout, sequence: int) -> bool:
-        """Count what is missing since the newest frame; say whether this one is to be delivered."""
+        """Count lost, repeated and late frames by their sequence; return True if this frame must be delivered."""
         newest = self._received.get(layout.type_id)
         step = 1 if newest is None else (sequence - newest) & 0xFFFF
         if step == 0:
@@ -303,7 +303,7 @@ class Connection:
         return event
 
     def _objection(self, event: Received) -> tuple[Status, int] | None:
-        """Return why the state, or a rule beside the table, forbids a request."""
+        """Return status and detail of the refusal if the state or another rule forbids a request, else None."""
         if event.request not in _NEXT[self.state]:
             return Status.BAD_STATE, int(self.state)
         message = event.message
@@ -327,7 +327,7 @@ class Connection:
             return None
 
     def _refuse(self, raw: bytes, status: Status, detail: int = 0) -> Refused | None:
-        """Make a device's refusal of a transaction, known or not, if the frame has room for a nonce."""
+        """Return the device's refusal of a request of any type; None on the host, or if the frame contains no nonce."""
         if (
             self.role is Role.HOST
             or m.delivery_of(raw[1]) is not Delivery.TRANSACTION
@@ -352,13 +352,14 @@ class Connection:
         Raises
         ------
         LocalProtocolError
-            The other role sends this message, the state forbids it, or a value does not fit its field.
-            Nothing has changed then.
+            Only the other role sends this message, the state forbids it, or a value does not fit its field.
+            The connection is unchanged then.
         """
         layout = LAYOUT_OF[type(message)]
         type_id = layout.type_id
         if layout.sender is not self.role:
-            raise LocalProtocolError(f"{layout.name} is not sent by the {self.role.name.lower()}")
+            ours, theirs = self.role.name.lower(), layout.sender.name.lower()
+            raise LocalProtocolError(f"a {ours} must not send {layout.name}: only the {theirs} sends it")
         if self.role is Role.HOST:
             number = self._session_of_request(layout, session)
         else:
@@ -377,9 +378,9 @@ class Connection:
         return frame
 
     def begin(self, *requests: Message, session: int | None = None) -> None:
-        """Host: begin a transaction of one request, or of those of `transfer.set_parameters`; then `say` it.
+        """Host: begin a transaction of one request, or of the requests of `transfer.set_parameters`.
 
-        `session` is as for `send`. What was under way is given up.
+        Call `say` next to send them. `session` is the same as in `send`. An unfinished transaction is abandoned.
         """
         self._only(Role.HOST, "begin")
         self._requests, self._session_to_open = requests, session
@@ -388,9 +389,9 @@ class Connection:
         self.transaction = Transaction(nonce, length, step)
 
     def say(self, time_ns: int) -> bytes:
-        """Host: the frame of the transaction that is to be written to the link now; none when nothing is due.
+        """Host: return the frame of the transaction that is due at `time_ns`, or b"" if nothing must be sent now.
 
-        `time_ns` is the time of any monotonic clock. Raises `LocalProtocolError` as `send` does.
+        `time_ns` is the time of any monotonic clock (ns). Raise `LocalProtocolError` for the same reasons as `send`.
         """
         before = self.transaction
         self.transaction = after_time(before, time_ns, MOST_TRIES)
@@ -400,14 +401,17 @@ class Connection:
 
     @property
     def request(self) -> Message:
-        """Host: the request of the transaction that is under way."""
+        """Host: return the request that waits for its reply."""
         t = self.transaction
         if t.step == CHUNK:
             return self._requests[1 + t.offset // CHUNK_BYTES]
         return self._requests[0 if t.step == type_id_of(type(self._requests[0])) else -1]
 
     def _as_ack(self, reply: Message) -> tuple[int, int, int]:
-        """Request, status and detail of an answer: those of an ACK; another reply that does not fit refuses all."""
+        """Return request, status and detail of a reply, as if it were an ACK.
+
+        A reply of another type has status OK if it belongs to the present request, else UNSUPPORTED.
+        """
         if isinstance(reply, m.Ack):
             return reply.request, reply.status, reply.detail
         step = self.transaction.step
@@ -415,22 +419,33 @@ class Connection:
 
     def _session_of_request(self, layout: Layout, session: int | None) -> int:
         if layout.type_id not in _NEXT[self.state]:
-            raise LocalProtocolError(f"{layout.name} is not allowed in state {self.state.name}")
+            raise self._not_allowed(layout)
         if (session is not None) != (layout.type_id == _ARM):
-            raise LocalProtocolError("a session number is set by ARM only")
+            raise LocalProtocolError(
+                f"session = {session} for {layout.name}: give a session number with ARM, and only with ARM"
+            )
         if session is not None:
             if not 1 <= session <= 0xFF or session == self._last_session:
-                raise LocalProtocolError(f"session {session} must be 1 … 255 and differ from the last one")
+                raise LocalProtocolError(
+                    f"session {session} must be 1 … 255 and differ from the last session ({self._last_session})"
+                )
             return session
         if layout.type_id == _COMMAND and not self.session:
             raise LocalProtocolError(
-                "COMMAND is not allowed: another host has armed the device; its session is unknown here"
+                "COMMAND is not allowed: another host has armed the device, in a session of unknown number; "
+                "disarm the device and arm it again"
             )
         return self.session
 
+    def _not_allowed(self, layout: Layout) -> LocalProtocolError:
+        allowed = [s.name for s in State if layout.type_id in _NEXT[s] or layout.cls in UNASKED[s]]
+        return LocalProtocolError(
+            f"{layout.name} is not allowed in state {self.state.name}; it is allowed in {', '.join(allowed)}"
+        )
+
     def _check_unasked(self, layout: Layout) -> None:
         if layout.delivery is not Delivery.TRANSACTION and layout.cls not in UNASKED[self.state]:
-            raise LocalProtocolError(f"{layout.name} is not allowed in state {self.state.name}")
+            raise self._not_allowed(layout)
 
     # ------------------------------------------------------------------ transactions and states, both roles
 
@@ -441,7 +456,7 @@ class Connection:
         self._open[request, nonce] = session
 
     def _handle_answer(self, reply: Message) -> None:
-        """Move according to the answer to an open request; a repeated answer finds none and moves nothing."""
+        """Change the state if a reply answers an open request; a repeated reply changes nothing."""
         request = reply.request if isinstance(reply, m.Ack) else _REQUEST_OF[type(reply)]
         session = self._open.pop((request, reply.nonce), None)  # type: ignore[attr-defined]
         if session is None:
@@ -456,7 +471,7 @@ class Connection:
         self._move(after)
 
     def _adopt_state(self, reply: Message) -> None:
-        """Host: take the state from an answer that has it, so that both ends agree again after a restart."""
+        """Host: adopt the state in an IDENTITY or BAD_STATE reply, so that both ends agree again after a restart."""
         if isinstance(reply, m.Identity):
             self._move(_STATES.get(reply.state, self.state))
         elif isinstance(reply, m.Ack) and reply.status == Status.BAD_STATE:
@@ -480,20 +495,20 @@ class Connection:
     # ------------------------------------------------------------------ events of our own
 
     def fault(self) -> None:
-        """Device: latch FAULT. The session stays, so that STATE frames still reach the host that runs it."""
+        """Device: enter FAULT. The session stays open, so the host still accepts STATE frames."""
         self._only(Role.DEVICE, "fault")
         self.state = State.FAULT
 
     def resend(self, event: Event) -> None:
-        """Device: this request was answered before; its answer, sent again, moves nothing.
+        """Device: mark a request as answered before, so that sending its reply again does not change the state.
 
-        Otherwise a late repeat of a DISARM would lead out of a fault that came in between.
+        Otherwise a late repeat of a DISARM would clear a fault that occurred in between.
         """
         self._only(Role.DEVICE, "resend")
         self._open.pop((event.request, event.nonce), None)
 
     def reset(self) -> None:
-        """Start again, as after a reset of the device or a reopened port; the counters stay."""
+        """Return to the initial state, after a reset of the device or a reopened port; the counters stay."""
         self.state = State.BOOT
         self._open_session(0)
         self._last_session = 0
@@ -503,24 +518,24 @@ class Connection:
         self._splitter.reset()
 
     def sequence_to_send(self, cls: type[Message]) -> int:
-        """Return the sequence that the next frame of this class will carry: where a compiled loop begins to count."""
+        """Return the sequence number of the next frame of this class, with which a compiled loop continues."""
         return self._to_send.get(LAYOUT_OF[cls].type_id, 0)
 
     @property
     def answered(self) -> int:
-        """Host: sequence of the newest STATE of the session, which a COMMAND answers; 0 before the first."""
+        """Host: return the sequence of the newest STATE of the session, which a COMMAND answers; 0 before the first."""
         self._only(Role.HOST, "answered")
         return self._received.get(_STATE, 0)
 
     def resume(self, *, next_command: int, newest_state: int, state: State) -> None:
-        """Host: take the stream back from a compiled loop that read from and wrote to the link in between.
+        """Host: continue the stream after a compiled loop has read from and written to the link.
 
         Parameters
         ----------
         next_command
             Sequence of the first COMMAND that the loop did not send.
         newest_state
-            Sequence of the newest STATE that the loop took.
+            Sequence of the newest STATE that the loop received.
         state
             State of the device in that STATE.
         """
@@ -533,4 +548,6 @@ class Connection:
 
     def _only(self, role: Role, what: str) -> None:
         if self.role is not role:
-            raise LocalProtocolError(f"{what} belongs to the {role.name.lower()}")
+            raise LocalProtocolError(
+                f"a connection of the {self.role.name.lower()} has no `{what}`: only the {role.name.lower()} calls it"
+            )

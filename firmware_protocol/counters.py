@@ -1,4 +1,4 @@
-"""Counters of events on a link: nothing that arrives is dropped without one of them rising."""
+"""Counters of received and dropped frames on a link. Every dropped frame increments one of them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(slots=True)
 class LinkStatistics:
-    """Counters since the connection was made; they never decrease."""
+    """Counters since the connection was created; they never decrease."""
 
     frames: int = 0  # frames with a good CRC
     cobs_errors: int = 0  # byte stuffing that does not add up
@@ -27,5 +27,5 @@ class LinkStatistics:
 
     @property
     def framing_errors(self) -> int:
-        """Return frames that were no frames: all defects but a wrong CRC."""
+        """Return the number of frames with a wrong format or length; frames with a wrong CRC are not included."""
         return self.cobs_errors + self.too_long + self.too_short

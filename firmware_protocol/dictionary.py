@@ -1,9 +1,8 @@
-"""The device's dictionary: the description that a host must read before it may arm the device.
+"""The device's dictionary: its description of itself, which a host must read before it arms the device.
 
-Canonical JSON (sorted keys, no spaces, UTF-8), zlib-compressed, read page by page with IDENTIFY. Its
-hash stands in every IDENTITY, so that a host reads a dictionary once for each firmware, and ARM repeats
-it. A device that is younger than the host brings texts for its own fault codes and ranges for its own
-parameters; keys that a host does not know are ignored.
+It is canonical JSON (sorted keys, no spaces, UTF-8), compressed with zlib and read page by page with IDENTIFY. Every
+IDENTITY contains its hash, so a host reads a dictionary only once for each firmware; ARM repeats the hash. A device
+that is newer than the host supplies texts for its fault codes and ranges for its parameters. Unknown keys are ignored.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ PLAIN_LIMIT = 1 << 18  # what a host is willing to unpack
 
 @dataclass(frozen=True, slots=True)
 class ParameterInfo:
-    """A parameter as the device has it: its range may be narrower than the one of `parameters.PARAMETERS`."""
+    """Parameter of a device; its range may be narrower than the one in `parameters.PARAMETERS`."""
 
     id: int
     name: str
@@ -43,7 +42,7 @@ class ParameterInfo:
 
 @dataclass(frozen=True, slots=True)
 class ConstantInfo:
-    """A read-only constant of the device's build: a property of the rig that its safety monitors assume."""
+    """Read-only constant of the firmware: a property of the rig that the device's safety monitors use."""
 
     name: str
     unit: str
@@ -52,7 +51,7 @@ class ConstantInfo:
 
 @dataclass(frozen=True, slots=True)
 class SettingInfo:
-    """A pin, a scale or a choice that the device's board was built with, by the name that its port gives it."""
+    """Build setting of the firmware (a pin, a scale or an option), by its name in the board's port."""
 
     name: str
     value: SettingValue
@@ -60,7 +59,7 @@ class SettingInfo:
 
 @dataclass(frozen=True, slots=True)
 class CodeInfo:
-    """A fault or status code as the device explains it."""
+    """Name, text and remedy of a fault or status code, as sent by the device."""
 
     code: int
     name: str
@@ -99,15 +98,15 @@ class Dictionary:
         return dictionary_hash(self.packed)
 
     def parameter(self, name: str) -> ParameterInfo | None:
-        """Return the device's own entry for a parameter, or None when it has none of this name."""
+        """Return the device's entry for a parameter, or None if it has no parameter of this name."""
         return next((info for info in self.parameters if info.name == name), None)
 
     def explain_fault(self, code: int) -> CodeInfo:
-        """Return text and remedy of a fault: the device's, else ours, else an honest placeholder."""
+        """Return text and remedy of a fault code: the device's, else this package's, else a text that it is unknown."""
         return _explain(self.faults, Fault, code)
 
     def explain_status(self, code: int) -> CodeInfo:
-        """Return text and remedy of a status, as `explain_fault`."""
+        """Return text and remedy of a status code: the device's, else this package's, else that it is unknown."""
         return explain_status(code, self.statuses)
 
 
@@ -129,21 +128,21 @@ def build(
     Parameters
     ----------
     device, firmware
-        Name of the device and version of what runs on it.
+        Name of the device and version of its firmware.
     simulated
-        True if there is no real motor behind it.
+        True if the device drives no real motor.
     current_quantum_a
-        One step of every current on the wire (A).
+        Size of one quantum of every current on the wire (A).
     current_measured
-        True if the current is measured; else the measured current only repeats the set current.
+        True if the current is measured; otherwise the measured current repeats the set current.
     position_rate_default, position_rate_maximum
-        Ticks a second (Hz): unless configured, and at most.
+        Tick rate until the host configures one, and highest tick rate (Hz).
     ranges
-        Parameter name → (minimum, maximum) where the device is narrower than the table.
+        Minimum and maximum of each parameter whose range is narrower than in `PARAMETERS`, by name.
     constants
-        Constants of the rig that its monitors assume.
+        Constants of the rig that the device's monitors use.
     settings
-        Settings with which its board was built, by the names of the board's port.
+        Build settings of the firmware, by their names in the board's port.
     """
     narrower = {"position_rate": (PARAMETERS[1].minimum, position_rate_maximum), **(ranges or {})}
     defaults = {"position_rate": position_rate_default}
@@ -164,23 +163,25 @@ def build(
 
 
 def encode(dictionary: Dictionary) -> bytes:
-    """Return compressed bytes as IDENTIFY pages them; equal dictionaries give equal bytes under one zlib."""
+    """Return the compressed bytes of a dictionary; with one version of zlib, equal dictionaries give equal bytes."""
     plain = json.dumps(
         asdict(dictionary), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
     )
     packed = zlib.compress(plain.encode(), 9)
     if len(packed) > COMPRESSED_LIMIT:
-        raise ValueError(f"a dictionary of {len(packed)} bytes does not fit IDENTITY")
+        raise ValueError(
+            f"a compressed dictionary of {len(packed)} bytes does not fit IDENTITY (at most {COMPRESSED_LIMIT} bytes)"
+        )
     return packed
 
 
 def dictionary_hash(packed: bytes) -> int:
-    """Return first 8 bytes of the SHA-256 of the compressed dictionary, little-endian."""
+    """Return the first 8 bytes of the SHA-256 of the compressed dictionary, as a little-endian number."""
     return int.from_bytes(hashlib.sha256(packed).digest()[:8], "little")
 
 
 def decode(packed: bytes) -> Dictionary:
-    """Parse and check what a device sent; raises `RemoteProtocolError` for anything that is not a dictionary."""
+    """Return the dictionary in the bytes from a device; raise `RemoteProtocolError` if they are not a valid one."""
     try:
         content = json.loads(_inflate(packed), parse_constant=_no_constant)
         if not isinstance(content, dict):
@@ -305,7 +306,7 @@ def _code_info(code: Described) -> CodeInfo:
 
 
 def explain_status(code: int, known: tuple[CodeInfo, ...]) -> CodeInfo:
-    """Explain a status code by the device's own descriptions, where it sent one; see `Dictionary.explain_fault`."""
+    """Return text and remedy of a status code: from `known` (the device's), else from this package."""
     return _explain(known, Status, code)
 
 

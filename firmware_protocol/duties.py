@@ -1,4 +1,4 @@
-"""Duties of a port towards the core as data (`firmware/duties.toml`): the call, what must hold, how that is tested."""
+"""Read the duties of a firmware port (`firmware/duties.toml`): called function, its duty, and how that is tested."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ PORTING = Path(__file__).with_name("firmware") / "PORTING.md"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Duty:
-    """One row; the file says what its fields mean."""
+    """One duty; `duties.toml` explains the fields."""
 
     name: str
     call: str
@@ -22,6 +22,6 @@ class Duty:
 
 
 def duties() -> tuple[Duty, ...]:
-    """Return every row, in the order of the file."""
+    """Return all duties, in the order of the file."""
     content = tomllib.loads(PORTING.with_name("duties.toml").read_text(encoding="utf-8"))
     return tuple(Duty(**row) for row in content["duty"])

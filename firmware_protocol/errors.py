@@ -1,14 +1,14 @@
-"""Whose fault it is.
+"""Errors of the protocol, by the side that caused them.
 
-A wrong call of ours is a `LocalProtocolError`, wrong bytes from the other side a `RemoteProtocolError`.
-Both roles run the same checks; the blame follows from the entry through which the fault came.
+A wrong call of this package is a `LocalProtocolError`; wrong bytes from the other side are a `RemoteProtocolError`.
+Host and device run the same checks.
 """
 
 from __future__ import annotations
 
 
 class ProtocolError(Exception):
-    """Root of the errors of this package; only its two branches are raised."""
+    """Base class of the errors of this package; only `LocalProtocolError` and `RemoteProtocolError` are raised."""
 
     def __init__(self, message: str) -> None:
         if type(self) is ProtocolError:
@@ -21,11 +21,11 @@ class LocalProtocolError(ProtocolError):
 
 
 class RemoteProtocolError(ProtocolError):
-    """The other side sent something that cannot be meant."""
+    """The other side sent bytes that the protocol does not allow."""
 
 
 class IncompatibleMajorError(RemoteProtocolError):
-    """The other side speaks another major version; `ours` and `theirs` say which."""
+    """The other side uses another major version of the protocol: `theirs` instead of `ours`."""
 
     def __init__(self, ours: int, theirs: int) -> None:
         super().__init__(f"the device uses major protocol version {theirs}, this package uses {ours}")

@@ -1,8 +1,8 @@
-"""One C file out of several: what some functions of the firmware need, and nothing else of it.
+"""Build one C text from the firmware's sources with only the declarations that some functions need.
 
-The sources are declarations on the outermost level, each under its comment. `excerpt` cuts them there, follows the
-names that each uses, and joins the ones that are needed in the order of the sources, every name with a prefix and every
-function static: two excerpts may be included in one file, and neither is seen by the linker.
+The sources consist of declarations at the outermost level, each below its comment. `excerpt` follows the names that
+each declaration uses and joins the needed ones in the order of the sources. Every name gets a prefix and every function
+is static, so two excerpts may be included in one file and the linker sees neither.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _BESIDE = re.compile(r"[ \t]*/\*[^\n]*?\*/")  # a comment on the line where a de
 
 @dataclass(frozen=True, slots=True)
 class _Piece:
-    """One declaration with its comment: the names that it defines, and all that occur in it."""
+    """One declaration with its comment, the names that it defines, and the names that it uses."""
 
     comment: str
     code: str
@@ -36,21 +36,21 @@ class _Piece:
 
 
 def excerpt(sources: Iterable[Path], wanted: Iterable[str], prefix: str) -> str:
-    """Return declarations of C files that the wanted names need, these included.
+    """Return the C declarations of the wanted names and of all names that they use.
 
     Parameters
     ----------
     sources
         Files in the order in which they include each other, headers first.
     wanted
-        Functions or types.
+        Names of functions or types.
     prefix
         Prefix of every name in the result: ``kalman`` turns ``law_biquad_run`` into ``kalman_biquad_run``.
 
     Raises
     ------
     KeyError
-        A wanted name that no source defines.
+        No source defines one of the wanted names.
     """
     pieces = [piece for path in sources for piece in _pieces(path.read_text(encoding="utf-8"))]
     where = {name: piece for piece in pieces for name in piece.names}
@@ -79,7 +79,7 @@ def _private(piece: _Piece) -> str:
 
 
 def _renamed(text: str, pieces: Iterable[_Piece], prefix: str) -> str:
-    """Functions are renamed where they are called, so that a member of a struct keeps its name."""
+    """Return the text with renamed functions and types. A function name is replaced only before a parenthesis."""
     functions = {name for piece in pieces if piece.function for name in piece.names}
     others = {name for piece in pieces if not piece.function for name in piece.names}
     patterns = [rf"\b(?:{'|'.join(sorted(functions))})\b(?=\s*\()"] if functions else []
@@ -88,7 +88,7 @@ def _renamed(text: str, pieces: Iterable[_Piece], prefix: str) -> str:
 
 
 def _pieces(text: str) -> Iterator[_Piece]:
-    """Declarations of a file; prototypes, and what the preprocessor reads on the outermost level, are left out."""
+    """Yield the declarations of a file, except prototypes and preprocessor lines at the outermost level."""
     start = depth = 0
     for mark in _MARK.finditer(text):
         word = mark[0]
@@ -115,7 +115,7 @@ def _pieces(text: str) -> Iterator[_Piece]:
 
 
 def _leading(whole: str) -> int:
-    """Return where the comments before a declaration end."""
+    """Return the length of the comments before a declaration (characters)."""
     found = re.match(r"(?:\s*/\*.*?\*/)*", whole, re.DOTALL)
     return found.end() if found else 0
 

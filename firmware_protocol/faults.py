@@ -1,7 +1,7 @@
-"""Faults, limits, refusals and inputs: each code once, with its text and its remedy.
+"""List the codes of faults, limits, request statuses and inputs, with text and remedy.
 
-The codes are part of the wire and never reused. The device's dictionary carries the texts, so that a host can
-explain a code that is younger than itself.
+The codes are part of the protocol and are never reused. The device's dictionary contains the texts, so a host can
+explain codes of a newer firmware.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ class Described(IntEnum):
     remedy: str
 
     def __new__(cls, code: int, text: str = "", remedy: str = "") -> Described:
-        """Make a member of which `code` is the value."""
+        """Create a member with the value `code`."""
         member = int.__new__(cls, code)
         member._value_ = code
         member.text = text
@@ -25,13 +25,13 @@ class Described(IntEnum):
 
 
 class DescribedFlag(IntFlag):
-    """A bit with its meaning (`text`) and what to do about it (`remedy`); for a sum of bits see `texts`."""
+    """A bit with its meaning (`text`) and what to do about it (`remedy`); `texts` explains a combination of bits."""
 
     text: str
     remedy: str
 
     def __new__(cls, code: int, text: str = "", remedy: str = "") -> DescribedFlag:
-        """Make a member of which `code` is the value."""
+        """Create a member with the value `code`."""
         member = int.__new__(cls, code)
         member._value_ = code
         member.text = text
@@ -39,12 +39,12 @@ class DescribedFlag(IntFlag):
         return member
 
     def texts(self) -> list[str]:
-        """Return the meaning of each set bit; bits that this version does not know are skipped."""
+        """Return the meaning of each set bit; skip bits that this version does not define."""
         return [bit.text for bit in type(self) if bit in self]
 
 
 class Fault(Described):
-    """Why the device latched FAULT. The first one is kept; later ones set bit ``1 << code`` of a mask."""
+    """Reason for which the device latched FAULT. It keeps the first; later faults set bit ``1 << code`` of a mask."""
 
     NONE = 0, "no fault", ""
     LINK_LOST = (
@@ -139,7 +139,7 @@ OUT_OF_TIME = frozenset({Fault.TICK_OVERRUN.name, Fault.LINK_LOST.name, "DRIVE_S
 
 
 class LimitFlag(DescribedFlag):
-    """Limits that changed the effort of a tick. Not faults: the device continues."""
+    """Limits that changed the effort of a tick, and warnings. They are not faults: the device continues."""
 
     CURRENT = 1, "current clipped to current_limit", "command less effort"
     SLEW = 2, "change of current clipped to slew_limit", "a trial with this flag is invalid; raise slew_limit"
@@ -176,7 +176,7 @@ class LimitFlag(DescribedFlag):
 
 
 class Status(Described):
-    """How a transaction ended: the status of an ACK."""
+    """Result of a request: the status of an ACK."""
 
     OK = 0, "done", ""
     UNSUPPORTED = (
@@ -264,7 +264,7 @@ class Status(Described):
 
 
 class Input(DescribedFlag):
-    """Pins as STATE reports them; 1 means active. The two of the sync outputs are the device's own."""
+    """Pins that STATE reports; 1 means active. `SYNC_TRIAL` and `SYNC_INSIDE` are outputs of the device."""
 
     EMERGENCY_STOP = 1, "the wired emergency stop is pressed", "release it when the rig is safe"
     HOLD_TO_RUN = 2, "the hold-to-run switch is held", ""

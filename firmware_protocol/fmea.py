@@ -1,4 +1,4 @@
-"""Single faults as data (`firmware/fmea.toml`): what breaks, who finds it how soon, what remains, what shows it."""
+"""Read the single faults of a rig (`firmware/fmea.toml`): cause, detection, reaction, remaining hazard, tests."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ FMEA = Path(__file__).with_name("firmware") / "FMEA.md"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SingleFault:
-    """One row; the file says what its fields mean."""
+    """One single fault; `fmea.toml` explains the fields."""
 
     part: str
     fault: str
@@ -24,14 +24,14 @@ class SingleFault:
     bench: tuple[int, ...] = ()
 
     def shown_by(self) -> str:
-        """Return tests and steps, as the page names them."""
+        """Return the tests and the steps of BENCH.md that show the reaction, as text for the page."""
         functions = [f"`{test.partition('::')[2]}`" for test in self.tests]
         steps = [f"step {number}" for number in self.bench]
         return ", ".join([*(functions or ["**no test**"]), *steps])
 
 
 def single_faults() -> list[SingleFault]:
-    """Return every row, in the order of the file."""
+    """Return all single faults, in the order of the file."""
     content = tomllib.loads(FMEA.with_name("fmea.toml").read_text(encoding="utf-8"))
     return [_row(**row) for row in content["row"]]
 

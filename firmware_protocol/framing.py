@@ -1,8 +1,8 @@
-"""Encode and decode frames: COBS, one 0x00 behind each, CRC-32 inside.
+"""Encode and decode frames: COBS byte stuffing, one 0x00 after each frame, CRC-32 inside.
 
     wire = COBS(raw) 0x00        raw = header, payload, CRC-32/ISO-HDLC of both (little-endian)
 
-A 0x00 occurs nowhere but between frames, so a receiver that lost its place finds it at the next one.
+The byte 0x00 occurs only between frames, so a receiver that lost bytes is synchronised again at the next 0x00.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _CODES = [bytes([length + 1]) for length in range(RAW_LIMIT + 1)]  # the code by
 
 
 class Defect(IntEnum):
-    """Defects of a frame; the compiled codec returns the negative of these."""
+    """Defect of a frame; the compiled codec returns its negative number."""
 
     COBS = 1
     CRC = 2
@@ -43,18 +43,21 @@ class FrameError(RemoteProtocolError):
 
 
 def encode_frame(raw: bytes) -> bytes:
-    """Append the CRC to header and payload, stuff, delimit.
+    """Return the encoded frame for header and payload: with CRC, byte stuffing and delimiter.
 
-    Raises `LocalProtocolError` when `raw` is longer or shorter than any frame may be.
+    Raise `LocalProtocolError` if `raw` is too short or too long for a frame.
     """
     if not HEADER_BYTES <= len(raw) <= RAW_LIMIT - CRC_BYTES:
-        raise LocalProtocolError(f"a frame of {len(raw)} bytes before its CRC cannot be sent")
+        raise LocalProtocolError(
+            f"a frame of {len(raw)} bytes before its CRC cannot be sent: {HEADER_BYTES} … {RAW_LIMIT - CRC_BYTES} "
+            "bytes are allowed"
+        )
     runs = (raw + crc32(raw).to_bytes(CRC_BYTES, "little")).split(b"\0")
     return b"".join([_CODES[len(run)] + run for run in runs]) + b"\0"
 
 
 def decode_frame(encoded: bytes | bytearray) -> bytes:
-    """Return header and payload of a frame given without its delimiter; raises `FrameError`."""
+    """Return header and payload of an encoded frame without its delimiter; raise `FrameError` for a bad frame."""
     size = len(encoded)
     if size > ENCODED_LIMIT:
         raise FrameError(Defect.TOO_LONG)
@@ -79,11 +82,10 @@ def decode_frame(encoded: bytes | bytearray) -> bytes:
 
 
 class FrameSplitter:
-    """Bytes in any pieces in, raw frames out; defects are counted and never raised.
+    """Splitter of a byte stream into raw frames. Bad frames are counted, not raised.
 
-    Keeps at most one unfinished frame, so memory is bounded, and looks at every byte once. Empty frames
-    (a delimiter after a delimiter) are legal and mean nothing: a sender may begin with one to end
-    whatever noise came before.
+    It stores at most one unfinished frame and processes every byte once. Empty frames (two delimiters in succession)
+    are ignored: a sender may begin with a delimiter to end noise on the line.
     """
 
     def __init__(self, statistics: LinkStatistics | None = None) -> None:
@@ -92,7 +94,7 @@ class FrameSplitter:
         self._skipping = False  # inside something too long: wait for its end
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Take bytes and return the raw frames (without CRC) that they complete, in order."""
+        """Accept bytes and return the raw frames (without CRC) that they complete, in order."""
         *ends, tail = data.split(b"\0")
         frames = []
         for piece in ends:
@@ -105,7 +107,7 @@ class FrameSplitter:
         return frames
 
     def reset(self) -> None:
-        """Forget an unfinished frame, for example when another reader has read from the link in between."""
+        """Discard an unfinished frame, for example after another reader has read from the link."""
         self._pending.clear()
         self._skipping = False
 

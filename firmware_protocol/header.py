@@ -1,8 +1,7 @@
-"""The protocol as C99: `protocol.h` and `protocol.c` of the firmware, from the tables that run.
+"""Generate the firmware's `protocol.h` and `protocol.c` (C99) from the tables in Python.
 
-Everything that a device needs of the wire format and that Python has in a table is printed here: type ids, the offset
-of each field in a raw frame, states and their transitions, parameters, codes. So no number of the protocol is typed a
-second time in the firmware. Names are those of PROTOCOL.md behind the prefix ``HR_``.
+They contain type ids, the offset of each field in a raw frame, states and their transitions, parameters and codes, so
+that no number of the protocol is written twice. Names are those of PROTOCOL.md with the prefix ``HR_``.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ _KINDS = {"u": "HR_UNSIGNED", "i": "HR_SIGNED", "f": "HR_FLOAT"}
 
 
 def title(cls: type) -> str:
-    """Name of a message as the protocol writes it: SetBegin → SET_BEGIN."""
+    """Return the name of a message in PROTOCOL.md: SET_BEGIN for the class `SetBegin`."""
     return re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).upper()
 
 
@@ -145,7 +144,7 @@ extern const uint32_t hr_crc_table[256];
 
 
 def header() -> str:
-    """Return the text of protocol.h, from the tables."""
+    """Return the text of protocol.h."""
     lines = [_MADE, "#ifndef HR_PROTOCOL_H", "#define HR_PROTOCOL_H", "", "#include <stdint.h>", ""]
     lines += _constants()
     lines += _message_lines()
@@ -157,7 +156,7 @@ def header() -> str:
 
 
 def source() -> str:
-    """Return the text of protocol.c, from the tables."""
+    """Return the text of protocol.c."""
     parts = [
         _table("struct hr_message hr_messages[HR_MESSAGES]", map(_message_row, LAYOUTS.values())),
         _table("struct hr_parameter hr_parameters[HR_PARAMETERS]", map(_parameter_row, PARAMETERS)),

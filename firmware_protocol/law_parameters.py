@@ -1,7 +1,7 @@
-"""List the parameters of the law that runs on the device itself, in the device's own units.
+"""List the parameters of the control law that runs on the device, in the units of the device.
 
-A host designs everything, filters included (`rig.config.device_law`), and the device only multiplies: lengths are
-counts, velocities counts per velocity period, currents quanta, times ticks. Source of what each is: firmware/law/law.h.
+The host designs the law with its filters (`rig.config.device_law`), and the device only computes with the results.
+Lengths are counts, velocities counts per velocity period, currents quanta, times ticks; see firmware/law/law.h.
 Live parameters may change while the device is armed, between two ticks, when the handle is in free space.
 """
 
@@ -19,7 +19,7 @@ _Row = tuple[str, str, str, tuple[Value, Value], Value, str, bool]
 
 
 def _rows() -> list[_Row]:
-    """Name, C type, unit, range, default, meaning, live; in the order of their ids."""
+    """Return name, C type, unit, range, default, meaning and `live` of each parameter, in the order of their ids."""
     fixed = False
     rows: list[_Row] = [
         ("law", "u8", "", (0, 3), 0,

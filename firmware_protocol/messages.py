@@ -1,13 +1,13 @@
-"""Every message: a frozen dataclass whose fields carry C type, unit and meaning, and the table of type ids.
+"""Define all messages: frozen dataclasses whose fields have C type, unit and meaning; and the table of type ids.
 
-The annotations are the only description of the bytes; packing.py, codec.py and the tables of PROTOCOL.md
-are made from them. Little-endian, no padding. A type id says by itself who sends it and how it travels,
-so that a receiver can treat a type that is younger than itself properly:
+The annotations are the only description of the bytes: packing.py, codec.py and the tables of PROTOCOL.md are generated
+from them. Values are little-endian, without padding. A type id contains sender and delivery class, so a receiver can
+handle a type of a newer version correctly:
 
 * even: sent by the host, odd: sent by the device;
 * below 0x40: TRANSACTION, from 0x40: STREAM, from 0x60: BATCH.
 
-Ids 0 and 1 and the fields that IDENTIFY and IDENTITY have in version 1.0 never change, in no version.
+Ids 0 and 1, and the fields that IDENTIFY and IDENTITY have in version 1.0, are the same in all versions.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ OLDEST_EDGE = (
 
 
 class Role(IntEnum):
-    """Which end of the link."""
+    """End of the link: host or device."""
 
     HOST = 0
     DEVICE = 1
 
 
 class Delivery(IntEnum):
-    """How a message travels."""
+    """Delivery class of a message: whether it is answered, repeated, or may be lost."""
 
     TRANSACTION = 0  # answered; repeated by the host until it is
     STREAM = 1  # never repeated, the newest wins, losses are counted
@@ -57,11 +57,11 @@ STOP_FRAMES = 5  # times that a host sends STOP, so that one arrives over a link
 
 
 class Sync(IntFlag):
-    """Pins of the sync output, for an oscilloscope and for other recorders.
+    """Pins of the sync output, for an oscilloscope or other recorders.
 
-    `TRIAL` and `INSIDE` are also the flags of a COMMAND with mode CURRENT. The device puts them out when the command's
-    current becomes active, and takes them low when the command's lifetime is over, at STOP, at a fault and outside a
-    session. Under SUPERVISE its own law drives them.
+    `TRIAL` and `INSIDE` are also the flags of a COMMAND with mode CURRENT. The device sets these pins when the current
+    of the command becomes active, and clears them when the lifetime of the command is over, at STOP, at a fault and
+    outside of a session. With SUPERVISE the law on the device controls them.
     """
 
     TICK = 1  # while the device works on a tick; its own, ignored in a COMMAND
@@ -80,7 +80,7 @@ Tail = Annotated[bytes, Wire("bytes", "", "the rest of the frame")]
 
 
 class Message:
-    """Root of all messages."""
+    """Base class of all messages."""
 
     __slots__ = ()
 
@@ -170,7 +170,7 @@ class Parameters(Message):
 
 @dataclass(frozen=True, slots=True)
 class Arm(Message):
-    """Begin a session, whose number is in the header; both sums must be the device's own."""
+    """Begin a session, whose number is in the header; hash and CRC must equal those of the device."""
 
     nonce: Nonce
     dictionary_hash: Annotated[int, Wire("u64", "", "hash from IDENTITY")]
@@ -187,7 +187,7 @@ class Disarm(Message):
 
 @dataclass(frozen=True, slots=True)
 class GetTime(Message):
-    """Clock exchange, first stamp."""
+    """First message of the clock exchange: the host's time at sending."""
 
     nonce: Nonce
     host_sent: Annotated[int, Wire("u64", "ns", "host clock at sending; echoed")]
@@ -195,7 +195,7 @@ class GetTime(Message):
 
 @dataclass(frozen=True, slots=True)
 class Time(Message):
-    """Clock exchange, second and third stamp; the host takes the fourth on receipt."""
+    """Reply of the clock exchange: the device's times at receipt and sending; the host stores its time at receipt."""
 
     nonce: Nonce
     host_sent: Annotated[int, Wire("u64", "ns", "copied from the request")]
@@ -205,7 +205,7 @@ class Time(Message):
 
 @dataclass(frozen=True, slots=True)
 class GetFaultLog(Message):
-    """Ask for the fault and a piece of the ring of ticks before it."""
+    """Request the latched fault and some of the ticks before it."""
 
     nonce: Nonce
     first: Annotated[int, Wire("u16", "", "first requested entry; 0 is the oldest")]
@@ -233,7 +233,7 @@ class GetStatistics(Message):
 
 @dataclass(frozen=True, slots=True)
 class Statistics(Message):
-    """The device's counters of what it received (counters.py), each modulo 2³²; and what had stopped it."""
+    """The device's counters of received frames (counters.py), each modulo 2³², and the place of its last crash."""
 
     nonce: Nonce
     frames: Annotated[int, Wire("u32", "", "frames with a good CRC")]
@@ -255,14 +255,14 @@ class Statistics(Message):
 
 @dataclass(frozen=True, slots=True)
 class GetReference(Message):
-    """Ask what position zero is, and where the device has seen its encoder's index."""
+    """Request the origin of position zero, and the count at which the device detected its encoder's index."""
 
     nonce: Nonce
 
 
 @dataclass(frozen=True, slots=True)
 class Reference(Message):
-    """Origin of position zero and the encoder's index, as the device has seen it since it started."""
+    """Origin of position zero, and the index pulses that the device has detected since it started."""
 
     nonce: Nonce
     zero: Annotated[
@@ -282,7 +282,7 @@ class Reference(Message):
 
 @dataclass(frozen=True, slots=True)
 class EnterBootloader(Message):
-    """Reset into the boot loader, which takes another program, shortly after the answer."""
+    """Restart the device in its boot loader, which accepts another program, shortly after the reply."""
 
     nonce: Nonce
 
@@ -310,7 +310,7 @@ class Command(Message):
 
 @dataclass(frozen=True, slots=True)
 class State(Message):
-    """One tick as the device saw it."""
+    """Sample of the device in one tick: count, times, currents, limits and state."""
 
     command_sequence: Annotated[int, Wire("u16", "", "sequence of the active COMMAND")]
     command_age: Annotated[
@@ -398,12 +398,12 @@ BATCH_LAYOUTS: dict[int, tuple[str, ...]] = {
 
 
 def sender_of(type_id: int) -> Role:
-    """Return who sends this type, known or not."""
+    """Return the sender of a type id, also of an unknown one."""
     return Role.DEVICE if type_id & 1 else Role.HOST
 
 
 def delivery_of(type_id: int) -> Delivery:
-    """Return how this type travels, known or not."""
+    """Return the delivery class of a type id, also of an unknown one."""
     if type_id < 0x40:
         return Delivery.TRANSACTION
     return Delivery.STREAM if type_id < 0x60 else Delivery.BATCH

@@ -1,4 +1,4 @@
-"""Messages to raw frames and back, readable and quick: one precompiled struct for each class."""
+"""Convert messages to raw frames and back, with one precompiled struct for each class."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ STUFFING_BYTES = 1  # COBS adds one byte up to 254
 
 
 class Header(NamedTuple):
-    """The bytes before every payload."""
+    """Header of every frame, before the payload."""
 
     major: Annotated[int, Wire("u8", "", "major protocol version of the sender")]
     type_id: Annotated[int, Wire("u8", "", "type of the message, see below")]
@@ -42,7 +42,7 @@ HEADER = record_struct(Header)
 
 
 class Layout:
-    """How one message class lies in a frame; made once from its annotations."""
+    """Layout of a message class in a frame, built once from its annotations."""
 
     def __init__(self, type_id: int, cls: type[Message]) -> None:
         self.type_id = type_id
@@ -60,11 +60,11 @@ class Layout:
 
     @property
     def data_limit(self) -> int:
-        """Return the longest tail that fits into a frame; 0 for a message without one."""
+        """Return the largest number of bytes of the field `data`; 0 for a message without that field."""
         return self.limit - self.size if self.tail else 0
 
     def pack(self, message: Message) -> bytes:
-        """Return the payload of a message; raises `LocalProtocolError` for a value that its C type cannot hold."""
+        """Return the payload of a message; raise `LocalProtocolError` for a value that its C type cannot hold."""
         try:
             payload = self.struct.pack(*self._get(message))
         except struct.error as error:
@@ -72,16 +72,20 @@ class Layout:
         if self.tail:
             payload += message.data  # type: ignore[attr-defined]
             if len(payload) > self.limit:
-                raise LocalProtocolError(f"{self.name} carries at most {self.data_limit} bytes of data")
+                raise LocalProtocolError(
+                    f"{self.name} with {len(payload) - self.size} bytes of data: at most {self.data_limit} are allowed"
+                )
         return payload
 
     def unpack(self, raw: bytes) -> Message:
-        """Return the message in a raw frame; raises `RemoteProtocolError` when its length is impossible for its type.
+        """Return the message in a raw frame; raise `RemoteProtocolError` if the length does not fit the type.
 
-        Bytes behind the last known field belong to a newer minor version and are ignored.
+        Bytes after the last known field belong to a newer minor version and are ignored.
         """
         if not self.size <= len(raw) - HEADER_BYTES <= self.limit:
-            raise RemoteProtocolError(f"{self.name} with a payload of {len(raw) - HEADER_BYTES} bytes")
+            raise RemoteProtocolError(
+                f"{self.name} with a payload of {len(raw) - HEADER_BYTES} bytes: {self.size} … {self.limit} are allowed"
+            )
         if self.tail:
             return self.cls(*self.struct.unpack_from(raw, HEADER_BYTES), raw[HEADER_BYTES + self.size :])
         return self.cls(*self.struct.unpack_from(raw, HEADER_BYTES))
@@ -92,22 +96,22 @@ LAYOUT_OF: dict[type[Message], Layout] = {MESSAGES[type_id]: layout for type_id,
 
 
 def type_id_of(cls: type[Message]) -> int:
-    """Type id of a message class."""
+    """Return the type id of a message class."""
     return LAYOUT_OF[cls].type_id
 
 
 def data_limit(cls: type[Message]) -> int:
-    """Return the longest `data` that a message of this class can carry, in bytes."""
+    """Return the largest number of bytes in the field `data` of a message of this class."""
     return LAYOUT_OF[cls].data_limit
 
 
 def encoded_bytes(cls: type[Message]) -> int:
-    """Return bytes of a message of fixed size on the wire: header, fields, CRC, stuffing and delimiter."""
+    """Return the size (bytes) on the wire of a message of fixed size: header, fields, CRC, stuffing and delimiter."""
     return HEADER_BYTES + LAYOUT_OF[cls].size + CRC_BYTES + STUFFING_BYTES + 1
 
 
 def pack(message: Message, *, session: int = 0, sequence: int = 0) -> bytes:
-    """Raw frame (header and payload, without CRC); raises `LocalProtocolError` for values that do not fit."""
+    """Return a raw frame (header and payload, without CRC); raise `LocalProtocolError` for values that do not fit."""
     layout = LAYOUT_OF[type(message)]
     try:
         header = HEADER.pack(MAJOR, layout.type_id, 0, session, sequence)
@@ -119,11 +123,13 @@ def pack(message: Message, *, session: int = 0, sequence: int = 0) -> bytes:
 def unpack(raw: bytes) -> tuple[Header, Message]:
     """Return the header and message of a raw frame.
 
-    Raises `RemoteProtocolError` for an unknown type or an impossible payload. The major version is left
-    to the caller, because IDENTIFY must be understood in every one.
+    Raise `RemoteProtocolError` for an unknown type or a payload of wrong length. The caller must check the major
+    version, because IDENTIFY is accepted from every version.
     """
     if len(raw) < HEADER_BYTES:
-        raise RemoteProtocolError("a frame shorter than its header")
+        raise RemoteProtocolError(
+            f"a frame of {len(raw)} bytes is shorter than its header ({HEADER_BYTES} bytes)"
+        )
     header = Header._make(HEADER.unpack_from(raw))
     layout = LAYOUTS.get(header.type_id)
     if layout is None:
@@ -137,7 +143,7 @@ FAULT_ENTRY_BYTES = _FAULT_ENTRY.size
 
 
 def pack_fault_entries(entries: Iterable[FaultEntry]) -> bytes:
-    """Return bytes of FAULT_ENTRYs, one behind the other; raises `LocalProtocolError` for values that do not fit."""
+    """Return the bytes of consecutive FAULT_ENTRYs; raise `LocalProtocolError` for values that do not fit."""
     try:
         return b"".join(_FAULT_ENTRY.pack(*_fault_values(entry)) for entry in entries)
     except struct.error as error:
@@ -145,9 +151,11 @@ def pack_fault_entries(entries: Iterable[FaultEntry]) -> bytes:
 
 
 def unpack_fault_entries(data: bytes) -> list[FaultEntry]:
-    """Return FAULT_ENTRYs of a fault log, oldest first; raises `RemoteProtocolError` for a broken length."""
+    """Return the FAULT_ENTRYs of a fault log, oldest first; raise `RemoteProtocolError` for a wrong length."""
     if len(data) % FAULT_ENTRY_BYTES:
-        raise RemoteProtocolError(f"a fault log of {len(data)} bytes")
+        raise RemoteProtocolError(
+            f"a fault log of {len(data)} bytes: the length must be a multiple of {FAULT_ENTRY_BYTES}"
+        )
     return [FaultEntry(*values) for values in _FAULT_ENTRY.iter_unpack(data)]
 
 
@@ -158,9 +166,9 @@ _SAMPLES = {
 
 
 def pack_batch_samples(layout: int, samples: Iterable[tuple[int, ...]]) -> bytes:
-    """Return bytes of the samples of a BATCH (difference, commanded, measured where the layout has it).
+    """Return the bytes of the samples of a BATCH: count difference, commanded and, in some layouts, measured current.
 
-    Raises `LocalProtocolError` for values that do not fit.
+    Raise `LocalProtocolError` for values that do not fit.
     """
     try:
         return b"".join(_SAMPLES[layout].pack(*sample) for sample in samples)
@@ -169,10 +177,14 @@ def pack_batch_samples(layout: int, samples: Iterable[tuple[int, ...]]) -> bytes
 
 
 def unpack_batch_samples(batch: Batch) -> list[tuple[int, ...]]:
-    """Samples of a BATCH, oldest first; raises `RemoteProtocolError` for an unknown layout or a broken length."""
+    """Return the samples of a BATCH, oldest first; raise `RemoteProtocolError` for a wrong layout or length."""
     found = _SAMPLES.get(batch.layout)
     if found is None:
-        raise RemoteProtocolError(f"a batch of the unknown layout {batch.layout}")
+        raise RemoteProtocolError(
+            f"unknown layout {batch.layout} of a BATCH: layouts are 0 … {max(_SAMPLES)}"
+        )
     if not batch.data or len(batch.data) % found.size:
-        raise RemoteProtocolError(f"a batch with {len(batch.data)} bytes of samples")
+        raise RemoteProtocolError(
+            f"a BATCH with {len(batch.data)} bytes of samples: layout {batch.layout} needs a multiple of {found.size}"
+        )
     return list(found.iter_unpack(batch.data))

@@ -9,10 +9,10 @@ Value = int | float
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One parameter: its number on the wire, its name everywhere else, type, unit, range and meaning.
+    """Definition of a parameter: number on the wire, name, C type, unit, range, default and meaning.
 
-    `excluded` are values inside the range that are not allowed. `live` ones may change while the device is armed, in a
-    block of their own.
+    `excluded` are values inside the range that are not allowed. A `live` parameter may change while the device is
+    armed, in a block that contains only live parameters.
     """
 
     id: int
@@ -27,5 +27,5 @@ class Parameter:
     live: bool = False
 
     def accepts(self, value: Value) -> bool:
-        """Return True if a value is in range; NaN is not."""
+        """Return True if a value is in the range and not excluded; NaN is not accepted."""
         return self.minimum <= value <= self.maximum and value not in self.excluded

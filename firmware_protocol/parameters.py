@@ -1,7 +1,8 @@
-"""List the device's parameters, and encode the block in which they travel.
+"""List the device's parameters, and encode and decode the parameter block.
 
-A block is a sequence of entries, each an id (u16) and a value in four bytes, both little-endian, rising by id. It is
-activated as a whole or not at all. Defaults lie on the safe side: a device that was never configured gives no current.
+A block is a sequence of entries in ascending order of id, each an id (u16) and a value in four bytes, both
+little-endian. The device activates a block as a whole or not at all. Defaults are safe: a device that was never
+configured drives no current.
 """
 
 from __future__ import annotations
@@ -24,10 +25,10 @@ _FORMATS = {"u8": "<HI", "u16": "<HI", "u32": "<HI", "i8": "<Hi", "i32": "<Hi", 
 
 
 class ParameterError(ProtocolError):
-    """A parameter or block that cannot be taken.
+    """A parameter or a parameter block is not valid.
 
-    `status` is what an ACK answers, `detail` its detail: the id of the parameter, or 0 for the block;
-    `name` is the parameter's name, or empty.
+    `status` and `detail` are those of the ACK; `detail` is the id of the parameter, or 0 for the whole block. `name` is
+    the name of the parameter, or empty.
     """
 
     def __init__(self, status: Status, message: str, *, detail: int = 0, name: str = "") -> None:
@@ -192,24 +193,25 @@ BLOCK_LIMIT = 1024  # a longer block is refused at BEGIN; above one entry for ev
 
 
 def check_together(values: Mapping[str, Value]) -> None:
-    """Check the rules between parameters, each of which is good by itself; raises `ParameterError`.
+    """Raise `ParameterError` if parameters contradict each other, although each is in its range.
 
-    Give all active values: a missing one is taken at its default.
+    `values` are all active values; a missing parameter has its default.
     """
     if values.get("window_minimum", 0) > values.get("window_maximum", 0):
         parameter = BY_NAME["window_maximum"]
         raise ParameterError(
             Status.INCONSISTENT,
-            "window_maximum is below window_minimum",
+            f"window_maximum = {values.get('window_maximum', 0)} is below window_minimum = "
+            f"{values.get('window_minimum', 0)} (counts)",
             detail=parameter.id,
             name=parameter.name,
         )
 
 
 def encode_block(values: Mapping[str, Value]) -> bytes:
-    """Return bytes of the given parameters, in any order of the mapping; raises `ParameterError`.
+    """Return the parameter block for values in any order; raise `ParameterError` for an invalid one.
 
-    f32 values are rounded to float32: `decode_block` gives back what the device will hold.
+    f32 values are rounded to float32: `decode_block` returns the value that the device will use.
     """
     entries = []
     for name in values.keys() - BY_NAME.keys():
@@ -226,9 +228,13 @@ def encode_block(values: Mapping[str, Value]) -> bytes:
 
 
 def decode_block(block: bytes) -> dict[str, Value]:
-    """Name → value, rising by id; raises `ParameterError` with the status to answer."""
+    """Return the values in a block by name, in the order of their ids; raise `ParameterError` for an invalid block."""
     if len(block) % ENTRY_BYTES or len(block) > BLOCK_LIMIT:
-        raise ParameterError(Status.BAD_LENGTH, f"a parameter block of {len(block)} bytes")
+        raise ParameterError(
+            Status.BAD_LENGTH,
+            f"a parameter block of {len(block)} bytes: the length must be a multiple of {ENTRY_BYTES}, at most "
+            f"{BLOCK_LIMIT}",
+        )
     values: dict[str, Value] = {}
     previous = -1
     for start in range(0, len(block), ENTRY_BYTES):
@@ -251,7 +257,7 @@ def decode_block(block: bytes) -> dict[str, Value]:
 
 
 def block_crc(block: bytes) -> int:
-    """Return CRC-32 of a block: the fingerprint that COMMIT answers and ARM repeats."""
+    """Return the CRC-32 of a block, which the device reports in the ACK of COMMIT and the host sends in ARM."""
     return crc32(block)
 
 

@@ -1,8 +1,8 @@
-"""At most once: a repeated request gets the same reply and is not executed again.
+"""Execute each request at most once: a repeated request gets the same reply again.
 
-The host repeats a request whose answer did not come in time, and cannot know which of the two was lost.
-Questions may be answered as often as they are asked; what changes the device may be done once. The host
-waits for each answer before its next request, so one remembered reply is enough.
+The host repeats a request if the reply does not arrive in time; it cannot detect whether request or reply was lost.
+Requests that only read may be executed again; a request that changes the device must not. The host waits for each reply
+before its next request, so storing one reply is enough.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ REMEMBERED = frozenset(type_id_of(cls) for cls in (SetBegin, SetCommit, Arm, Dis
 
 
 class Replies:
-    """The device's memory of the last request that changed something, and of its reply."""
+    """The device's memory of its last request of a type in `REMEMBERED`, and of the reply."""
 
     def __init__(self) -> None:
         self._key: tuple[int, int, int] | None = None
         self._reply: Message | None = None
 
     def answer(self, event: Event, execute: Callable[[], Message]) -> Message:
-        """Return the remembered reply if this request was the last one executed, else that of `execute()`."""
+        """Return the stored reply if this request was the last one executed; otherwise execute it."""
         if event.request not in REMEMBERED:
             return execute()
         if not self.remembers(event) or self._reply is None:
@@ -35,9 +35,9 @@ class Replies:
         return self._reply
 
     def remembers(self, event: Event) -> bool:
-        """Return True if a request repeats the last executed one: its reply is sent again, and nothing is executed."""
+        """Return True if a request repeats the last executed one, so that its reply is sent again."""
         return self._reply is not None and self._key == (event.request, event.nonce, event.session)
 
     def forget(self) -> None:
-        """Remember nothing: after a reset of the device."""
+        """Delete the stored reply, after a reset of the device."""
         self._key = self._reply = None

@@ -1,8 +1,8 @@
-"""The host's side of a transaction: what to send and when, in plain integers.
+"""Compute the host side of a transaction: which request to send, and when, in integers.
 
-A transaction is a request and its answer; an update of parameters is SET_BEGIN, its SET_CHUNKs and SET_COMMIT under one
-nonce, each answered before the next is sent. `after_time` and `after_answer` are pure: `Connection` calls them, and a
-loop that owns the link compiles the very same functions, so that parameters change in one way before and during a run.
+A transaction is a request and its reply. An update of parameters consists of SET_BEGIN, SET_CHUNKs and SET_COMMIT with
+one nonce; each is answered before the next is sent. `after_time` and `after_answer` are pure functions: `Connection`
+calls them and the control loop compiles them, so parameters change in the same way before and during a run.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ _FIRST_NS, _DOUBLINGS = round(RETRY_AFTER_S[0] * 1e9), len(RETRY_AFTER_S) - 1
 
 
 class Transaction(NamedTuple):
-    """How far a transaction has come.
+    """Progress of a transaction.
 
     Attributes
     ----------
     nonce
-        Nonce of all its requests.
+        Nonce of all requests of the transaction.
     length
-        Length of the block (bytes); 0 without one.
+        Length of the parameter block (bytes); 0 for other requests.
     step
-        Type id of the request under way, or DONE, REFUSED, UNANSWERED.
+        Type id of the present request, or the result: DONE, REFUSED or UNANSWERED.
     offset
-        Where the chunk under way begins in the block (bytes).
+        Offset of the present chunk in the block (bytes).
     tries
-        Times that the request was sent.
+        Number of times that the present request was sent.
     again_at
-        When it is to be sent again (ns).
+        Time at which to send it again (ns).
     """
 
     nonce: int
@@ -54,7 +54,10 @@ class Transaction(NamedTuple):
 
 
 def after_time(t: Transaction, time_ns: int, most_tries: int) -> Transaction:
-    """Return the transaction at a time. Its request is to be sent now exactly when it has one try more than before."""
+    """Return the transaction updated to `time_ns`. If its `tries` increased, send the request now.
+
+    After `most_tries` tries without a reply its step is UNANSWERED.
+    """
     if t.step < 0 or (t.tries > 0 and time_ns < t.again_at):
         return t
     if t.tries >= most_tries:
@@ -64,9 +67,9 @@ def after_time(t: Transaction, time_ns: int, most_tries: int) -> Transaction:
 
 
 def after_answer(t: Transaction, nonce: int, request: int, status: int, detail: int) -> Transaction:
-    """The transaction after an answer: the same if that is not to its request, else with the next one, or finished.
+    """Return the transaction after a reply: with the next request, or finished.
 
-    `nonce`, `request`, `status` and `detail` are as an ACK has them.
+    A reply to another request changes nothing. `nonce`, `request`, `status` and `detail` are those of an ACK.
     """
     # an OK for the chunk before, which was sent twice
     late = t.step == CHUNK and status == _OK and detail != t.offset

@@ -1,8 +1,8 @@
-"""Data longer than a frame: parameter blocks to the device, paged replies to the host.
+"""Transfer data longer than a frame: parameter blocks to the device, paged replies to the host.
 
-SET_PARAMETERS is BEGIN, CHUNKs, COMMIT, each acknowledged; only COMMIT changes anything. Replies of more
-than one frame (dictionary, parameters, fault log) are read page by page: each request names the first
-byte or entry wanted, so that reading needs no memory on the device.
+SET_PARAMETERS consists of BEGIN, CHUNKs and COMMIT, each acknowledged; only COMMIT changes parameters. Longer replies
+(dictionary, parameters, fault log) are read page by page: each request contains the first wanted byte or entry, so
+the device stores no progress.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from firmware_protocol.transaction import CHUNK_BYTES
 
 
 def set_parameters(block: bytes, nonce: int) -> list[SetBegin | SetChunk | SetCommit]:
-    """Return messages that bring a block to the device, in order; each waits for the ACK of the one before."""
+    """Return the messages that send a block to the device; the host sends each after the ACK of the message before."""
     chunks = [SetChunk(nonce, at, block[at : at + CHUNK_BYTES]) for at in range(0, len(block), CHUNK_BYTES)]
     return [SetBegin(nonce, len(block), block_crc(block)), *chunks, SetCommit(nonce)]
 
 
 class Assembler:
-    """The device's side of SET_PARAMETERS: chunks in any order and more than once, within `limit` bytes.
+    """Device side of SET_PARAMETERS: it assembles a block of at most `limit` bytes.
 
-    A BEGIN with another nonce, length or CRC starts afresh; the same one again changes nothing, so that
-    a repeat is harmless.
+    Chunks may arrive in any order and more than once. A BEGIN with another nonce, length or CRC starts a new block; a
+    repeated BEGIN changes nothing.
     """
 
     def __init__(self, limit: int = BLOCK_LIMIT) -> None:
@@ -34,7 +34,7 @@ class Assembler:
         self._missing: set[int] = set()
 
     def begin(self, message: SetBegin) -> Status:
-        """Reserve room for a block, or return why it is refused."""
+        """Start a block and return OK, or return the status of the refusal."""
         if message.length > self._limit:
             return Status.BAD_LENGTH
         # The same BEGIN again changes nothing: a repeat after a lost ACK is harmless.
@@ -45,7 +45,7 @@ class Assembler:
         return Status.OK
 
     def chunk(self, message: SetChunk) -> Status:
-        """Lay a piece in its place."""
+        """Store a piece of the block and return OK, or return the status of the refusal."""
         if self._begun is None or message.nonce != self._begun.nonce:
             return Status.INCOMPLETE
         end = message.offset + len(message.data)
@@ -56,7 +56,7 @@ class Assembler:
         return Status.OK
 
     def commit(self, message: SetCommit) -> tuple[Status, bytes]:
-        """Return OK and the block, or the status of the failure. The transfer then ends, unless bytes are missing."""
+        """Return OK and the block, or the status of the failure. This ends the transfer, unless bytes are missing."""
         begun = self._begun
         if begun is None or message.nonce != begun.nonce or self._missing:
             return Status.INCOMPLETE, b""
@@ -68,17 +68,13 @@ class Assembler:
 
 
 def page(content: bytes, offset: int, size: int) -> bytes:
-    """At most `size` bytes of a reply from `offset`; empty behind its end."""
+    """Return at most `size` bytes of a reply from `offset` on; b"" beyond its end."""
     # Each request names the first byte wanted, so that reading needs no memory on the device.
     return content[offset : offset + size]
 
 
 class PageReader:
-    """The host's side of a paged reply: ask for `offset`, `add` what comes, until `complete`.
-
-    `limit` bounds what is accepted; `fingerprint` (a hash or CRC) and the total must be the same on
-    every page, else the content changed under the reader's hands. Raises `RemoteProtocolError`.
-    """
+    """Host side of a paged reply of at most `limit` bytes: request `offset` and `add` the page, until `complete`."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
@@ -101,7 +97,11 @@ class PageReader:
         return bytes(self._content)
 
     def add(self, *, total: int, fingerprint: int, offset: int, data: bytes) -> None:
-        """Take one page. A page that was already taken is ignored."""
+        """Add one page; ignore a page that was added before.
+
+        Raise `RemoteProtocolError` if the reply is too long, a page is missing, or total length or fingerprint (a hash
+        or CRC) differ from those of the first page, because the content has changed since.
+        """
         if self._head is None:
             if total > self._limit:
                 raise RemoteProtocolError(

@@ -1,4 +1,4 @@
-"""C type, unit and meaning of a field on the wire, declared once, and how such fields become bytes."""
+"""Describe a field on the wire (C type, unit, meaning) in its annotation, and convert such fields to bytes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FORMATS = {
 
 @dataclass(frozen=True, slots=True)
 class Wire:
-    """C type (a key of FORMATS, or "bytes" for a tail), unit and meaning of a field."""
+    """Description of a field: C type (a key of FORMATS, or "bytes" for the rest of the frame), unit and meaning."""
 
     ctype: str
     unit: str
@@ -32,7 +32,7 @@ class Wire:
 
 
 def wire_fields(cls: type) -> dict[str, Wire]:
-    """Return name → `Wire` of a record class whose fields are ``Annotated[int, Wire(…)]``, in wire order."""
+    """Return the `Wire` of each field by name, in wire order, of a class with fields ``Annotated[int, Wire(…)]``."""
     return _wire_fields(cls)
 
 
@@ -42,12 +42,12 @@ def _wire_fields(cls: type) -> dict[str, Wire]:
 
 
 def fixed_fields(cls: type) -> dict[str, Wire]:
-    """Return `wire_fields` without the tail of variable length."""
+    """Return `wire_fields` without a field of variable length ("bytes")."""
     return {name: wire for name, wire in wire_fields(cls).items() if wire.ctype != "bytes"}
 
 
 def record_struct(cls: type) -> struct.Struct:
-    """Return the packer of the fixed fields: little-endian, no padding."""
+    """Return the struct of the fixed fields: little-endian, without padding."""
     return struct.Struct("<" + "".join(FORMATS[wire.ctype] for wire in fixed_fields(cls).values()))
 
 
